@@ -37,13 +37,13 @@ from pickenv.calibration.identification.extended_kalman_filter import FilterStat
 # lines run on NumPy arrays and torch tensors.
 
 RIDGE = 16.0
-"""Added to the diagonal of J^T J so that it can be factorised where it is singular: roundings of its trace."""
+"""Ridge on the diagonal of J^T J, in rounding errors of its trace, so that a singular one can be factorised."""
 
 SETTLED = 1e-4
 """Largest turn, in the last iteration, of the direction that may be cut off, as 1 - cosine."""
 
 START = (0.9, -0.4, 1.0, 0.7, -1.1, 0.6, -0.3)
-"""Start of the search for it: close to no direction that symmetry makes likely."""
+"""Start of the search for the direction that may be cut off: near no direction that symmetry makes likely."""
 
 Columns = Sequence[Sequence[Scalar]]
 """n columns of J, each six components ``(...)``; plain zeros cost nothing."""
@@ -97,8 +97,8 @@ class TruncatedSolver:
 
         Args:
             right: The right-hand sides.
-            columns: Of a J that has moved a little since it was factorised: iterations then end where J^T of this one
-                sends nothing of what remains, though the factors are the old ones.
+            columns: Columns of a J that has changed a little since it was factorised. With the old factors, iterations
+                then end where J^T of the changed J maps the remaining error to zero.
         """
         projected = [_dot(column, right) for column in columns or self.columns]
         solution = _without(self._direction, self._solve(_without(self._direction, projected)))
@@ -109,11 +109,11 @@ class TruncatedSolver:
         return solution
 
     def _in_doubt(self, values: Sequence[Scalar]) -> Scalar:
-        """The doubtful poses' values ``(k, len(values))``, plain numbers among them written out."""
+        """Values of the doubtful poses ``(k, len(values))``; plain numbers are repeated for each pose."""
         return self._m.stack([(self._zeros + value)[self.doubtful] for value in values], 1)
 
     def _solve(self, right: Sequence[Scalar]) -> list[Scalar]:
-        """Solve with the factorised L D L^T."""
+        """Solve L D L^T x = right with the stored factors."""
         lower, inverse_diagonal = self._factors
         values = list(right)
         n = len(values)
@@ -176,7 +176,7 @@ def _without(direction: Sequence[Scalar], vector: Sequence[Scalar]) -> list[Scal
 
 
 def aimed(nominal: Geometry, filters: Sequence[FilterState], joints: Array) -> Array:
-    """Joints ``(N, n)`` that bring each arm, as its filter knows it, to the nominal arm's place at ``joints``."""
+    """Joints ``(N, n)`` that bring each arm, as its filter models it, to the nominal arm's pose at ``joints``."""
     rows = (Compensator(nominal, state.geometry)(row) for state, row in zip(filters, joints, strict=True))
     return np.stack(list(rows))
 
@@ -189,15 +189,15 @@ def taught(
     wander: float,
     seconds: float,
 ) -> list[FilterState]:
-    """Filters after a pause and a look.
+    """Filters after a pause and one measurement of each tool.
 
     Args:
         filters: One per arm.
         joints: Joints ``(N, n)`` that the arms were sent to.
-        seen: Where their tools were seen ``(N, 3)``, m.
-        noise: Of the look, with what a geometry cannot explain.
+        seen: Measured tool positions ``(N, 3)``, m.
+        noise: Noise of the measurement, including errors that a geometry cannot explain.
         wander: Tolerances per root hour by which every parameter may have wandered.
-        seconds: Time since the look before.
+        seconds: Time since the previous measurement, s.
     """
     return [
         update(predict(state, random_walk(state, wander), seconds), q, at, noise)
@@ -206,10 +206,10 @@ def taught(
 
 
 BLOCK = 2048
-"""Poses worked on together: what a core's first caches hold."""
+"""Number of poses worked on together; so many fit into a core's first caches."""
 
 NEGLIGIBLE = 1e-6
-"""Loss that may be expected of a correction, m or rad: single precision rounds so much where nothing is gained."""
+"""Largest expected loss by a correction that is still commanded, m or rad; single precision rounds by as much."""
 
 
 Residual = Callable[[Array], Array]
@@ -221,17 +221,18 @@ class Compensator:
     """Maps joint targets, meant for the nominal arm, to joint commands for the real one.
 
     Attributes:
-        nominal: What the controller believes.
+        nominal: The geometry that the controller uses.
         identified: The calibrated geometry.
         residual: Learnt residual, or None.
-        iterations: Corrections applied, each from the joints of the one before, with the factors of one Jacobian. On
-            the picking arm with the paper's network one leaves 1.4 um of the predicted error on average, two 0.9 um:
-            the residual changes by its own correction. Without a residual one leaves 1 um, two nothing.
-        single_precision: Whether many poses at once are corrected in single precision: faster, and another 0.1 um.
-        reservations: What stands against using it, by name (`pickenv.base.obey`).
-        within95: What holds 95 of 100 errors of position, m, and attitude, rad, at commands ``(..., n)``, as counted on
-            held-out rows; None where nobody knows.
-        caution: What its rows do not tell of the workspace, in a sentence; None where they tell it.
+        iterations: Number of corrections, each from the joints of the one before, with the factors of one Jacobian. On
+            the picking arm with the paper's network, one correction leaves 1.4 um of the predicted error on average,
+            two leave 0.9 um, because the residual changes by its own correction. Without a residual, one leaves 1 um,
+            two leave nothing.
+        single_precision: Whether many poses at once are corrected in single precision: faster, with 0.1 um more error.
+        reservations: Reasons against using the compensator, by name (`pickenv.base.obey`).
+        within95: Function of commands ``(..., n)`` that gives the bounds of 95 of 100 position errors, m, and attitude
+            errors, rad, as counted on held-out rows; None if they are unknown.
+        caution: A sentence on the part of the workspace that the rows do not cover; None if they cover it.
     """
 
     nominal: Geometry
@@ -269,7 +270,7 @@ class Compensator:
         return joints
 
     def compiled(self, count: int) -> Callable[[ArrayLike], Array]:
-        """This map as machine code, for repeated calls with ``count`` targets ``(count, n)``; the same up to roundings.
+        """This map as machine code, equal up to rounding, for repeated calls with ``count`` targets ``(count, n)``.
 
         In single precision there is no machine code, and this compensator itself is returned.
 
@@ -319,7 +320,7 @@ class Compensator:
         return corrected(m, self.nominal, self._chains, target, self.iterations, learnt)
 
     def _learnt(self, m: ModuleType, joints: Sequence[Scalar]) -> list[Scalar]:
-        """The residual at joints, component by component."""
+        """Components of the learnt residual at joints, six numbers or arrays ``(N,)``."""
         assert self.residual is not None
         if m is math:
             return list(self.residual(np.array(joints)).tolist())
@@ -330,7 +331,7 @@ class Compensator:
         return list(np.ascontiguousarray(self.residual(rows.T).T, dtype=rows.dtype))
 
     def _fill(self, joints: Array, found: Array) -> None:
-        """The residual ``(6, N)`` at joints ``(n, N)``."""
+        """Write the residual ``(6, N)`` at joints ``(n, N)`` into ``found``."""
         assert self.residual is not None
         found[:] = self.residual(joints.T).T
 
@@ -343,12 +344,12 @@ def corrected(
     iterations: int,
     residual: Callable[[Sequence[Scalar]], Sequence[Scalar]] | None = None,
 ) -> Sequence[Scalar]:
-    """Commands for targets, joint by joint: what `Compensator` does, on any executor and for any number of arms.
+    """Commands for targets, joint by joint, as `Compensator` gives them, for any array module and number of arms.
 
     Args:
         m: ``math``, ``numpy`` or ``torch``.
-        nominal: What the controller believes, for joint types and limits.
-        chains: The nominal chain and the identified one, which may be that of many arms.
+        nominal: The geometry that the controller uses, for joint types and limits.
+        chains: The nominal chain and the identified chain; the latter may hold many arms.
         target: Joint targets, n components, rad or m.
         iterations: See `Compensator`.
         residual: Learnt residual of joints, six components (m, rad), or None.
@@ -379,22 +380,22 @@ def corrected(
 
 
 def _weighed(weight: float, parts: Sequence[Scalar]) -> Sequence[Scalar]:
-    """The six components of an error, or of a column of the Jacobian, as the task weighs them."""
+    """Six components of an error or a Jacobian column, with the last three (attitude) multiplied by ``weight``."""
     return parts if weight == 1.0 else [*parts[:3], *(weight * part for part in parts[3:])]
 
 
 Expected = tuple[Sequence[Scalar], Scalar]
-"""Joints, and the size of the pose error expected there, as the task weighs it."""
+"""Joints, and the size of the pose error expected at them, with the task's weight of attitudes."""
 
 
 def _expected(m: ModuleType, joints: Sequence[Scalar], error: Sequence[Scalar]) -> Expected:
-    """The expectation of the model at joints, from the six components of its pose error there."""
+    """Joints with the size of the pose error expected at them, from the error's six components."""
     x, y, z, u, v, w = error
     return joints, m.sqrt(x * x + y * y + z * z + u * u + v * v + w * w)
 
 
 def _nearer(m: ModuleType, one: Expected | None, other: Expected) -> Expected:
-    """The other, but for poses where it is expected farther off than the one."""
+    """For each pose ``other``, or ``one`` where the error of ``other`` is larger by `NEGLIGIBLE` or more."""
     if one is None:
         return other
     nearer = other[1] < one[1] + NEGLIGIBLE
@@ -405,7 +406,7 @@ def _nearer(m: ModuleType, one: Expected | None, other: Expected) -> Expected:
 
 
 def _less(error: Sequence[Scalar], learnt: Sequence[Scalar]) -> list[Scalar]:
-    """A pose error less the residual that is expected beside it."""
+    """A pose error minus the learnt residual, component by component."""
     return [part - expected for part, expected in zip(error, learnt, strict=True)]
 
 
@@ -420,7 +421,7 @@ Solve = Callable[[Sequence[Scalar], Sequence[Sequence[Scalar]]], list[Scalar]]
 
 
 def _solver(m: ModuleType, columns: Sequence[Sequence[Scalar]]) -> Solve:
-    """The function from pose errors to the joint steps that remove them, for a Jacobian of such columns or like it."""
+    """The function that gives the joint steps to remove pose errors, for this Jacobian or one close to it."""
     if m is not math:
         return TruncatedSolver(columns, m).solve
     root = truncated_inverse(np.array(columns).T)

@@ -1,7 +1,7 @@
 """Faults of a data set as a whole: rows far off or trained on, units mixed within a column, another set-up.
 
-No single cell betrays these. A robust fit, always made, finds the poses that agree with each other; whatever the others
-have in common (one column that fits in another unit) is said. Held-out rows pass the same checks before they judge.
+No single cell shows these faults. A robust fit, always made, finds the poses that agree with each other; if the others
+have a cause in common (one column that fits in another unit), it is reported. Held-out rows pass the same checks.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ UNLIKELY = 1e-3
 roughly than `Observations.rounding`, a reading is taken to be equal by chance nine times in ten (`ROUGH`)."""
 
 IDENTICAL = 1e-8
-"""Joints that agree so well are one number, rad or m."""
+"""Joints that differ by no more than this are the same number, rad or m."""
 
 
 Weight = Literal["fail", "caution", "note"]
@@ -65,7 +65,7 @@ def refuse_trained(train: Observations, test: Observations) -> None:
 
 
 def said_of_repeats(train: Observations, test: Observations) -> Said:
-    """A verdict's remark on rows to judge by at poses that were trained on: a caution where most are."""
+    """Remarks for a verdict on held-out rows at poses that were trained on: a caution if most rows are such."""
     rows = len(test.joints)
     count = int(np.count_nonzero(_nearest(train.joints, test.joints, SAME_POSE) >= 0)) if rows else 0
     if count:
@@ -74,7 +74,7 @@ def said_of_repeats(train: Observations, test: Observations) -> Said:
 
 
 def _copies(known: Observations, other: Observations) -> tuple[Rows, Rows]:
-    """Rows of ``other`` that are rows of ``known``, and which; none where they are few enough to be chance."""
+    """Rows of ``other`` that copy rows of ``known``, and the copied rows; none if so few may be chance."""
     none = np.zeros(0, dtype=np.int64)
     mine, theirs = known.readings(), other.readings()
     if type(known) is not type(other) or mine.shape[1] != theirs.shape[1] or not len(mine) or not len(theirs):
@@ -97,13 +97,13 @@ def _copies(known: Observations, other: Observations) -> tuple[Rows, Rows]:
 
 
 def _nearest(known: Array, other: Array, within: float) -> Rows:
-    """The nearest of ``known`` to each of ``other``, no coordinate being farther off than this; -1 where none is."""
+    """Index of the row of ``known`` nearest to each row of ``other``; -1 if none has all coordinates ``within``."""
     _, nearest = KDTree(known).query(other, p=np.inf, distance_upper_bound=within * (1.0 + 1e-6) + 1e-12)
     return np.where(nearest < len(known), nearest, -1)
 
 
 def _digit(values: Array) -> float:
-    """The last decimal that is written in any of these numbers."""
+    """The smallest decimal step to which any of these numbers is written, at least 1e-9."""
     return next((10.0**-n for n in range(9) if np.allclose(values, np.round(values, n), rtol=0.0, atol=1e-10)), 1e-9)
 
 
@@ -113,10 +113,10 @@ EXPLAINED = 8.0
 """A unit explains an outlier when it brings it within this many robust standard deviations."""
 
 MANY_FAR = 0.05
-"""More rows far off than this share are a caution."""
+"""Share of rows far off above which the verdict gives a caution."""
 
 ANOTHER_ARM = 5.0
-"""A station that is missed by so many times what the others are is probably of another arm."""
+"""A station whose misses are this many times those of the others is probably of another arm."""
 
 FEW = 4
 """Fewer held-out rows than this are named one by one, and never taken for another set-up."""
@@ -137,15 +137,15 @@ class LeftOut:
     """A row that does not fit the others and was left out, or was asked to be kept.
 
     Attributes:
-        file: Its file.
-        line: Its line there, from 1.
-        held_out: Whether it was among the held-out rows.
-        position: Size of its largest miss, m, or rad where directions are measured; None where that is not the reason.
-        attitude: Size of its attitude error, rad; None where no attitudes were measured.
-        sigma: Size of its error in robust standard deviations of one coordinate.
-        why: The reason in words, where one is known.
-        kept: Whether it was kept all the same.
-        unit: What the miss is shown in, of `MISS_UNITS`.
+        file: The row's file.
+        line: The row's line in the file, from 1.
+        held_out: Whether the row was among the held-out rows.
+        position: Size of the row's largest miss, m, or rad if directions are measured; None if that is not the reason.
+        attitude: Size of the row's attitude error, rad; None if no attitudes were measured.
+        sigma: Size of the row's error in robust standard deviations of one coordinate.
+        why: The reason in words, if one is known.
+        kept: Whether the row was kept all the same.
+        unit: Unit in which the miss is shown, one of `MISS_UNITS`.
     """
 
     file: str
@@ -160,11 +160,11 @@ class LeftOut:
 
     @property
     def miss(self) -> str:
-        """The size of its largest miss, in its unit."""
+        """Text of the row's largest miss, with its unit."""
         return f"{(self.position or 0.0) * MISS_UNITS[self.unit]:.3g} {self.unit}"
 
     def text(self) -> str:
-        """For people."""
+        """A sentence on the row, for people."""
         if self.position is None or self.sigma is None:
             return f"{self.file}: row {self.line}: {self.why}"
         turned = "" if self.attitude is None else f", {np.degrees(self.attitude):.3g} deg"
@@ -228,7 +228,7 @@ def _far_rows(
     held_out: bool,
     kept: bool,
 ) -> list[LeftOut]:
-    """The rows far off, with what they have in common."""
+    """Entries for the rows far off, with the reason that they have in common."""
     if not len(rows):
         return []
     missed, attitude, why = misses_of(found, data), None, None
@@ -252,11 +252,11 @@ def _far_rows(
 
 
 def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Said:
-    """A verdict's remark on rows far off: a caution where they are kept, many, or of one cause, else a note.
+    """Remarks for a verdict on rows far off: a caution if they are kept, many, or of one cause, else a note.
 
     Args:
         listed: The rows.
-        rows: How many there were in all.
+        rows: Number of all rows.
     """
     far = [item for item in listed if item.sigma is not None]
     if not far:
@@ -274,7 +274,7 @@ def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Said:
 
 
 def said_of_files(listed: Sequence[LeftOut], kept: Sequence[Observations]) -> Said:
-    """A caution for each file of which no row is left."""
+    """Remarks for a verdict: a caution for each file of which no row is left."""
     used = {origins.files[i] for origins in map(origins_of, kept) for i in np.unique(origins.file).tolist()}
     for file in dict.fromkeys(item.file for item in listed if not item.kept and item.file not in used):
         count = sum(item.file == file for item in listed)
@@ -286,7 +286,7 @@ def said_of_files(listed: Sequence[LeftOut], kept: Sequence[Observations]) -> Sa
 
 
 def said_of_stations(found: Identification, data: Observations) -> Said:
-    """A caution for each station that is missed by far more than the others, wherever its base and tool may be."""
+    """Remarks for a verdict: a caution for each station with far larger misses than the others, whatever its frames."""
     if not data.stations or len({part.miss_unit for part in data.parts}) > 1:
         return
     sizes = np.linalg.norm(data.misses(found.arm_model, unknowns_of(found, data)), axis=1)
@@ -352,7 +352,7 @@ def mixed_unit(arm: Arm, sigma: Callable[[Measurements], Array], measurements: M
 
 
 def _readings(arm: Arm, data: Measurements) -> Iterator[tuple[str, Measurements]]:
-    """The same rows with one joint column, a position or the attitude read in another unit, and which in words."""
+    """Copies of the rows with a joint column, a position or the attitude read in another unit, each with its name."""
     length, angle = ("mm", "m", 1e-3), ("deg", "rad", np.pi / 180)
     values = {"joints": data.joints, "position": data.position}
     columns = [
@@ -373,7 +373,7 @@ def _readings(arm: Arm, data: Measurements) -> Iterator[tuple[str, Measurements]
 
 
 def without_blind_views(data: Observations) -> tuple[Observations, tuple[LeftOut, ...]]:
-    """Rows of any kind; pictures, of one station or several, without the views that tell too little."""
+    """The rows without pictures in which too few corners show, and those pictures; other kinds are unchanged."""
     first, left_out = 0, []
     for part in data.parts:
         reasons = {} if part.views is None else _blind_views(part.views)
@@ -386,7 +386,7 @@ def without_blind_views(data: Observations) -> tuple[Observations, tuple[LeftOut
 
 
 def _blind_views(views: PixelObservations) -> dict[int, str]:
-    """Views that do not tell where their board is, and why: too few corners, or all near one line."""
+    """Views that cannot show where their board is, with the reason: too few corners, or all near one line."""
     reasons = {}
     for row, visible in enumerate(views.seen):
         count = int(visible.sum())
@@ -406,6 +406,6 @@ def _blind_views(views: PixelObservations) -> dict[int, str]:
 
 
 def _thinness(places: Array) -> float:
-    """Spread of points ``(N, 2)`` across their longest line, as a share of that along it."""
+    """Spread of points ``(N, 2)`` across their longest line, as a share of their spread along it."""
     along, across = np.linalg.svd(places - places.mean(axis=0))[1]
     return float(across / along)

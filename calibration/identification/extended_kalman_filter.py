@@ -22,7 +22,7 @@ PRIOR = 10.0
 """Prior standard deviation of a parameter, in its tolerances: 10 mm and 0.6 deg for geometry."""
 
 HOUR = 3600.0
-"""s; drifts are stated per root hour."""
+"""Seconds in an hour; drifts are stated per root hour."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,11 +32,11 @@ class FilterState:
     Attributes:
         arm_model: Current estimate: geometry and coefficients of terms.
         columns: Indices ``(p,)`` of the estimated parameters in ``arm_model.parameter_names``.
-        tolerance: Their scale ``(p,)``, m or rad.
-        covariance: Covariance of their errors ``(p, p)``, m and rad.
-        updates: Poses accepted.
-        rejected: Poses refused by the innovation gate.
-        innovation: Last measured minus predicted pose ``(6,)`` or ``(3,)``, m and rad; empty before the first.
+        tolerance: Scale of each estimated parameter ``(p,)``, m or rad.
+        covariance: Covariance of the parameters' errors ``(p, p)``, m and rad.
+        updates: Number of poses accepted.
+        rejected: Number of poses refused by the innovation gate.
+        innovation: Last measured minus predicted pose ``(6,)`` or ``(3,)``, m and rad; empty before the first pose.
         nis: Last normalised innovation squared (NIS); 1 per coordinate is expected.
     """
 
@@ -72,7 +72,7 @@ class FilterState:
 def start_filter(
     model: ErrorModel, start: Geometry | ArmModel, joints: Array, *, full_pose: bool = True, prior: float = PRIOR
 ) -> FilterState:
-    """A filter that knows nothing but the nominal arm.
+    """Start a filter that knows only the nominal arm.
 
     Args:
         model: The parameters to choose from; those that the poses cannot tell apart stay out.
@@ -82,7 +82,7 @@ def start_filter(
         prior: Prior standard deviation in tolerances of each parameter.
 
     Raises:
-        InputError: If the poses are so few that they would leave parameters out that others identify.
+        InputError: If the poses are so few that parameters would be left out that more poses identify.
     """
     arm, joints, rows = ArmModel.of(start), np.asarray(joints, dtype=float), 6 if full_pose else 3
     if len(joints) * rows < len(model.columns):
@@ -97,7 +97,7 @@ def start_filter(
 
 
 def predict(state: FilterState, process_noise: ArrayLike, seconds: float) -> FilterState:
-    """Let time pass: parameters may have drifted.
+    """The state after time has passed, in which parameters may have drifted.
 
     Args:
         state: The state.
@@ -108,9 +108,9 @@ def predict(state: FilterState, process_noise: ArrayLike, seconds: float) -> Fil
 
 
 def random_walk(state: FilterState, tolerances: float) -> Array:
-    """Process noise ``(p, p)`` per second: every parameter wanders by so many of its tolerances per root hour.
+    """Process noise ``(p, p)`` per second: every parameter wanders by ``tolerances`` tolerances per root hour.
 
-    For drifts of unknown shape and cause.
+    It stands for drifts of unknown shape and cause.
     """
     return np.asarray(np.diag((tolerances * state.tolerance) ** 2) / HOUR)
 
@@ -124,18 +124,18 @@ def update(
     conditions: Conditions | None = None,
     gate: float | None = None,
 ) -> FilterState:
-    """Learn from one pose.
+    """Update the filter with one measured pose.
 
     Args:
         state: The state before.
         joints: Commanded joints ``(n,)``, rad or m.
         observed: The tool's pose as it was seen, or its position ``(3,)`` in m.
-        noise: Standard deviations of one coordinate, m and rad; add what the model cannot explain.
+        noise: Standard deviations of one coordinate, m and rad, including errors that the model cannot explain.
         conditions: Payload, temperature and torques of this pose, if the model has terms that need them.
         gate: Refuse the pose if its innovation is less likely than 1 - gate (say 0.9999); None accepts all.
 
     Returns:
-        The state after; refused poses only count in ``rejected``.
+        The state after the pose; a refused pose only counts in ``rejected``.
 
     Raises:
         InputError: If joints or the observation are not finite.

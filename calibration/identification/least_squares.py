@@ -26,20 +26,20 @@ from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.prior import PriorModel
 
 PROBES = 60
-"""Poses on which is tried what such measurements identify elsewhere."""
+"""Number of random poses at which the rank of such measurements is tried out."""
 
 OFFSET = 1e-3
 """Parameters count as found when a further step would move them by less than this share of their uncertainty."""
 
 
 NEAR = 5.0
-"""Steps of less than so many of the parameters' uncertainties, each a tenth of the last, keep the derivatives."""
+"""Derivatives are kept after a step below this many uncertainties, if steps also shrink tenfold each time."""
 
 REDUNDANCY_TOLERANCE = 1e-3
-"""A parameter is redundant when what it adds, for a deviation of one tolerance, is below this share of the largest."""
+"""A parameter is redundant if the part of its scaled column not yet explained is below this share of the largest."""
 
 BLOCK = 1600
-"""Equations that are brought to a triangle at a time: so many stay near the processor."""
+"""Number of equations that `triangle` reduces at a time; so many fit into the processor's cache."""
 
 NOTHING = 1e-7
 """A parameter of which neither rows nor priors say so much, as a share of the clearest one, stays where it is."""
@@ -54,19 +54,19 @@ class Identification:
         unknowns: Identified unknowns of the measurements themselves (reflectors, anchors, sockets), m.
         identifiability: What could be identified, what was dropped, and what absorbed it.
         delta: Identified minus starting parameters, m or rad, per parameter (0 for dropped ones).
-        covariance: Of the kept parameters: of the posterior where they have priors, else from the residual's own
-            scatter; NaN without spare equations.
+        covariance: Covariance of the kept parameters: the posterior's if they have priors, else from the residual's
+            own scatter; NaN without spare equations.
         chi_square: Sum of squared whitened residuals.
         degrees_of_freedom: Equations minus identified parameters.
         converged: Whether the last step was negligible.
         residual_rms: Weighted residual RMS before each iteration and after the last.
         iterates: Geometry before each iteration and after the last.
-        unknown_iterates: The measurements' own unknowns likewise ``(u,)``.
-        solve_seconds: Time of the solution alone.
+        unknown_iterates: The measurements' own unknowns ``(u,)`` before each iteration and after the last.
+        solve_seconds: Time of the solution alone, s.
         poses: Number of poses used.
         kind: What was measured: "pose", "position", ….
-        prior: What was expected beforehand; None where nothing was.
-        noise: What rows scatter by, where that was found.
+        prior: The parameters' priors; None if there were none.
+        noise: The estimated scatter of the rows; None if it was not estimated.
     """
 
     arm_model: ArmModel
@@ -116,7 +116,7 @@ class Identification:
 
     @property
     def spent(self) -> float:
-        """Number of parameters' worth of the rows that the fit used up."""
+        """Effective number of parameters that the fit took from the rows, rather than from priors."""
         width = self.prior_std[self.identifiability.kept]
         return float(np.sum(1.0 - np.clip(np.diag(self.covariance) / width**2, 0.0, 1.0)))
 
@@ -125,7 +125,7 @@ def unknowns_of(found: Identification, observations: Observations) -> Array:
     """The identified values of a data set's own unknowns.
 
     Raises:
-        InputError: If it has one that the rows fitted had not.
+        InputError: If the data set has an unknown that did not occur in the fitted rows.
     """
     names = observations.unknowns()
     for name in (name for name in names if name not in found.unknowns):
@@ -282,10 +282,10 @@ def identify(
 def identify_converged(
     model: ErrorModel, start: Geometry | ArmModel, data: Measurements | Sequence[Observations]
 ) -> Identification:
-    """`identify`; where that wanders among parameters that the data hardly show, again without those.
+    """Run `identify`; if it does not converge, run it again without parameters that the data hardly show.
 
     Raises:
-        InputError: As `identify`, or if it does not converge even so.
+        InputError: As `identify`, or if none of the runs converges.
     """
     for factor in (1.0, 3.0, 10.0):
         solution = identify(model, start, data, max_iterations=60, rank_tolerance=factor * REDUNDANCY_TOLERANCE)
@@ -305,14 +305,14 @@ def judged_step(step: Any, explained: Any, weighted: Any, before: Any, after: An
         step: The whole step, in tolerances ``(..., K)``.
         explained: The Jacobian times the step ``(..., R)``.
         weighted: Whitened residuals before the step ``(..., R)``.
-        before: Their root mean square ``(...)``.
-        after: That after the step.
+        before: Root mean square of the residuals before the step ``(...)``.
+        after: Root mean square of the residuals after the step ``(...)``.
 
     Returns:
-        Of one arm or of many ``(...)``: squared, what the whole step would still explain, per parameter and against the
-        scatter (relative offset, Bates and Watts 1981), for directions that the data hardly show may wander without it;
-        whether a further step would move nothing that matters; whether the residual did not grow, but for rounding, not
-        so where it is NaN; whether an undamped step that was better led to the minimum.
+        Four values for one arm or many ``(...)``. First the squared relative offset (Bates and Watts 1981): what the
+        whole step would still explain, per parameter and against the scatter; it ignores steps in directions that the
+        data hardly show. Then whether a further step would be negligible; whether the residual did not grow, but for
+        rounding (False for NaN); whether an undamped step that was better led to the minimum.
     """
     rows, parameters = weighted.shape[-1], step.shape[-1]
     scatter = (weighted**2).sum(-1) / max(rows - parameters, 1)
@@ -364,7 +364,7 @@ def _solve(matrix: Array, right: Array, damping: float) -> Array:
 
 
 def triangle(matrix: Array, right: Array) -> tuple[Array, Array]:
-    """Equations of the same least squares in as few rows as there are columns: QR of blocks of rows, then of these."""
+    """Reduce least-squares equations to as few rows as columns with the same solution: QR of blocks, then of these."""
     ends = np.linspace(0, len(right), max(len(right) // BLOCK, 1) + 1).astype(int).tolist()
     parts = [np.asarray(np.linalg.qr(np.column_stack([matrix[i:j], right[i:j]]), "r")) for i, j in pairwise(ends)]
     r = parts[0] if len(parts) == 1 else np.asarray(np.linalg.qr(np.vstack(parts), mode="r"))
@@ -385,7 +385,7 @@ def _covariance(matrix: Array, weighted: Array, found: Identifiability, toleranc
 
 
 def _posterior(matrix: Array, scale: Array) -> Array:
-    """Covariance of parameters whose rows have unit variance, their priors' among them."""
+    """Covariance of parameters from rows of unit variance, which include the rows of the priors."""
     inverse_r = np.linalg.inv(np.linalg.qr(matrix, mode="r"))
     return np.asarray(inverse_r @ inverse_r.T * np.outer(scale, scale))
 
@@ -426,11 +426,11 @@ class Identifiability:
     Attributes:
         names: All parameters, in order.
         kept: Indices of the identifiable base set.
-        dropped: The others, each with what absorbs it: what a deviation of 1 (m or rad) of it looks like in the kept
-            parameters (m or rad); empty if it has no effect on the measurements at all.
+        dropped: The other parameters, each with what absorbs it: the deviations of kept parameters (m or rad) that look
+            like a deviation of 1 (m or rad) of it; empty if it has no effect on the measurements at all.
         r_diagonal: |R_kk| of the scaled stacked Jacobian per parameter, ~0 for dropped ones (eq (9)); by
             its mean it is the paper's ratio phi (eq (10)).
-        singular_values: Of the scaled stacked Jacobian of the kept parameters, per pose (divided by sqrt(N)).
+        singular_values: Singular values of the kept parameters' scaled stacked Jacobian, per pose (over sqrt(N)).
     """
 
     names: tuple[str, ...]
@@ -450,7 +450,7 @@ class Identifiability:
         return float(self.singular_values[0] / self.singular_values[-1])
 
     def of_all(self, kept: Array) -> Array:
-        """One value per parameter ``(P,)`` from one per kept one; NaN for dropped ones."""
+        """Values ``(P,)`` of all parameters from those of the kept ones; NaN for dropped parameters."""
         values = np.full(len(self.names), np.nan)
         values[self.kept] = kept
         return values
@@ -518,16 +518,16 @@ def identifiable_parameters(
     tolerance: Array,
     rank_tolerance: float = REDUNDANCY_TOLERANCE,
 ) -> Identifiability:
-    """`identifiability` of the stacked system; base and size are held where no instrument has a frame or a length.
+    """The `identifiability` of the stacked system; base or size is held if no instrument has a frame or a length.
 
     Args:
         model: The parameters.
         sets: The data.
         arm: Where the Jacobian was taken.
-        unknowns: The data's own unknowns there.
+        unknowns: Values of the data's own unknowns where the Jacobian was taken.
         matrix: Stacked, scaled Jacobian ``(rows, own + P)``, the data's own unknowns first.
-        names: Names of its columns.
-        tolerance: Their scale, m or rad.
+        names: Names of the Jacobian's columns.
+        tolerance: Scale of each column, m or rad.
         rank_tolerance: See `REDUNDANCY_TOLERANCE`.
     """
     poses, geometry = sum(len(part.joints) for part in sets), arm.geometry

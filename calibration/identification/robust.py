@@ -1,8 +1,8 @@
-"""Identification from anywhere, which outliers cannot pull: alignment, re-weighted least squares, files of one set-up.
+"""Robust identification from any start: alignment, re-weighted least squares, and grouping of files by set-up.
 
 Each row of a data set of any kind gets one weight from a Cauchy loss of its size in robust standard deviations
-(median based, so that nearly half of the rows may be wrong; Holland and Welsch 1977). What one instrument reads in one
-unit is a channel, and channels are scaled apart: metres and radians, a wire and a tracker. SI units.
+(median based, so that nearly half of the rows may be wrong; Holland and Welsch 1977). Readings of one instrument in one
+unit are a channel, and every channel has a scale of its own: metres and radians, a wire and a tracker. SI units.
 """
 
 from __future__ import annotations
@@ -29,16 +29,16 @@ from pickenv.calibration.model.observations import Observations, equally_spaced,
 
 
 MISFIT = 0.2
-"""Errors above this share of the positions' spread, or this many rad, are no arm's: the data mean something else."""
+"""Errors above this share of the positions' spread, or this many rad, show that the data do not fit the arm at all."""
 
 SPAN = 0.1
-"""Positions that spread less than this, m, are judged as if they did: few and close ones are still of the arm."""
+"""Least spread of positions, m, in judging misfit, so that few and close positions still count as the arm's."""
 
 GOOD = 0.05
 """A fit that misses by less than this share of the spread needs no further starts."""
 
 STARTS = 24
-"""Tools tried where neither the closed form nor the nominal tool leads anywhere."""
+"""Number of further tools tried if neither the closed form nor the nominal tool gives a good fit."""
 
 
 @single_threaded()
@@ -68,7 +68,7 @@ def align(geometry: Geometry, measurements: Measurements, frames: ErrorModel, *,
 
 
 def misfit(geometry: Geometry, measurements: Measurements) -> tuple[float, float]:
-    """RMS position error as a share of the measured positions' spread, and RMS attitude error in rad (0 without)."""
+    """RMS position error as a share of the measured positions' spread, and RMS attitude error, rad (0 without)."""
     spread = max(float(np.linalg.norm(measurements.position.std(axis=0))), 1e-12)
     squares = measurements.difference(geometry) ** 2
     position, attitude = (float(np.sqrt(np.mean(np.sum(part, axis=1)))) for part in (squares[:, :3], squares[:, 3:]))
@@ -92,16 +92,16 @@ def _starts(geometry: Geometry, measurements: Measurements) -> Iterator[Geometry
 
 
 def laid_onto(points: Array, targets: Array) -> tuple[Array, Array]:
-    """Rotations ``(..., 3, 3)`` and shifts ``(..., 3)`` that lay points ``(..., N, 3)`` best onto others (Kabsch)."""
+    """Rotations ``(..., 3, 3)`` and shifts ``(..., 3)`` that best map points ``(..., N, 3)`` onto targets (Kabsch)."""
     middle, centre = points.mean(axis=-2, keepdims=True), targets.mean(axis=-2, keepdims=True)
     turn = nearest_rotation(np.swapaxes(targets - centre, -1, -2) @ (points - middle))
     return turn, (centre - middle @ np.swapaxes(turn, -1, -2))[..., 0, :]
 
 
 def registered(geometry: Geometry, tool: Pose, chain: Pose, measurements: Measurements) -> Geometry:
-    """The geometry with this tool, and with the base that lays its poses best onto the measured ones.
+    """The geometry with this tool, and with the base that best maps its poses onto the measured ones.
 
-    Rotations by the attitudes where measured, else by the positions (Kabsch 1976).
+    The base's rotation follows from the attitudes if they were measured, else from the positions (Kabsch 1976).
     """
     nominal = chain.position + chain.rotation @ tool.position
     measured = measurements.position
@@ -114,7 +114,7 @@ def registered(geometry: Geometry, tool: Pose, chain: Pose, measurements: Measur
 
 
 def _closed_form_tool(chain: Pose, measurements: Measurements, nominal: Pose) -> Pose:
-    """The tool's pose in the last link, linearly."""
+    """The tool's pose in the last link's frame, by linear equations."""
     if measurements.rotation is None:
         return Pose(_offset_from_positions(chain, measurements.position), nominal.rotation)
     turn, tool_turn = _turns_from_attitudes(chain.rotation, measurements.rotation)
@@ -127,7 +127,7 @@ def _closed_form_tool(chain: Pose, measurements: Measurements, nominal: Pose) ->
 
 
 def _offset_from_positions(chain: Pose, position: Array) -> Array:
-    """The offset u of M p - s - Q u = o, linear in M = R^T, s = R^T t and u."""
+    """The tool offset u from M p - s - Q u = o, which is linear in M = R^T, s = R^T t and u."""
     count, middle = len(position), position.mean(axis=0)
     by_rotation = np.einsum("ik,nj->nikj", np.eye(3), position - middle).reshape(count, 3, 9)
     by_shift = np.broadcast_to(-np.eye(3), (count, 3, 3))
@@ -161,8 +161,8 @@ def refuse_another_arm(
     Args:
         geometry: The arm, with base and tool as they are known or fitted.
         measurements: The data.
-        state: What was done about base and tool, as the message says it.
-        nominal: The arm with its own tool, where ``geometry`` has a fitted one.
+        state: What was done about base and tool, in the message's words.
+        nominal: The arm with its own tool, if ``geometry`` has a fitted tool.
 
     Raises:
         InputError: If positions miss by more than `MISFIT` of their spread, which counts as `SPAN` at least, or
@@ -192,18 +192,18 @@ def refuse_another_arm(
 
 
 OUTLIER_SIGMA = 10.0
-"""A row off by more robust standard deviations than this is an outlier; what a model leaves out stays below it."""
+"""Rows whose error exceeds this many robust standard deviations are outliers; a model's own errors stay below it."""
 
 WEIGHTINGS, SELECTIONS, FOURS = 30, 10, 500
-"""Least squares at most, alignments at most, and fours of poses that are tried."""
+"""Largest numbers of least squares and of alignments, and the number of fours of poses that are tried."""
 
 CAUCHY = 2.385
 """Size, in standard deviations per coordinate, at which a row weighs a half: 95 % efficiency on normal noise."""
 
 
 Sizes = tuple[Array, Array, Array]
-"""Errors of N rows in robust standard deviations: the largest of each row ``(N,)``, per coordinate; Cauchy's weight of
-each ``(N,)``; and those deviations by channel ``(C,)``, in stated standard uncertainties."""
+"""Three arrays: the largest error of each of N rows per coordinate ``(N,)``, in robust standard deviations; the Cauchy
+weight of each row ``(N,)``; each channel's robust standard deviation ``(C,)``, in stated standard uncertainties."""
 
 
 def robust_identify(model: ErrorModel, start: Geometry | ArmModel, data: Observations) -> tuple[Identification, Sizes]:
@@ -215,7 +215,7 @@ def robust_identify(model: ErrorModel, start: Geometry | ArmModel, data: Observa
         data: Rows of any kind.
 
     Returns:
-        The last weighted least squares, and the errors that it leaves.
+        The identification by the last weighted least squares, and the sizes of the rows' errors.
 
     Raises:
         InputError: As `identify`.
@@ -270,15 +270,17 @@ def robust_align(
 def sizes_of(
     arm: ArmModel, unknowns: Array, data: Observations, scales: Array | None = None, *, apart: Array | None = None
 ) -> Sizes:
-    """Sizes in the standard deviations of others, or in robust ones, never below the instrument's own uncertainty.
+    """Sizes of the rows' errors, in given standard deviations or in robust ones from the rows.
+
+    Robust standard deviations are never below the instrument's own uncertainty.
 
     Args:
         arm: The arm.
         unknowns: The data's own unknowns.
         data: The rows.
         scales: The standard deviations to use, by channel.
-        apart: What each row counts in the median ``(N,)``, less where others stand near it: rows of a cluster miss by
-            the same, and are few facts. All alike when left out.
+        apart: Weight of each row in the median ``(N,)``, smaller for rows with near neighbours, because errors within
+            a cluster are alike. All weights are equal when left out.
     """
     rows, channels = data.equations()
     squares, count = np.zeros((2, int(channels.max()) + 1, len(data.joints)))
@@ -299,7 +301,7 @@ def sizes_of(
 
 
 def sigma_of(found: Identification, data: Observations, scales: Array | None = None) -> Array:
-    """The largest error of each row ``(N,)`` by an identified arm, in these or robust standard deviations."""
+    """The largest error of each row ``(N,)`` under an identified arm, in given or robust standard deviations."""
     return sizes_of(found.arm_model, unknowns_of(found, data), data, scales)[0]
 
 
@@ -312,7 +314,7 @@ def misses_of(found: Identification, data: Observations) -> Array:
 
 
 def _median(values: Array, counts: Array) -> float:
-    """The median of values ``(N,)`` that count differently; NaN is none."""
+    """The weighted median of values ``(N,)``; NaN values are ignored."""
     order = np.argsort(values, kind="stable")[: np.count_nonzero(values == values)]
     below = np.cumsum(counts[order])
     first, last = np.searchsorted(below, below[-1] * np.array([0.5 - 1e-12, 0.5 + 1e-12]))
@@ -322,26 +324,26 @@ def _median(values: Array, counts: Array) -> float:
 # Where the identification starts, and which files are of one set-up.
 
 FILE_ROWS, SET_UP_ROWS = 150, 450
-"""Rows of a file, and of a set-up, that are looked at to find set-ups."""
+"""Largest numbers of rows of a file, and of a set-up, that are used to find set-ups."""
 
 COUNTED_ROWS = 30
-"""Rows of a file that count as independent at most: neighbours share what the model leaves out."""
+"""Largest number of a file's rows that count as independent; neighbouring rows share the model's errors."""
 
 LEAST_ROWS = 8
-"""A file with fewer rows does not tell whether it is another set-up."""
+"""Least number of rows of a file that can show whether it is another set-up."""
 
 TRIES, PLAUSIBLE = 12, 10.0
-"""Iterations of a trial, twice what a right one takes; and how many times farther rows of one set-up may be missed."""
+"""Iterations of a trial, twice what a right one needs; and the largest plausible ratio of misses within one set-up."""
 
 ROBUST_ROWS = 2000
 """The robust fit is made on so many rows at most, taken evenly; all rows are judged by it."""
 
 SPARE = 3
-"""The arm's geometry takes part where there are so many times as many equations as parameters; else frames alone."""
+"""Least ratio of equations to parameters at which the arm's geometry is fitted too; below it only frames are fitted."""
 
 
 def rough_start(nominal: Geometry, data: Observations) -> Geometry:
-    """Base and tool near those of the data: boards' poses give all, the reflector seen most often the base.
+    """The geometry with rough base and tool: boards' poses give both, the reflector seen most often gives the base.
 
     Raises:
         InputError: If the reflector's positions do not fit the arm.
@@ -362,7 +364,7 @@ def rough_start(nominal: Geometry, data: Observations) -> Geometry:
 
 
 def robust_frames(arm: Arm, data: Observations) -> Geometry:
-    """Base and tool from the rows that agree with each other; the same every time.
+    """The geometry with base and tool fitted to the rows that agree with each other; the same every time.
 
     Raises:
         InputError: If there are too few rows, or they do not fit the arm.
@@ -390,7 +392,7 @@ def stations_of(arm: Arm, data: Sequence[Observations], own: Collection[str]) ->
     Args:
         arm: The arm.
         data: The data sets.
-        own: Which of "base" and "tool" each but the first has of its own; a set without a frame sees no base.
+        own: Which of "base" and "tool" every station but the first has of its own; a set without a frame sees no base.
 
     Raises:
         InputError: If a set does not fit the arm.
@@ -410,11 +412,11 @@ def _stations(arm: Arm, parts: Sequence[Observations], own: Sequence[Collection[
 
 
 SetUp = tuple[tuple[int, ...], tuple[str, ...]]
-"""Numbers of data sets, from 0, that one place of instrument and target explains; which frames are not the first's."""
+"""Numbers, from 0, of the data sets that share one set-up, and names of the frames that differ from the first's."""
 
 
 def by_set_up(arm: Arm, parts: Sequence[Measurements]) -> Measurements | Stacked:
-    """Poses or positions of several files: one data set where one set-up explains all, else a station for each set-up.
+    """Join the poses or positions of several files: one data set if one set-up explains all, else one station each.
 
     Args:
         arm: The arm.
@@ -429,10 +431,10 @@ def by_set_up(arm: Arm, parts: Sequence[Measurements]) -> Measurements | Stacked
 
 
 def set_ups(arm: Arm, parts: Sequence[Measurements]) -> tuple[SetUp, ...]:
-    """Data sets that share base and tool, as the rows tell: file by file, those that leave least at least frames (BIC).
+    """Group data sets that share base and tool, file by file, by the Bayesian information criterion.
 
-    Rows of one file are alike, so that only `COUNTED_ROWS` of each count: frames of its own must take away a good part
-    of what remains, not only surely some of it. Files that do not tell are taken as of the first set-up.
+    Rows of one file are alike, so only `COUNTED_ROWS` of each count: a file's own frames must remove a good part of the
+    remaining error, not merely a significant one. Files that do not decide it are put into the first set-up.
     """
     near = {i: rows for i, part in enumerate(parts) if (rows := _near_rows(arm, part)) is not None}
     first, *others = near or [0]
@@ -446,7 +448,7 @@ def set_ups(arm: Arm, parts: Sequence[Measurements]) -> tuple[SetUp, ...]:
 
 
 def _near_rows(arm: Arm, part: Measurements) -> tuple[Measurements, Geometry] | None:
-    """Some rows that agree with each other, and the arm where they see it; None where they are too few, or fit none."""
+    """Some rows that agree with each other, and the arm with frames fitted to them; None if too few, or none fit."""
     part = part.select(equally_spaced(len(part), FILE_ROWS))
     if len(part) < LEAST_ROWS:
         return None
@@ -458,7 +460,7 @@ def _near_rows(arm: Arm, part: Measurements) -> tuple[Measurements, Geometry] | 
 
 
 def _with_file(groups: tuple[SetUp, ...], parts: Sequence[Measurements], i: int) -> Iterator[tuple[SetUp, ...]]:
-    """The set-ups with one more file: as one of theirs, or as another."""
+    """All ways to add one more file to the set-ups: to each that it can join, or as a new set-up."""
     for number, (members, own) in enumerate(groups):
         if parts[members[0]].joinable(parts[i]):
             yield (*groups[:number], ((*members, i), own), *groups[number + 1 :])
@@ -482,7 +484,7 @@ def _plausible(near: Mapping[int, tuple[Measurements, Geometry]], groups: Sequen
 
 
 def _missed(rows: Measurements, by: Geometry) -> float:
-    """Median miss by an arm, m, and a micrometre."""
+    """Median miss of the rows under an arm, plus a micrometre, m."""
     return 1e-6 + float(np.median(np.linalg.norm(rows.difference(by)[:, :3], axis=1)))
 
 
@@ -517,11 +519,11 @@ def _criterion(arm: Arm, near: Mapping[int, tuple[Measurements, Geometry]], grou
 
 
 def placed(arm: Arm, stations: Stacked, parts: Sequence[Measurements]) -> Stacked:
-    """Other files of known set-ups: each at the station whose frames it fits best.
+    """Place other files of known set-ups, each at the station whose frames it fits best.
 
     Args:
         arm: The arm.
-        stations: Rows that tell the stations' frames.
+        stations: Stations whose rows determine their frames.
         parts: The other files' rows.
     """
     references = [

@@ -1,9 +1,9 @@
-"""The one solve: the posterior of all parameters, with noise and the widths of priors told by the rows.
+"""The one solve: the posterior of all parameters, with noise and prior widths estimated from the rows.
 
-Gauss-Newton on rows and priors together; between passes the rows say what they scatter by (`RowNoise`), and how wide
-the priors of joint zeros and of parts are. These scales are not taken as certain: the posterior of the linearised model
-is averaged over them, by its marginal likelihood on a grid (MacKay 1992). Priors of no information make it the
-rank-aware least squares of the papers. SI units.
+Gauss-Newton runs on rows and priors together. Between passes the scatter of the rows (`RowNoise`) and the widths of the
+priors of joint zeros and parts are estimated from the rows. These widths' scales are not taken as certain: the
+posterior of the linearised model is averaged over them, by its marginal likelihood on a grid (MacKay 1992). Without
+priors the solve is the rank-aware least squares of the papers. SI units.
 """
 
 from __future__ import annotations
@@ -28,25 +28,25 @@ from pickenv.calibration.model.observations import Observations, equally_spaced
 from pickenv.calibration.model.prior import LENGTHS, MADE, PriorModel
 
 PASSES = 4
-"""Solves at most; each weighs rows and priors by what the one before left."""
+"""Largest number of solves; each weighs rows and priors by the residuals of the solve before."""
 
 MANY, FEW = 4000, 1500
-"""Of more rows than that, noise and scales are estimated on so few first, taken evenly."""
+"""With more than `MANY` rows, noise and scales are first estimated on `FEW` of them, taken evenly."""
 
 SETTLED = 0.1
-"""Passes end where no scale changes by more than this share."""
+"""Passes end when no scale changes by more than this share."""
 
 SPREAD = 3.0
-"""A tolerance class is about right: the scale of its widths is within this factor of 1, two times in three."""
+"""Prior of a tolerance class's scale: it is within this factor of 1 two times in three."""
 
 NODES = (-2.4, -1.2, 0.0, 1.2, 2.4)
-"""Nodes of a grid over each logarithm of a scale, in standard deviations from its mean."""
+"""Nodes of the grid over the logarithm of each scale, in standard deviations from its mean."""
 
 STAGES, NARROWEST = 3, 0.4
-"""Grids, each about what the one before says, and by how much a grid may be narrower than the one before."""
+"""Number of grids, each centred by the one before, and the least width of a grid relative to the one before."""
 
 LIGHT = 1e-3
-"""Nodes of less weight than this share of the heaviest are left out."""
+"""Nodes whose weight is below this share of the largest are left out."""
 
 UNKNOWN_STD = 10.0
 """Standard deviation of the measurements' own unknowns, in SI units: no information."""
@@ -56,19 +56,19 @@ UNKNOWN_STD = 10.0
 def solve(
     model: PriorModel, data: Observations, noise: RowNoise | None = None, *, near: Identification | None = None
 ) -> Identification:
-    """Fit a model to rows.
+    """Fit a model's parameters to rows and priors.
 
     Args:
-        model: The parameters with their priors; scales that it does not state are averaged over.
-        data: The rows; where they know no length, the smallest arm fits best, so lengths stay as wide as expected.
-        noise: What they scatter by; found from them when left out.
+        model: The parameters with their priors; the solution is averaged over scales that it does not state.
+        data: The rows. If they know no length, the smallest arm would fit best, so priors of lengths are not rescaled.
+        noise: The scatter of the rows; estimated from them when left out.
         near: A solution of the same rows with fewer parameters, to start from.
 
     Returns:
-        The identification. Where every parameter has a prior all are kept, and the covariance is the posterior's.
+        The identification. If every parameter has a prior, all are kept, and the covariance is the posterior's.
 
     Raises:
-        InputError: If there are too few rows for parameters without priors, or it does not converge.
+        InputError: If there are too few rows for parameters without priors, or the fit does not converge.
     """
     if not model.proper:
         return _without_priors(model, data)
@@ -114,16 +114,16 @@ def solve(
 def averaged_over_scales(
     model: PriorModel, solution: Identification, columns: Array, residual: Array, common: float, free: list[str]
 ) -> tuple[Identification, dict[str, float]]:
-    """The posterior of the linearised model, averaged over the scales that rows and their expectation near 1 allow.
+    """Average the posterior of the linearised model over prior scales, weighed by rows and an expectation near 1.
 
-    Scales taken as certain would promise too much: few rows hardly tell how well an arm was made.
+    Taking the scales as certain would promise too much: few rows hardly show how well an arm was made.
 
     Args:
         model: The model, with the scales of the solution.
         solution: Where the model is linearised.
-        columns: Whitened derivatives of the rows there ``(E, own + P)``, by their own unknowns first.
-        residual: Whitened residuals there ``(E,)``.
-        common: By how much rows tell less than independent ones would: a factor on variances
+        columns: Whitened derivatives of the rows at the solution ``(E, own + P)``, by their own unknowns first.
+        residual: Whitened residuals at the solution ``(E,)``.
+        common: Factor on variances for what rows say less than independent ones would
             (`pickenv.calibration.model.noise.RowNoise.common`).
         free: Groups whose scales are averaged over.
 
@@ -181,7 +181,7 @@ def averaged_over_scales(
 
 
 def leverages(columns: Array) -> Array:
-    """Share of each row that a fit uses up ``(E,)``, where every parameter is a standard normal number beforehand."""
+    """Share of each row that a fit uses up ``(E,)``, if every parameter's prior is the standard normal distribution."""
     lower = np.linalg.cholesky(np.eye(columns.shape[1]) + columns.T @ columns)
     return np.asarray(np.sum(solve_triangular(lower, columns.T, lower=True) ** 2, axis=0))
 
@@ -196,7 +196,7 @@ def _settled(before: tuple[RowNoise, dict[str, float]], after: tuple[RowNoise, d
 
 
 def _without_priors(model: PriorModel, data: Observations) -> Identification:
-    """Rank-aware least squares; coefficients of terms have priors all the same, against what the rows are worth."""
+    """Solve by rank-aware least squares; only terms' coefficients have priors, weighed by the rows' scatter."""
     if not np.isfinite(model.std).any():
         return replace(identify_converged(model.parameters, model.start, [data]), prior=model)
     free = ~np.isfinite(model.std)

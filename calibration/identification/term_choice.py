@@ -2,7 +2,7 @@
 
 Weight (joints that yield under the arm's own mass) and the drives' harmonics need no data sheet, so they can be tried
 on any arm, and compliance wherever torques were measured; they extrapolate where a learnt residual only interpolates.
-One that does not win on blocks stays out.
+A term that does not win on blocks stays out.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Places = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """A fitted geometry with terms that may be added to it, as a linear model of what it leaves.
+    """A linear model of a fitted geometry's residual, with terms that may be added to the geometry.
 
     Its parameters are the fit's own, geometry and unknowns of the measurements alike, then the terms' coefficients.
 
@@ -42,9 +42,9 @@ class Linearised:
         arm: The fitted geometry and the terms, all coefficients zero.
         unknowns: Fitted unknowns of the measurements, by name.
         names: Names of the parameters.
-        scale: What their columns are multiplied by ``(P,)``: coefficients are in their tolerances.
-        ridge: What the priors add to the normal equations' diagonal ``(P,)``.
-        pull: What they add to the right-hand side ``(P,)``: parameters fitted have left where they are expected.
+        scale: Factor on each parameter's column ``(P,)``, so that coefficients are in units of their tolerances.
+        ridge: The priors' addition to the normal equations' diagonal ``(P,)``.
+        pull: The priors' addition to the right-hand side ``(P,)``, for fitted parameters differ from expected ones.
         blocks: Rows in blocks, to be left out one by one.
     """
 
@@ -73,17 +73,17 @@ class Linearised:
 
     @property
     def fitted(self) -> Places:
-        """Places of the parameters that are no coefficients."""
+        """Indices of the parameters that are not terms' coefficients."""
         return np.arange(len(self.names) - len(self.arm.coefficients))
 
     def coefficients_of(self, term: int) -> Places:
-        """Places of one term's coefficients."""
+        """Indices of one term's coefficients."""
         counts = [len(member.names(self.arm.geometry)) for member in self.arm.terms]
         first = len(self.fitted) + sum(counts[:term])
         return np.arange(first, first + counts[term])
 
     def equations(self, data: Observations) -> tuple[Array, Array]:
-        """Whitened columns ``(R, P)`` and what the geometry leaves ``(R,)``."""
+        """Whitened columns ``(R, P)`` and residual under the fitted geometry ``(R,)``."""
         unknowns = data.unknowns()
         values = np.array([self.unknowns[name] for name in unknowns])
         by_arm, by_unknown = data.jacobian(self.arm, values)
@@ -102,7 +102,7 @@ class Linearised:
         return matrix, right, np.array([residual @ residual for _, residual in parts])
 
     def without(self, block: int | None) -> tuple[Array, Array]:
-        """Normal equations, with priors, of all blocks but one, or of all."""
+        """Normal equations, with priors, of all blocks but one, or of all blocks if ``block`` is None."""
         of_each, right_of_each, _ = self.normal
         matrix, right = of_each.sum(axis=0), right_of_each.sum(axis=0)
         if block is not None:
@@ -142,16 +142,16 @@ def solved(matrix: Array, right: Array, places: Places) -> Array:
 
 
 STEP, HIGHEST = 0.5, 30.0
-"""Orders are sought from 1 to the highest, in such steps, cycles per turn."""
+"""Step and highest value of the grid of orders, which starts at 1, cycles per turn."""
 
 FINE = 0.1
-"""Steps of the finer grid that those chosen are chosen from again."""
+"""Step of the finer grid around the chosen orders, from which they are chosen again, cycles per turn."""
 
 MOST = 40
-"""So many harmonics are taken at most."""
+"""Largest number of harmonics."""
 
 ROWS_EACH = 8
-"""A harmonic needs so many rows."""
+"""Number of rows needed for each harmonic."""
 
 WITHIN = 0.03
 """The fewest harmonics are taken whose error on the blocks is within this share of the smallest."""
@@ -197,27 +197,27 @@ def every_order(geometry: Geometry) -> PeriodicTerm:
 
 
 def nearby(wave: PeriodicTerm) -> PeriodicTerm:
-    """Harmonics on a finer grid around these, each once."""
+    """The harmonics on a finer grid around those of ``wave``, without repetitions."""
     around = zip(wave.joints, wave.orders, strict=True)
     return _harmonics(sorted({(joint, round(order + FINE * k, 6)) for joint, order in around for k in range(-2, 3)}))
 
 
 def _harmonics(pairs: Sequence[tuple[int, float]]) -> PeriodicTerm:
-    """Harmonics by joint and order."""
+    """A term of the harmonics with these joints and orders."""
     return PeriodicTerm(tuple(i for i, _ in pairs), tuple(order for _, order in pairs))
 
 
 def pursued(matrix: Array, right: Array, base: Places, candidates: Places, most: int) -> list[int]:
-    """Numbers of the candidates chosen by orthogonal matching pursuit, in the order in which they were.
+    """Numbers of the candidates chosen by orthogonal matching pursuit, in the order of their choice.
 
     A block Cholesky factorisation of the normal equations with pivots: each candidate is a pair of columns.
 
     Args:
         matrix: Normal equations ``(P, P)``, priors among them.
-        right: Their right-hand side ``(P,)``.
-        base: Places of the columns that take part anyway.
-        candidates: Places of sine and cosine of each candidate ``(M, 2)``.
-        most: How many to choose.
+        right: Right-hand side of the normal equations ``(P,)``.
+        base: Indices of the columns that are always included.
+        candidates: Indices of each candidate's sine and cosine columns ``(M, 2)``.
+        most: Number of candidates to choose.
     """
     pairs = candidates.ravel()
     scale = np.sqrt(np.diag(matrix)[base])
@@ -248,10 +248,10 @@ def pursued(matrix: Array, right: Array, base: Places, candidates: Places, most:
 
 
 def chosen_orders(equations: Linearised, base: Places, candidates: Places) -> tuple[list[Places], Places]:
-    """Places of the harmonics worth taking: on all blocks but each, and on all; empty where none is.
+    """Column indices of the harmonics to take: one choice with each block left out, and the choice on all blocks.
 
-    Each block in turn is judged by what is pursued on the others, one harmonic after the other; the fewest are taken
-    whose error is within `WITHIN` of the smallest.
+    Each block in turn judges the harmonics that are chosen on the other blocks, one after the other. The smallest
+    number is taken whose error is within `WITHIN` of the smallest error; indices are empty if no harmonic is worth it.
 
     Args:
         equations: Normal equations of geometry, other terms and every harmonic.
@@ -280,12 +280,12 @@ def chosen_orders(equations: Linearised, base: Places, candidates: Places) -> tu
 def refined(
     wave: PeriodicTerm, others: tuple[Term, ...], bare: Identification, observations: Observations
 ) -> PeriodicTerm:
-    """The harmonics with their orders moved from the grid to where the data want them, and known how well.
+    """The harmonics with their orders refined from the grid by the data, and with the orders' uncertainties.
 
     Args:
         wave: The harmonics on the grid.
         others: Terms that take part beside them.
-        bare: The geometry identified without any.
+        bare: The geometry identified without terms.
         observations: Training rows.
     """
     grid = orders = np.array(wave.orders)
@@ -308,7 +308,7 @@ def refined(
 
 
 def _solution_with_priors(linear: Linearised, observations: Observations) -> tuple[Array, Array, Array, Array]:
-    """Columns of all rows, what is left of them, their normal equations with priors, and the solution."""
+    """Columns of all rows, the rows' residual, the matrix of the normal equations with priors, and the solution."""
     columns, residual = linear.equations(observations)
     matrix = columns.T @ columns + np.diag(linear.ridge)
     return columns, residual, matrix, solved(matrix, residual @ columns + linear.pull, np.arange(len(matrix)))
@@ -319,13 +319,13 @@ MARGIN = 0.03
 
 FOLDS = 5
 ROWS = 1500
-"""The choice is made on so many training rows at most, taken evenly."""
+"""Largest number of training rows, taken evenly, on which terms are chosen."""
 
 WARM = 5.0
 """Temperatures that vary by less than this, K, say nothing about expansion."""
 
 NAMES = ("compliance", "gravity", "periodic", "thermal")
-"""Terms that can be chosen, in the order in which they are tried: what measured torques say before what is inferred."""
+"""Terms that can be chosen, in the order of trial: compliance, which uses measured torques, before inferred effects."""
 
 
 TermChoice = tuple[str, dict[str, float], tuple[Term, ...]]
@@ -349,11 +349,11 @@ def identify_terms(
 
 
 def choose_terms(arm: Arm, bare: Identification, observations: Observations) -> TermChoice:
-    """Choose terms by blocked cross-validation within training rows, in the order they were measured.
+    """Choose terms by blocked cross-validation within training rows, which stand in the order they were measured.
 
-    One after the other, what was measured first (torques), then what every arm has (weight), and each only if it wins
-    over those before it. The order is a decision: on the WAM's grid harmonics alone score better than weight alone, and
-    extrapolate worse. Weight stays beside harmonics only if it wins over harmonics alone.
+    Terms are tried one after the other: first those from measured torques, then what every arm has (weight). Each is
+    added only if it wins over those before it. The order is a decision: on the WAM's grid, harmonics alone score better
+    than weight alone, but extrapolate worse. Weight stays beside harmonics only if it wins over harmonics alone.
 
     Args:
         arm: The arm.
@@ -383,7 +383,7 @@ def choose_terms(arm: Arm, bare: Identification, observations: Observations) -> 
 
 
 def terms_of(names: str, arm: Arm, bare: Identification, observations: Observations) -> tuple[Term, ...]:
-    """The terms of these names joined by "+", as many harmonics among them as the training rows bear.
+    """The terms of these names, with as many harmonics as the training rows support.
 
     Args:
         names: Some of `NAMES` joined by "+", or "none".
@@ -409,7 +409,7 @@ def terms_of(names: str, arm: Arm, bare: Identification, observations: Observati
 
 
 def plain_term(name: str, arm: Arm, observations: Observations) -> Term:
-    """Weight or compliance, of an arm mounted upright as its nominal base says, or warmth, or every harmonic."""
+    """The term of this name before any choice of harmonics; for weight, the nominal base says which way is up."""
     geometry = arm.nominal
     if name == "periodic":
         return every_order(geometry)
@@ -433,8 +433,8 @@ class _Trial:
         data: The rows.
         names: Names of the terms.
         equations: Normal equations of geometry and terms by block.
-        counts: What each row counts by block ``(N,)``: rows of a cluster miss alike, and are few facts.
-        harmonics: What `chosen_orders` chose beside other terms, by their names.
+        counts: Weights of each block's rows ``(N,)``, smaller within a cluster, where errors are alike.
+        harmonics: Results of `chosen_orders`, by the names of the terms taken together.
     """
 
     bare: Identification
@@ -446,7 +446,7 @@ class _Trial:
 
     @staticmethod
     def of(arm: Arm, bare: Identification, observations: Observations, names: tuple[str, ...] | None = None) -> _Trial:
-        """These terms, or all that the data have conditions for."""
+        """A trial of the named terms, or of all terms whose conditions the data have."""
         data = observations.select(equally_spaced(len(observations.joints), ROWS))
         if names is None:
             missing = {"compliance": data.conditions.torque is None, "thermal": data.conditions.temperature is None}
@@ -459,7 +459,7 @@ class _Trial:
         return _Trial(bare, data, names, equations, counts)
 
     def places(self, names: tuple[str, ...]) -> tuple[list[Places], Places]:
-        """Places of the parameters that take part with terms of these names: on all blocks but each, and on all."""
+        """Indices of the parameters fitted with the named terms: for each block left out, and for all blocks."""
         model = self.equations
         others = [model.coefficients_of(self.names.index(name)) for name in names if name != "periodic"]
         base = np.concatenate([model.fitted, *others])
@@ -472,7 +472,7 @@ class _Trial:
         return [np.r_[base, path] for path in paths], np.r_[base, on_all]
 
     def score(self, names: tuple[str, ...]) -> float:
-        """RMS that they leave on blocks, each judged by a fit to the others, m."""
+        """RMS miss with the named terms over all blocks, each block under a fit to the other blocks, m."""
         squares, counts = 0.0, 0.0
         for number, (block, places) in enumerate(zip(self.equations.blocks, self.places(names)[0], strict=True)):
             solution = solved(*self.equations.without(number), places)

@@ -1,7 +1,7 @@
-"""The model that is identified: a geometry, and parametric terms beyond it (compliance, weight, drives, heat).
+"""The arm model that is identified: a geometry, and parametric terms beyond it (compliance, weight, drives, heat).
 
-The pose is F(q) displaced by the sum of coefficient times column: the terms are small (millimetres), so first order is
-exact to micrometres, and every parameter, geometric or not, is one column of one Jacobian. SI units.
+The pose is F(q) displaced by the sum of coefficient times column. The terms are small (millimetres), so a first-order
+model is exact to micrometres, and every parameter, geometric or not, is one column of one Jacobian. SI units.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ from pickenv.base import InputError
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """Further conditions of each pose; None where they were not recorded.
+    """Conditions of each pose beyond its joints; a condition that was not recorded is None.
 
     Attributes:
         payload: Mass held at the tool ``(N,)``, kg.
@@ -49,7 +49,7 @@ class Conditions:
         return Conditions(**{name: None if part is None else part[rows] for name, part in vars(self).items()})
 
     def repeated(self, shape: tuple[int, ...]) -> Conditions:
-        """Payload and temperature, one value each, repeated for a batch of poses of this shape (flattened)."""
+        """Conditions of a flattened batch of poses of this shape: the one payload and one temperature, repeated."""
         count, parts = int(np.prod(shape)), (self.payload, self.temperature)
         return Conditions(*(None if part is None else np.broadcast_to(part, (count,)) for part in parts))
 
@@ -63,10 +63,10 @@ class Term(Protocol):
     """One physical effect, linear in its coefficients."""
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
-        """Names of its coefficients."""
+        """Names of the term's coefficients."""
 
     def tolerances(self, geometry: Geometry) -> Array:
-        """Scale of each coefficient: about 1 mm at the tool, in the coefficient's own unit."""
+        """Scale of each coefficient ``(k,)``, in the coefficient's own unit: it moves the tool by about 1 mm."""
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """Pose displacement per unit of each coefficient ``(N, 6, k)``, m and rad, world axes."""
@@ -77,13 +77,13 @@ class Term(Protocol):
 
 
 class JointTerm(Term, Protocol):
-    """An effect of which each coefficient moves one joint, to first order."""
+    """An effect whose coefficients each move one joint, to first order."""
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """The joint of each coefficient ``(k,)``, and how far one unit of it goes ``(N, k)``, rad or m."""
+        """The joint that each coefficient moves ``(k,)``, and its motion per unit coefficient ``(N, k)``, rad or m."""
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        """The joint Jacobian's columns times the steps; in memory the poses lie next to each other."""
+        """The joint Jacobian's columns times the steps ``(N, 6, k)``; the poses are the innermost axis in memory."""
         which, steps = self.steps(geometry, joints, conditions)
         by_joint = np.moveaxis(joint_jacobian(geometry, joints), 0, -1)
         return np.asarray(np.moveaxis(by_joint[:, list(which)] * steps.T, -1, 0))
@@ -112,7 +112,7 @@ class ArmModel:
 
     @staticmethod
     def of(geometry: Geometry | ArmModel, terms: tuple[Term, ...] = ()) -> ArmModel:
-        """A model whose terms start at zero; a model is left as it is."""
+        """A model of this geometry whose coefficients are zero; an `ArmModel` is returned unchanged."""
         if isinstance(geometry, ArmModel):
             return geometry
         return ArmModel(geometry, terms, np.zeros(sum(len(term.names(geometry)) for term in terms)))
@@ -124,7 +124,7 @@ class ArmModel:
 
     @property
     def term_tolerances(self) -> Array:
-        """Scales of the coefficients ``(k,)``."""
+        """Scales of all the terms' coefficients ``(k,)``."""
         return np.concatenate([np.zeros(0), *(term.tolerances(self.geometry) for term in self.terms)])
 
     def pose(self, joints: ArrayLike, conditions: Conditions | None = None) -> Pose:
@@ -144,7 +144,7 @@ class ArmModel:
         return np.reshape(total, (*joints.shape[:-1], 6))
 
     def jacobian(self, joints: Array, conditions: Conditions | None = None) -> Array:
-        """Derivative of the pose by every parameter ``(N, 6, 5n + 12 + k)``."""
+        """Derivative of the pose with respect to every parameter ``(N, 6, 5n + 12 + k)``."""
         conditions, geometric = conditions or Conditions(), parameter_jacobian(self.geometry, joints)
         columns = [term.columns(self.geometry, joints, conditions) for term in self.terms]
         return np.concatenate([geometric, *columns], axis=-1) if columns else geometric
@@ -183,25 +183,25 @@ class ArmModel:
 
 
 SHOWN = 1e-3
-"""Combinations of moments that poses show less than this share of the clearest are left at zero."""
+"""Relative cut-off of singular values when moments are fitted: less visible combinations stay at zero."""
 
 
 ORDER_TOLERANCE = 0.25
-"""Scale of a deviation of a harmonic's order, cycles per turn."""
+"""Scale of the error in a harmonic's order, cycles per turn."""
 
 
 @dataclass(frozen=True)
 class ComplianceTerm(JointTerm):
     """Joints yield: dq = c tau, one coefficient c = 1/k per joint (rad/(N*m) or m/N).
 
-    The torque is the measured one where the data hold it, else gravity's: from ``load`` and the payload recorded, or
-    from ``moments``, what the measured torques said of the arm's weight.
+    The torque is the measured one where the data hold it. Elsewhere it is gravity's, computed from ``load`` and the
+    recorded payload, or from ``moments`` of the arm's weight that were fitted to measured torques.
 
     Attributes:
         joints: Indices of the joints that may yield, from 0.
         load: Link masses, or None.
-        weight: Says which moments those are, or None.
-        moments: Torque per unit of each ``(k,)``, fitted to measured torques by `weighed`.
+        weight: The term that defines the moments, or None.
+        moments: Value of each moment ``(k,)``, fitted to measured torques by `GravityTerm.weighed`.
     """
 
     joints: tuple[int, ...]
@@ -210,19 +210,23 @@ class ComplianceTerm(JointTerm):
     moments: tuple[float, ...] = ()
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
-        """Names count as the joints do: compliance1, compliance2."""
+        """One name per joint, numbered as the joints are, from 1: compliance1, compliance2."""
         return tuple(f"compliance{i + 1}" for i in self.joints)
 
     def tolerances(self, geometry: Geometry) -> Array:
-        """1 mrad at 10 N*m, 1 mm at 100 N."""
+        """Scale of each compliance: 1 mrad at 10 N*m, or 1 mm at 100 N."""
         return np.array([1e-5 if geometry.prismatic[i] else 1e-4 for i in self.joints])
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """The torques of the joints that yield."""
+        """The joints that yield, and their torques ``(N, k)``."""
         return self.joints, self.torques(geometry, joints, conditions)[:, self.joints]
 
     def torques(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        """Measured torques, or gravity's ``(N, n)``."""
+        """The measured torques ``(N, n)``, or gravity's torques where none were measured.
+
+        Raises:
+            InputError: If there are neither measured torques nor link masses.
+        """
         if conditions.torque is not None:
             return conditions.torque
         if self.load is None and self.weight is not None:
@@ -243,10 +247,10 @@ class PeriodicTerm(JointTerm):
     """Drives' periodic errors: sine and cosine coefficients (rad or m) of sin(order q) and cos(order q).
 
     Attributes:
-        joints: The joint of each harmonic, from 0; one may have several.
-        orders: The order of each: cycles per turn of a revolute joint, also fractional; 2 pi over the period (1/m) of a
-            prismatic one.
-        order_std: Standard uncertainties of the orders; empty where they were given, not found.
+        joints: The joint of each harmonic, from 0; a joint may have several harmonics.
+        orders: The order of each harmonic: cycles per turn of a revolute joint, not always whole; for a prismatic joint
+            2 pi over the period (1/m).
+        order_std: Standard uncertainties of the orders; empty if the orders were given rather than estimated.
     """
 
     joints: tuple[int, ...]
@@ -254,43 +258,51 @@ class PeriodicTerm(JointTerm):
     order_std: tuple[float, ...] = ()
 
     def some(self, numbers: NDArray[np.int64]) -> PeriodicTerm:
-        """Some of the harmonics, counted from 0."""
+        """A term of only the harmonics with these indices, from 0."""
         return PeriodicTerm(tuple(self.joints[i] for i in numbers), tuple(self.orders[i] for i in numbers))
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
-        """Joint, order and part: periodic1_13.5_sin."""
+        """Names made of joint, order and part: periodic1_13.5_sin."""
         pairs = zip(self.joints, self.orders, strict=True)
         return tuple(f"periodic{i + 1}_{order:.5g}_{part}" for i, order in pairs for part in ("sin", "cos"))
 
     def tolerances(self, geometry: Geometry) -> Array:
-        """1 mm, or 3 mrad at one cycle per turn and less for higher orders: equally steep."""
+        """Scale of each coefficient: 1 mm on a slide, 3 mrad / order on a revolute joint (the slope is then equal)."""
         pairs = zip(self.joints, self.orders, strict=True)
         return 1e-3 * np.repeat([1.0 if geometry.prismatic[i] else 3.0 / order for i, order in pairs], 2)
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """Sine and cosine of each harmonic."""
+        """The joint of each coefficient, and the sine and cosine of each harmonic ``(N, k)``."""
         angle = joints[:, self.joints] * np.array(self.orders)
         return np.repeat(self.joints, 2).tolist(), np.stack([np.sin(angle), np.cos(angle)], -1).reshape(len(joints), -1)
 
 
 @dataclass(frozen=True)
 class OrderTerm(JointTerm):
-    """Motion of the tool by a harmonic's order: J q (sine coefficient cos(order q) - cosine coefficient sin)."""
+    """Motion of the tool per change of each harmonic's order, to refine the orders of a `PeriodicTerm`.
+
+    It is J q (s cos(order q) - c sin(order q)), with the sine and cosine coefficients s and c.
+
+    Attributes:
+        wave: The harmonics.
+        sines: Sine coefficient of each harmonic, rad or m.
+        cosines: Cosine coefficient of each harmonic, rad or m.
+    """
 
     wave: PeriodicTerm
     sines: tuple[float, ...]
     cosines: tuple[float, ...]
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
-        """Numbered as the harmonics are."""
+        """One name per harmonic, numbered from 0: order0, order1."""
         return tuple(f"order{i}" for i in range(len(self.wave.orders)))
 
     def tolerances(self, geometry: Geometry) -> Array:
-        """Half the step of the grid on which orders are sought."""
+        """Scale of each order's error: half the step of the grid on which orders are searched."""
         return np.full(len(self.wave.orders), ORDER_TOLERANCE)
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """The slopes of the waves."""
+        """The joint of each harmonic, and its motion per change of the order ``(N, k)``."""
         turned = joints[:, self.wave.joints]
         angle = turned * np.array(self.wave.orders)
         slope = np.array(self.sines) * np.cos(angle) - np.array(self.cosines) * np.sin(angle)
@@ -299,18 +311,22 @@ class OrderTerm(JointTerm):
 
 @dataclass(frozen=True)
 class ThermalTerm(Term):
-    """All lengths of the links grow with temperature: one coefficient, 1/K."""
+    """Thermal expansion: all lengths of the links grow with temperature, by one coefficient, 1/K."""
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
-        """One name."""
+        """The one coefficient's name, "thermal"."""
         return ("thermal",)
 
     def tolerances(self, geometry: Geometry) -> Array:
-        """1 mm on 1 m at 20 K."""
+        """Scale of the coefficient: 1 mm on 1 m at 20 K."""
         return np.array([5e-5])
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        """Lengths times temperature times the parameter Jacobian."""
+        """The parameter Jacobian's length columns times lengths and temperature ``(N, 6, 1)``.
+
+        Raises:
+            InputError: If there are no temperatures.
+        """
         if conditions.temperature is None:
             raise InputError("thermal expansion needs temperatures; give a temperature column")
         n = geometry.links
@@ -328,13 +344,14 @@ class GravityTerm(JointTerm):
     """Joints yield under the arm's own weight, with neither masses nor stiffnesses known.
 
     A joint's torque is linear in the mass and first moments of every link behind it, so c tau is linear in c m and
-    c m r: one coefficient per joint and moment (rad/m, or m for slides). Most are redundant; the rank sees to that.
-    With a recorded payload its torque at the tool is one more column per joint (rad/(kg*m)).
+    c m r: one coefficient per joint and moment (rad/m, or m for slides). Most coefficients are redundant, and the
+    solver's rank decision drops them. A recorded payload adds one more column per joint (rad/(kg*m)), from its torque
+    at the tool.
 
     Attributes:
         joints: Indices of the joints that may yield, from 0.
         up: Direction against gravity in the axes of frame 0.
-        payload: Whether the payload's columns take part.
+        payload: Whether there are columns for the payload.
     """
 
     joints: tuple[int, ...]
@@ -356,11 +373,11 @@ class GravityTerm(JointTerm):
         return moments
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
-        """Joint, link and moment: gravity2_3x."""
+        """Names made of joint, link and moment: gravity2_3x."""
         return tuple(f"gravity{i + 1}_{j + 1}{moment}" for i, j, moment in self.moments(geometry))
 
     def tolerances(self, geometry: Geometry) -> Array:
-        """1 mrad at 1 m, 1 mm."""
+        """Scale of each coefficient: 1e-3, that is 1 mrad at 1 m, or 1 mm for a slide."""
         return np.full(len(self.moments(geometry)), 1e-3)
 
     def owners(self, geometry: Geometry) -> NDArray[np.int64]:
@@ -368,11 +385,15 @@ class GravityTerm(JointTerm):
         return np.array([i for i, _, _ in self.moments(geometry)])
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """The joint of each coefficient ``(k,)``, and the torque of its moment ``(N, k)``, as from `torques`."""
+        """The joint of each coefficient ``(k,)``, and the torque of its moment ``(N, k)`` from `torques`."""
         return self.owners(geometry).tolist(), self.torques(geometry, joints, conditions)
 
     def torques(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        """Torques ``(N, k)`` of the moments, each on its own joint, per unit of the moment."""
+        """Torque ``(N, k)`` of each moment on the coefficient's joint, per unit of the moment.
+
+        Raises:
+            InputError: If the term has payload columns and no payloads are recorded.
+        """
         if self.payload and conditions.payload is None:
             raise InputError("the payload's deflection needs payloads; give a payload column")
         chain = chain_of(geometry)
@@ -399,9 +420,10 @@ class GravityTerm(JointTerm):
         return np.stack(torques).T
 
     def weighed(self, geometry: Geometry, joints: Array, conditions: Conditions) -> ComplianceTerm:
-        """Compliance of these joints, with the moments fitted to the torques measured.
+        """Make a compliance term for these joints, with the moments fitted to the measured torques.
 
-        So it knows torques where none are measured, as at targets. Moments that the poses do not show stay small.
+        The term can then compute torques where none are measured, as at targets. Moments that the poses do not show
+        stay small.
         """
         assert conditions.torque is not None
         columns, owners = self.torques(geometry, joints, conditions), self.owners(geometry)
@@ -412,7 +434,7 @@ class GravityTerm(JointTerm):
 
 
 def _repeated(parts: Sequence[Scalar], count: int) -> Array:
-    """Components ``(k, count)``, plain numbers once for each pose."""
+    """Components as rows ``(k, count)``; a component that is one number is repeated for every pose."""
     return np.stack([np.broadcast_to(part, count) for part in parts])
 
 
@@ -422,7 +444,7 @@ KINDS: dict[str, type] = {
     "periodic": PeriodicTerm,
     "thermal": ThermalTerm,
 }
-"""The terms by the names that files give them."""
+"""Classes of terms, by the names used in files."""
 
 
 def kind_of_term(term: Term) -> str:
@@ -431,12 +453,12 @@ def kind_of_term(term: Term) -> str:
 
 
 def specification(term: Any) -> dict[str, Any]:
-    """A term as `term_from` makes it again (JSON)."""
+    """A term as JSON content, from which `term_from` rebuilds it."""
     return {"kind": kind_of_term(term), **asdict(term)}
 
 
 def term_from(content: Mapping[str, Any]) -> Term:
-    """Make a term again from its `specification`, as a calibration file holds it."""
+    """Rebuild a term from its `specification`, as stored in a calibration file."""
     numbers = _tuples(content)
     kind = KINDS[numbers.pop("kind")]
     for name, part in (("load", Load), ("weight", GravityTerm)):
@@ -447,7 +469,7 @@ def term_from(content: Mapping[str, Any]) -> Term:
 
 
 def _tuples(value: Any) -> Any:
-    """JSON's lists as tuples, however deep."""
+    """Copy of a JSON value with every list, at any depth, turned into a tuple."""
     if isinstance(value, Mapping):
         return {key: _tuples(part) for key, part in value.items()}
     return tuple(map(_tuples, value)) if isinstance(value, list | tuple) else value
@@ -476,7 +498,7 @@ class ErrorModel:
     Attributes:
         columns: Indices into the geometry's ``parameter_names``, shape (P,), in order of preference: where parameters
             are redundant the earlier one is kept.
-        names: Their names.
+        names: The parameters' names.
         tolerance: Scale of each parameter's deviation, m or rad, shape (P,).
     """
 
@@ -510,7 +532,7 @@ def complete_model(geometry: Geometry) -> ErrorModel:
 
 
 def geometric_model(geometry: Geometry, known_frames: bool) -> ErrorModel:
-    """Parameters to identify: the links alone where base and tool are known, else base and tool with them."""
+    """Parameters to identify: those of the links, and base and tool pose too unless ``known_frames``."""
     return link_model(geometry) if known_frames else complete_model(geometry)
 
 
@@ -532,10 +554,10 @@ def with_terms(model: ErrorModel, arm: ArmModel) -> ErrorModel:
 
 
 def _link_names(geometry: Geometry) -> list[str]:
-    """The MDH parameters by kind, lengths before joint angles.
+    """Names of the MDH parameters in the order alpha, a, d, theta: lengths come before joint angles.
 
-    Where an offset and angles are tied (d3 = (theta2 - theta1) / a1 of the picking arm), the offset is kept: a length
-    expresses a finite deviation exactly, angles only to first order.
+    Where an offset and angles are redundant (d3 = (theta2 - theta1) / a1 of the picking arm), the offset is thus kept:
+    a length expresses a finite deviation exactly, angles only to first order.
     """
     kinds = ("alpha", "a", "d", "theta")
     return [name for kind in kinds for name in geometry.parameter_names if name.rstrip("0123456789") == kind]
@@ -554,13 +576,13 @@ def _model(geometry: Geometry, names: list[str]) -> ErrorModel:
 
 
 REACH = 100.0
-"""m; how far such an arm goes, which no robot does."""
+"""Travel of the pose carrier's slides to either side, m: farther than any robot reaches."""
 
 _QUARTER = np.pi / 2.0
 
 
 CARRIER = "finished_poses"
-"""Name of that arm."""
+"""Name of the arm that `pose_carrier` makes."""
 
 
 def pose_carrier() -> Arm:
@@ -588,12 +610,15 @@ def pose_carrier() -> Arm:
 
 
 def fitted_model(arm: str, nominal: Geometry, known_frames: bool) -> ErrorModel:
-    """Parameters of an arm to identify: all, base and tool among them unless known; of finished poses these alone."""
+    """Parameters to identify for the arm of this name.
+
+    The pose carrier has only base and tool pose to identify; every other arm has the parameters of `geometric_model`.
+    """
     return frames_model(nominal) if arm == CARRIER else geometric_model(nominal, known_frames)
 
 
 def joints_of_finished_poses(poses: Pose) -> Array:
-    """The joints ``(N, 6)`` that hold poses ``(N,)``."""
+    """The pose carrier's joints ``(N, 6)``, m and rad, that place its tool at poses ``(N,)``."""
     geometry = pose_carrier().nominal
     zero = forward(geometry, np.zeros(6))
     along = np.stack([forward(geometry, row).position for row in np.eye(6)[:3]], axis=1)

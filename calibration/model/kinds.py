@@ -1,8 +1,8 @@
 """Kinds of measurement beyond poses and positions: sockets, distances, reflectors, tilts.
 
-What a tool point is held against is a point, a line or a plane: a draw wire, a ball bar and a ball on a sphere keep a
-distance from a point, a ball on an edge from a line, a dial gauge and a probe on a table from a plane. Directions are
-three numbers, of which only the direction counts; one equation more keeps their length at one. SI units.
+A distance is measured from a point, a line or a plane: a draw wire, a ball bar and a ball on a sphere measure it from a
+point, a ball on an edge from a line, a dial gauge and a probe on a table from a plane. A direction is a vector of three
+numbers of which only the direction counts; one more equation keeps its length at one. SI units.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ from pickenv.calibration.model.observations import (
 
 
 TIP = ("tip_x", "tip_y", "tip_z")
-"""Names of its coordinates."""
+"""Names of the tool point's coordinates."""
 
 Tip = tuple[float, float, float]
 ORIGIN: Tip = (0.0, 0.0, 0.0)
@@ -47,7 +47,7 @@ def tool_points(model: ArmModel, joints: Array, conditions: Conditions, tip: Arr
 
 
 def tool_points_jacobian(model: ArmModel, joints: Array, conditions: Conditions, tip: Array) -> tuple[Array, Array]:
-    """Its derivatives by the model ``(N, 3, P)`` and by the point's place on the tool ``(N, 3, 3)``."""
+    """Derivatives of `tool_points` by the model's parameters ``(N, 3, P)`` and by ``tip`` ``(N, 3, 3)``."""
     rotation = model.pose(joints, conditions).rotation
     return point_jacobian(model.jacobian(joints, conditions), rotation @ tip), rotation
 
@@ -55,26 +55,26 @@ def tool_points_jacobian(model: ArmModel, joints: Array, conditions: Conditions,
 SurfaceName = Literal["point", "line", "plane"]
 
 STEPS = 20
-"""Of a solution that gross rows hardly pull."""
+"""Iterations of a robust fit, which gross rows hardly pull."""
 
 FAR = 5.0
-"""Rows farther off than so many medians do not say how points lie."""
+"""Points farther off than this many median distances are left out when principal axes are fitted."""
 
 
 def direction(vector: Array) -> tuple[Array, Array]:
-    """A vector ``(3,)`` at length one, and its derivative ``(3, 3)`` by the vector."""
+    """The unit vector ``(3,)`` along a vector, and its derivative ``(3, 3)`` by that vector."""
     size = float(np.linalg.norm(vector))
     ahead = vector / size
     return ahead, (np.eye(3) - np.outer(ahead, ahead)) / size
 
 
 def unit_length(vector: Array) -> tuple[Array, Array]:
-    """A vector's shortness of length one, to first order ``(1,)``, and the derivative ``(1, 3)`` of its length."""
+    """How much a vector is shorter than length one, to first order ``(1,)``, and its length's derivative ``(1, 3)``."""
     return np.array([(1.0 - vector @ vector) / 2.0]), vector[None]
 
 
 def steady_solution(matrix: Array, right: Array) -> Array:
-    """The solution of least absolute errors, which a few gross rows hardly pull, by re-weighted least squares."""
+    """Solve by least absolute errors, through re-weighted least squares: a few gross rows hardly pull the solution."""
     weights: Array = np.ones(len(right))
     solution: Array = np.zeros(matrix.shape[1])
     for _ in range(STEPS):
@@ -85,9 +85,9 @@ def steady_solution(matrix: Array, right: Array) -> Array:
 
 
 def _centre(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
-    """Centre A ``(d,)`` of points ``(N, d)`` whose distances r from it are read as r + z, and the zero z.
+    """Fit the centre A ``(d,)`` of points p ``(N, d)`` whose distances r from A are read as l = r + z, and the zero z.
 
-    Differences of squares: |p|^2 - l^2 = 2 p.A - 2 l z + z^2 - |A|^2 is linear in A, z and a constant.
+    |p|^2 - l^2 = 2 p.A - 2 l z + a constant (z^2 less |A|^2), which is linear in A, z and the constant.
     """
     middle, begin = points.mean(axis=0), float(readings.mean()) if unknown else zero
     p, length = points - middle, readings - begin
@@ -103,7 +103,10 @@ def _centre(points: Array, readings: Array, zero: float, unknown: bool) -> tuple
 
 
 def _principal_axes(points: Array, count: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Axes of points ``(N, 3)``, those of most spread first ``(3, 3)``, and which lie near the first ``count``."""
+    """Principal axes ``(3, 3)`` of points ``(N, 3)``, and a mask ``(N,)`` of the points near the first ``count`` axes.
+
+    Axes of larger spread come first.
+    """
     near = np.ones(len(points), dtype=bool)
     axes = np.eye(3)
     for _ in range(STEPS):
@@ -117,12 +120,13 @@ def _principal_axes(points: Array, count: int) -> tuple[Array, NDArray[np.bool_]
 
 
 class _Point:
-    """A point, by its coordinates.
+    """A point, described by its coordinates; the base class of all surfaces.
 
-    As every surface it has names of its K numbers and the scales of their deviations ``(K,)``, m or rad. ``gap`` gives
-    the distances ``(N,)`` of points ``(N, 3)``, m, with their derivatives by point ``(N, 3)`` and numbers ``(N, K)``;
-    ``start`` the numbers and the zero of the readings, from points, readings ``(N,)``, a zero and whether it is
-    unknown; ``gauge`` the equations that hold what distances leave open, residual ``(G,)`` and derivatives ``(G, K)``.
+    Every surface has K numbers, with their ``names`` and the ``tolerances`` of their deviations ``(K,)``, m or rad.
+    ``gap`` gives the distances ``(N,)`` of points ``(N, 3)`` from the surface, m, with their derivatives by the points
+    ``(N, 3)`` and by the numbers ``(N, K)``. ``start`` gives first values of the numbers and the zero of the readings,
+    from points, readings ``(N,)``, a zero, and whether the zero is unknown. ``gauge`` gives equations that fix what
+    distances leave open: their residual ``(G,)`` and derivatives ``(G, K)``.
     """
 
     names: tuple[str, ...] = ("anchor_x", "anchor_y", "anchor_z")
@@ -145,7 +149,7 @@ class _Point:
 
 
 class _Line(_Point):
-    """A line, by the point on it that is nearest to the origin, and a direction of length one."""
+    """A line, described by its point nearest to the origin and a direction of length one."""
 
     names = ("edge_x", "edge_y", "edge_z", "along_x", "along_y", "along_z")
     tolerances = np.repeat([LENGTH_TOLERANCE, ANGLE_TOLERANCE], 3)
@@ -162,7 +166,10 @@ class _Line(_Point):
 
     @staticmethod
     def start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
-        """The longest axis of the points, and across it the centre of a circle."""
+        """First values of the line, along the longest axis of the points, and the zero.
+
+        Across that axis the line is the centre of a circle through the points.
+        """
         axes, near = _principal_axes(points, 1)
         across, begin = _centre(points[near] @ axes[1:].T, readings[near], zero, unknown)
         return np.concatenate([across @ axes[1:], axes[0]]), begin
@@ -176,7 +183,7 @@ class _Line(_Point):
 
 
 class _Plane(_Point):
-    """A plane, by a normal of length one and its distance from the origin."""
+    """A plane, described by a normal of length one and the plane's distance from the origin."""
 
     names = ("normal_x", "normal_y", "normal_z", "plane_offset")
     tolerances = np.array([ANGLE_TOLERANCE] * 3 + [LENGTH_TOLERANCE])
@@ -189,7 +196,11 @@ class _Plane(_Point):
 
     @staticmethod
     def start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
-        """The shortest axis of the points, or the direction along which the readings grow, whichever explains more."""
+        """First values of the plane, and the zero as given.
+
+        The normal is the shortest axis of the points, or the direction along which the readings grow, whichever
+        explains the readings better.
+        """
         shortest = _principal_axes(points, 2)[0][2]
         matrix = np.column_stack([points - points.mean(axis=0), np.ones(len(points))])
         slope = steady_solution(matrix, readings)[:3]
@@ -209,7 +220,7 @@ class _Plane(_Point):
 
 
 SURFACES: dict[SurfaceName, type[_Point]] = {"point": _Point, "line": _Line, "plane": _Plane}
-"""The surfaces by name."""
+"""Classes of surfaces by name."""
 
 
 # Places that a tool point rests in, again and again: sockets, or one point that is touched in many poses. SI units.
@@ -220,17 +231,17 @@ SURFACES: dict[SurfaceName, type[_Point]] = {"point": _Point, "line": _Line, "pl
 class SocketObservations(Observations):
     """The tool point rests in places that do not move: sockets, or one point touched again and again.
 
-    No metrology but the known spacing of some sockets.
+    Nothing is measured but, where it is known, the spacing of some sockets.
 
     Attributes:
         joints: ``(N, n)``, rad or m.
         socket: Number of the place that each pose rests in ``(N,)``, from 0.
-        pairs: Sockets of known spacing ``(M, 2)``; without them the scale of the arm is unobservable.
-        spacing: Their spacings ``(M,)``, m.
-        std: Standard uncertainty of a ball's rest, m.
+        pairs: Pairs of sockets of known spacing ``(M, 2)``; without them the scale of the arm is unobservable.
+        spacing: Spacing of each pair ``(M,)``, m.
+        std: Standard uncertainty of a coordinate of the ball in its socket, m.
         spacing_std: Standard uncertainty of a spacing, m.
-        places: Names of the places; numbered sockets when empty.
-        tip: The point that rests there in the tool's frame, m.
+        places: Names of the places; if empty they are named socket1, socket2 and so on.
+        tip: The point of the tool that rests in the sockets, in the tool's frame, m.
         tip_std: Standard uncertainty of a coordinate of ``tip``, m: 0 where it is exact, infinite where it is unknown.
         conditions: Payload, temperature and torques, where known.
         source: Where the data come from.
@@ -256,7 +267,7 @@ class SocketObservations(Observations):
 
     @worked_out
     def sized(self) -> bool:
-        """Whether a spacing is known."""
+        """Whether the spacing of any sockets is known."""
         return len(self.pairs) > 0
 
     @cached_property
@@ -265,7 +276,7 @@ class SocketObservations(Observations):
 
     @cached_property
     def numbers(self) -> Stated:
-        """Places of the sockets, and the tool point."""
+        """Coordinates of the sockets, which are unknown, and of the tool point."""
         count = 3 * len(self._names)
         return Stated(
             (*(f"{name}_{axis}" for name in self._names for axis in "xyz"), *TIP),
@@ -276,24 +287,27 @@ class SocketObservations(Observations):
 
     @property
     def groups(self) -> Rows:
-        """Each socket's rows are a group, so that each is trained on."""
+        """The socket of each row ``(N,)``: a split then trains on every socket."""
         return self.socket
 
     def span(self, tool: Array) -> float:
-        """The farthest that the tool, which stays in its sockets, is from its mean place."""
+        """The largest distance of the tool positions from their mean, m."""
         return float(np.linalg.norm(tool - tool.mean(axis=0), axis=1).max())
 
     def missed(self, model: ArmModel, numbers: Array) -> Array:
-        """Socket minus ball."""
+        """Socket minus predicted ball position ``(N, 3)``, m."""
         sockets, ball = numbers[:-3].reshape(-1, 3), tool_points(model, self.joints, self.conditions, numbers[-3:])
         return np.asarray(sockets[self.socket] - ball)
 
     def readings(self) -> Array:
-        """The sockets' numbers."""
+        """The number of each row's socket ``(N, 1)``."""
         return self.socket[:, None].astype(float)
 
     def start(self, model: ArmModel) -> Array:
-        """The median of the ball's positions in each socket, which a few gross rows hardly move."""
+        """Starting values of the unknowns: sockets at the median of the ball's positions, which gross rows hardly move.
+
+        The tool point starts where it is stated.
+        """
         ball = tool_points(model, self.joints, self.conditions, np.array(self.tip))
         rests = [ball[self.socket == i] for i in range(len(self._names))]
         sockets = [np.median(points if len(points) else ball, axis=0) for points in rests]
@@ -307,7 +321,7 @@ class SocketObservations(Observations):
         return by_model / self.std, np.concatenate([by_socket, by_tip], axis=-1) / self.std
 
     def bonds(self, numbers: Array) -> tuple[Array, Array]:
-        """The spacings that are known."""
+        """Whitened equations of the known spacings: residual ``(M,)`` and derivatives ``(M, K)``."""
         (first, second), sockets = self.pairs.T, numbers[:-3].reshape(-1, 3)
         difference = sockets[first] - sockets[second]
         apart = np.linalg.norm(difference, axis=1)
@@ -332,17 +346,17 @@ SCALE_TOLERANCE = 1e-3
 class DistanceObservations(Observations):
     """Distances of a point of the tool from a point, line or plane that does not move.
 
-    Each uncertainty is 0 where its number is exact and infinite where it is to be found.
+    Each uncertainty is 0 if its number is exact and infinite if the number is to be fitted.
 
     Attributes:
         joints: ``(N, n)``, rad or m.
         length: Readings ``(N,)``, m.
         std: Standard uncertainty of a reading, m.
         surface: What the distance is measured from: a draw wire's anchor or a sphere's centre ("point"), an edge
-            ("line"), or a plane, whose side the sign tells and which has no zero of its own.
-        zero: What is read at distance 0, m.
+            ("line"), or a plane ("plane"). A distance from a plane is signed, and a plane has no zero of its own.
+        zero: The reading at distance 0, m.
         zero_std: Standard uncertainty of ``zero``, m.
-        scale_std: Standard uncertainty of the reading's scale, by which it exceeds 1.
+        scale_std: Standard uncertainty of the amount by which the reading's scale exceeds 1.
         tip: The point in the tool's frame, m.
         tip_std: Standard uncertainty of a coordinate of ``tip``, m.
         conditions: Payload, temperature and torques, where known.
@@ -369,14 +383,14 @@ class DistanceObservations(Observations):
 
     @worked_out
     def sized(self) -> bool:
-        """Whether lengths are read on a known scale, or the distance kept is known."""
+        """Whether lengths are read on a known scale or, where all readings are equal, the distance itself is known."""
         if np.ptp(self.length) > 0.0:
             return bool(np.isfinite(self.scale_std))
         return bool(self.surface != "plane" and np.isfinite(self.zero_std) and self.length[0] != self.zero)
 
     @cached_property
     def numbers(self) -> Stated:
-        """Place of the point, line or plane, and the instrument's own: zero, scale and tool point."""
+        """Numbers of the point, line or plane, then the instrument's zero, scale and tool point."""
         surface, zero_std = SURFACES[self.surface], 0.0 if self.surface == "plane" else self.zero_std
         return Stated(
             (*surface.names, "zero", "scale", *TIP),
@@ -386,24 +400,24 @@ class DistanceObservations(Observations):
         )
 
     def missed(self, model: ArmModel, numbers: Array) -> Array:
-        """Measured minus predicted readings."""
+        """Measured minus predicted readings ``(N, 1)``, m."""
         *values, zero, scale = numbers[:-3]
         points = tool_points(model, self.joints, self.conditions, numbers[-3:])
         distance = SURFACES[self.surface].gap(np.array(values), points)[0]
         return np.asarray(self.length - (1.0 + scale) * distance - zero)[:, None]
 
     def readings(self) -> Array:
-        """The lengths."""
+        """The measured lengths ``(N, 1)``, m."""
         return self.length[:, None]
 
     def start(self, model: ArmModel) -> Array:
-        """Trilateration or a plane through the tool's points, as the model has them."""
+        """Starting values of the unknowns: the surface is fitted to the tool points that the model predicts."""
         points = tool_points(model, self.joints, self.conditions, np.array(self.tip))
         place, zero = SURFACES[self.surface].start(points, self.length, self.zero, bool(np.isinf(self.zero_std)))
         return np.concatenate([place, [zero, 0.0], self.tip])[self.numbers.free]
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """The pose Jacobian along the distance."""
+        """Whitened derivatives of the readings by the model ``(N, P)`` and by the instrument's numbers ``(N, K)``."""
         values, scale, tip = numbers[:-5], numbers[-4], numbers[-3:]
         points = tool_points(model, self.joints, self.conditions, tip)
         distance, by_point, by_place = SURFACES[self.surface].gap(values, points)
@@ -413,7 +427,7 @@ class DistanceObservations(Observations):
         return np.einsum("ni,nip->np", along, by_model), np.hstack([by_own, np.einsum("ni,nij->nj", along, by_tip)])
 
     def bonds(self, numbers: Array) -> tuple[Array, Array]:
-        """The gauge of the surface's numbers, as strong as all readings together: neither drowns the other."""
+        """The gauge equations of the surface's numbers, weighted as strongly as all readings together."""
         std = self.std / float(np.sqrt(max(len(self.joints), 1)))
         residual, by_values = SURFACES[self.surface].gauge(numbers[:-5])
         return residual / std, np.pad(by_values, ((0, 0), (0, 5))) / std
@@ -431,12 +445,12 @@ class ReflectorObservations(Observations):
         joints: ``(N, n)``, rad or m.
         points: Measured positions ``(N, k, 3)``, m; values of lost reflectors are ignored.
         seen: Whether each reflector was seen ``(N, k)``.
-        covariance: Of one point, m^2: ``(3, 3)``, or ``(N, k, 3, 3)`` where each has its own.
+        covariance: Covariance of a point, m^2: ``(3, 3)``, or ``(N, k, 3, 3)`` if each point has its own.
         conditions: Payload, temperature and torques, where known.
         source: Where the data come from.
         origins: File and line of each row; None where they come from no file.
-        places: Where they sit in the tool's frame ``(k, 3)``, m, as far as it is known; None where it is not.
-        places_std: Standard uncertainty of a coordinate of these, m; 0 where they are exact.
+        places: Stated positions of the reflectors in the tool's frame ``(k, 3)``, m; None if they are unknown.
+        places_std: Standard uncertainty of a coordinate of ``places``, m; 0 if they are exact.
     """
 
     joints: Array
@@ -455,25 +469,25 @@ class ReflectorObservations(Observations):
 
     @worked_out
     def per_row(self) -> tuple[str, ...]:
-        """Covariances may be of all rows."""
+        """Names of the arrays with one entry per row; "covariance" is one of them if each point has its own."""
         return ("points", "seen", *(["covariance"] if self.covariance.ndim > 2 else []))
 
     @property
     def rows_of_misses(self) -> Rows:
-        """One miss per reflector seen."""
+        """The row of each miss ``(R,)``; there is one miss per reflector seen."""
         return np.nonzero(self.seen)[0]
 
     def imagined(self, joints: Array) -> Self:
-        """Such readings at other joints ``(M, n)``, as if every reflector were seen."""
+        """The same instrument's readings at other joints ``(M, n)``, as if every reflector were seen."""
         return Observations.imagined(replace(self, seen=np.ones_like(self.seen)), joints)
 
     def readings(self) -> Array:
-        """The points seen."""
+        """The measured points ``(N, 3 k)``, m, with zeros for reflectors that were not seen."""
         return np.where(self.seen[..., None], self.points, 0.0).reshape(len(self.joints), -1)
 
     @cached_property
     def numbers(self) -> Stated:
-        """Places of the reflectors, as far as they are known."""
+        """Coordinates of the reflectors in the tool's frame, with what is known of them."""
         count = 3 * self.points.shape[1]
         names = tuple(f"reflector{i + 1}_{axis}" for i in range(self.points.shape[1]) for axis in "xyz")
         values = np.zeros(count) if self.places is None else self.places.ravel()
@@ -481,7 +495,7 @@ class ReflectorObservations(Observations):
         return Stated(names, values, std, np.full(count, LENGTH_TOLERANCE))
 
     def start(self, model: ArmModel) -> Array:
-        """The places stated, or the mean of the measured points as the tool sees them."""
+        """Starting values of the reflectors' places: as stated, or mean measured points in the tool's frame."""
         return self.seen_from(model).ravel() if self.places is None else self.numbers.start()
 
     @property
@@ -490,12 +504,12 @@ class ReflectorObservations(Observations):
         return int(np.argmax(self.seen.sum(axis=0)))
 
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Measurements:
-        """Positions of the reflector that is seen most often."""
+        """Measured positions of the reflector that is seen most often, as `Measurements`."""
         rows = self.seen[:, self.clearest]
         return Measurements(self.joints[rows], self.points[rows, self.clearest], None, prismatic, source=self.source)
 
     def seen_from(self, model: ArmModel) -> Array:
-        """Mean of the measured points in the frame of a model's tool ``(k, 3)``, m."""
+        """Mean of each reflector's measured points in the frame of the model's tool ``(k, 3)``, m."""
         tool = model.pose(self.joints, self.conditions)
         local = np.einsum("nij,nki->nkj", tool.rotation, self.points - tool.position[:, None])
         weight = self.seen[..., None] / np.maximum(self.seen.sum(axis=0), 1)[:, None]
@@ -506,7 +520,7 @@ class ReflectorObservations(Observations):
         return np.asarray(tool.position[:, None] + np.einsum("nij,kj->nki", tool.rotation, numbers.reshape(-1, 3)))
 
     def missed(self, model: ArmModel, numbers: Array) -> Array:
-        """One per reflector seen."""
+        """Measured minus predicted position of each reflector seen ``(R, 3)``, m."""
         return np.asarray((self.points - self._points(model, numbers))[self.seen])
 
     def whitened(self, model: ArmModel, numbers: Array) -> Array:
@@ -527,7 +541,7 @@ class ReflectorObservations(Observations):
         return by_arm, by_place
 
     def _whitening(self) -> Array:
-        """W with W C W^T = 1 for covariances C: inverse of the Cholesky factor."""
+        """The inverse of each covariance's Cholesky factor, a matrix W with W C W^T = 1 ``(N, k, 3, 3)``."""
         return np.broadcast_to(np.linalg.inv(np.linalg.cholesky(self.covariance)), (*self.points.shape, 3))
 
 
@@ -537,7 +551,7 @@ class ReflectorObservations(Observations):
 
 
 DOWN = np.array([0.0, 0.0, -1.0])
-"""Down where the arm's base stands level."""
+"""Unit vector that points down in the world of an arm whose base stands level."""
 
 
 @register("observation", "tilt")
@@ -548,10 +562,11 @@ class TiltObservations(Observations):
     Attributes:
         joints: ``(N, n)``, rad or m.
         components: Cosines between down and each axis ``(N, K)``, K from 1 to 3.
-        std: Standard uncertainty of each ``(N, K)``, rad.
-        axes_std: Of a component of an axis: 0 where the axes are x, y and z of the tool, infinite where they are
-            unknown.
-        down_std: Of a component of down: 0 where the arm's world is level, infinite where that is unknown.
+        std: Standard uncertainty of each component ``(N, K)``, rad.
+        axes_std: Standard uncertainty of a component of an axis: 0 if the axes are x, y and z of the tool, infinite if
+            they are unknown.
+        down_std: Standard uncertainty of a component of the down direction: 0 if the arm's world is level, infinite if
+            that is unknown.
         conditions: Payload, temperature and torques, where known.
         source: Where the data come from.
         origins: File and line of each row; None where they come from no file.
@@ -573,17 +588,17 @@ class TiltObservations(Observations):
 
     @worked_out
     def framed(self) -> bool:
-        """A level world is a frame: the base can be seen to tilt in it."""
+        """Whether the world is known to be level: only then can the base be seen to tilt."""
         return self.down_std == 0.0
 
     @worked_out
     def width(self) -> int:
-        """One equation for each component."""
+        """Number of equations per row: one for each component."""
         return int(self.components.shape[1])
 
     @cached_property
     def numbers(self) -> Stated:
-        """The axes, then down."""
+        """Components of the axes, then of the down direction."""
         count = self.components.shape[1]
         names = [f"axis{i + 1}_{axis}" for i in range(count) for axis in "xyz"]
         return Stated(
@@ -598,7 +613,10 @@ class TiltObservations(Observations):
         return self.components
 
     def start(self, model: ArmModel) -> Array:
-        """A reading is linear in the products of an axis with down, and a matrix of products has rank one."""
+        """Starting values of the unknown axes and down direction, each of length one.
+
+        A reading is linear in the products of an axis with down, and the matrix of these products has rank one.
+        """
         rotation, count = model.pose(self.joints, self.conditions).rotation, self.components.shape[1]
         values = self.numbers.values.copy()
         axes, down = values[:-3].reshape(-1, 3), values[-3:]
@@ -618,7 +636,10 @@ class TiltObservations(Observations):
         return np.concatenate(parts)[self.numbers.free]
 
     def missed(self, model: ArmModel, numbers: Array) -> Array:
-        """Measured minus predicted components, rad: the length of a row of three is the angle between them."""
+        """Measured minus predicted components ``(N, K)``, rad.
+
+        The length of a row of three is the angle between the measured and the predicted direction.
+        """
         *axes, down = (direction(vector)[0] for vector in numbers.reshape(-1, 3))
         local = np.swapaxes(model.pose(self.joints, self.conditions).rotation, 1, 2) @ down
         return np.asarray(self.components - local @ np.array(axes).T)
@@ -639,7 +660,7 @@ class TiltObservations(Observations):
         return by_model / self.std[..., None], by_own / self.std[..., None]
 
     def bonds(self, numbers: Array) -> tuple[Array, Array]:
-        """That the directions found have length one, as strongly as all readings together."""
+        """Equations that keep the fitted directions at length one, weighted as strongly as all readings together."""
         fitted = np.flatnonzero(self.numbers.std.reshape(-1, 3).all(axis=1))
         strong = np.sqrt(len(self.joints)) / float(np.median(self.std))
         residual, jacobian = np.zeros(len(fitted)), np.zeros((len(fitted), len(numbers)))

@@ -1,4 +1,4 @@
-"""Measurements of an arm: joints and what instruments saw of the tool, alone or as several stations of one fit.
+"""Measurements of an arm: joints and the tool poses that instruments saw, from one or several stations of one fit.
 
 Our own CSV files name every column with its unit: q1_deg, q2_mm, …, x_mm, y_mm, z_mm and, for full poses, the rotation
 vector rx_deg, ry_deg, rz_deg. Foreign files are read through a column description (`pickenv.calibration.reading.read`).
@@ -47,13 +47,13 @@ Frames = Literal["known", "fitted"]
 FRAMES: tuple[Frames, ...] = get_args(Frames)
 
 FRAMES_COLUMN = "frames"
-"""Column of our own CSV format that says so, in every row."""
+"""Column of our own CSV format that holds a data set's `Frames`, alike in every row."""
 
 
 @register("observation", "tracked")
 @dataclass(frozen=True, eq=False)
 class Measurements(Observations):
-    """A data set: N poses of an arm with n joints; the commonest of `Observations`.
+    """A data set of N measured poses of an arm with n joints: the most common kind of `Observations`.
 
     Attributes:
         joints: Commanded joint displacements ``(N, n)``, rad or m.
@@ -62,12 +62,12 @@ class Measurements(Observations):
         prismatic: Joint types, which fix the unit of each joint column.
         position_std: Standard uncertainty of one position coordinate, m.
         attitude_std: Standard uncertainty of one attitude coordinate, rad.
-        source: Where the data come from, as messages name it.
+        source: Where the data come from, for messages.
         conditions: Payload, temperature and torques of each pose, where known.
         origins: File and line of each row; None where they come from no file.
         frames: "known" if these are poses of the arm's own tool in its own base frame; "fitted" if the instrument
             stood anywhere and saw a target anywhere on the tool.
-        std_stated: Whether somebody stated the uncertainties, or the defaults are assumed.
+        std_stated: Whether the uncertainties were stated; otherwise they are the defaults.
     """
 
     joints: Array
@@ -100,11 +100,11 @@ class Measurements(Observations):
 
     @property
     def row_weights(self) -> Array:
-        """One over the standard uncertainty of each row of a pose."""
+        """Weights of a pose's 3 or 6 coordinates: one over their standard uncertainties."""
         return np.asarray(1.0 / np.repeat([self.position_std, self.attitude_std], 3)[: self.rows_per_pose])
 
     def difference(self, model: Geometry | ArmModel) -> Array:
-        """Measured minus predicted pose ``(N, rows_per_pose)``: m, and rad (rotation vector), the instrument's axes."""
+        """Measured minus predicted pose ``(N, rows_per_pose)``, m and rad (rotation vector), in instrument axes."""
         predicted = ArmModel.of(model).pose(self.joints, self.conditions)
         if self.rotation is None:
             return np.asarray(self.position - predicted.position)
@@ -115,7 +115,7 @@ class Measurements(Observations):
         return np.asarray((self.difference(model) * self.row_weights).ravel())
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Eq (8), stacked and weighted."""
+        """Weighted derivatives of all rows by the model (eq (8)), and no columns for unknowns."""
         jacobian = np.moveaxis(model.jacobian(self.joints, self.conditions), 0, -1)
         flat = np.empty((jacobian.shape[1], len(self), self.rows_per_pose))
         for i, weight in enumerate(self.row_weights):
@@ -123,25 +123,25 @@ class Measurements(Observations):
         return flat.reshape(len(flat), -1).T, np.zeros((flat[0].size, 0))
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
-        """Measured minus predicted positions."""
+        """Measured minus predicted positions ``(N, 3)``, m."""
         return self.difference(model)[:, :3]
 
     def equations(self) -> tuple[Rows, Rows]:
-        """Positions are one channel, attitudes another."""
+        """Row and channel of each equation; positions are channel 0, attitudes channel 1."""
         channels = np.repeat([0, 1], 3)[: self.rows_per_pose]
         return np.repeat(np.arange(len(self)), self.rows_per_pose), np.tile(channels, len(self))
 
     def readings(self) -> Array:
-        """The measured positions."""
+        """The measured positions ``(N, 3)``, m."""
         return self.position
 
     @property
     def poses(self) -> Measurements:
-        """These measurements themselves."""
+        """This data set."""
         return self
 
     def joinable(self, other: Measurements) -> bool:
-        """Whether two data sets can be one: poses or positions alike, of about the same uncertainty."""
+        """Whether two data sets can be joined: both of the same kind and frames, with about the same uncertainty."""
         stds, others = (self.position_std, self.attitude_std), (other.position_std, other.attitude_std)
         return (self.kind, self.frames) == (other.kind, other.frames) and np.allclose(others, stds, ALIKE, 0.0)
 
@@ -165,7 +165,7 @@ class Measurements(Observations):
     def write_csv(self, path: str | Path) -> Path:
         """Write our own CSV format, whole or not at all; `reading.read.read_measurements` reads it back.
 
-        Where the frames are known, a last column says so in every row.
+        If the frames are known, a last column says so in every row.
         """
         names, values = self.table()
         if self.frames == "fitted":
@@ -180,12 +180,12 @@ def joint_columns(prismatic: Sequence[bool]) -> list[str]:
 
 
 def screen_unit(length: bool) -> tuple[str, float]:
-    """The unit of a length, or of an angle, in our files and on screens, and how many of it are one m or rad."""
+    """The unit of a length or angle in our files and on screens (mm or deg), and its number per m or rad."""
     return ("mm", 1e3) if length else ("deg", float(np.degrees(1.0)))
 
 
 def screen_units(prismatic: Sequence[bool]) -> Array:
-    """Units of joints ``(n,)`` per rad and m."""
+    """Factors ``(n,)`` from rad or m to each joint's unit on screens."""
     return np.array([screen_unit(slides)[1] for slides in prismatic])
 
 
@@ -214,15 +214,15 @@ def random_joints(geometry: Geometry, count: int, rng: np.random.Generator) -> A
 def simulated_tracker(
     plant: Plant, joints: ArrayLike, rng: np.random.Generator, instrument: Instrument | str = TRACKER
 ) -> Measurements:
-    """Readings by an instrument, registered to base and tool, of the arm that visits ``joints`` one after another.
+    """Simulate an instrument, registered to base and tool, that measures an arm at ``joints`` one after another.
 
     One call is one campaign: the machine is switched on, warms up, drives from pose to pose and waits before each
     reading; the target is mounted once. "ideal" waits for ever at each pose.
 
     Args:
         plant: The arm.
-        joints: Joint commands ``(N, n)`` in their order, rad or m.
-        rng: Draws the readings' errors, and by a child the friction of each stop and the target's mounting.
+        joints: Joint commands ``(N, n)`` in the order of the visits, rad or m.
+        rng: Draws the readings' errors; a child of it draws the friction of each stop and the target's mounting.
         instrument: One of `pickenv.arm.shipped_instruments`, a path to a file, or an `Instrument`.
 
     Raises:
@@ -239,7 +239,7 @@ def simulated_tracker(
 
 
 def tracked(plant: Plant, instrument: Instrument, joints: Array, draws: NormalDraws) -> Measurements:
-    """Readings by an instrument of the arm that visits ``joints`` ``(N, n)``, with these draws."""
+    """Simulate an instrument's readings of the arm that visits ``joints`` ``(N, n)``, with given random draws."""
     pose, noise = measured_poses(plant, joints, instrument, draws), instrument.noise_on(plant)
     std = attitude_std = 0.0
     if noise is not None:
@@ -265,16 +265,16 @@ def tracked(plant: Plant, instrument: Instrument, joints: Array, draws: NormalDr
 
 
 OWN = ("base", "tool")
-"""Frames that a station can have of its own."""
+"""Names of the frames of which a station can have its own."""
 
 FRAME_TOLERANCES = np.repeat([LENGTH_TOLERANCE, ANGLE_TOLERANCE], 3)
-"""Scales of a frame's deviations, m and rad."""
+"""Scales of the six deviations of a frame, m and rad."""
 
 ALIKE = 0.1
-"""Data sets are of one instrument where their uncertainties differ by no more than this share."""
+"""Largest relative difference of uncertainties between data sets that count as one instrument's."""
 
 WIDEST = 3
-"""Components of a miss where kinds are mixed; lengths and pixels fill fewer, the rest is zero."""
+"""Components of a miss where kinds are mixed; lengths and pixels have fewer and are padded with zeros."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -284,9 +284,9 @@ class InstrumentStation:
     Attributes:
         data: The data set.
         number: Which station it is, from 1; the unknowns of all but the first carry it in their names.
-        base: Where its own base frame is looked for from; None where the arm's is meant.
-        tool: Likewise of its own tool.
-        scale: Its standard uncertainties count so many times; weighs instruments by what they scatter.
+        base: Starting value of the station's own base frame; None if it uses the arm's.
+        tool: Starting value of the station's own tool frame; None if it uses the arm's.
+        scale: Factor on the data's standard uncertainties, which weighs instruments by their scatter.
     """
 
     data: Observations
@@ -297,12 +297,12 @@ class InstrumentStation:
 
     @property
     def frames(self) -> dict[str, Pose]:
-        """Its own frames, by name."""
+        """The station's own frames, by name."""
         return {name: pose for name in OWN if (pose := getattr(self, name)) is not None}
 
     @property
     def suffix(self) -> str:
-        """Ending of the names of its unknowns."""
+        """Ending of the names of the station's unknowns; empty for the first station."""
         return "" if self.number == 1 else f"_{self.number}"
 
     def unknowns(self) -> tuple[str, ...]:
@@ -311,16 +311,16 @@ class InstrumentStation:
         return names + tuple(f"{frame}{self.number}_{name}" for frame in self.frames for name in FRAME_PARAMETERS)
 
     def tolerances(self) -> Array:
-        """Scales of the data's own unknowns, then of the frames' deviations: those of the arm's own base and tool."""
+        """Scales of the data's own unknowns, then of the frames' deviations, as for the arm's own base and tool."""
         return np.concatenate([self.data.tolerances(), np.tile(FRAME_TOLERANCES, len(self.frames))])
 
     def start(self, model: ArmModel) -> Array:
-        """The data's own start, and no deviation of the frames."""
+        """Starting values of the data's own unknowns, then zeros for the frames' deviations."""
         frames = np.zeros(6 * len(self.frames))
         return np.concatenate([self.data.start(self.seen(model, frames)[0]), frames])
 
     def seen(self, model: ArmModel, unknowns: Array) -> tuple[ArmModel, Array]:
-        """The arm as this station sees it, and the data's own unknowns."""
+        """The arm with this station's own frames, and the values of the data's own unknowns."""
         values, deviations = np.split(unknowns, [len(unknowns) - 6 * len(self.frames)])
         steps = zip(self.frames.items(), deviations.reshape(-1, 6), strict=True)
         frames: dict[str, Any] = {name: move_pose(pose, step) for (name, pose), step in steps}
@@ -335,7 +335,10 @@ class InstrumentStation:
         return self.data.misses(*self.seen(model, unknowns))
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Derivatives by the arm, less its frames where the station has its own, and by the unknowns."""
+        """Derivatives of the residual by the arm and by the unknowns.
+
+        For a frame that is the station's own, the arm's columns are zero; the frame's are among the unknowns.
+        """
         by_arm, by_own = self.data.jacobian(*self.seen(model, unknowns))
         columns = np.concatenate([np.zeros(0, int), *(frame_columns(model.geometry, frame) for frame in self.frames)])
         by_own, by_arm = np.concatenate([by_own, by_arm[:, columns]], axis=1), by_arm.copy()
@@ -345,7 +348,7 @@ class InstrumentStation:
 
 @dataclass(frozen=True, eq=False)
 class Stacked(Observations):
-    """Stations of one arm, one after the other.
+    """The data sets of several stations of one arm, stacked as one data set.
 
     Attributes:
         stations: The stations; those with an instrument's frame come first.
@@ -360,7 +363,7 @@ class Stacked(Observations):
 
     @property
     def parts(self) -> tuple[Observations, ...]:
-        """The data sets."""
+        """The data sets of the stations."""
         return tuple(station.data for station in self.stations)
 
     @worked_out
@@ -376,22 +379,22 @@ class Stacked(Observations):
 
     @worked_out
     def kind(self) -> str:
-        """All kinds: position+sockets."""
+        """Names of all kinds, joined by a plus sign, such as position+sockets."""
         return "+".join(dict.fromkeys(part.kind for part in self.parts))
 
     @worked_out
     def framed(self) -> bool:
-        """Whether any instrument has a frame."""
+        """Whether any station's instrument has a frame."""
         return any(part.framed for part in self.parts)
 
     @worked_out
     def sized(self) -> bool:
-        """Whether any knows a length."""
+        """Whether any station's data know a length."""
         return any(part.sized for part in self.parts)
 
     @worked_out
     def miss_unit(self) -> str:
-        """Angles beside lengths count as what they move at a metre."""
+        """Unit of the misses on screens; "mm" if lengths and angles are mixed, with an angle as its motion at 1 m."""
         units = {part.miss_unit for part in self.parts}
         return units.pop() if len(units) == 1 else "mm"
 
@@ -415,7 +418,7 @@ class Stacked(Observations):
 
     @property
     def groups(self) -> Rows:
-        """Groups of every station by themselves."""
+        """The group of each row; no two stations share a group."""
         return _numbered([part.groups for part in self.parts])
 
     @property
@@ -425,7 +428,7 @@ class Stacked(Observations):
         return np.concatenate([part.rows_of_misses + first for part, first in rows])
 
     def equations(self) -> tuple[Rows, Rows]:
-        """Rows and channels; each station has channels of its own."""
+        """Row and channel of each equation; no two stations share a channel."""
         parts = [part.equations() for part in self.parts]
         rows = [np.where(row >= 0, row + first, -1) for (row, _), first in zip(parts, self._first_rows(), strict=True)]
         return np.concatenate(rows), _numbered([channels for _, channels in parts])
@@ -452,7 +455,7 @@ class Stacked(Observations):
         return np.concatenate([by_arm for by_arm, _ in parts]), block_diag(*(by_own for _, by_own in parts))
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
-        """Misses of all stations ``(R, 3)``, m; those with fewer components are filled up with zeros."""
+        """Misses of all stations ``(R, 3)``, m; misses with fewer components are padded with zeros."""
         parts = [station.misses(model, values) for station, values in self._with(unknowns)]
         return np.concatenate([np.pad(part, ((0, 0), (0, WIDEST - part.shape[1]))) for part in parts])
 
@@ -461,7 +464,7 @@ class Stacked(Observations):
         return self.parts[0].rough_poses(prismatic)
 
     def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
-        """Derivatives ``(E, 6)`` of all stations' equations, each by the pose of its station's own tool."""
+        """Derivatives ``(E, 6)`` of all stations' equations, each by the tool pose of its own station."""
         stations = self._with(unknowns)
         return np.concatenate([part.data.by_tool(*part.seen(model, values)) / part.scale for part, values in stations])
 
@@ -470,7 +473,7 @@ class Stacked(Observations):
         return np.asarray(block_diag(*(part.readings() for part in self.parts)))
 
     def select(self, rows: ArrayLike) -> Self:
-        """The stations that hold only the given rows; those without any are left out."""
+        """The data set that holds only the given rows; stations without any of them are left out."""
         first, parts = self._first_rows(), self.parts
         owner = np.repeat(np.arange(len(parts)), [len(part.joints) for part in parts])
         numbers = np.arange(len(owner))[np.asarray(rows)]
@@ -479,16 +482,16 @@ class Stacked(Observations):
         return replace(self, stations=tuple(replace(self.stations[i], data=data[i]) for i in used))
 
     def weighed(self, scales: Array) -> Self:
-        """The stations weighed by their scatter, relative to the first one's."""
+        """The data set with stations weighed by their scatter, relative to the first station's."""
         factors = scales[self._first_channels()].tolist()
         stations = zip(self.stations, factors, strict=True)
         return replace(self, stations=tuple(replace(s, scale=s.scale * f / factors[0]) for s, f in stations))
 
     def from_the_first(self, model: ArmModel, unknowns: Array) -> Measurements | None:
-        """Poses or positions of all stations as the first one would have measured them; None of other kinds.
+        """Poses or positions of all stations as the first station would have measured them; None for other kinds.
 
-        What a row differs by from the model is turned into the first one's axes, and of poses shifted to its tool.
-        Where any station saw positions alone, attitudes are left out.
+        Each row's difference from the model is turned into the first station's axes, and for poses shifted to its tool.
+        If any station saw positions alone, attitudes are left out.
 
         Args:
             model: The arm as the first station sees it.
@@ -515,7 +518,7 @@ class Stacked(Observations):
         return replace(rows, position=position, rotation=rotation)
 
     def channels_of(self, other: Observations) -> Rows:
-        """The channels of this data set that those of another are, some of whose stations may be missing."""
+        """The channels of this data set that match those of ``other``, which may lack some of its stations."""
         starts = zip(self.stations, self._first_channels(), strict=True)
         channels = {station.number: station.data.channels_of(station.data) + first for station, first in starts}
         return np.concatenate([channels[station.number] for station in other.stations])
@@ -532,7 +535,7 @@ class Stacked(Observations):
 
 
 def rows_together(parts: Sequence[Measurements]) -> Measurements:
-    """Rows of data sets that are `Measurements.joinable` one after the other; conditions that all of them recorded."""
+    """Join data sets that are `Measurements.joinable` into one, with the conditions that all of them recorded."""
     first = parts[0]
     if len(parts) == 1:
         return first
@@ -559,6 +562,6 @@ def _starts(counts: Sequence[int]) -> list[int]:
 
 
 def _numbered(parts: Sequence[Rows]) -> Rows:
-    """Numbers of several parts, none of which is shared."""
+    """Concatenate the numbers of several parts, shifted so that no two parts share a number."""
     first = _starts([int(part.max(initial=-1)) + 1 for part in parts])
     return np.concatenate([part + start for part, start in zip(parts, first, strict=True)])

@@ -1,11 +1,11 @@
-"""The scatter of rows about a model, found from the rows themselves: variance components, and a share of neighbours.
+"""The scatter of rows about a model, estimated from the rows: variances of channels, and a share common to neighbours.
 
-Each channel of an instrument has a scatter of its own, whatever is stated of it. What a model cannot say is alike at
-neighbouring joints. Its length and share maximise the marginal likelihood of a Gaussian process on what remains
-(Rasmussen and Williams 2006, eq 5.8); n rows alike tell as much as one of variance (1 - share + share n) / n. So rows
-of a cluster weigh less than rows that stand apart, and what all rows have in common widens the posterior (a sandwich
-covariance: White 1982). Equations of one picture share the error of the pose behind it; that error's size
-is found by expectation maximisation (Laird and Ware 1982). SI units.
+Each channel of an instrument has its own scatter, whatever was stated. Errors that a model cannot express are alike at
+neighbouring joints. Their length scale and share of the variance maximise the marginal likelihood of a Gaussian process
+on the residuals (Rasmussen and Williams 2006, eq 5.8); n rows with equal errors are worth one row of variance
+(1 - share + share n) / n. So rows of a cluster weigh less than isolated rows, and the common error widens the posterior
+(a sandwich covariance: White 1982). Equations of one picture share the error of its pose; the size of that error is
+estimated by expectation maximisation (Laird and Ware 1982). SI units.
 """
 
 from __future__ import annotations
@@ -22,34 +22,34 @@ from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.observations import Observations, Rows, equally_spaced
 
 POSE = 6
-"""Equations that one pose can be worth; a row that gives more of them gives some again."""
+"""Independent equations that one pose can give; a row with more equations repeats some of them."""
 
 LENGTHS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
-"""Distances of joints over which an error may stay alike, rad or m."""
+"""Candidate length scales over which errors are alike, as distances of joints, rad or m."""
 
 ALIKE = 0.2
-"""Rows whose joints differ by about so much are taken to miss alike, where nothing more is known, rad or m."""
+"""Default length scale: rows whose joints differ by about this much are assumed to have like errors, rad or m."""
 
 SHARES = (0.2, 0.4, 0.6, 0.8, 0.95)
-"""Shares of the variance that may be alike."""
+"""Candidate shares of the variance that neighbouring rows have in common."""
 
 STATED = 3.0
-"""Equations' worth of what is stated of a channel, beside what its rows show."""
+"""Weight of a channel's stated uncertainty in its scatter, as a number of equations."""
 
 USUAL = 0.75
-"""So many of the facts, a cluster being one, stand no closer together than is usual."""
+"""Quantile of the neighbour counts that is called usual, if a cluster of rows counts as one fact."""
 
 FREE = 0.25
-"""So many of the facts count in full where all rows are weighed by how many stand near them."""
+"""Share of the facts (a cluster is one) that keep full weight when rows are weighed by their number of neighbours."""
 
 WORTH = 3.0
-"""Logarithm of the likelihood ratio above which neighbours count as alike."""
+"""Logarithm of the likelihood ratio above which neighbours count as having like errors."""
 
 PROCESS_ROWS, NEIGHBOUR_ROWS = 300, 1500
-"""Rows, taken evenly, on which length and share are found, and among which each row's neighbours are counted."""
+"""Numbers of evenly taken rows: those that length and share are fitted to, and those searched for neighbours."""
 
 LEAST_SPARE = 0.05
-"""So much of an equation is taken to show scatter, however much the fit has used."""
+"""Least share of an equation that is taken to show scatter, however much of it the fit has used."""
 
 ROUNDS = 40
 """Rounds of expectation maximisation."""
@@ -63,11 +63,11 @@ class RowNoise:
         scatter: Standard deviation of each equation ``(E,)``, larger where rows stand closer than usual.
         channels: Standard deviation by channel ``(C,)``.
         share: Share of the variance that neighbouring rows have in common.
-        length: Distance of joints over which they have, rad or m.
-        common: By how much rows that stand as usual tell less than independent ones would: a factor on variances.
-        shared: Rows whose equations share the error of one pose: the equations' places among all, directions of that
-            error among them ``(m, 6)``, orthonormal, and how much of each is taken off in whitening ``(6,)``.
-        pose_std: Size of that error per axis: position, m, and attitude, rad.
+        length: Distance of joints over which rows have that share in common, rad or m.
+        common: Factor on variances for what rows with the usual number of neighbours say less than independent rows.
+        shared: One entry per row whose equations share the error of one pose: indices of the m equations, orthonormal
+            directions of that error among them ``(m, 6)``, and the share of each that whitening removes ``(6,)``.
+        pose_std: Standard deviation of that shared error per axis: position, m, and attitude, rad.
     """
 
     scatter: Array
@@ -79,7 +79,7 @@ class RowNoise:
     pose_std: tuple[float, float] = (0.0, 0.0)
 
     def whiten(self, rows: Array) -> Array:
-        """Stated equations ``(E + k, ...)`` with unit covariance; the last k, of no instrument, stay as they are."""
+        """Whiten stated equations ``(E + k, ...)``; the last k belong to no instrument and are unchanged."""
         count = len(self.scatter)
         white = np.array(rows, dtype=float)
         white[:count] /= self.scatter if white.ndim == 1 else self.scatter[:, None]
@@ -89,19 +89,19 @@ class RowNoise:
 
 
 def stated_noise(data: Observations) -> RowNoise:
-    """The noise as stated, nothing shared."""
+    """Noise as the data state it, with nothing shared between rows."""
     rows, channels = data.equations()
     return RowNoise(np.ones(len(rows)), np.ones(int(channels.max(initial=0)) + 1))
 
 
 def noise_of(data: Observations, model: ArmModel, unknowns: Array, leverage: Array) -> RowNoise:
-    """The noise of rows about a model fitted to them.
+    """Estimate the noise of rows about a model that was fitted to them.
 
     Args:
         data: The rows.
         model: The fitted model.
         unknowns: The data's own unknowns.
-        leverage: How much of each equation the fit has used up ``(E,)``, 0 to 1; the rest of it shows the scatter.
+        leverage: Share of each equation that the fit has used up ``(E,)``, 0 to 1; the rest shows the scatter.
     """
     residual = data.residual(model, unknowns)
     rows, channels = data.equations()
@@ -127,7 +127,7 @@ def noise_of(data: Observations, model: ArmModel, unknowns: Array, leverage: Arr
 
 
 def neighbours(joints: Array, length: float) -> Array:
-    """Number of rows that each row is like ``(N,)``, itself counted: the sum of exp(-d^2 / 2 l^2) over all rows."""
+    """Effective number of neighbours of each row ``(N,)``, itself counted: the sum of exp(-d^2 / 2 l^2) over rows."""
     some = equally_spaced(len(joints), NEIGHBOUR_ROWS)
     like = np.empty(len(joints))
     for part in np.array_split(np.arange(len(joints)), max(1, len(joints) // 100)):  # as much as stays near
@@ -140,20 +140,20 @@ def neighbours(joints: Array, length: float) -> Array:
 
 
 def counted(joints: Array) -> Array:
-    """Weight of each row ``(N,)``: 1, or less where more rows than usual stand near it, for these miss alike."""
+    """Weight of each row ``(N,)``: 1, or less if it has more neighbours than usual, because their errors are alike."""
     like = neighbours(joints, ALIKE)
     return np.asarray(np.minimum(_usual(like, FREE) / like, 1.0))
 
 
 def _usual(like: Array, share: float) -> float:
-    """Number of rows that a row is like, at most, in this share of the facts; a cluster is one."""
+    """Quantile of the neighbour counts ``like`` at this share of the facts, where a cluster of rows is one fact."""
     order = np.argsort(like)
     facts = np.cumsum(1.0 / like[order])
     return float(like[order][np.searchsorted(facts, share * facts[-1])])
 
 
 def _alike(joints: Array, white: Array, rows: Rows) -> tuple[float, float]:
-    """Share of the variance that neighbours have in common, and the length; zeros where the rows do not say so."""
+    """Share of the variance that neighbours have in common, and its length; zeros if the rows do not show one."""
     if len(joints) < 4 * POSE or (rows < 0).any() or len(white) % len(joints):
         return 0.0, 0.0
     columns = white.reshape(len(joints), -1)
@@ -171,7 +171,7 @@ def _alike(joints: Array, white: Array, rows: Rows) -> tuple[float, float]:
 
 
 def _log_likelihood(covariance: Array, columns: Array) -> float:
-    """Of columns ``(N, k)``, each with a variance of its own, the best; but for a constant."""
+    """Log-likelihood, up to a constant, of columns ``(N, k)``, each scaled by its own most likely variance."""
     factor = cho_factor(covariance, lower=True, check_finite=False)
     squares = np.maximum(np.sum(columns * cho_solve(factor, columns, check_finite=False), axis=0), 1e-300)
     return float(-0.5 * len(columns) * np.log(squares).sum() - columns.shape[1] * np.log(np.diag(factor[0])).sum())
@@ -188,7 +188,7 @@ def _of_pictures(
     scatter: Array,
     sizes: Array,
 ) -> RowNoise:
-    """Noise of rows with many equations: each channel's own scatter, and the pose's error that they share."""
+    """Noise of rows with many equations each: the scatter of every channel, and the pose error that a row shares."""
     tool = data.by_tool(model, unknowns)
     places = [np.flatnonzero(many & (rows == row)) for row in np.unique(rows[many])]
     _, channels = data.equations()

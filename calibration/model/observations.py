@@ -1,4 +1,4 @@
-"""The questions to a data set of any kind; kinds beyond `Measurements` stand in `kinds` and `pixels` beside it.
+"""The interface of a data set of any kind; kinds beyond `Measurements` are in `kinds` and `pixels`.
 
 Each kind brings unknowns of its own (where the reflectors sit, the wire is anchored, the sockets are), which are
 identified together with the arm. Rows are whitened by their covariance, so any mix may be stacked. SI units.
@@ -26,7 +26,7 @@ from pickenv.calibration.model.arm_model import ArmModel, Conditions
 # Lines are counted from 1 with the header, as an editor shows them; rows that come from no file are counted from 1.
 
 NAMED = 6
-"""Rows that a message names at most."""
+"""Largest number of rows that a message names."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +54,7 @@ class Origins:
 
 
 def named(places: Sequence[tuple[str, int]]) -> str:
-    """Files and lines as a message names them."""
+    """Text that names files and lines in a message."""
     texts = []
     for file in dict.fromkeys(file for file, _ in places):
         lines = [str(line) for line in sorted(line for name, line in places if name == file)]
@@ -67,7 +67,7 @@ MISS_UNITS = {"mm": 1e3, "deg": float(np.degrees(1.0))}
 """Units of misses on screens, and the factor from SI."""
 
 NONE_KNOWN = Conditions()
-"""Neither payload nor temperature nor torques were recorded."""
+"""Conditions without payload, temperature or torques."""
 
 
 Kind = TypeVar("Kind", bound="Observations")
@@ -76,16 +76,16 @@ Answer = TypeVar("Answer")
 
 @dataclass(frozen=True, eq=False)
 class Stated:
-    """K numbers of an instrument, each with what is known of it: exactly, within a standard uncertainty, or not at all.
+    """K numbers of an instrument, each known exactly, within a standard uncertainty, or not at all.
 
-    Where a wire's reading begins, how long a ball bar is, where a socket stands: what is not exact is an unknown of the
-    least squares, and what is known of it stands there as one more equation.
+    Examples are a wire's zero, a ball bar's length, a socket's place. A number that is not exact is an unknown of the
+    least squares; if something is known of it, that is one more equation.
 
     Attributes:
-        names: Of the numbers.
-        values: As they are stated ``(K,)``; of unknown ones where to begin.
-        std: Standard uncertainty of each ``(K,)``: 0 where it is exact, infinite where it is unknown.
-        scales: Scale of each one's deviation ``(K,)``.
+        names: Names of the numbers.
+        values: Stated values ``(K,)``; starting values of unknown numbers.
+        std: Standard uncertainty of each number ``(K,)``: 0 if it is exact, infinite if it is unknown.
+        scales: Scale of each number's deviation ``(K,)``.
     """
 
     names: tuple[str, ...]
@@ -100,43 +100,43 @@ class Stated:
 
     @property
     def _known(self) -> Rows:
-        """Indices, among the fitted ones, of those of which something is known."""
+        """Indices, among the fitted numbers, of those with a finite uncertainty."""
         return np.flatnonzero(np.isfinite(self.std[self.free]))
 
     def unknowns(self) -> tuple[str, ...]:
-        """Names of the fitted ones."""
+        """Names of the fitted numbers."""
         return tuple(self.names[i] for i in self.free)
 
     def start(self) -> Array:
-        """Their values as stated."""
+        """Stated values of the fitted numbers."""
         return self.values[self.free]
 
     def whole(self, unknowns: Array) -> Array:
-        """All numbers ``(K,)``, the fitted ones as given."""
+        """All numbers ``(K,)``, with these values of the fitted numbers."""
         values = self.values.copy()
         values[self.free] = unknowns
         return values
 
     def residual(self, unknowns: Array) -> Array:
-        """Stated minus present values of those that something is known of, in standard uncertainties."""
+        """Stated minus present values of fitted numbers of finite uncertainty, in standard uncertainties."""
         return np.asarray(((self.start() - unknowns) / self.std[self.free])[self._known])
 
     def jacobian(self) -> Array:
-        """Derivatives of these equations by the fitted numbers."""
+        """Whitened derivatives of the stated values' equations by the fitted numbers."""
         return np.asarray(np.diag(1.0 / self.std[self.free])[self._known])
 
 
 def worked_out(question: Callable[[Any], Answer]) -> Answer:
-    """An attribute that is worked out when it is first asked for, where other kinds simply have one."""
+    """A cached property, typed as the plain attribute that other kinds have in its place."""
     return cast(Answer, cached_property(question))
 
 
 class Observations:
-    """A data set of any kind: rows that can be chosen, told apart, and compared with a model.
+    """A data set of any kind: rows that can be selected, grouped, and compared with a model.
 
-    What most kinds answer alike is answered here: rows that a split may part anywhere, each of which misses once. A
-    kind says what it misses by and how that changes with the arm and with the numbers of its instrument; these
-    equations are followed by what is known of the numbers, and by what else holds among them.
+    The defaults here suit most kinds: a split may fall anywhere, and each row gives one miss (measured minus predicted
+    readings). A kind defines its misses and their derivatives by the arm and by the numbers of its instrument. After
+    these equations come those of what is known of the numbers, then further ones among the numbers (`bonds`).
 
     Attributes:
         joints: Joints ``(N, n)``, rad or m.
@@ -144,14 +144,14 @@ class Observations:
         source: Origin of the data, for messages.
         kind: Name of the kind.
         origins: File and line of each row; None where they come from no file.
-        framed: Whether the instrument has a frame, so that the arm's base pose can be seen at all.
-        sized: Whether a known length takes part, without which nobody can say how large the arm is.
+        framed: Whether the instrument has a frame; without one the arm's base pose cannot be seen.
+        sized: Whether the data involve a known length; without one the arm's size cannot be seen.
         per_row: Names of the arrays that hold one entry per row, beside the joints.
-        width: Equations of each miss.
-        miss_unit: Unit of `misses` on screens: "mm" of metres, "deg" of radians.
-        rounding: Change of a reading that is written down more roughly, to 0.01 mm or 0.001 deg, in m, rad or px. A
-            third of what such instruments scatter by, so that a pose measured anew reads alike once in five times.
-        stations: Each with its `InstrumentStation`, where these are several data sets in one fit (`Stacked`).
+        width: Number of equations of each miss.
+        miss_unit: Unit of `misses` on screens: "mm" for metres, "deg" for radians.
+        rounding: Change of a reading that is rounded to 0.01 mm or 0.001 deg, in m, rad or px. It is a third of such
+            instruments' scatter, so that a pose measured anew gives the same reading once in five times.
+        stations: The `InstrumentStation` of each data set, if these are several data sets in one fit (`Stacked`).
     """
 
     joints: Array
@@ -169,11 +169,11 @@ class Observations:
 
     @property
     def poses(self) -> Any:
-        """The same rows as `Measurements`: poses or positions of the tool in one instrument's frame; else None."""
+        """The rows as `Measurements` (tool poses or positions in one instrument's frame); None if they are not such."""
 
     @property
     def views(self) -> Any:
-        """The same rows as `PixelObservations`: pictures of one camera; else None."""
+        """The rows as `PixelObservations` (pictures of one camera); None if they are not such."""
 
     @property
     def parts(self) -> tuple[Observations, ...]:
@@ -182,7 +182,7 @@ class Observations:
 
     @cached_property
     def numbers(self) -> Stated:
-        """The instrument's own numbers: none."""
+        """The instrument's own numbers; by default there are none."""
         return Stated((), np.zeros(0), np.zeros(0), np.zeros(0))
 
     def missed(self, model: ArmModel, numbers: Array) -> Array:
@@ -202,19 +202,19 @@ class Observations:
         return np.zeros(0), np.zeros((0, len(numbers)))
 
     def readings(self) -> Array:
-        """The readings of each row ``(N, k)``, m: rows equal in them and in the joints repeat one another."""
+        """The readings of each row ``(N, k)``, m; rows with equal readings and joints are repetitions."""
         raise NotImplementedError
 
     def from_the_first(self, model: ArmModel, unknowns: Array) -> Any:
-        """`poses`, of several stations as the first one would have measured them; None of other kinds."""
+        """The rows as `poses`, for several stations as the first would have measured them; None for other kinds."""
         return self.poses
 
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Any:
-        """Poses or positions (`Measurements`) that the rows are worth by themselves, to start from; None where none."""
+        """Poses or positions (`Measurements`) that the rows give without a fit, to start from; None if none."""
         return self.poses
 
     def span(self, tool: Array) -> float:
-        """What `misses` are small against: how far the tool's positions ``(N, 3)`` spread, m; of directions 1 rad."""
+        """Size to compare `misses` with: the spread of the tool's positions ``(N, 3)``, m, or 1 rad for directions."""
         return 1.0 if self.miss_unit == "deg" else float(np.linalg.norm(tool.std(axis=0)))
 
     def fingerprint(self) -> str:
@@ -222,15 +222,15 @@ class Observations:
         return hash_of(self.joints, self.readings())
 
     def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
-        """Derivatives of the equations by the tool's pose, in its own axes ``(E, 6)``."""
+        """Derivatives ``(E, 6)`` of the equations by the tool's pose, in the tool's axes."""
         return self.jacobian(model, unknowns)[0][:, [name.startswith("tool_") for name in model.parameter_names]]
 
     def channels_of(self, other: Observations) -> Rows:
-        """The channels of these rows that those of other rows of the same instruments are: all of them."""
+        """The channels of this data set that match those of other rows of the same instruments; here all channels."""
         return np.arange(int(self.equations()[1].max(initial=-1)) + 1)
 
     def weighed(self, scales: Array) -> Self:
-        """The rows of several stations weighed by their scatter, given by channel ``(C,)``; one station as it is."""
+        """The data set with stations weighed by their scatter, given by channel ``(C,)``; one station is unchanged."""
         return self
 
     def unknowns(self) -> tuple[str, ...]:
@@ -242,35 +242,35 @@ class Observations:
         return self.numbers.scales[self.numbers.free]
 
     def start(self, model: ArmModel) -> Array:
-        """Closed-form values of the unknowns for a model: as they are stated."""
+        """Closed-form starting values of the unknowns for a model; by default the stated values."""
         return self.numbers.start()
 
     @property
     def groups(self) -> Rows:
-        """Rows of one number belong together ``(N,)``, and a split takes its share of each: all are of one group."""
+        """The group of each row ``(N,)``, of which a split takes its share; by default all rows are one group."""
         return np.zeros(len(self.joints), dtype=np.int64)
 
     @property
     def rows_of_misses(self) -> Rows:
-        """The row that each of `misses` belongs to ``(R,)``: one miss per row."""
+        """The row that each of `misses` belongs to ``(R,)``; by default each row has one miss."""
         return np.arange(len(self.joints))
 
     def equations(self) -> tuple[Rows, Rows]:
-        """Row and channel of each equation of `residual` ``(E,)``; the row is -1 where it belongs to none.
+        """Row and channel of each equation of `residual` ``(E,)``; the row is -1 if the equation belongs to no row.
 
-        A channel is what is read in one unit with one uncertainty: of poses positions and attitudes are two. Here those
-        of each miss come first, then of no row what is known of the numbers; all are of one channel.
+        A channel holds readings of one unit and one uncertainty; positions and attitudes of poses are two channels.
+        By default the misses' equations come first, then those of the numbers, of no row, all in one channel.
         """
         extra = len(self.numbers.jacobian()) + len(self.bonds(self.numbers.values)[0])
         rows = np.concatenate([np.repeat(self.rows_of_misses, self.width), np.full(extra, -1)])
         return rows, np.zeros(len(rows), dtype=np.int64)
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
-        """Measured minus predicted positions ``(R, 3)``, or lengths ``(R, 1)``, m; of directions ``(R, k)``, rad."""
+        """Measured minus predicted positions ``(R, 3)`` or lengths ``(R, 1)``, m, or directions ``(R, k)``, rad."""
         return self.missed(model, self.numbers.whole(unknowns))
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Measured minus predicted, whitened, ``(rows,)``: misses, what is known of the numbers, what else holds."""
+        """Whitened residual ``(rows,)`` of the misses, of the numbers' stated values, and of `bonds`."""
         numbers = self.numbers.whole(unknowns)
         statements = self.numbers.residual(unknowns)
         return np.concatenate([self.whitened(model, numbers).ravel(), statements, self.bonds(numbers)[0]])
@@ -293,18 +293,18 @@ class Observations:
         return replace(self, **changed, **self._arrays(rows))  # type: ignore[type-var]
 
     def imagined(self, joints: Array) -> Self:
-        """Such an instrument at other joints ``(M, n)``: its readings, over and over."""
+        """A data set of the same instrument at other joints ``(M, n)``, which repeats its readings in turn."""
         rows = np.resize(np.arange(len(self.joints)), len(joints))
         return replace(self, joints=joints, conditions=Conditions(), origins=None, **self._arrays(rows))  # type: ignore[type-var]
 
     def _arrays(self, rows: NDArray[Any]) -> dict[str, Any]:
-        """Some rows of the arrays that hold one entry per row."""
+        """The given rows of every array that holds one entry per row, by name."""
         values = {name: getattr(self, name) for name in self.per_row}
         return {name: None if value is None else value[rows] for name, value in values.items()}
 
 
 def hash_of(*parts: Array) -> str:
-    """Hash of numbers to 1e-9 m and rad; a trip through a CSV file keeps it."""
+    """Hash of numbers rounded to 1e-9 m or rad; writing and reading a CSV file keeps the hash."""
     integers = [np.rint(part * 1e9).astype(np.int64) for part in parts]
     return hashlib.sha256(b"".join(part.tobytes() for part in integers)).hexdigest()[:16]
 
@@ -339,27 +339,27 @@ def nearest_rotation(matrix: Array) -> Array:
 Rows = NDArray[np.int64]
 
 BLOCKS = 10
-"""Contiguous blocks that a blocked judgement holds out in turn."""
+"""Number of contiguous blocks that are held out in turn when errors are judged by blocks."""
 
 
 SAME_POSE = 2e-4
-"""Joints that differ by no more are of one pose, rad or m: 0.01 deg is what arms resolve, and what comes back of a pose
-that is reached again or written down with two decimals."""
+"""Largest difference of joints that count as one pose, rad or m: arms resolve 0.01 deg, and a pose that is reached
+again or written with two decimals comes back within it."""
 
 PATH = 10 * SAME_POSE
-"""Rows that hang together over more than this, rad or m, are a path that was followed slowly."""
+"""Chains of near rows that extend over more than this, rad or m, are a path that was followed slowly."""
 
 
 def equally_spaced(rows: int, most: int) -> Rows:
-    """Indices of so many of the rows at most, at equal distances."""
+    """Indices of at most ``most`` of the rows, equally spaced."""
     return np.unique(np.linspace(0, rows - 1, most).astype(int))
 
 
 def same_poses(joints: Array) -> Rows:
-    """The pose of each row ``(N,)``, numbered in the order in which they first come.
+    """The pose of each row ``(N,)``; poses are numbered in the order of their first rows.
 
-    Rows whose joints all differ by `SAME_POSE` or less are of one pose, and so is what hangs together by such rows.
-    What hangs together over more than `PATH` is a slow path and no pose; it is cut into cells of `SAME_POSE`.
+    Rows whose joints all differ by `SAME_POSE` or less are of one pose, and so are chains of such rows. A chain that
+    extends over more than `PATH` is a slow path rather than a pose; it is cut into cells of `SAME_POSE`.
 
     Args:
         joints: Joints ``(N, n)``, rad or m.
@@ -383,16 +383,16 @@ def same_poses(joints: Array) -> Rows:
 
 
 def pose_count(joints: Array) -> int:
-    """Number of poses that rows of these joints ``(N, n)`` are of, however often each was measured."""
+    """Number of different poses among rows with these joints ``(N, n)``."""
     return len(np.unique(same_poses(joints)))
 
 
 def random_split(poses: Rows, test_rows: int, rng: np.random.Generator) -> tuple[Rows, Rows]:
-    """A seeded shuffle of the poses: the last ones, of about ``test_rows`` rows, are held out.
+    """Shuffle the poses and hold out the last ones, with about ``test_rows`` rows.
 
     Args:
         poses: The pose of each row ``(N,)``, as `same_poses` numbers them.
-        test_rows: Rows to hold out: exactly so many where no pose is repeated.
+        test_rows: Number of rows to hold out; it is met exactly if no pose is repeated.
         rng: Shuffles.
 
     Returns:
@@ -410,9 +410,10 @@ def random_split(poses: Rows, test_rows: int, rng: np.random.Generator) -> tuple
 
 
 def choose(observations: Observations, test_rows: int | None, rng: np.random.Generator) -> tuple[Rows, Rows]:
-    """Training and held-out rows of one data set, drawn; sockets and stations are split one by one, to train on each.
+    """Draw the training rows and the held-out rows of one data set.
 
-    Rows of one pose stay on one side, also where several stations measured it.
+    Sockets and stations are split one by one, to train on each. Rows of one pose stay on one side, even if several
+    stations measured it.
 
     Args:
         observations: The data.
@@ -446,11 +447,11 @@ def choose(observations: Observations, test_rows: int | None, rng: np.random.Gen
 def blocked_split(poses: Rows, test_rows: int | None = None) -> tuple[Rows, Rows]:
     """Hold out two contiguous runs of poses, centred at 35 % and 75 % of the file.
 
-    With the default of a fifth of the rows these are blocks 3 and 7 of ten, counted from 0.
+    By default a fifth of the rows is held out, and the runs are blocks 3 and 7 of ten, counted from 0.
 
     Args:
         poses: The pose of each row ``(N,)``, as `same_poses` numbers them.
-        test_rows: Rows to hold out in all, where no pose is repeated; a fifth when left out.
+        test_rows: Number of rows to hold out in all, if no pose is repeated; a fifth when left out.
 
     Returns:
         Indices of the training rows and of the held-out rows, in file order.
@@ -474,12 +475,12 @@ def blocked_split(poses: Rows, test_rows: int | None = None) -> tuple[Rows, Rows
 
 
 def contiguous_folds(groups: Rows, poses: Rows, folds: int) -> list[tuple[Rows, Rows]]:
-    """Contiguous folds of poses, each group's by itself: for each, the training and the held-out rows.
+    """Cut the poses of each group into contiguous folds; return each fold's training rows and held-out rows.
 
     Args:
         groups: The group of each row ``(N,)``.
         poses: The pose of each row ``(N,)``, as `same_poses` numbers them.
-        folds: How many.
+        folds: Number of folds.
 
     Raises:
         InputError: If there are fewer than two folds, or fewer poses than folds.
@@ -498,7 +499,7 @@ def contiguous_folds(groups: Rows, poses: Rows, folds: int) -> list[tuple[Rows, 
 
 
 def home_groups(groups: Rows, poses: Rows) -> Rows:
-    """The group that each row is split with ``(N,)``: its pose's first one, so that stations share out alike poses."""
+    """The group that each row is split with ``(N,)``: that of its pose's first row, so that poses stay whole."""
     return np.asarray(groups[np.unique(poses, return_index=True)[1]][poses])
 
 

@@ -1,8 +1,8 @@
-"""Corners of a board in a camera's pictures, as observations of an arm: on its hand, or watching it from outside.
+"""Corners of a board in pictures of a camera that is on the arm's hand, or that watches a board on it from outside.
 
-The instrument's frame is the board's where the camera rides on the tool, and the camera's where it watches a board on
-the tool. So base and tool of the arm are what must be found besides: where the fixed one stands, and how the other sits
-on the flange. Only the lens, if it is to be fitted, is an unknown of this kind's own. SI units; pictures in px.
+The instrument's frame is the board's if the camera is on the tool, and the camera's if it watches a board on the tool.
+So the arm's base and tool, which are fitted too, say where the fixed one of the two stands and how the other sits on
+the flange. Only the lens, if it is to be fitted, is an unknown of this kind's own. SI units; pictures in px.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ from pickenv.calibration.model.observations import Observations, Origins, Rows, 
 # right, y down, z along the view), m; pictures are in pixels, the centre of the first pixel at (0, 0).
 
 LENS_NAMES = ("fx", "fy", "cx", "cy", "k1", "k2", "p1", "p2", "k3")
-"""A lens' numbers: focal lengths and principal point in px, distortion without unit."""
+"""Names of a lens' numbers: focal lengths and principal point in px, distortion without unit."""
 
 SCALES = np.array([1.0, 1.0, 1.0, 1.0, 2e-3, 3e-3, 5e-4, 5e-4, 5e-3])
-"""About what moves a corner at a picture's edge by a pixel."""
+"""Scales of the deviations of a lens' numbers: each moves a corner at a picture's edge by about a pixel."""
 
 UNDISTORTING_STEPS = 30
 
@@ -38,9 +38,9 @@ class Lens:
     """A camera's intrinsics.
 
     Attributes:
-        values: In the order of `LENS_NAMES` ``(9,)``.
-        size: Width and height of the pictures that they are for, px.
-        name: How messages call the camera.
+        values: The lens' numbers in the order of `LENS_NAMES` ``(9,)``.
+        size: Width and height of the camera's pictures, px.
+        name: Name of the camera in messages.
     """
 
     values: Array
@@ -56,7 +56,7 @@ def projected(values: Array, points: Array) -> Array:
 
 
 def distorted(values: Array, ideal: Array) -> Array:
-    """Images by the lens of rays ``(..., 2)``, given by their slopes x / z and y / z."""
+    """Slopes ``(..., 2)``, after the lens' distortion, of rays with ideal slopes x / z and y / z ``(..., 2)``."""
     k1, k2, p1, p2, k3 = values[4:]
     x, y = ideal[..., 0], ideal[..., 1]
     r2 = x * x + y * y
@@ -71,7 +71,7 @@ def distorted(values: Array, ideal: Array) -> Array:
 
 
 def undistorted(values: Array, pixels: Array) -> Array:
-    """Slopes of the rays ``(..., 2)`` that the lens puts at ``pixels`` ``(..., 2)``, by fixed-point iteration."""
+    """Ideal slopes ``(..., 2)`` of the rays that the lens maps to ``pixels`` ``(..., 2)``, by fixed-point iteration."""
     slopes = (pixels - values[2:4]) / values[:2]
     ideal = slopes
     for _ in range(UNDISTORTING_STEPS):
@@ -128,17 +128,17 @@ class PixelObservations(Observations):
 
     Attributes:
         joints: ``(V, n)``, rad or m.
-        corners: Where each corner was found ``(V, K, 2)``, px; values of corners not found are ignored.
-        seen: Whether each was found ``(V, K)``.
-        board: Where the corners are on the board ``(K, 3)``, m.
+        corners: Pixel at which each corner was found ``(V, K, 2)``, px; values of corners not found are ignored.
+        seen: Whether each corner was found ``(V, K)``.
+        board: Positions of the corners on the board ``(K, 3)``, m.
         camera: The lens, as far as it is known.
-        lens_std: Standard uncertainty of each of its numbers ``(9,)``: 0 where it is exact, infinite where it is free.
+        lens_std: Standard uncertainty of each of the lens' numbers ``(9,)``: 0 if it is exact, infinite if it is free.
         std: Standard uncertainty of a corner's coordinate ``(V, K)``, px.
         mount: Where the camera is.
         conditions: Payload, temperature and torques, where known.
         source: Where the data come from.
         origins: Picture or file and line of each view; None where they come from no file.
-        remarks: Why a view shows no corner ``(V,)``, empty where it shows some; None where nobody says.
+        remarks: Why a view shows no corner ``(V,)``, empty if it shows some; None if no reasons are known.
         pictures: Path of each view's picture ``(V,)``; None where corners came without pictures.
     """
 
@@ -168,22 +168,22 @@ class PixelObservations(Observations):
 
     @property
     def views(self) -> PixelObservations:
-        """These views themselves."""
+        """This data set."""
         return self
 
     @property
     def rows_of_misses(self) -> Rows:
-        """One miss per corner found."""
+        """The view of each miss ``(R,)``; there is one miss per corner found."""
         return np.nonzero(self.seen)[0]
 
     def imagined(self, joints: Array) -> Self:
-        """The camera at other joints ``(M, n)``, were every corner seen (see `visible`)."""
+        """Views of the camera at other joints ``(M, n)``, as if every corner were seen (see `visible`)."""
         usual = np.full_like(self.std, np.median(self.std[self.seen]))
         full_views = replace(self, seen=np.ones_like(self.seen), std=usual, remarks=None, pictures=None)
         return Observations.imagined(full_views, joints)
 
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Measurements:
-        """The board's poses in the camera, or the camera's before the board."""
+        """Poses of the board in the camera's frame or, for a camera on the hand, of the camera in the board's frame."""
         poses = board_poses(self)
         if self.mount == "hand":
             back = np.swapaxes(poses.rotation, 1, 2)
@@ -191,7 +191,10 @@ class PixelObservations(Observations):
         return Measurements(self.joints, poses.position, poses.rotation, prismatic, source=self.source)
 
     def visible(self, model: ArmModel, unknowns: Array, margin: float = 0.0) -> NDArray[np.bool_]:
-        """Corners that a model puts into the picture ``(V, K)``, by a margin in px; of boards that face the camera."""
+        """Mask ``(V, K)`` of corners that a model predicts inside the picture, by a margin in px.
+
+        Only boards that face the camera count.
+        """
         tool, points = model.pose(self.joints, self.conditions), self.in_camera(model)
         values = self.lens_values(unknowns)
         towards = tool.rotation[..., 2] if self.mount == "world" else tool.rotation[:, 2]  # into the board
@@ -206,7 +209,7 @@ class PixelObservations(Observations):
         return np.asarray(ahead & near & ((places >= margin) & (places <= size - 1.0 - margin)).all(axis=-1))
 
     def lens_values(self, unknowns: Array) -> Array:
-        """All numbers of the lens ``(9,)``, the fitted ones as given."""
+        """All numbers of the lens ``(9,)``, with these values of the fitted ones."""
         return self.numbers.whole(unknowns)
 
     def in_camera(self, model: ArmModel) -> Array:
@@ -217,7 +220,7 @@ class PixelObservations(Observations):
         return np.asarray((self.board - tool.position[:, None]) @ tool.rotation)
 
     def pixel_errors(self, model: ArmModel, unknowns: Array) -> Array:
-        """Found minus predicted ``(R, 2)``, px, of the corners found, view by view."""
+        """Found minus predicted pixels ``(R, 2)`` of the corners found, view by view."""
         return self._errors(model, self.lens_values(unknowns))
 
     def _errors(self, model: ArmModel, values: Array) -> Array:
@@ -228,11 +231,11 @@ class PixelObservations(Observations):
         return np.asarray(self._errors(model, numbers) * self.in_camera(model)[self.seen][:, 2:] / numbers[:2])
 
     def whitened(self, model: ArmModel, numbers: Array) -> Array:
-        """Pixel errors in standard uncertainties."""
+        """Pixel errors ``(R, 2)``, in standard uncertainties."""
         return self._errors(model, numbers) / self.std[self.seen][:, None]
 
     def readings(self) -> Array:
-        """The corners found; in px, which only serves to tell rows apart."""
+        """The found corners ``(V, 2 K)``, in px, with zeros for corners not found; they only tell rows apart."""
         return np.where(self.seen[..., None], self.corners, 0.0).reshape(len(self.joints), -1)
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
@@ -251,7 +254,7 @@ class PixelObservations(Observations):
 
 
 def with_lens(data: PixelObservations, kind: str) -> PixelObservations:
-    """The same views with a lens that is "fixed" or "free", whatever their description says."""
+    """A copy of the views whose lens is "fixed" or "free", whatever their description says."""
     return replace(data, lens_std=np.full(len(LENS_NAMES), 0.0 if kind == "fixed" else np.inf))
 
 
@@ -260,7 +263,7 @@ def with_lens(data: PixelObservations, kind: str) -> PixelObservations:
 
 
 def board_poses(data: PixelObservations) -> Pose:
-    """The board in the camera's frame in each view ``(V,)``.
+    """The board's pose in the camera's frame in each view ``(V,)``.
 
     Args:
         data: Views with at least four corners each, not all in one line; the board's corners lie in its plane z = 0.
@@ -273,7 +276,7 @@ def board_poses(data: PixelObservations) -> Pose:
 
 
 def _pose(flat: Array, rays: Array) -> Pose:
-    """The pose whose first two columns and position are the homography from the board to the rays."""
+    """The board's pose: the homography to the rays gives its first two axes and its position."""
     homography = _homography(flat, rays)
     scale = np.linalg.norm(homography[:, :2], axis=0).mean()
     first, second, position = (homography / scale).T
@@ -284,7 +287,7 @@ def _pose(flat: Array, rays: Array) -> Pose:
 
 
 def _homography(flat: Array, rays: Array) -> Array:
-    """H of (ray, 1) ~ H (point, 1), by the normalised direct linear transform (Hartley 1997)."""
+    """The homography H in (ray, 1) ~ H (point, 1), by the normalised direct linear transform (Hartley 1997)."""
     middle, size = flat.mean(axis=0), float(np.sqrt(2.0) / np.linalg.norm(flat - flat.mean(axis=0), axis=1).mean())
     points = np.column_stack([(flat - middle) * size, np.ones(len(flat))])
     blank = np.zeros_like(points)

@@ -1,9 +1,9 @@
 """Expectations of an arm's parameters before anything was measured: mean, standard deviation, and source.
 
-Every parameter has a prior, and what is fitted is said by its width. Parts lie within what they are made to (a
-tolerance class), base and tool of an instrument that stood anywhere within metres, coefficients of terms within a few
-tolerances. Where rows tell nothing, the prior speaks. Words of the command line are widths: "offsets" leaves parts no
-width, "full" gives all of them any width, as the papers do. SI units.
+Every parameter has a prior, whose width says how far a fit may move it. Parts lie within their tolerance class, base
+and tool of an instrument that stood anywhere within metres, coefficients of terms within a few tolerances. Where rows
+say nothing of a parameter, its prior decides. The command line's words are widths too: "offsets" gives parts no width,
+"full" gives all parameters any width, as the papers do. SI units.
 """
 
 from __future__ import annotations
@@ -33,25 +33,25 @@ from pickenv.calibration.model.observations import Observations, worked_out
 
 FitWord = Literal["auto", "offsets", "full"]
 FIT_WORDS: tuple[FitWord, ...] = get_args(FitWord)
-"""Parameters that a fit may move: all by their priors, the joints' zeros alone, or all without priors."""
+"""Choices of the parameters that a fit may move: all within their priors, joint zeros only, or all without priors."""
 
 TOLERANCE_CLASS = "cobot"
-"""The tolerance class that parts are expected to be made to, where none is named."""
+"""Default tolerance class of an arm's parts."""
 
 FRAME_STD = (10.0, 10.0)
-"""Standard deviations of a frame that stands anywhere about where alignment puts it, m and rad: no information."""
+"""Standard deviations of a frame about its aligned place, m and rad: so wide that they carry no information."""
 
 COEFFICIENT = 1.0
 """Standard deviation of a term's coefficient, in its tolerances (1 mm or 1 mrad at the tool)."""
 
 ANY_STIFFNESS = 100.0
-"""The same for compliances, one per joint of known torque: stiffnesses from 100 N*m/rad or 1 kN/m are as good."""
+"""Standard deviation of a compliance, in its tolerances: stiffnesses from 100 N*m/rad or 1 kN/m are equally likely."""
 
 FRAMES, ZEROS, LENGTHS, ANGLES, TERMS = "frames", "zeros", "lengths", "angles", "terms"
-"""Groups of parameters: frames that stand anywhere, joints' zeros, lengths and angles of parts, coefficients."""
+"""Groups of parameters: frames that stand anywhere, joint zeros, lengths and angles of parts, terms' coefficients."""
 
 MADE = (ZEROS, LENGTHS, ANGLES)
-"""Groups of which a tolerance class speaks; the rows scale the widths of each."""
+"""Groups whose prior widths come from a tolerance class; the rows scale each group's widths."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,8 +59,8 @@ class Prior(Observations):
     """Parameters expected near those of a reference model; one more data set among `Observations`.
 
     Attributes:
-        reference: The model expected.
-        columns: Indices of the parameters concerned ``(k,)``.
+        reference: The expected model.
+        columns: Indices of the parameters that have this prior ``(k,)``.
         std: Standard deviations ``(k,)``, in the parameters' units.
     """
 
@@ -74,15 +74,15 @@ class Prior(Observations):
 
     @worked_out
     def joints(self) -> Array:
-        """No poses."""
+        """An empty array ``(0, n)``: a prior has no poses."""
         return np.zeros((0, self.reference.geometry.joints))
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Expected minus present values, in standard deviations."""
+        """Expected minus present parameters ``(k,)``, in standard deviations."""
         return model.difference(self.reference)[self.columns] / self.std
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """One parameter per row."""
+        """Whitened derivatives, one parameter per row, and no columns for unknowns."""
         rows = np.zeros((len(self.columns), len(model.parameter_names)))
         rows[np.arange(len(self.columns)), self.columns] = 1.0 / self.std
         return rows, np.zeros((len(rows), 0))
@@ -94,11 +94,11 @@ class PriorModel:
 
     Attributes:
         parameters: The parameters ``(P,)``.
-        start: Their expected values, where a fit starts too.
-        std: Their standard deviations ``(P,)``, m, rad or a coefficient's unit; infinite where nothing is expected.
-        group: The group of each, of `FRAMES`, `MADE` and `TERMS`.
+        start: The model with the expected values, where a fit also starts.
+        std: The priors' standard deviations ``(P,)``, m, rad or a coefficient's unit; infinite without a prior.
+        group: The group of each parameter: `FRAMES`, one of `MADE`, or `TERMS`.
         source: Where the widths of zeros and parts come from.
-        scales: Factors on the widths by group, as far as they are known; what is missing is found from the rows.
+        scales: Known factors on the widths, by group; missing factors are estimated from the rows.
     """
 
     parameters: ErrorModel
@@ -110,12 +110,12 @@ class PriorModel:
 
     @property
     def proper(self) -> bool:
-        """Whether every parameter has a prior."""
+        """Whether every parameter has a prior of finite width."""
         return bool(np.isfinite(self.std).all())
 
     @property
     def width(self) -> Array:
-        """Standard deviations with their scales ``(P,)``."""
+        """Standard deviations of the priors ``(P,)``, times their groups' scales."""
         return np.asarray(self.std * np.array([self.scales.get(name, 1.0) for name in self.group]))
 
     def prior(self, weight: float = 1.0) -> Prior:
@@ -124,7 +124,7 @@ class PriorModel:
         return Prior(self.start, self.parameters.columns[some], self.width[some] / weight)
 
     def without_base(self) -> PriorModel:
-        """This model with the base held still: no instrument without a frame can see where it stands."""
+        """This model without the base's parameters, for instruments without a frame, which cannot see the base."""
         further = np.array([not name.startswith("base_") for name in self.parameters.names])
         return replace(self, parameters=self.parameters.some(further), std=self.std[further], group=self.group[further])
 
@@ -151,13 +151,13 @@ def prior_model(
     """The parameters of an arm with their priors.
 
     Args:
-        arm: Its name; of finished poses base and tool alone are fitted.
-        geometry: Its nominal geometry, with base and tool as aligned.
-        known: Whether the instrument measures the arm's own tool in its own base frame. That says nothing of how joint
-            1 sits on the base and the flange on the last link: they are expected within the class, as other parts.
+        arm: The arm's name; for finished poses (`CARRIER`) only base and tool are fitted.
+        geometry: The arm's nominal geometry, with aligned base and tool.
+        known: Whether the instrument measures the arm's own tool in its own base frame. How joint 1 sits on the base
+            and the flange on the last link remains unknown: both are expected within the class, as other parts.
         fit: One of `FIT_WORDS`.
         tolerances: The tolerance class of zeros and parts, or its name; `TOLERANCE_CLASS` when left out.
-        scale: Factor on its widths; found from the rows when left out.
+        scale: Factor on the class's widths; estimated from the rows when left out.
 
     Raises:
         InputError: If the class is unknown.
@@ -188,7 +188,7 @@ def expected_sizes(model: ArmModel) -> Array:
 
 
 def _groups(parameters: ErrorModel, geometry: Geometry, known: bool) -> NDArray[np.str_]:
-    """The group of each parameter; frames that are known to the instrument are parts of the arm."""
+    """The group of each parameter ``(P,)``; base and tool count as parts of the arm if the frames are known."""
     frame = np.array([name.startswith(("base_", "tool_")) for name in parameters.names])
     zero = np.isin(parameters.columns, joint_zeros_model(geometry).columns)
     part = np.where(geometry.parameter_is_angle[parameters.columns], ANGLES, LENGTHS)

@@ -24,7 +24,7 @@ from pickenv.calibration.residuals.gaussian_process import column_std
 
 @dataclass(frozen=True)
 class BpnnSettings:
-    """Training settings; the defaults are the paper's. Its dropout rate is not given: ours is stated here.
+    """Training settings; the defaults are the paper's, except for the dropout rate, which the paper does not give.
 
     Attributes:
         hidden: Neurons of the hidden layers.
@@ -44,16 +44,16 @@ class BpnnSettings:
 
 
 Layers = list[tuple[NDArray[Any], NDArray[Any]]]
-"""Matrices ``(in, out)`` and what each product is cut off below, or, in the last layer, what is added to it."""
+"""Each layer's matrix ``(in, out)`` and the threshold below which its product is cut off, or the last layer's bias."""
 
 SCALES = ("input_mean", "input_std", "output_mean", "output_std", "loss")
-"""Arrays of a network beside its layers."""
+"""Names of a network's arrays other than its layers."""
 
 ROWS = 512
-"""Poses that go through the network together: what a core's second cache holds."""
+"""Number of poses that go through the network together; so many fit into a core's second cache."""
 
 SLOW_ROWS = 2000
-"""Training rows at most, for the time that they take grows too fast."""
+"""Largest number of training rows; with more, training takes too long."""
 
 
 def _through(layers: Layers, values: NDArray[Any]) -> NDArray[Any]:
@@ -68,17 +68,18 @@ def _through(layers: Layers, values: NDArray[Any]) -> NDArray[Any]:
 @register("residual", "bpnn")
 @dataclass(frozen=True, eq=False)
 class Bpnn:
-    """A trained network: joints in, pose residual out, in plain arrays.
+    """A trained network in plain arrays, which maps joints to the pose residual.
 
     Attributes:
         input_mean: Mean of the training joints ``(n,)``, rad or m.
-        input_std: Their standard deviation.
+        input_std: Standard deviation of the training joints ``(n,)``, rad or m.
         weights: Matrices of the layers, ``(out, in)``, normalisation folded in.
         biases: Biases of the layers.
         output_mean: Mean of the training residuals ``(6,)``, m and rad.
-        output_std: Their standard deviation.
+        output_std: Standard deviation of the training residuals ``(6,)``, m and rad.
         loss: Mean training loss of each epoch, in units of the residual's standard deviation squared.
-        fast: Whether it runs in single precision, in which it was trained; as machine code where llvmlite is installed.
+        fast: Whether the network runs in single precision, in which it was trained, and as machine code if llvmlite is
+            installed.
     """
 
     input_mean: Array
@@ -93,9 +94,9 @@ class Bpnn:
 
     @staticmethod
     def fit(inputs: Array, targets: Array, rng: np.random.Generator) -> Bpnn:
-        """Train the paper's network as printed up to 400 poses; larger batches, fewer epochs do as well with more.
+        """Train the paper's network, with the printed settings for up to 400 poses.
 
-        It learns from no more rows than its time allows.
+        With more poses, larger batches and fewer epochs do as well. At most `SLOW_ROWS` rows are used, for time.
         """
         rows = equally_spaced(len(inputs), SLOW_ROWS)
         paper = settings = BpnnSettings()
@@ -105,14 +106,14 @@ class Bpnn:
         return train_bpnn(inputs[rows], targets[rows], rng, settings)
 
     def faster(self) -> Bpnn:
-        """The same network for control loops: see ``fast``."""
+        """A copy of the network for control loops, with ``fast`` set."""
         return replace(self, fast=True)
 
     def predict(self, joints: ArrayLike) -> Array:
         """Residual pose error ``(..., 6)`` (m and rad, world axes) at joints ``(..., n)``.
 
-        Many poses go through the network in blocks that are cut at fixed places. As machine code a pose has the same
-        bits alone and among many.
+        Many poses go through the network in blocks that are cut at fixed places. Machine code gives bitwise the same
+        result for a pose alone and among many.
         """
         if self._code is not None:
             inputs = np.asarray(joints, dtype=float)
@@ -142,7 +143,7 @@ class Bpnn:
     def _layers(self) -> Layers:
         """The layers with biases folded in: max(0, x + b) = max(-b, x) + b.
 
-        What is added after a cut-off goes into the next layer's bias, so that each layer passes its numbers but once.
+        The bias added after a cut-off goes into the next layer's bias, so that each layer passes over its numbers once.
         """
         weights, biases = [weight for weight, _ in self._scaled], [bias for _, bias in self._scaled]
         for i in range(1, len(weights)):
@@ -155,7 +156,7 @@ class Bpnn:
 
     @cached_property
     def _code(self) -> CompiledNetwork | None:
-        """Its machine code, where that is wanted and can be."""
+        """The network's machine code; None unless ``fast`` is set and llvmlite is installed."""
         if not (self.fast and is_there("llvmlite")):
             return None
         return CompiledNetwork(self._scaled)
@@ -228,7 +229,10 @@ def _network(inputs: int, outputs: int, settings: BpnnSettings):  # type: ignore
 
 
 def _train(model, x, y, rng, settings, progress) -> Array:  # type: ignore[no-untyped-def]
-    """The loop of eq (18); a last batch that is short is filled from the start of the epoch's shuffle."""
+    """Run the training loop of eq (18) and return each epoch's loss.
+
+    A short last batch is filled from the start of the epoch's shuffle.
+    """
     import torch
 
     optimiser = torch.optim.Adam(
@@ -278,17 +282,17 @@ def _folded(model) -> tuple[tuple[Array, ...], tuple[Array, ...]]:  # type: igno
 
 
 POSES, TILE = 32, 4
-"""Poses that go through together, and outputs that are summed side by side."""
+"""Number of poses that go through the network together, and of outputs that are summed side by side."""
 
 MANY = f"<{POSES} x float>"
 FUNCTION = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 4, ctypes.c_int64)
 
 Layer = tuple[Array, Array]
-"""A matrix ``(in, out)``, and what is added to its product ``(out,)``."""
+"""A layer's matrix ``(in, out)`` and bias ``(out,)``."""
 
 
 class CompiledNetwork:
-    """Layers ready to be run; negative outputs of all but the last are cut off.
+    """A network compiled to machine code; negative outputs of all layers but the last are cut off.
 
     Args:
         layers: The layers.
@@ -309,7 +313,7 @@ class CompiledNetwork:
         self._run = FUNCTION(address)
 
     def __reduce__(self) -> tuple[type[CompiledNetwork], tuple[Any]]:
-        """Pickled and copied by its layers: code is made anew."""
+        """Pickle and copy only the layers; the code is compiled anew."""
         return CompiledNetwork, (self._layers,)
 
     def __call__(self, rows: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
@@ -325,7 +329,7 @@ class CompiledNetwork:
 
 
 def _arranged(layer: Layer, inputs: int, outputs: int) -> NDArray[np.float32]:
-    """A layer's numbers in the order in which they are read: weights by tiles, then what is added."""
+    """A layer's numbers in the order in which they are read: weights by tiles, then the bias."""
     matrix, bias = layer
     padded = np.zeros((inputs + 1, outputs), dtype=np.float32)
     padded[: len(matrix), : len(bias)], padded[-1, : len(bias)] = matrix, bias
@@ -334,7 +338,7 @@ def _arranged(layer: Layer, inputs: int, outputs: int) -> NDArray[np.float32]:
 
 
 def _call(i: int, count: int, start: int, inputs: int, outputs: int) -> str:
-    """Instructions that take poses through layer ``i`` of ``count``, whose numbers begin at ``start``."""
+    """Code that takes poses through layer ``i`` of ``count``, whose numbers begin at ``start``."""
     source, stride = ("%given_here", "%width") if i == 0 else (f"%values{i % 2}", str(POSES))
     into, into_stride = ("%found_here", "%width") if i + 1 == count else (f"%values{(i + 1) % 2}", str(POSES))
     least = "0xFFF0000000000000" if i + 1 == count else "0.0"
@@ -345,7 +349,7 @@ def _call(i: int, count: int, start: int, inputs: int, outputs: int) -> str:
 
 
 def _code(calls: Sequence[str], half: int) -> str:
-    """The network; ``half`` numbers hold what comes out of a layer."""
+    """Code of the whole network; each buffer of ``half`` numbers holds the outputs of one layer."""
     return f"""
 {_layer()}
 define void @network(ptr %given, ptr %numbers, ptr %found, ptr %values0, i64 %width) {{
@@ -365,7 +369,7 @@ done:
 
 
 def _layer() -> str:
-    """One layer for all poses at once, sums of `TILE` outputs side by side."""
+    """Code of one layer for `POSES` poses at once, which sums `TILE` outputs side by side."""
     start, adds, ends = list[str](), list[str](), list[str]()
     for t in range(TILE):
         start.append(f"  %s{t} = phi {MANY} [zeroinitializer, %tile], [%n{t}, %sum]")
@@ -418,7 +422,7 @@ done:
 
 
 def _spread(name: str, base: str, offset: str) -> str:
-    """Load a number for all poses."""
+    """Code that loads a number and repeats it for all poses."""
     return f"""  {name}p = getelementptr float, ptr {base}, i64 {offset}
   {name}l = load float, ptr {name}p, align 4
   {name}i = insertelement {MANY} poison, float {name}l, i64 0

@@ -32,29 +32,31 @@ FOLDS = 5
 """Contiguous folds of the cross-validation within the training rows."""
 
 AUTO = ("bpnn", "rbf", "gp")
-"""The models that are tried where none is named: another package does not change what they come to."""
+"""Models that are tried by default; installing another package does not change their results."""
 
 SLOW = ("bpnn",)
-"""Models that take seconds to learn: tried last, and of several only where another one gains on the held-out blocks."""
+"""Models that take seconds to fit: tried last and, beside others, only if another gains on the held-out blocks."""
 
 Refit = Callable[[Measurements], Geometry | ArmModel]
-"""Identifies the arm from training rows alone; a constant function where the arm was identified from other data."""
+"""Function that identifies the arm from training rows alone; constant if the arm was identified from other data."""
 
 
 @dataclass(frozen=True)
 class GateVerdict:
-    """The errors with one residual model. All RMS are of the position error's norm, m, unless they say attitude (rad).
+    """The gate's verdict on one residual model, with the errors behind it.
+
+    Every RMS is of the position error's norm, m, unless its name says attitude (rad).
 
     Attributes:
         model: Name of the residual model.
-        blocked_rms: On the held-out blocks, with the residual; None where it was not, or could not be, fitted.
-        geometric_blocked_rms: On the same blocks without it.
-        blocked_attitude_rms: Attitude on the held-out blocks; None for position measurements.
-        geometric_blocked_attitude_rms: The same without the residual.
-        inner_rms: Cross-validated over blocks within the training rows; None where it was not needed.
-        geometric_inner_rms: The same without the residual.
-        accepted: Whether it won on the held-out blocks and on those within the training rows.
-        reason: Why, in words.
+        blocked_rms: RMS on the held-out blocks with the residual; None if it was not, or could not be, fitted.
+        geometric_blocked_rms: RMS on the held-out blocks without the residual.
+        blocked_attitude_rms: Attitude RMS on the held-out blocks with the residual; None for position measurements.
+        geometric_blocked_attitude_rms: Attitude RMS on the held-out blocks without the residual.
+        inner_rms: RMS cross-validated over blocks within the training rows; None if it was not needed.
+        geometric_inner_rms: RMS cross-validated over these inner blocks without the residual.
+        accepted: Whether the model won on the held-out blocks and on those within the training rows.
+        reason: Reason for the verdict, in words.
     """
 
     model: str
@@ -76,7 +78,7 @@ def selected(verdicts: Sequence[GateVerdict]) -> str | None:
 
 
 def verdicts_record(verdicts: Sequence[GateVerdict]) -> dict[str, dict[str, Any]]:
-    """For JSON, by model; lengths in mm and angles in degrees, as the names then say."""
+    """The verdicts as JSON content, by model; lengths in mm and angles in degrees, as the keys say."""
     models = {}
     for verdict in verdicts:
         content: dict[str, Any] = {"accepted": verdict.accepted, "reason": verdict.reason}
@@ -97,14 +99,14 @@ def gate_residuals(
     fitters: Mapping[str, Fitter] | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> tuple[GateVerdict, ...]:
-    """Judge residual models on blocks held out; `selected` chooses one honestly.
+    """Judge residual models on held-out blocks; `selected` then chooses among the accepted ones.
 
     On every split the arm is identified anew from the training rows, then the residual from the same rows. A model is
-    accepted if it cuts the blocked RMS by more than `MARGIN`, does not make attitudes worse by more than that, and
-    wins likewise when cross-validated over contiguous folds of the blocked split's training rows. That cross-validation
-    ranks the accepted models. So the held-out blocks may veto a model but never rank models: picking the best of
-    several on the rows that then state its error would flatter it. A network takes seconds, so it is tried last, and
-    beside others only where one of them gains on the held-out blocks (`SLOW`).
+    accepted if it cuts the blocked RMS by more than `MARGIN`, does not make attitudes worse by more than `MARGIN`, and
+    does both again when cross-validated over contiguous folds of the blocked split's training rows. The
+    cross-validation ranks the accepted models. So the held-out blocks may veto a model but never rank models: picking
+    the best of several on the rows that then state its error would flatter it. A network takes seconds, so it is tried
+    last, and beside others only where one of them gains on the held-out blocks (`SLOW`).
 
     Args:
         measurements: Poses or positions, in the order they were measured.
@@ -150,7 +152,7 @@ def gate_residuals(
 
 
 def position_rms(residuals: Array, counts: Array | None = None) -> float:
-    """Root mean square of the position error's norm, m, of residuals ``(N, 3)`` or ``(N, 6)`` that count so often."""
+    """Root mean square of the position error's norm, m, over residuals ``(N, 3)`` or ``(N, 6)``, weighted by counts."""
     return float(np.sqrt(np.average(np.sum(residuals[:, :3] ** 2, axis=1), weights=counts)))
 
 
@@ -159,7 +161,8 @@ def _attitude_rms(residuals: Array, counts: Array) -> float | None:
 
 
 Trial = tuple[Measurements, Measurements, Array, Array, Array]
-"""One split: rows to train on and held out, what the arm identified from those leaves of each, what these count."""
+"""One split: training rows, held-out rows, both sets' residuals under the arm identified from the training rows, and
+the weights of the held-out rows."""
 
 
 def _trial(measurements: Measurements, refit: Refit, train_rows: Rows, test_rows: Rows) -> Trial:
@@ -169,7 +172,7 @@ def _trial(measurements: Measurements, refit: Refit, train_rows: Rows, test_rows
 
 
 def _left_by(name: str, seed: int, fitter: Fitter | None, trial: Trial) -> Array:
-    """Residual of the trial's other rows beyond a model that learns from its training rows."""
+    """Residual of the trial's held-out rows after subtracting a model that learns from its training rows."""
     train, test, to_learn, untouched, _ = trial
     model = fit_residual(
         name,
@@ -184,14 +187,14 @@ def _left_by(name: str, seed: int, fitter: Fitter | None, trial: Trial) -> Array
 
 
 def _wins_outside(verdict: GateVerdict) -> bool:
-    """Whether positions gain on the held-out blocks."""
+    """Whether the position RMS on the held-out blocks falls by more than `MARGIN`."""
     return verdict.blocked_rms is not None and verdict.blocked_rms < (1.0 - MARGIN) * verdict.geometric_blocked_rms
 
 
 def _verdict(
     verdict: GateVerdict, left_by: Callable[[Trial], Array], blocked: Trial, inner: Callable[[], Sequence[Trial]]
 ) -> GateVerdict:
-    """Verdict on a model; the inner trials are made for those that win on the outer blocks."""
+    """Complete a model's verdict; the inner trials are made only if the model wins on the held-out blocks."""
     *_, untouched, counts = blocked
     try:
         residual = left_by(blocked)
@@ -222,7 +225,7 @@ def _verdict(
 
 
 def _compared(before: Array, after: Array, counts: Array) -> tuple[bool, str]:
-    """Whether a residual wins, and why."""
+    """Whether a residual wins (True: positions gain, attitudes do not lose), and the reason in words."""
     gain = 1.0 - position_rms(after, counts) / position_rms(before, counts)
     if not gain > MARGIN:
         return False, f"no gain: {'cuts' if gain >= 0 else 'raises'} the blocked RMS by {abs(gain):.0%}"

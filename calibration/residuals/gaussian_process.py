@@ -1,8 +1,8 @@
 """Gaussian process regression with one length scale per input (automatic relevance determination).
 
 Kernel s^2 exp(-sum_f (x_f - x'_f)^2 / 2 l_f^2) + noise; hyper-parameters maximise the marginal likelihood with its
-analytic gradient (Rasmussen and Williams 2006, algorithm 2.1, eqs (5.8)-(5.9)). That likelihood has several optima, of
-which some take everything for noise, so it is climbed from several starts. One process per output. SI units.
+analytic gradient (Rasmussen and Williams 2006, algorithm 2.1, eqs (5.8)-(5.9)). That likelihood has several optima,
+some of which explain everything as noise, so the search has several starts. One process per output. SI units.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ CONSTANT = 1e-9
 
 
 class Regressor(Protocol):
-    """A residual model: fitted to numbers, it gives numbers, and all of it is kept in plain arrays.
+    """A regressor of residuals, which is fitted to arrays, predicts arrays, and is stored in plain arrays.
 
     One method may be left out: ``faster()`` returns the model for control loops.
     """
@@ -53,7 +53,7 @@ Fitter = Callable[[Array, Array, np.random.Generator], Regressor]
 
 
 class SavedArrays:
-    """What a dataclass of arrays and numbers has besides: all by name for saving without pickle, and back."""
+    """Base of dataclasses of arrays and numbers, which are saved by name without pickle and restored."""
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """All numbers by name, for saving."""
@@ -88,7 +88,7 @@ class Rbf(SavedArrays):
 
     Attributes:
         centres: Centres of the basis functions ``(C, F)``, in standardised inputs.
-        width: Their common width, in standardised inputs.
+        width: Common width of the basis functions, in standardised inputs.
         weights: Output weights ``(C, k)``, m and rad.
         offset: Output far from every centre ``(k,)``, m and rad.
     """
@@ -153,7 +153,7 @@ class Rbf(SavedArrays):
 
 
 def k_means(points: Array, count: int, rng: np.random.Generator, rounds: int) -> Array:
-    """Lloyd's k-means from ``count`` of the points: centres ``(count, F)``; an empty cluster keeps its centre."""
+    """Centres ``(count, F)`` by Lloyd's k-means from ``count`` of the points; an empty cluster keeps its centre."""
     from scipy.cluster.vq import kmeans2
 
     centres = points[rng.choice(len(points), count, replace=False)]
@@ -176,28 +176,28 @@ CHUNK = 2048
 
 
 AMPLITUDES = (0.03, 30.0)
-"""Bounds of the prior standard deviation, in units of the output's own."""
+"""Bounds of the prior standard deviation, in units of the output's standard deviation."""
 
 PLAIN_STARTS = ((1.0, 1.0, 0.5), (1.0, 2.0, 0.05))
-"""Amplitude, every length scale and noise where half is noise and where almost nothing is; all inputs count alike."""
+"""Two starts of amplitude, every length scale and noise: half is noise, or almost nothing is; inputs count alike."""
 
 DRAWN_STARTS = ((1.0, 1.0), (0.7, 5.0), (0.1, 0.7))
-"""Bounds of amplitude, each length scale and noise of further starts, so that inputs count differently.
+"""Bounds of amplitude, each length scale and noise of drawn starts, in which inputs count differently.
 
-Shorter length scales end in noise alone, longer ones with inputs ignored."""
+From shorter length scales a search ends with noise alone, from longer ones with inputs ignored."""
 
 JITTER = 1e-10
-"""Added to the noise's variance, so that a kernel matrix has a factor."""
+"""Variance added to the noise's, so that a kernel matrix can be factorised."""
 
 COARSE, FINE = 1e-5, 1e-7
-"""A search ends when a step gains a smaller share of the log likelihood."""
+"""A search ends when a step gains less than this share of the log likelihood: first searches, and final ones."""
 
 
 START_ROWS, ITERATIONS = 200, 100
-"""Rows at most that starts are compared on, of which the best two go on with all; L-BFGS' iterations at most."""
+"""Largest number of rows on which starts are compared (the best two go on with all rows), and of L-BFGS iterations."""
 
 LENGTH_SCALES, NOISES = (0.1, 1e3), (1e-3, 2.0)
-"""Bounds of a length scale, in standardised inputs, and of the noise's deviation, in units of the output's own."""
+"""Bounds of a length scale, in standardised inputs, and of the noise, in the output's standard deviations."""
 
 
 @register("residual", "gp")
@@ -207,12 +207,12 @@ class GaussianProcess(SavedArrays):
 
     Attributes:
         rows: Training inputs ``(M, F)``, standardised.
-        length_scales: Of each output and input ``(k, F)``, in standardised inputs.
-        amplitude: Prior standard deviation s of each output ``(k,)``, in units of the output's own.
-        noise: Standard deviation of the noise of each output ``(k,)``, in units of the output's own.
+        length_scales: Length scale of each output and input ``(k, F)``, in standardised inputs.
+        amplitude: Prior standard deviation s of each output ``(k,)``, in units of ``output_std``.
+        noise: Standard deviation of each output's noise ``(k,)``, in units of ``output_std``.
         weights: Dual weights ``(k, M)``.
         output_mean: Mean of the training outputs ``(k,)``, m and rad.
-        output_std: Their standard deviation.
+        output_std: Standard deviation of the training outputs ``(k,)``, m and rad.
     """
 
     rows: Array
@@ -238,9 +238,9 @@ class GaussianProcess(SavedArrays):
         Args:
             inputs: Standardised inputs ``(N, F)``.
             targets: Residuals to learn ``(N, k)``, m and rad.
-            rng: Draws the starts of the search, and the rows that are kept where there are too many.
-            rows: Training rows kept at most, drawn evenly; the cost grows with their cube.
-            likelihood_rows: Rows at most that the marginal likelihood is taken over.
+            rng: Draws the starts of the search, and the rows to keep if there are too many.
+            rows: Largest number of training rows kept, drawn evenly; the cost grows with its cube.
+            likelihood_rows: Largest number of rows that the marginal likelihood is taken over.
             starts: Drawn starts of the search, beside the two plain ones.
 
         Raises:
@@ -283,7 +283,7 @@ class GaussianProcess(SavedArrays):
         return np.reshape(mean * self.output_std + self.output_mean, (*inputs.shape[:-1], mean.shape[1]))
 
     def targets(self, output: int) -> Array:
-        """The targets of its fit ``(M,)``, in units of the output's own deviation from its mean."""
+        """Training targets of one output ``(M,)``, less their mean and in units of ``output_std``."""
         smooth = self._kernel(output, self.rows) @ self.weights[output]
         return np.asarray(smooth + (self.noise[output] ** 2 + JITTER) * self.weights[output])
 
@@ -292,7 +292,7 @@ class GaussianProcess(SavedArrays):
 
 
 def _most_likely(inputs: Array, target: Array, rng: np.random.Generator, drawn: int) -> tuple[float, Array, float]:
-    """Amplitude, length scales and noise of the best optimum of the marginal likelihood that any start leads to."""
+    """Amplitude, length scales and noise at the best optimum of the marginal likelihood over all starts."""
     count = np.array([1, inputs.shape[1], 1])
     plain = [np.log(np.repeat(start, count)) for start in PLAIN_STARTS]
     low, high = np.log(np.repeat(DRAWN_STARTS, count, axis=0)).T
@@ -351,7 +351,7 @@ def negative_log_likelihood(theta: Array, inputs: Array, target: Array) -> tuple
 
 
 def _factor(smooth: Array, noise: float) -> Array:
-    """Lower Cholesky factor of the kernel matrix with noise and a whisper of jitter on its diagonal."""
+    """Lower Cholesky factor of the kernel matrix with noise and `JITTER` on its diagonal."""
     matrix = smooth.copy()
     matrix[np.diag_indices_from(matrix)] += noise**2 + JITTER
     return np.asarray(cholesky(matrix.T, lower=True, overwrite_a=True, check_finite=False))
@@ -381,8 +381,8 @@ def feature_process(process: GaussianProcess, count: int, rng: np.random.Generat
         rng: Draws the frequencies.
 
     Returns:
-        Frequencies of each output's waves by the standardised inputs ``(O, F, K)``; mean weights of their cosines, then
-        their sines ``(O, 2 K)``, m and rad, about the process' mean; weights per standard normal number
+        Frequencies of each output's waves over the standardised inputs ``(O, F, K)``; mean weights of the cosines, then
+        of the sines ``(O, 2 K)``, m and rad, about the process' mean; the weights' change per standard normal number
         ``(O, 2 K, 2 K)``.
     """
     from scipy.stats import norm, qmc
@@ -395,7 +395,7 @@ def feature_process(process: GaussianProcess, count: int, rng: np.random.Generat
 
 
 def _of_output(process: GaussianProcess, output: int, normal: Array) -> tuple[Array, Array, Array]:
-    """Frequencies ``(F, K)``, mean weights and their factor of one output."""
+    """Frequencies ``(F, K)``, mean weights, and the weights' factor for one output of `feature_process`."""
     frequency = normal.T / process.length_scales[output][:, None]
     scale = float(process.amplitude[output]) / np.sqrt(len(normal))
     angle = process.rows @ frequency

@@ -1,7 +1,8 @@
-"""Learnt residuals behind one small protocol: what remains after the geometric fit, from the joints (and conditions).
+"""Learnt residuals behind one small protocol: models of the error left by the geometric fit.
 
-Qiao 2026 eqs (17)-(18) with any regressor: BPNN, RBF network, Gaussian process. Inputs are joints in rad and m,
-standardised, with sine and cosine for joints that turn far; outputs are pose (6) or position (3) residuals.
+A model predicts this error from the joints and, if there are any, the conditions. It follows Qiao 2026 eqs (17)-(18)
+with any regressor: BPNN, RBF network, Gaussian process. Inputs are joints in rad and m, standardised, with sine and
+cosine for joints that turn far; outputs are pose (6) or position (3) residuals.
 """
 
 from __future__ import annotations
@@ -27,18 +28,18 @@ from pickenv.calibration.residuals.gaussian_process import (
 )
 
 PERIODIC_SPAN = 1.5 * np.pi
-"""A revolute joint whose training rows span more than this, rad, enters by sine and cosine, so that turns close."""
+"""A revolute joint that spans more than this, rad, enters by sine and cosine, so that full turns close."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointInputs:
-    """The way from joints and conditions to a regressor's inputs.
+    """The mapping from joints and conditions to a regressor's inputs.
 
     Attributes:
         periodic: For each joint, whether it enters by sine and cosine ``(n,)``.
         conditions: Number of further inputs, such as temperature or payload.
         mean: Mean of each input over the training rows ``(F,)``.
-        std: Its standard deviation.
+        std: Standard deviation of each input over the training rows ``(F,)``.
     """
 
     periodic: NDArray[np.bool_]
@@ -50,7 +51,7 @@ class JointInputs:
         """Standardised inputs ``(..., F)`` of joints ``(..., n)`` and conditions ``(..., c)``.
 
         Raises:
-            InputError: If there are fewer or more joints or conditions than at training.
+            InputError: If the number of joints or conditions differs from that at training.
         """
         joints = np.asarray(joints, dtype=float)
         if joints.shape[-1:] != self.periodic.shape:
@@ -68,7 +69,7 @@ class JointInputs:
 def joint_inputs(
     joints: Array, prismatic: Sequence[bool], conditions: Array | None = None, *, periodic_span: float = PERIODIC_SPAN
 ) -> JointInputs:
-    """The inputs that suit training joints ``(N, n)`` and conditions ``(N, c)``; see `PERIODIC_SPAN`."""
+    """Fit the mapping to inputs from training joints ``(N, n)`` and conditions ``(N, c)``; see `PERIODIC_SPAN`."""
     periodic = ~np.asarray(prismatic, dtype=bool) & (np.ptp(joints, axis=0) > periodic_span)
     raw = _raw_inputs(joints, conditions, periodic)
     count = 0 if conditions is None else conditions.shape[-1]
@@ -87,11 +88,11 @@ def _raw_inputs(joints: Array, conditions: ArrayLike | None, periodic: NDArray[n
 
 @dataclass(frozen=True, eq=False)
 class LearntResidual:
-    """A residual model of an arm: joints in, residual out.
+    """A residual model of an arm, which maps joints to the residual.
 
     Attributes:
         kind: Name of the regressor in the registry.
-        inputs: How joints become its inputs.
+        inputs: The mapping from joints and conditions to the regressor's inputs.
         model: The regressor.
     """
 
@@ -104,7 +105,7 @@ class LearntResidual:
 
         Args:
             joints: Joint displacements ``(..., n)``, rad or m.
-            conditions: Further inputs ``(..., c)`` in the order and units of training, if it had any.
+            conditions: Further inputs ``(..., c)`` in the order and units of training, if there were any.
 
         Raises:
             InputError: If joints or conditions differ in number from those of training.
@@ -112,7 +113,7 @@ class LearntResidual:
         return self.model.predict(self.inputs(joints, conditions))
 
     def faster(self) -> LearntResidual:
-        """The same residual for control loops: see `Bpnn.fast`; a model without ``faster`` stays as it is."""
+        """A faster version of this residual for control loops (see `Bpnn.fast`), or itself if there is none."""
         faster = getattr(self.model, "faster", None)
         return self if faster is None else replace(self, model=faster())
 
@@ -133,15 +134,15 @@ class LearntResidual:
 TRIAL_FITTERS: Mapping[str, Fitter] = MappingProxyType(
     {"gp": partial(GaussianProcess.fit, likelihood_rows=200, starts=4)}
 )
-"""Fitters of models that are only to be compared, on split after split: the process with a shorter search, a fifth
-of the time, and on measured arms within 6 % of the error."""
+"""Fitters of models that are only compared, on many splits. The Gaussian process has a shorter search: it takes a fifth
+of the time and comes, on measured arms, within 6 % of the error."""
 
 
 def require_residual(name: str) -> None:
-    """See to it that a residual model can be fitted, before the work.
+    """Check that a residual model can be fitted, before any work is done.
 
     Raises:
-        InputError: If there is none of this name, or the package is missing that fits it.
+        InputError: If there is no model of this name, or a package that its fit needs is missing.
     """
     require(*getattr(get("residual", name), "needs", ()))
 
@@ -160,14 +161,14 @@ def fit_residual(
     """Fit a residual model by name.
 
     Args:
-        name: A registered one: "bpnn", "rbf", "gp", or another package's.
+        name: Name of a registered model: "bpnn", "rbf", "gp", or another package's.
         joints: Training joints ``(N, n)``, rad or m.
         residuals: Measured minus identified ``(N, 6)`` or ``(N, 3)``, m and rad (eq (17)).
         prismatic: Joint types.
         rng: Every random draw comes from it.
         conditions: Further inputs ``(N, c)``, such as temperature or payload.
         fitter: Another way to fit this kind of model, such as one with other settings.
-        periodic_span: Revolute joints that span more, rad, enter by sine and cosine; infinite for joints as they are.
+        periodic_span: Revolute joints that span more than this, rad, enter by sine and cosine; infinite for none.
 
     Raises:
         InputError: If the model is unknown, a number is not finite, or there are too few rows.
