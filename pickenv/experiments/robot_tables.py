@@ -34,8 +34,9 @@ def bench_json(bench: Bench) -> dict[str, Any]:
     Keys of a row: "table" ("gains", "best" or "peers"), "robot", "split" ("random", "blocks" or "poses"), "model",
     "nominal_mm" (base and tool fitted), "held_out_mm", "published_mm" (a mean that others report), "measured_reduction"
     (of the error of the model that "before" names), its "ci95", "predicted_reduction" (by twins of other rows) and
-    "predicted_ci95" (where one more arm would lie), "statistic" ("rms" or "mean") and "rows" judged. "models" are the table of measured robots, a
-    row for each number: "value_mm" with its ends "low_mm" and "high_mm", and what is "used" by it.
+    "predicted_ci95" (where one more arm would lie), "statistic" ("rms" or "mean") and "rows" judged. "models" are the
+    table of measured robots, a row for each number: "value_mm" with its ends "low_mm" and "high_mm", and what is "used"
+    by it.
     """
     return {
         "rows": [*bench.gains, *_best_rows(bench.models), *_peer_rows(bench.peers)],

@@ -410,7 +410,7 @@ def carrying(plant: Plant, payload_kg: float) -> Plant:
 
 
 def spread_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> Array:
-    """Joints ``(count, n)`` spread evenly over their ranges (scrambled Halton); any first part is spread evenly, too."""
+    """Joints ``(count, n)`` spread evenly over their ranges (scrambled Halton); so is any first part of them."""
     if not count:
         return np.empty((0, nominal.joints))
     return np.asarray(qmc.scale(qmc.Halton(nominal.joints, rng=rng).random(count), nominal.lower, nominal.upper))

@@ -1,8 +1,9 @@
 """Calibrate and judge thousands of arms of a study at once, in torch: the arms are the last axis of every component.
 
 Physics, least squares and compensation are the same as arm by arm (`pickenv.experiments.study`), so that the rows
-agree. All arms start at the nominal geometry. Which parameters are redundant follows from each arm's poses, and
-is nearly always the same; an arm with others, or that needs more than undamped steps, is left to the code for one arm. Components are ``(M, N)`` at
+agree. All arms start at the nominal geometry. Which parameters are redundant
+follows from each arm's poses, and is nearly always the same; an arm with other ones, or one that needs more than
+undamped steps, is handed over to the code for single arms. Components are ``(M, N)`` at
 fruit and ``(P, N)`` at poses, arms last. SI.
 """
 
