@@ -189,7 +189,7 @@ FEW = 200
 
 
 def study_verdict(config: study.StudyConfig, rows: Sequence[Row]) -> PageVerdict:
-    """The verdict: whether a way of making and calibrating arms suffices at its hardest payload, and the easiest such way.
+    """Whether a way of making and calibrating arms suffices at its hardest payload, and the least demanding such way.
 
     Args:
         config: The study.
@@ -355,7 +355,7 @@ def _word(row: Row) -> str:
 
 
 def varied(rows: Sequence[Row]) -> list[str]:
-    """Names of the `AXES` that take several values among calibrated settings (payload and grade: among all settings)."""
+    """Names of the `AXES` that take several values among calibrated settings (payload and grade: among all)."""
     calibrated = [row for row in rows if row["method"] != study.RAW]
     return [
         name for name in AXES if len({row[name] for row in (calibrated if name in ("poses", "noise_mm") else rows)}) > 1
@@ -436,7 +436,7 @@ def distributions(quantiles: Sequence[Row], radius_mm: float | None = None) -> F
 
 
 def tornado(sensitivities: Sequence[Row], setting: str) -> Figure:
-    """Figure of the tolerances that matter: shares of the variance between arms, per parameter and kind, with intervals.
+    """Figure of the tolerances that matter: shares of the variance between arms by parameter and kind, with intervals.
 
     Args:
         sensitivities: Rows of `sensitivities_of`.
