@@ -72,7 +72,7 @@ class LookingReach(ScriptedReach):
         raise NotImplementedError
 
     def _learn(self, rows: NDArray[np.intp], joints: Array, seen: Array) -> None:
-        """Learn that the arms ``rows`` stood at ``joints``, with tools that the camera saw at ``seen (rows, 3)`` on average, m."""
+        """Learn that the arms ``rows`` stood at ``joints``, their tools seen at ``seen (rows, 3)`` on average, m."""
         raise NotImplementedError
 
     def _note(self, reading: ObservationParts, camera: Array, arrived: NDArray[np.bool_]) -> None:

@@ -46,7 +46,7 @@ class Actor:
     record: Mapping[str, Any]
 
     def through_layers(self, values: Array, activation: str) -> Array:
-        """The last layer's output for inputs ``(..., inputs)``; ``activation`` is the function after all earlier layers."""
+        """The last layer's output for inputs ``(..., inputs)``; ``activation`` follows every earlier layer."""
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             values = values @ weight + bias
             if i + 1 < len(self.weights):
