@@ -51,7 +51,7 @@ COLUMNS = ("observations", "actions", "rewards", "terminations", "truncations")
 LICENCE = "MIT"
 CARD = "card.json"
 FORMAT = 1
-"""Version of the recorded content; data sets of another version are not kept."""
+"""Version of the recorded content; a data set of another version is refused."""
 
 
 def datasets(
