@@ -73,7 +73,7 @@ class Training:
 
     @property
     def chosen(self) -> dict[str, Any]:
-        """The tuned parameters, with those in ``parameters`` replaced."""
+        """The tuned parameters, overridden by the attribute ``parameters``."""
         return tuned(self.algorithm, self.env_id) | self.parameters
 
     @property
