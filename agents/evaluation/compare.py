@@ -1,4 +1,4 @@
-"""Two policies or more for the same seeded fruit: who ends nearer, where, by how much, and whether it picks more.
+"""Compare policies on the same seeded fruit: which ends nearer, where, by how much, and whether it picks more.
 
 A comparison of policies is written as a run folder: every episode, the table, one recording, one page, its figures.
 """
@@ -91,15 +91,15 @@ def compare(
         policies: Kinds, shipped ones, files, objects with ``act`` and ``reset``, or folders of comparisons, of which
             every policy takes part as it was recorded.
         env: Id of the environment; `info` must give tool and fruit positions (docs/recordings.md).
-        compensate: A calibration for each policy: "none", a file, a file and "#ls" for its least squares alone.
+        compensate: A calibration for each policy: "none", a file, or a file and "#ls" for its least squares alone.
         labels: Names for people, one for each policy; made from policies and calibrations when left out.
-        episodes: How many; of recorded runs as many as were recorded.
+        episodes: Number of episodes; recorded runs have as many as were recorded.
         seed: Seed of fruit and of policies that draw.
         gripper: Name or file of the gripper that says whether a reach picks.
         grid_step: Cell size of the error fields, m.
         allow: Reservations of calibrations to accept, by name.
         progress: Called with (stage, done, in all).
-        arguments: Further ones of the environment.
+        arguments: Further arguments of the environment.
 
     Raises:
         InputError: If something cannot be compared; one sentence says why.
@@ -259,7 +259,7 @@ def _recorded_policy(
 
 
 def _capture(judge: Gripper, tool: Pose, fruit: Array, error: Array) -> Array:
-    """Probability ``(E,)`` that the gripper takes each fruit, given true against wanted pose ``(E, 6)``."""
+    """Probability ``(E,)`` that the gripper takes each fruit, given the error of the true pose ``(E, 6)``."""
     aim = attitude_after(tool, -error[:, 3:])[..., 2]
     return capture_probability(judge, *misalignment(fruit - tool.position, tool.rotation[..., 2], aim))
 
@@ -299,7 +299,7 @@ SAME = ("env_id", "plant_name", "gripper", "seed", "seeds")
 
 
 def _joined(runs: Sequence[RecordedEpisodes]) -> RecordedEpisodes:
-    """Several comparisons for the same fruit as one."""
+    """Several comparisons for the same fruit, joined into one."""
     first = runs[0]
     for run in runs[1:]:
         for name in SAME:
@@ -320,7 +320,7 @@ def _joined(runs: Sequence[RecordedEpisodes]) -> RecordedEpisodes:
 
 
 def _lengthened(policy: RecordedPolicy, moments: int) -> RecordedPolicy:
-    """The same episodes with room for more moments: each stays at its last one, and nothing more is earned."""
+    """A policy's episodes lengthened to ``moments``: each stays at its last moment, and earns nothing more."""
     more = moments - policy.position_error_mm.shape[1]
     if not more:
         return policy
@@ -336,7 +336,7 @@ def _lengthened(policy: RecordedPolicy, moments: int) -> RecordedPolicy:
 def _command(
     policies: Sequence[Given], options: Mapping[str, Any], labels: Sequence[str], arguments: Mapping[str, Any]
 ) -> str:
-    """The command line that makes the same numbers; what no command line can say is named by its kind."""
+    """The command line that makes the same numbers; an object that no command line can give is named by its kind."""
 
     def word(value: Any) -> str:
         return str(value) if isinstance(value, str | Path | int | float) else f"<{type(value).__name__}>"

@@ -1,4 +1,4 @@
-"""The contenders of a comparison: policies with what stands between them and the arm, by the names that people give.
+"""The contenders of a comparison: policies and the compensators between them and the arm, by names that people give.
 
 A name on the command line stands for a kind of policy, a shipped one, a file, or a folder of trainings.
 """
@@ -34,10 +34,10 @@ class Kind:
     """A kind of policy.
 
     Attributes:
-        feedback: What it can use: "encoders", "camera".
+        feedback: Feedback that it can use: "encoders", "camera".
         sequential: Whether it learns from episode to episode.
         raw_only: Whether a compensator would only stand in its way.
-        files: Of a learned policy, one per training seed; else empty.
+        files: Files of a learned policy, one per training seed; else empty.
     """
 
     feedback: tuple[str, ...] = FEEDBACK
@@ -80,7 +80,7 @@ def kind_of(name: str) -> Kind:
 
 
 def load_any(name: str, arm: Arm | None = None) -> LearnedPolicy | RememberingPolicy:
-    """A shipped policy or a policy file, with or without a memory; errors as of `load_policy`."""
+    """A shipped policy or a policy file, with or without a memory; errors as for `load_policy`."""
     return load_remembering(name, arm) if remembers(name) else load_policy(name, arm)
 
 
@@ -88,9 +88,9 @@ def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw")
     """A maker of a policy for an environment, from a seed.
 
     Args:
-        name: Of a registered or shipped policy, or a policy file (.npz, or as `foreign_policy` takes it).
+        name: Name of a registered or shipped policy, or a policy file (.npz, or as `foreign_policy` takes it).
         camera_noise_mm: Noise that an adaptive policy expects, per axis.
-        compensation: What it stands behind.
+        compensation: Compensation that the policy stands behind.
     """
 
     def make(env: Any, seed: int) -> Policy:
@@ -140,7 +140,7 @@ def _kind_of_policy(policy: LearnedPolicy | RememberingPolicy) -> Kind:
 
 NONE = "none"
 LEAST_SQUARES = "ls"
-"""After a calibration's name and ``#``: its least squares alone, without what was learnt of the rest."""
+"""Word after a calibration's name and ``#`` that asks for its least squares alone, without its learnt residual."""
 
 Given: TypeAlias = str | Path | Policy
 """A policy: a kind, a shipped one, a file, or an object with ``act`` and ``reset``."""
@@ -152,8 +152,8 @@ class Contender:
 
     Attributes:
         label: Name for people.
-        make: Makes it for an environment, from a seed.
-        compensator: Stands between it and the arm; None for a raw arm.
+        make: Makes the policy for an environment, from a seed.
+        compensator: Compensator between the policy and the arm; None for a raw arm.
     """
 
     label: str
@@ -176,7 +176,7 @@ def contenders_of(
         policies: One or more; a calibration file among them stands for the scripted policy behind it.
         compensate: A calibration for each policy, in the same order: "none", a file, a file and "#ls" for its least
             squares alone, or a `Calibration`. One policy is taken with each of several, several with one.
-        labels: Names for people, one for each; made from policies and calibrations when left out.
+        labels: Names for people, one for each policy; made from policies and calibrations when left out.
         arm: The arm that calibrations must be of; None where the environment has none.
         camera_noise_mm: Noise that an adaptive policy expects, per axis.
         allow: Reservations of calibrations to accept, by name.
@@ -285,7 +285,7 @@ def _name(policy: Given) -> str:
 
 
 def _labels(policies: Sequence[str], stages: Sequence[str]) -> list[str]:
-    """Names that say what differs: the stage, the policy, or both."""
+    """Labels of contenders that say what differs between them: the stage, the policy, or both."""
     if len(policies) == 1:
         return [policies[0] if stages[0] == "raw" else stages[0]]
     if len(set(policies)) == 1:

@@ -28,7 +28,7 @@ def pick_canopies(policy: Any, envs: PickVectorEnv, seed: int | Sequence[int]) -
         seed: As `reset` takes it.
 
     Returns:
-        Arrays ``(N,)``: `FRUIT`, "steps" that the canopy took, and "reward", their sum.
+        Arrays ``(N,)``: `FRUIT`, "steps" that the canopy took, and "reward", the sum over these steps.
     """
     policy.reset()
     observation, _ = envs.reset(seed=seed)
@@ -48,11 +48,11 @@ def pick_canopies(policy: Any, envs: PickVectorEnv, seed: int | Sequence[int]) -
 
 
 LONGEST_EPISODE = 10_000
-"""Steps after which an episode counts as one without a time limit."""
+"""Number of steps after which an episode counts as having no time limit."""
 
 
 def episode_seeds(seed: int, count: int) -> tuple[int, ...]:
-    """Seeds of ``count`` evaluation episodes; no two seeds share one, nor any with a training."""
+    """Seeds of ``count`` evaluation episodes; they differ from those of any other ``seed`` and of any training."""
     return tuple(seed_words(stream(seed, "fruit"), count))
 
 
@@ -60,8 +60,8 @@ class Moment(NamedTuple):
     """The state of an episode after a reset or a step.
 
     Attributes:
-        reward: Of the step; 0 after the reset.
-        info: The environment's.
+        reward: Reward of the step; 0 after the reset.
+        info: The environment's info.
         target: Joints at which the controller believes the arm to be ``(n,)``; None where it does not tell.
     """
 
@@ -80,11 +80,11 @@ def moments_of(
     """Run one episode, moment by moment from the reset on.
 
     Args:
-        env: An environment; with its time limit, where ``steps`` is None.
+        env: An environment; it must have a time limit where ``steps`` is None.
         policy: The policy.
-        seed: Of the episode.
-        options: Of the reset.
-        steps: After which the episode is left.
+        seed: Seed of the episode.
+        options: Options of the reset.
+        steps: Number of steps after which the episode is left.
 
     Raises:
         InputError: If the episode does not end.
@@ -104,7 +104,7 @@ def moments_of(
 def run_episodes(
     env: gym.Env[Any, Any], policy: Policy, seeds: Sequence[int], progress: Callable[[int], None] | None = None
 ) -> list[list[Moment]]:
-    """Run one episode per seed and keep every moment; arguments and errors as of `run_reaches`."""
+    """Run one episode per seed and keep every moment; arguments and errors as for `run_reaches`."""
     if not seeds:
         raise InputError("there are no episodes to run; give at least one seed")
     episodes = []
@@ -123,7 +123,7 @@ def run_reaches(
     Args:
         env: A reach environment with its time limit.
         policy: The policy.
-        seeds: One per episode; the same seeds give the same fruit to every policy.
+        seeds: One seed per episode; the same seeds give the same fruit to every policy.
         progress: Called after each episode with the number done.
 
     Raises:

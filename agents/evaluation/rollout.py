@@ -30,8 +30,8 @@ class Rollout:
     """The ends of episodes on many arms, and the way there.
 
     Attributes:
-        reaches: Last steps, R of them.
-        arm: Number of each one's arm ``(R,)``.
+        reaches: Last steps of R episodes.
+        arm: Number of each episode's arm ``(R,)``.
         wanted_rotation: Wanted attitudes ``(R, 3, 3)``.
         error_mm: Distance between true tool and fruit after each step ``(steps, R)``.
     """
@@ -55,7 +55,7 @@ class Rollout:
 
 
 def per_arm(compensators: Sequence[Compensate], arm: ArrayLike) -> Compensate:
-    """A compensator for a vector environment whose rows are the arms ``arm (R,)``, each with one of its own."""
+    """A compensator for a vector environment whose rows are the arms ``arm (R,)``; each arm has its own compensator."""
     rows = np.asarray(arm)
 
     def corrected(joints: Array) -> Array:
@@ -88,7 +88,7 @@ def roll_out(
         arms: Number of arms of the population.
         episodes: Fruits per arm. Fruit, arms and camera noise depend on ``seed`` alone, so that runs can be paired.
         seed: Seed of the episodes and of the policy's own draws.
-        compensators: One per arm, or None for raw arms.
+        compensators: One compensator per arm, or None for raw arms.
         sequential: Whether each arm meets its fruit one after the other, for policies that learn from episode to
             episode.
         steps: Steps of an episode.

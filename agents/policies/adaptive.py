@@ -24,13 +24,13 @@ CALIBRATED_PRIOR = 0.2
 """Share of the parameters' tolerances that an adaptive policy expects to be left behind a calibration."""
 
 ARRIVED = 0.02
-"""The arm stands where its largest action is below this share of an increment."""
+"""Share of an increment; an arm whose largest action is below it counts as standing."""
 
 
 class LookingReach(ScriptedReach):
-    """Reach where a correction says, look while standing there, and learn from it when the next episode begins.
+    """Reach where a correction says, look while standing there, and learn from the pictures as the next episode begins.
 
-    Rows of a batch are arms. What is believed of them, and how it corrects and learns, is for others to say.
+    Rows of a batch are arms. Subclasses say what is believed of the arms, and how to correct and learn.
     """
 
     called = "remembering"
@@ -72,7 +72,7 @@ class LookingReach(ScriptedReach):
         raise NotImplementedError
 
     def _learn(self, rows: NDArray[np.intp], joints: Array, seen: Array) -> None:
-        """Take note that the arms ``rows`` stood at ``joints`` with their tools ``seen (rows, 3)``, m, on average."""
+        """Learn that the arms ``rows`` stood at ``joints``, their tools seen at ``seen (rows, 3)`` on average, m."""
         raise NotImplementedError
 
     def _note(self, reading: ObservationParts, camera: Array, arrived: NDArray[np.bool_]) -> None:
@@ -96,7 +96,7 @@ class AdaptiveReach(LookingReach):
         """Start the filters from the nominal arm.
 
         Args:
-            env: The environment, which gives it.
+            env: The environment, which gives the nominal arm.
             camera_std: Standard deviation per axis of what the camera sees, m.
             unmodelled_std: What the geometry cannot explain, m.
             prior: Standard deviation of a parameter before the first pick, in its tolerances; small for a calibrated
@@ -126,6 +126,6 @@ class AdaptiveReach(LookingReach):
 @register("policy", "adaptive")
 @with_traits(("camera",), sequential=True)
 def adaptive(env: Any, seed: int, *, camera_noise_mm: float = 0.0, compensation: str = "raw") -> Policy:
-    """The filter that expects this noise of the camera, and less of an arm behind a compensation."""
+    """An adaptive policy that expects this camera noise, and smaller arm errors behind a compensation."""
     prior = 1.0 if compensation == "raw" else CALIBRATED_PRIOR
     return AdaptiveReach(env, camera_std=camera_noise_mm * 1e-3, prior=prior)

@@ -33,20 +33,20 @@ TELLING: Mapping[str, tuple[str, str]] = {
     "clip_range": ("stable_baselines3", "PPO"),
     "gae_lambda": ("stable_baselines3", "A2C"),
 }
-"""A setting that only this algorithm, or it first in this order, keeps in its zip; and where the algorithm is."""
+"""For each setting by which a zip's algorithm is recognised, tried in this order: the algorithm's module and name."""
 
 RECURRENT = ("sb3_contrib", "RecurrentPPO")
-"""Of a zip whose policy's class is of a module for recurrent ones; its other settings are PPO's."""
+"""Module and name of the algorithm of a zip whose policy class is recurrent; its other settings are PPO's."""
 
 
 class Sb3Policy:
     """A model of Stable-Baselines3, acting without noise, on one observation or a batch.
 
-    A recurrent one remembers within an episode.
+    A recurrent model remembers within an episode.
 
     Attributes:
         model: The model.
-        scaling: Of one that was trained on `pickenv/ReachScaled-v0`: what it sees and what its actions mean.
+        scaling: For a model trained on `pickenv/ReachScaled-v0`, the scaling of its observations and actions.
     """
 
     def __init__(self, model: Any, scaling: Scaling | None = None) -> None:
@@ -125,14 +125,14 @@ def _checked(policy: Any, maker: str) -> Policy:
 
 @contextmanager
 def faults_in(path: Path, what: str) -> Iterator[None]:
-    """Say what somebody else's lines raise with their file and line.
+    """Report an error that somebody else's code raises with its file and line.
 
     Args:
-        path: The file that holds them.
+        path: The file that holds the code.
         what: What there is to mend.
 
     Raises:
-        InputError: In place of whatever they raise.
+        InputError: In place of any error that the code raises.
     """
     try:
         yield

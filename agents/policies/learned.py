@@ -30,7 +30,7 @@ class Actor:
     """The layers of a trained policy, and what it was trained for.
 
     Attributes:
-        algorithm: Its training's algorithm.
+        algorithm: Algorithm that it was trained with.
         arm: Name of the arm it was trained for.
         arm_fingerprint: Hash of that arm's nominal geometry.
         weights: One matrix ``(inputs, outputs)`` per layer.
@@ -46,7 +46,7 @@ class Actor:
     record: Mapping[str, Any]
 
     def through_layers(self, values: Array, activation: str) -> Array:
-        """The last layer's numbers for inputs ``(..., inputs)``; ``activation`` is that of the layers before."""
+        """The last layer's output for inputs ``(..., inputs)``; ``activation`` follows every earlier layer."""
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             values = values @ weight + bias
             if i + 1 < len(self.weights):
@@ -69,14 +69,14 @@ class Actor:
 def actor_parts(
     header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], inputs: int, outputs: int, others: int = 0
 ) -> dict[str, Any]:
-    """The attributes of an `Actor` that a file holds; raises anything at all where it holds none.
+    """The attributes of an `Actor` that a file holds; raises an error of any kind where it holds none.
 
     Args:
         header: The file's header.
         arrays: Its arrays.
         inputs: Numbers that the first layer takes.
         outputs: Numbers that the last one gives.
-        others: Arrays that are of no layer.
+        others: Number of arrays that belong to no layer.
     """
     layers = (len(arrays) - others) // 2
     weights, biases = (tuple(arrays[f"{name}{i}"].astype(float) for i in range(layers)) for name in ("weight", "bias"))
@@ -94,7 +94,7 @@ def actor_parts(
 
 AnyActor = TypeVar("AnyActor", bound=Actor)
 Parts = Callable[[Mapping[str, Any], Mapping[str, NDArray[Any]]], AnyActor]
-"""Makes a policy of a file's header and arrays; raises anything at all where they make none."""
+"""A function that makes a policy from a file's header and arrays; raises an error of any kind where it cannot."""
 
 
 def read_actor(name: str | Path, arm: Arm | None, kind: str, version: int, make: Parts[AnyActor]) -> AnyActor:
@@ -113,8 +113,8 @@ class LearnedPolicy(Actor):
     """A trained actor, acting without noise.
 
     Attributes:
-        scaling: What it sees, and what its actions are multiplied by.
-        activation: Of the hidden layers, of `ACTIVATIONS`.
+        scaling: Scaling of its observations, and of its actions.
+        activation: Activation of the hidden layers, one of `ACTIVATIONS`.
         squashed: Whether the last layer ends in a hyperbolic tangent; else actions are clipped.
     """
 
@@ -180,7 +180,7 @@ def policy_path(name: str | Path) -> Path:
 
 
 def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> LearnedPolicy:
-    """The policy that a file's parts make; raises anything at all where they make none."""
+    """The policy that a file's parts make; raises an error of any kind where they make none."""
     scaling: Scaling | ToolSteps
     if "increment" in header["scaling"]:  # a picking policy moves the tool of an arm that has a name
         scaling = ToolSteps(load_arm(header["arm"]).nominal, np.array(header["scaling"]["increment"], dtype=float))

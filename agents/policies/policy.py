@@ -61,7 +61,7 @@ class ObservationParts:
         believed: Believed tool position ``(..., 3)``, m.
         seen: Fruit position as the camera saw it ``(..., 3)``, m.
         offset: Fruit minus believed tool ``(..., 3)``, m.
-        turn: Wanted against believed attitude ``(..., 3)``, rad.
+        turn: Rotation vector from believed to wanted attitude ``(..., 3)``, rad.
         camera: Fruit minus true tool as the camera measures it ``(..., 3)``, m, or None without camera feedback.
     """
 
@@ -115,9 +115,9 @@ def camera_of(reading: ObservationParts, policy: str) -> Array:
 class ReachController:
     """The common part of policies that know the nominal arm: its geometry, and joint steps turned into actions.
 
-    Where readings or actions are late, what a reading says is the past, and whoever commands the whole gap from it
-    swings. Joints are then where this controller has sent them: the first reading and its own increments since. It
-    looks again when the arm has stood still for longer than anything is late.
+    Where readings or actions are delayed, a reading shows the past, and a policy that commands the whole gap from it
+    makes the arm swing. The controller then takes the joints to be where it has sent them: at the first reading plus
+    its own increments since. It reads again when the arm has stood still for longer than the delays.
     """
 
     def __init__(self, env: Any) -> None:
@@ -136,7 +136,7 @@ class ReachController:
         self._still: Any = 0
 
     def commanded(self, readings: Array) -> Array:
-        """Joints that the arm has been sent to ``(..., n)``, rad or m; the readings where nothing is late."""
+        """Joints that the arm has been sent to ``(..., n)``, rad or m; the readings where nothing is delayed."""
         if not self.lag:
             return readings
         if self._sent is None or self._sent.shape != readings.shape:
@@ -149,7 +149,7 @@ class ReachController:
 
     @property
     def settled(self) -> Any:
-        """Whether what is read now was read after the arm came to a stop ``(...)``; True where nothing is late."""
+        """Whether the present reading was taken after the arm had stopped ``(...)``; True where nothing is delayed."""
         return self._still > self.lag if self.lag else True
 
     def action(self, step: Array) -> NDArray[np.float32]:
@@ -167,7 +167,7 @@ class ReachController:
 
 
 COUNTS = 2e-5
-"""What encoders count in, halved, rad or m: a settled arm that reads farther from where it was sent is elsewhere."""
+"""Half an encoder count, rad or m: a settled arm whose reading is farther from its command is elsewhere."""
 
 STANDING = 1e-3
-"""Shares of the increments below which an arm is said to stand."""
+"""Share of an increment below which a joint step counts as standing still."""

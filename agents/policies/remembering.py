@@ -1,7 +1,7 @@
 """Policies that remember what the camera saw at past picks, and aim by it: learned calibration while picking.
 
-What they learnt on is `pickenv.wrappers.SameArm`: before each pick they say how far to aim beside the fruit. One that
-is recurrent (LSTM) sees the last pick and keeps a state, one with a window sees the last picks and weighs them by how
+They are trained on `pickenv.wrappers.SameArm`: before each pick they say how far to aim beside the fruit. A recurrent
+policy (LSTM) sees the last pick and keeps a state; a policy with a window sees the last picks and weighs them by how
 near they were (attention). Both are a few matrices in one verified file, run by NumPy; nothing in it is executed.
 """
 
@@ -25,7 +25,7 @@ from pickenv.wrappers.same_arm import scaled_joints
 REMEMBERING, REMEMBERING_FORMAT = "policy with a memory", 1
 
 HEADS = 4
-"""Ways in which a window's picks are weighed."""
+"""Number of attention heads: ways in which a window's picks are weighed."""
 
 STEEPEST = 20.0
 """Largest size of a weight's logarithm."""
@@ -35,7 +35,7 @@ WINDOW = ("near", "near_bias", "query", "key", "value", "value_bias")
 """Arrays of the two kinds of memory, inputs first."""
 
 State = tuple[Array, Array]
-"""Of a recurrent policy: what it puts out and what it keeps, ``(N, units)`` each."""
+"""State of a recurrent policy: its output and its cell, ``(N, units)`` each."""
 
 
 def attended(xp: Any, given: Mapping[str, Any], memory: PickMemory, seen: Any) -> Any:
@@ -91,11 +91,11 @@ class RememberingPolicy(Actor):
 
     @property
     def recurrent(self) -> bool:
-        """Whether it keeps a state."""
+        """Whether the policy keeps a state (LSTM) rather than a window."""
         return set(self.arrays) == set(LSTM)
 
     def begin(self, rows: int) -> State:
-        """The state of arms that have not picked yet; nothing of a policy with a window."""
+        """The state of ``rows`` arms that have not picked yet; an empty one for a policy with a window."""
         units = len(self.arrays["state"]) if self.recurrent else 0
         return np.zeros((rows, units)), np.zeros((rows, units))
 
@@ -104,7 +104,7 @@ class RememberingPolicy(Actor):
 
         Args:
             seen: Observations ``(N, inputs)`` of that wrapper.
-            state: From `begin`, or of the pick before.
+            state: State from `begin`, or after the pick before.
 
         Raises:
             InputError: If the observations have another length.
@@ -141,7 +141,7 @@ def load_remembering(name: str | Path, arm: Arm | None = None) -> RememberingPol
 
 
 def remembers(name: str | Path) -> bool:
-    """Whether a shipped baseline or a file is of a policy with a memory; False where it is no such file at all."""
+    """Whether a shipped baseline or a file holds a policy with a memory; False also where it is no policy file."""
     try:
         path = policy_path(name)
     except InputError:
@@ -176,7 +176,7 @@ class RememberingReach(LookingReach):
 
 
 def _policy_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> RememberingPolicy:
-    """The policy that a file's parts make; raises anything at all where they make none."""
+    """The policy that a file's parts make; raises an error of any kind where they make none."""
     kind = LSTM if "state" in arrays else WINDOW
     if not all(np.isfinite(arrays[name]).all() for name in kind):
         raise InputError("its memory holds numbers that are not finite")

@@ -65,7 +65,7 @@ class ScriptedReach(policy.ReachController):
 
 
 class RandomReach:
-    """Even random actions: what knowing nothing comes to."""
+    """Uniformly random actions: the result of knowing nothing."""
 
     def __init__(self, env: Any, rng: np.random.Generator) -> None:
         """``env``, single or vector, gives the actions' bounds, ``rng`` every draw."""
@@ -91,7 +91,7 @@ ITERATIONS = 6
 class OracleReach(ScriptedReach):
     """Solve the inverse kinematics of the true arm at rest, effects included, then drive there.
 
-    It knows neither how gaps lie nor how warm the arm is: effects with a state keep their share of the error.
+    It knows neither how gaps lie nor how warm the arm is, so effects with a state keep their share of the error.
     """
 
     def __init__(self, env: Any) -> None:
@@ -170,22 +170,22 @@ PICK_ARRIVED = 2e-4
 """A joint within this of its goal is there, m or rad."""
 
 PASSED = 10.0
-"""Places on the way count as reached within so many times that."""
+"""Factor on the arrival distance within which places on the way count as reached."""
 
 GENTLE = 0.75
-"""Share of the speed that bruises fruit at which the tool moves: it leaves room for swing and following error."""
+"""Tool speed as a share of the speed that bruises fruit; the rest is room for swing and following error."""
 
 HASTY: dict[str, Any] = {"settle": 0.0, "tool_speed": np.inf}
 """Arguments of `ScriptedPick` for full speed without waiting."""
 
 OUT, BELOW, AT = range(3)
-"""Places on the way to a fruit: below the last one, below this one, and there."""
+"""Places on the way to a fruit: below the last fruit, below this fruit, and at it."""
 
 
 class ScriptedPick(policy.ReachController):
-    """Comes to each fruit from below; `settle` seconds of standing still before it grasps.
+    """A policy that comes to each fruit from below, and stands still for `settle` seconds before it grasps.
 
-    Arguments are numbers, or one for each environment of a vector.
+    Each argument is one number, or one for each environment of a vector.
     """
 
     def __init__(
@@ -315,7 +315,7 @@ class _Arm:
 
 
 class ScriptedHarvest:
-    """Drives every slave through its planned picks; an arm goes out only where no arm that is out would be met."""
+    """A policy that drives every slave through its planned picks; an arm goes out only where it meets no other arm."""
 
     def __init__(self, env: Any) -> None:
         """Read the machine from ``env``, a `pickenv/Harvest-v0` of Gymnasium or PettingZoo, wrapped or not."""
@@ -352,7 +352,7 @@ class ScriptedHarvest:
         return dict(zip(observations, parts, strict=True))
 
     def _decoded(self, values: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """Joints, time left of each blade, fruit in the base frame, and whether each hangs in reach."""
+        """Joints, time left of each blade, fruit in the base frame, and whether each fruit hangs in reach."""
         machine, n = self.machine, self.machine.joints
         joints = machine.lower + (values[:n] + 1) / 2 * (machine.upper - machine.lower)
         slots = values[n + machine.arms :].reshape(-1, 4)
@@ -369,7 +369,7 @@ class ScriptedHarvest:
             arm.queue, arm.fruit = list(queue), None
 
     def _goal(self, i: int, arm: _Arm, here: Array, cutting: bool, hangs: NDArray[np.bool_]) -> Array:
-        """The next goal of slave ``i``; moves its phase on."""
+        """The next goal of slave ``i``; also advances its phase."""
         home, work = self.machine.slave_home, self._work
         if arm.fruit is None:
             if not arm.queue or work is None:
@@ -396,7 +396,7 @@ class ScriptedHarvest:
         return {"travel": below, "out": out, "rise": np.asarray(at)}[arm.phase]
 
     def _clear(self, i: int, fruit: int) -> bool:
-        """Whether no arm that is out would be met on the way to ``fruit``."""
+        """Whether the way of slave ``i`` to ``fruit`` is clear of all arms that are out."""
         assert self._work is not None
         return not any(
             arm.fruit is not None and arm.phase != "travel" and self._work.conflict[i, fruit, k, arm.fruit]
@@ -411,7 +411,7 @@ class ScriptedHarvest:
 @register("policy", "random")
 @policy.with_traits(("encoders",))
 def random(env: Any, seed: int) -> policy.Policy:
-    """Even random actions."""
+    """The policy of uniformly random actions."""
     return RandomReach(env, np.random.default_rng(seed))
 
 

@@ -1,7 +1,7 @@
 """Checkpoints from which training goes on as if it had never stopped: weights, optimisers, randomness, environments.
 
 A checkpoint is a container (`pickenv.base.container`): every byte is sealed, and the state inside it, tensors and plain
-values only, is read without executing code. Its header says which training it is of, and of which files.
+values only, is read without executing code. Its header names its training, and that training's files.
 """
 
 from __future__ import annotations
@@ -25,17 +25,17 @@ STATE = "state.pt"
 AGAIN = "start the training again"
 
 LIMIT = 1 << 35
-"""Bytes that a checkpoint may have (32 GiB): the replay buffer is in it."""
+"""Most bytes that a checkpoint may have (32 GiB); it includes the replay buffer."""
 
 BUFFER = ("actions", "rewards", "dones", "timeouts", "ep_start", "ep_length", "_current_ep_start")
-"""Arrays of a replay buffer, where it has them; observations come in one or two more."""
+"""Arrays that a replay buffer may have; observations are in one or two further arrays."""
 
 COUNTS = ("num_timesteps", "_n_updates", "_episode_num")
 PARTS = {
     *("parameters", "variables", "counts", "torch_random", "numpy_random", "action_random"),
     *("last", "starts", "env", "buffer", "memory"),
 }
-"""The parts of a state."""
+"""Names of the parts of a checkpoint's state."""
 
 
 Evaluations = list[dict[str, float]]
@@ -53,7 +53,7 @@ def save_checkpoint(
         model: The algorithm, between an update and the next rollout.
         env: Its environments.
         training: What is trained.
-        inputs: Which calibration and arms it was begun with.
+        inputs: The calibration and the arms that the training was begun with.
         evaluations: The evaluations so far.
     """
     name, keys, position, has_gauss, gauss = np.random.get_state(legacy=True)
@@ -77,7 +77,7 @@ def save_checkpoint(
 
 
 def read_checkpoint(path: Path) -> tuple[Training, Inputs, Evaluations, State]:
-    """What is trained, with which calibration and arms it was begun, the evaluations so far, and its state.
+    """The training in a checkpoint, the calibration and arms it was begun with, its evaluations so far, and its state.
 
     Nothing in the file is executed.
 
@@ -101,7 +101,7 @@ def read_checkpoint(path: Path) -> tuple[Training, Inputs, Evaluations, State]:
 
 
 def _is_a(value: Any, kind: Any) -> bool:
-    """Whether a value is of an annotated kind, such as int | None; what a list or a dict holds is not looked at."""
+    """Whether a value has an annotated type, such as int | None; the contents of a list or a dict are not checked."""
     kinds = get_args(kind) if isinstance(kind, UnionType) else (kind,)
     return type(value) in {get_origin(option) or option for option in kinds}
 
@@ -116,7 +116,7 @@ def check_checkpoint(path: str | Path) -> str | None:
 
 
 def take_checkpoint(path: Path, content: State, model: Any, env: Sb3Vec) -> None:
-    """Bring a freshly made training to where the checkpoint ``path``, whose state is given, was written.
+    """Bring a freshly made training to where the checkpoint ``path``, with the state ``content``, was written.
 
     Raises:
         InputError: If the state does not fit the training.
@@ -141,7 +141,7 @@ def take_checkpoint(path: Path, content: State, model: Any, env: Sb3Vec) -> None
 
 
 def _memory(model: Any) -> list[list[torch.Tensor]]:
-    """States of a recurrent policy's actor and critic; nothing of one that has none."""
+    """States of a recurrent policy's actor and critic; empty for any other policy."""
     return [[part.detach().clone() for part in parts] for parts in getattr(model, "_last_lstm_states", None) or ()]
 
 

@@ -51,7 +51,7 @@ COLUMNS = ("observations", "actions", "rewards", "terminations", "truncations")
 LICENCE = "MIT"
 CARD = "card.json"
 FORMAT = 1
-"""Version of what is recorded; more of another are not kept."""
+"""Version of the recorded content; a data set of another version is refused."""
 
 
 def datasets(
@@ -67,14 +67,14 @@ def datasets(
 
     Args:
         out: Folder of data sets; Minari finds them by name where MINARI_DATASETS_PATH names it.
-        tasks: Of "reach" and "pick".
-        qualities: Of "expert", "medium" and "random".
-        episodes: Of each; 256 reaches or 32 canopies if left out.
+        tasks: Any of "reach" and "pick".
+        qualities: Any of "expert", "medium" and "random".
+        episodes: Episodes of each data set; 256 reaches or 32 canopies if left out.
         seed: Seed of the episodes and of all that is drawn; no two seeds, tasks or qualities share any.
         progress: Called with (name, done, in all).
 
     Returns:
-        One card for each: name, environment, policy, seeds, steps, mean return and error, licence, versions and the
+        One card per data set: name, environment, policy, seeds, steps, mean return and error, licence, versions and the
         SHA-256 of its files.
 
     Raises:
@@ -127,7 +127,7 @@ def _kept_or_made(
 
 
 def _reaches(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
-    """Reaches of the vector environment, all at once."""
+    """Record reaches in the vector environment, all at once."""
     envs: Any = gym.make_vec(TASKS["reach"], num_envs=len(seeds), autoreset_mode="Disabled", executor="numpy")
     policy = load_policy("ppo_encoders", envs.unwrapped.task.plant.arm)
     observations, _ = envs.reset(seed=list(seeds))
@@ -148,7 +148,7 @@ def _reaches(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> It
 
 
 def _canopies(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
-    """Canopies, one after the other."""
+    """Record canopies, one after the other."""
     env = gym.make(TASKS["pick"])
     policy = ScriptedPick(env, **(HASTY if quality == "medium" else {}))
     for seed in seeds:
@@ -167,7 +167,7 @@ def _canopies(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> I
 
 
 def _write(folder: Path, name: str, episodes: Sequence[dict[str, Any]], card: dict[str, Any]) -> dict[str, Any]:
-    """A data set and its card, moved into place once both are whole."""
+    """Write a data set and its card, and move them into place once both are whole."""
     import minari
     from minari.data_collector import EpisodeBuffer
 
@@ -228,10 +228,10 @@ def _hashes(folder: Path) -> dict[str, str]:
 
 
 def _kept(folder: Path, asked: dict[str, Any]) -> dict[str, Any]:
-    """The card of a data set that is there, which is what is asked for and as it was written.
+    """The card of a data set that is in its folder, after checking that it is the one asked for, and unchanged.
 
     Raises:
-        InputError: If it is not.
+        InputError: If it is another one, or was changed.
     """
     otherwise = f"{folder} %s; take it away to have it made anew, or give another `out`"
     try:

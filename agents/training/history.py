@@ -17,11 +17,11 @@ from pickenv.agents.policies.remembering import HEADS, attended
 from pickenv.wrappers import MOST_SEEN, PickMemory
 
 WIDTH, MADE = 32, 16
-"""Numbers by which picks are compared, a multiple of `HEADS`, and numbers that are made of each beside its error."""
+"""How many numbers picks are compared by, a multiple of `HEADS`, and how many each pick gives beside its error."""
 
 
 def memory_of(space: spaces.Space[Any]) -> PickMemory:
-    """The layout of the observations of a `pickenv.wrappers.SameArm`; its largest shift is not among them."""
+    """The layout of the observations of a `pickenv.wrappers.SameArm`; it does not tell the largest shift."""
     assert space.shape is not None and isinstance(space, spaces.Box)
     window = int((space.high == MOST_SEEN).sum()) // 3
     return PickMemory((space.shape[0] - 4 * window) // (1 + window), window)
@@ -31,7 +31,7 @@ class HistoryFeatures(BaseFeaturesExtractor):
     """Features of the window's picks for the next one."""
 
     def __init__(self, observation_space: spaces.Box) -> None:
-        """See a window; the space is that of a `pickenv.wrappers.SameArm`."""
+        """Make the encoder for the observation space of a `pickenv.wrappers.SameArm` with a window."""
         memory = memory_of(observation_space)
         super().__init__(observation_space, memory.joints + HEADS * (3 + MADE) + 1)
         self.memory = memory
@@ -54,7 +54,7 @@ class HistoryFeatures(BaseFeaturesExtractor):
 
 
 class HistoryPolicy(ActorCriticPolicy):
-    """PPO's policy with these features."""
+    """PPO's policy with `HistoryFeatures`."""
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **{"features_extractor_class": HistoryFeatures, **named})

@@ -1,7 +1,7 @@
 """SAC and TQC policies that scale inside their networks, so that hindsight may exchange goals in the replay buffer.
 
-The buffer holds observations and actions as they were; the actor multiplies its output by the scaling's share of the
-very goal it sees, and the critics divide by it again. The entropy is that of the actor's own output.
+The buffer holds unscaled observations and actions; the actor multiplies its output by the scaling's share for the goal
+that it sees, and the critics divide actions by this share again. The entropy is that of the actor's own output.
 """
 
 from __future__ import annotations
@@ -49,7 +49,7 @@ def _scaling(module: Any) -> ScaledFeatures:
 
 
 class _ScaledActions:
-    """For actors: outputs are multiplied by the share."""
+    """Mixin for actors, whose outputs are multiplied by the share."""
 
     def forward(self, obs: Any, deterministic: bool = False) -> th.Tensor:
         """Actions."""
@@ -63,7 +63,7 @@ class _ScaledActions:
 
 
 class _ScaledValues:
-    """For critics: actions are divided by the share."""
+    """Mixin for critics, for which actions are divided by the share."""
 
     def forward(self, obs: Any, actions: th.Tensor) -> Any:
         """Values."""
@@ -71,23 +71,23 @@ class _ScaledValues:
 
 
 class SacActor(_ScaledActions, sac.Actor):
-    """SAC's actor."""
+    """SAC's actor with scaled actions."""
 
 
 class SacCritic(_ScaledValues, ContinuousCritic):
-    """SAC's critics."""
+    """SAC's critics with scaled actions."""
 
 
 class TqcActor(_ScaledActions, tqc.Actor):
-    """TQC's actor."""
+    """TQC's actor with scaled actions."""
 
 
 class TqcCritic(_ScaledValues, tqc.Critic):
-    """TQC's critics."""
+    """TQC's critics with scaled actions."""
 
 
 class _ScaledNetworks:
-    """For policies: they are made of `actor_kind` and `critic_kind`."""
+    """Mixin for policies, which are made of `actor_kind` and `critic_kind`."""
 
     actor_kind: type[Any]
     critic_kind: type[Any]
@@ -106,12 +106,12 @@ class _ScaledNetworks:
 
 
 class SacPolicy(_ScaledNetworks, sac.SACPolicy):
-    """SAC's policy."""
+    """SAC's policy with scaled networks."""
 
     actor_kind, critic_kind = SacActor, SacCritic
 
 
 class TqcPolicy(_ScaledNetworks, tqc.TQCPolicy):
-    """TQC's policy."""
+    """TQC's policy with scaled networks."""
 
     actor_kind, critic_kind = TqcActor, TqcCritic

@@ -43,7 +43,7 @@ class EverySoOften(BaseCallback):
         return True
 
     def _following(self) -> int:
-        """The multiple that comes after the present step, so that a resumed training keeps the beat."""
+        """The next multiple of the interval after the present step, so that a resumed training keeps the beat."""
         return (self.model.num_timesteps // self.steps + 1) * self.steps
 
 
@@ -55,7 +55,7 @@ def judged(
     policy: LearnedPolicy | RememberingPolicy,
     steps: int,
 ) -> dict[str, float]:
-    """Judge a policy, and add its row to those of the training and of its folder.
+    """Judge a policy, and add its row to the evaluations of the training and of its folder.
 
     Raises:
         InputError: If the files that the training was begun with have changed.

@@ -73,7 +73,7 @@ class Training:
 
     @property
     def chosen(self) -> dict[str, Any]:
-        """Tuned parameters with the replacements."""
+        """The tuned parameters, overridden by the attribute ``parameters``."""
         return tuned(self.algorithm, self.env_id) | self.parameters
 
     @property
@@ -91,7 +91,7 @@ class Training:
 
     @property
     def total(self) -> int:
-        """Environment steps in all."""
+        """Number of environment steps in all."""
         return self.steps or int(self.chosen["n_timesteps"])
 
 
@@ -128,7 +128,7 @@ def check_inputs(training: Training, begun: Inputs) -> None:
     """Refuse to go on with other files than a training was begun with.
 
     Raises:
-        InputError: If the calibration or the plant has changed or is missing; names it.
+        InputError: If the calibration or the plant has changed or is missing; the message names it.
     """
     restore = "put back what the training was begun with, or begin another in another folder (`out`)"
     if training.compensate is not None:
@@ -213,7 +213,7 @@ def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy | Rememb
 
 
 def memory_arrays(policy: Any) -> dict[str, Any]:
-    """Arrays by which a torch policy remembers, as `RememberingPolicy` has it."""
+    """The arrays of a torch policy's memory, as `RememberingPolicy` names them."""
     lstm = getattr(policy, "lstm_actor", None)
     if lstm is None:
         arrays = policy.features_extractor.given
@@ -223,7 +223,7 @@ def memory_arrays(policy: Any) -> dict[str, Any]:
 
 
 def judge(policy: LearnedPolicy | RememberingPolicy, training: Training) -> dict[str, float]:
-    """A policy without noise on held-out episodes of its own environment.
+    """Judge a policy, acting without noise, on held-out episodes of its own environment.
 
     Returns:
         Of reaching, mean_mm, p95_mm and success_rate at the end of 256 episodes, or over all picks of as many arms of a
@@ -251,7 +251,7 @@ def judge(policy: LearnedPolicy | RememberingPolicy, training: Training) -> dict
 
 
 def _picked(policy: RememberingPolicy, envs: SameArmVector) -> dict[str, Any]:
-    """Infos ``(picks, arms)`` of one run of every arm."""
+    """The infos of one run of every arm, as arrays ``(picks, arms)``."""
     observations, _ = envs.reset(seed=HELD_OUT)
     state, rows = policy.begin(envs.num_envs), []
     for _ in range(envs.run.picks):

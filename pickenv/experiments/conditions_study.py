@@ -1,8 +1,8 @@
 """How a calibration's accuracy changes with payload, temperature and hour of day: the future work of Qiao 2026.
 
 An arm is calibrated in two ways: as usual, at the reference (empty, cool, in the morning), and over sessions under
-other conditions, which are recorded. What is recorded can be an input of terms (payload: weight; temperature: growth)
-and of a learnt residual (payload, temperature, hour). All are judged on poses and conditions that no fit has seen.
+other conditions, which are recorded. The records can be inputs of terms (payload: weight; temperature: growth) and of a
+learnt residual (payload, temperature, hour). All calibrations are judged on poses and conditions that no fit has seen.
 
 The arm is moved to every pose from another one and held for a minute, so friction and backlash are in what is measured.
 """
@@ -31,9 +31,9 @@ from pickenv.experiments.engine import Experiment, Progress, Rows, joined, run
 from pickenv.inspect.reports.conditions_report import HELD_OUT
 
 HELD = 60.0
-"""s for which the arm is held before it is measured."""
+"""Time for which the arm stands at a pose before it is measured, s."""
 LEVELS = 5
-"""Levels of each condition that a calibration is judged at."""
+"""Number of levels of each condition at which a calibration is judged."""
 REFERENCE, BLIND, TOLD, TERMS, BOTH = (
     "calibrated at the reference",
     "over sessions, not told",
@@ -46,7 +46,7 @@ METHODS = ("raw", REFERENCE, BLIND, TOLD, TERMS, BOTH)
 
 @dataclass(frozen=True)
 class ConditionRanges:
-    """What may happen to an arm at work.
+    """Ranges of the conditions that an arm may meet at work.
 
     Attributes:
         payload: Largest mass held at the tool, kg.
@@ -61,16 +61,16 @@ class ConditionRanges:
 
 @dataclass(frozen=True)
 class ConditionsSettings:
-    """How much is measured.
+    """Settings of the study: conditions, arms and numbers of measurements.
 
     Attributes:
-        ranges: What may happen.
+        ranges: Ranges of the conditions.
         arms: Arms drawn from the tolerance class.
-        tolerances: The class.
+        tolerances: Name of the tolerance class.
         sessions: Training sessions, each under conditions of its own.
         poses: Poses of a session; at the reference an arm is measured at as many as in all sessions together.
         residual: Residual model by name.
-        seed: Of everything random.
+        seed: Seed of everything random.
     """
 
     ranges: ConditionRanges = ConditionRanges()
@@ -87,9 +87,9 @@ class State:
     """Conditions of poses, each ``(N,)``.
 
     Attributes:
-        payload: kg.
-        weather: Warmer than usual, K.
-        hour: Since the start of work, h.
+        payload: Mass held at the tool, kg.
+        weather: How much warmer than usual the day is, K.
+        hour: Time since the start of work, h.
     """
 
     payload: Array
@@ -98,12 +98,12 @@ class State:
 
     @staticmethod
     def same(count: int, **known: float) -> State:
-        """The reference, but for what is named."""
+        """The reference conditions at ``count`` poses, except for the conditions given in ``known``."""
         return State(*(np.full(count, known.get(name, 0.0)) for name in ("payload", "weather", "hour")))
 
     @staticmethod
     def drawn(ranges: ConditionRanges, sessions: int, poses: int, rng: np.random.Generator) -> State:
-        """Sessions, each with one state; its days are spread evenly over every range (a Latin hypercube)."""
+        """The states of random sessions, pose by pose; sessions spread evenly over every range (a Latin hypercube)."""
         share = (np.array([rng.permutation(sessions) for _ in range(3)]) + rng.random((3, sessions))) / sessions
         low = np.array([0.0, -ranges.weather, 0.0])[:, None]
         high = np.array([ranges.payload, ranges.weather, ranges.hours])[:, None]
@@ -121,13 +121,13 @@ def warming(plant: Plant) -> Plant:
 
 
 def rises(plant: Plant, state: State) -> Array:
-    """Temperature of the links above the reference ``(N,)``, K: the day's warm-up, and the weather."""
+    """Temperature of the links above the reference ``(N,)``, K: the day's warm-up plus the weather."""
     thermal = plant.effect("thermal_growth")
     return np.asarray(warmed(np, thermal, thermal.initial_rise, 3600.0 * state.hour) + state.weather)
 
 
 def under(plant: Plant, state: State) -> Plant:
-    """A plant that is in the state of each pose: one entry per pose where something changes."""
+    """The plant in the state of each pose; what the state changes has one entry per pose."""
     rise, tilt = rises(plant, state), plant.effect("base_tilt")
     changed = [replace(plant.effect("thermal_growth"), initial_rise=rise, final_rise=rise)]
     if tilt is not None:  # sunk as far as it is by then, and no further while a pose is measured
@@ -139,7 +139,7 @@ def under(plant: Plant, state: State) -> Plant:
 
 
 def measured_under(plant: Plant, state: State, rng: np.random.Generator) -> Measurements:
-    """What a tracker sees of the plant in these states, each pose reached from another, payload and heat recorded."""
+    """Tracker readings of the plant in these states, payload and heat recorded; each pose is reached from another."""
     nominal, count = plant.arm.nominal, len(state.payload)
     joints, before = random_joints(nominal, count, rng), random_joints(nominal, count, rng)
     machine = under(plant, state)
@@ -160,7 +160,7 @@ def measured_under(plant: Plant, state: State, rng: np.random.Generator) -> Meas
 
 @dataclass(frozen=True, eq=False)
 class Believed:
-    """A calibrated arm, and what its residual is told.
+    """A calibrated arm, and which inputs its learnt residual takes.
 
     Attributes:
         model: Geometry and terms.
@@ -173,7 +173,7 @@ class Believed:
     told: bool = False
 
     def errors_mm(self, data: Measurements, state: State) -> Array:
-        """What is left of the position at each pose ``(N,)``, mm."""
+        """Position errors that the calibration leaves at each pose ``(N,)``, mm."""
         errors = data.difference(self.model)[:, :3]
         if self.learnt is not None:
             errors = errors - self.learnt.predict(data.joints, told(data, state) if self.told else None)[:, :3]
@@ -188,7 +188,7 @@ def told(data: Measurements, state: State) -> Array:
 
 
 def calibrated(plant: Plant, settings: ConditionsSettings, rng: np.random.Generator) -> dict[str, Believed]:
-    """The arm believed in every way, each from as many poses."""
+    """The arm calibrated in every way, each from the same number of poses, by method."""
     arm, nominal = plant.arm, plant.arm.nominal
     apart = State.drawn(settings.ranges, settings.sessions, settings.poses, rng)
     varied, usual = measured_under(plant, apart, rng), measured_under(plant, State.same(len(apart.hour)), rng)
@@ -213,21 +213,21 @@ def calibrated(plant: Plant, settings: ConditionsSettings, rng: np.random.Genera
 
 
 def levels_of(ranges: ConditionRanges) -> dict[str, Array]:
-    """Levels of each condition that is varied; one whose range is zero is left out."""
+    """Levels of each varied condition, by name; a condition whose range is zero is left out."""
     ends = {"payload": (0.0, ranges.payload), "temperature": (-ranges.weather, ranges.weather)}
     ends["hour"] = (0.0, ranges.hours)
     return {name: np.linspace(low, high, LEVELS) for name, (low, high) in ends.items() if high > low}
 
 
 def state_at(condition: str, level: float, count: int) -> State:
-    """The reference with one condition at this level."""
+    """The reference conditions at ``count`` poses, with one condition at ``level``."""
     return State.same(count, **{"weather" if condition == "temperature" else condition: level})
 
 
 def judged_on(
     plant: Plant, believed: Mapping[str, Believed] | Calibration, settings: ConditionsSettings, rng: np.random.Generator
 ) -> Rows:
-    """What is left at new poses under held-out conditions: a row for each sweep, level, method and pose."""
+    """Errors left at new poses under held-out conditions: a row for each sweep, level, method and pose."""
     levels, count = levels_of(settings.ranges), 2 * settings.poses
     states = [(name, k, state_at(name, level, count)) for name in levels for k, level in enumerate(levels[name])]
     parts = []
@@ -249,12 +249,12 @@ def judged_on(
 def judged_arm(
     rng: np.random.Generator, arm: int, plants: Plant, settings: ConditionsSettings, calibration: Calibration | None
 ) -> Rows:
-    """One arm of those drawn, calibrated in every way; or the very arm of a calibration.
+    """Judge one drawn arm, calibrated in every way, or the very arm that a calibration is of.
 
     Args:
         rng: Not used: every arm has the stream of the study's seed and its number.
         arm: Its number.
-        plants: The arms, or the one.
+        plants: The drawn arms, or the one arm of the calibration.
         settings: What is measured.
         calibration: Judged instead of the calibrations made here.
     """
@@ -274,7 +274,7 @@ def conditions_study(
     """How accuracy changes with payload, temperature and hour, as numbers for table, figure and page.
 
     Args:
-        plant: The design, whose arms are drawn; or with a calibration the very arm.
+        plant: The design that arms are drawn from; with a calibration, the very arm that it is of.
         settings: What is measured.
         calibration: Judged instead of the calibrations made here.
         progress: Told the stage, how many arms are done, and of how many.

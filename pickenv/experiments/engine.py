@@ -5,7 +5,7 @@ is one such combination; it gives any number of rows. Everything that a piece dr
 alone, so that two levels of a factor meet the same arms, fruit and noise, and no backend changes a number.
 
 In a folder every piece is a Parquet file with a seal, named by the hash of all that its rows depend on: inputs, levels
-and the code that makes numbers. What stands there is not computed again; `check_experiment` verifies all of it.
+and the code that makes numbers. A piece that is there is not computed again; `check_experiment` verifies all.
 """
 
 from __future__ import annotations
@@ -58,11 +58,11 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 RECORD = "experiment.json"
-"""What a folder of pieces holds beside them: which there are, and of what."""
+"""File in a folder of pieces that lists them, with their keys and the versions that made them."""
 
 AGAIN = "run the experiment again, which makes it anew"
 ATTEMPTS = 4
-"""How often a piece is tried when the processes that work on it die."""
+"""Number of times a piece is tried when the processes that work on it die."""
 
 Levels = Mapping[str, Any]
 Columns = Mapping[str, NDArray[Any]]
@@ -91,14 +91,14 @@ class Rows:
         return self.columns[name]
 
     def where(self, **levels: Any) -> Rows:
-        """The rows at these levels; a tuple of levels takes the rows at any of them."""
+        """The rows at the given levels of columns; a tuple of levels selects the rows at any of them."""
         taken = np.ones(len(self), dtype=np.bool_)
         for name, level in levels.items() if self.columns else ():
             taken &= np.isin(self.columns[name], level if isinstance(level, tuple) else (level,))
         return Rows({name: values[taken] for name, values in self.columns.items()})
 
     def levels(self, *names: str) -> list[tuple[Any, ...]]:
-        """The combinations of levels of these columns, each once, in the order of their first rows."""
+        """The different combinations of levels of these columns, in the order of their first rows."""
         columns = [self.columns[name].tolist() for name in names] if self.columns else []
         return list(dict.fromkeys(zip(*columns, strict=True)))
 
@@ -122,12 +122,12 @@ class Rows:
 
     @staticmethod
     def of_arrow(table: pa.Table) -> Rows:
-        """The inverse of `arrow`."""
+        """Rows from a table that `arrow` made."""
         return Rows({name: _array_of(table.column(name).combine_chunks()) for name in table.column_names})
 
     @staticmethod
     def of(rows: Columns | Rows | Sequence[Mapping[str, Any]]) -> Rows:
-        """Rows of columns, or of one mapping per row.
+        """Make rows from columns, or from one mapping per row.
 
         Raises:
             ValueError: If columns differ in length, or rows in their names.
@@ -146,7 +146,7 @@ class Rows:
 
 
 def joined(parts: Sequence[Rows]) -> Rows:
-    """Rows one after the other; where a part lacks a column, or its arrays are shorter, NaN or empty text stands."""
+    """All parts as one; where a part lacks a column or has shorter arrays, NaN or empty text fills the gap."""
     filled = [part for part in parts if len(part)]
     names = dict.fromkeys(name for part in filled for name in part.columns)
     return Rows({name: _stacked([part.columns.get(name) for part in filled], list(map(len, filled))) for name in names})
@@ -173,16 +173,17 @@ class Experiment:
     """Units that are measured at every combination of factors.
 
     Attributes:
-        name: In file names and messages.
+        name: Name in file names and messages.
         units: What is drawn, and what an interval is over: names and values, such as ``{"arm": range(64)}``.
         factors: What is compared: names and levels, such as ``{"method": ("raw", "ls")}``.
         measure: Called with ``rng`` and one level of each unit and factor by name; gives rows: columns, or a mapping
-            for each. ``rng`` is the unit's own, and the same at every level of the factors. It must be a function of a
-            module, or a `functools.partial` of one, where other processes are to call it.
+            for each row. ``rng`` is the unit's own, and the same at every level of the factors. For other processes to
+            call it, it must be a function of a module, or a `functools.partial` of one.
         seed: Seed of everything random.
         inputs: What the rows depend on beside levels, seed and code: settings, plants, hashes of files; or a function
             of the levels that gives it.
-        fits: Called with one level of each unit and factor by name; says whether to measure them. All when left out.
+        fits: Called with one level of each unit and factor by name; says whether to measure this
+            combination. All are measured when it is left out.
     """
 
     name: str
@@ -219,7 +220,7 @@ class Experiment:
 
 
 def input_key(*inputs: Any) -> str:
-    """The hash of inputs and of the code that makes numbers: what is kept under it is not computed again."""
+    """The hash of inputs and of the code that makes numbers; a result kept under this hash is not computed again."""
     return content_sha256(*inputs, code_fingerprint())
 
 
@@ -229,7 +230,7 @@ class Piece:
 
     Attributes:
         levels: Level of each factor and unit by name.
-        place: Numbers of its units, which the piece's random numbers are drawn by.
+        place: Numbers of its units, which seed the piece's random numbers.
     """
 
     levels: Levels
@@ -251,7 +252,7 @@ def run(
     warn: Callable[[str], None] | None = None,
     refused: Refused | None = None,
 ) -> Rows:
-    """Measure what is not measured yet, and give all rows in the order of the pieces.
+    """Measure the pieces that are not measured yet, and return all rows in the order of the pieces.
 
     Args:
         experiment: What is measured.
@@ -285,7 +286,7 @@ def keep(
     warn: Callable[[str], None] | None = None,
     refused: Refused | None = None,
 ) -> list[Path]:
-    """Measure what a folder does not hold yet, and give the pieces' files in their order; arguments as of `run`.
+    """Measure the pieces that a folder lacks, and return the files of all pieces in order; arguments as for `run`.
 
     Rows pass through memory piece by piece; pyarrow reads the files as one data set of any size.
     """
@@ -327,7 +328,7 @@ def _computed(
     progress: Progress | None,
     refused: Refused | None,
 ) -> Iterator[tuple[int, Rows]]:
-    """Numbers of pieces to do and their rows, in any order; arguments as of `run`."""
+    """Compute the pieces in ``todo``: yield the number and the rows of each, in any order; arguments as for `run`."""
     done = len(pieces) - len(todo)
     for number, rows in spread(partial(_measured, experiment, pieces), todo, backend, workers):
         if isinstance(rows, Rows):
@@ -361,7 +362,7 @@ def kept_rows(folder: str | Path) -> Rows:
 
 
 def kept_tables(folder: str | Path) -> Iterator[tuple[Path, pa.Table]]:
-    """The pieces of an experiment's last run one by one, each verified; memory holds one.
+    """The file and the table of each piece of an experiment's last run, verified; only one at a time is in memory.
 
     Raises:
         InputError: As `kept_rows`.
@@ -373,7 +374,7 @@ def kept_tables(folder: str | Path) -> Iterator[tuple[Path, pa.Table]]:
 
 
 def _record_text(pieces: Mapping[str, str], last: Sequence[str], made_with: Mapping[str, str]) -> str:
-    """The only text that `RECORD` may hold: its own hash stands in it.
+    """The text of the `RECORD` file, which includes its own hash; no other text is accepted there.
 
     Args:
         pieces: Keys of pieces by file name.
@@ -386,7 +387,7 @@ def _record_text(pieces: Mapping[str, str], last: Sequence[str], made_with: Mapp
 
 
 def _write_record(folder: Path, pieces: Mapping[str, str], warn: Callable[[str], None] | None) -> None:
-    """Say what the folder holds: these pieces, and those of other runs that it held before."""
+    """Write the record of a folder: these pieces, and the pieces of earlier runs that are still in it."""
     path, before = folder / RECORD, dict[str, str]()
     try:
         before |= _read_record(path)["pieces"] if path.is_file() else {}
@@ -410,7 +411,7 @@ def _read_record(path: Path) -> dict[str, Any]:
 
 
 def write_piece(path: Path, rows: Rows, name: str, key: str) -> None:
-    """Write rows as one sealed file, whole or not at all; `read_piece` wants the same key."""
+    """Write rows as one sealed file, whole or not at all; `read_piece` needs the same key to read it."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -502,7 +503,7 @@ def write_rows(path: Path, rows: Rows | Sequence[Mapping[str, Any]]) -> Path:
     """Write rows as .csv or .parquet, whole or not at all; None is an empty cell.
 
     Raises:
-        InputError: If the suffix is another.
+        InputError: If the file has any other suffix.
     """
     if path.suffix not in (".csv", ".parquet"):
         raise InputError(f"cannot write {path}: give a file name that ends in .csv or .parquet")
@@ -518,7 +519,7 @@ def write_rows(path: Path, rows: Rows | Sequence[Mapping[str, Any]]) -> Path:
 
 
 def interval_words(ends: Sequence[float | None] | None, digits: int, scale: float = 1.0, sign: str = "") -> str:
-    """An interval: 0.12 to 0.34; an end that the units cannot bound is open; empty where there is no interval."""
+    """An interval in words: 0.12 to 0.34; an end that the units cannot bound is open; empty without an interval."""
     return " to ".join("open" if end is None else f"{scale * end:{sign}.{digits}f}" for end in ends or ())
 
 
@@ -536,11 +537,11 @@ def with_interval(
 def spread(
     work: Callable[[int], Any], numbers: Sequence[int], backend: str = "serial", workers: int | None = None
 ) -> Iterator[tuple[int, Any]]:
-    """Do some work for each number, and give (number, result) in any order.
+    """Do some work for each number, and yield (number, result) in any order.
 
     Args:
         work: What is done; a function of a module where other processes are to do it.
-        numbers: For what.
+        numbers: The numbers that ``work`` is called with.
         backend: As `run` takes it.
         workers: Processes; as many as there are cores, or as the cluster has, when None.
 
@@ -581,7 +582,7 @@ def spread(
 
 @contextmanager
 def _quietly_closed(results: Any) -> Iterator[None]:
-    """Let go of what nobody takes any more, as after a refused piece; joblib advises its users of it otherwise."""
+    """Drop results that nobody takes any more, as after a refused piece, without the warning that joblib would show."""
     try:
         yield
     finally:
@@ -593,7 +594,7 @@ def _quietly_closed(results: Any) -> Iterator[None]:
 
 @contextmanager
 def _working_on(backend: str, workers: int | None) -> Iterator[tuple[type[Exception], ...]]:
-    """The context in which joblib works on a backend; gives the errors that mean that a process died."""
+    """A context in which joblib works on a backend; its value is the errors which mean that a process died."""
     from joblib import parallel_config
     from joblib.externals.loky.process_executor import TerminatedWorkerError
 
@@ -619,7 +620,7 @@ def _working_on(backend: str, workers: int | None) -> Iterator[tuple[type[Except
 STARTS = 3
 """How often a local cluster is started before the work is given up: Ray waits 30 s, which a busy machine may pass."""
 ALONE = {"RAY_ENABLE_WINDOWS_OR_OSX_CLUSTER": "0", "RAY_AUTH_MODE": "token"}
-"""Environment of a cluster of one's own: on loopback (on Linux, too, Ray takes it then), and with a token for work."""
+"""Environment of a private Ray cluster: on loopback (with it, Ray does so on Linux, too), and with a token for work."""
 
 
 def _joined_ray(workers: int | None) -> Any:
@@ -678,7 +679,7 @@ def _numbered(work: Callable[[int], Any], number: int, driver: int) -> tuple[int
 
 @lru_cache(maxsize=1)
 def _end_with(driver: int) -> None:
-    """Let this worker end when its driver is killed; it would wait for ever for somebody to take its rows."""
+    """Make this worker end when its driver is killed; else it would wait for ever for somebody to take its rows."""
 
     def watch() -> None:
         while os.getppid() == driver:

@@ -1,4 +1,4 @@
-"""Experiments as files: what is drawn, what is compared, what measures it, and which numbers are made of the rows.
+"""Experiments as files: units to draw, factors to compare, a function that measures, and numbers to make of the rows.
 
 title = "What least squares leave"
 measure = "gains.py:left"                 # a function of a file beside this one, or of an installed "package:function"
@@ -69,7 +69,7 @@ def _is_named(value: Any) -> bool:
 
 
 LEAST_DRAWS = 39
-"""Draws of constants whose range holds another with 95 %."""
+"""Number of draws of constants whose range holds a further draw with probability 95 %."""
 
 FUNCTION = Check(_is_named, '"file.py:function" or "package.module:function"')
 
@@ -79,25 +79,25 @@ class Number:
     """One table of numbers, each with its interval.
 
     Attributes:
-        title: Above it, with the unit.
-        value: The column that they are of; several for a function of them.
+        title: Title above the table, with the unit.
+        value: The column that the numbers are made of; several for a function of several columns.
         by: Columns that name a number.
         over: One or two columns of units, which the intervals are over.
-        of: As `pickenv.base.intervals.estimate` takes it; a function is named.
+        of: What to estimate, as `pickenv.base.intervals.estimate` takes it; a function is given by its name.
         against: Levels that the others are compared with, pair by pair.
         where: Levels of the rows that count.
-        across: The column of ``by`` whose levels stand side by side; all in lines when left out.
-        margin: Differences whose whole interval lies within it "carry over"; a verdict stands beside each where given.
-        least: Fewest units for an interval of a mean, where they are runs whose means are nearly normal.
-        lost: Values above it are lost; their share stands beside the mean of the others.
+        across: The column of ``by`` whose levels stand side by side; when left out, every level has its own line.
+        margin: Differences whose whole interval lies within this margin "carry over"; where given, each has a verdict.
+        least: Fewest units for an interval of a mean, where the units are runs whose means are nearly normal.
+        lost: Values above this limit count as lost; their share stands beside the mean of the others.
         draws: The unit whose level 0 is a design as shipped and whose others are draws of its constants
             (`pickenv.arm.plant.plant_file.with_drawn_constants`): of a number that was measured at `LEAST_DRAWS` of
             them or more, the interval holds what another draw gives.
         spread: Whether the standard deviation and the range of the units' means are shown beside each number.
-        digits: After the point.
+        digits: Digits after the point.
         scale: Factor on what is shown, such as 100 for percent.
         exp: Whether what is shown is the exponential, of a function that gives a logarithm.
-        figure: Name of its figure; none when left out.
+        figure: Name of the table's figure; no figure when left out.
         x: The column of ``by`` that lines are drawn along in the figure; whiskers when left out.
         panels: The column of ``by`` whose levels have a panel each.
         log: Whether the figure's axis of numbers is logarithmic.
@@ -128,7 +128,7 @@ class Number:
 
 @toml_table
 class _File:
-    """The keys of a file."""
+    """The keys that an experiment's file may have."""
 
     _: KW_ONLY
     title: Annotated[str, WORD]
@@ -149,7 +149,7 @@ class ExperimentFile:
 
     Attributes:
         path: The file.
-        title: What it asks.
+        title: The question that the experiment asks.
         experiment: What is measured.
         numbers: What is made of its rows.
         functions: The functions that it names, by the words that name them.
@@ -194,7 +194,7 @@ class ExperimentFile:
 
 
 def _widen(rows: list[dict[str, Any]], measured: Rows, draws: str, asked: tuple[Any, ...]) -> None:
-    """Put intervals over draws of constants in the place of those over units, which stay beside them as "sampled".
+    """Replace intervals over units by intervals over draws of constants; the former stay in the row as "sampled".
 
     The least and the largest of K numbers hold a further one with probability (K - 1) / (K + 1), whatever they are
     distributed like.
@@ -219,7 +219,7 @@ def load_experiment(
     Args:
         path: The file (.toml).
         quick: Whether the values under its ``quick`` take the places of those of units, factors and settings.
-        seed: In place of its own.
+        seed: Seed that replaces the file's own.
         changes: Further values of units, factors and settings by name.
 
     Raises:
@@ -271,7 +271,7 @@ def load_experiment(
 
 
 def _measured(word: str, measure: Callable[..., Any], settings: Mapping[str, Any], **levels: Any) -> Rows:
-    """The rows that a function of somebody's own gives; what its lines raise is said with the line and the levels."""
+    """The rows that a user's function returns; an error that it raises is reported with the line and the levels."""
     levels_in_words = ", ".join(f"{name}={level!r}" for name, level in levels.items() if name != "rng")
     with faults_in(Path(inspect.getsourcefile(measure) or word), f"function, or leave out {levels_in_words}"):
         return Rows.of(measure(**levels, **settings))
@@ -299,7 +299,7 @@ def _function(path: Path, word: str) -> Callable[..., Any]:
 
 
 def _beside(file: Path) -> Any:
-    """A module beside an experiment's file, which processes that work on its pieces find as well."""
+    """Import a module that lies beside an experiment's file, so that processes which work on its pieces find it too."""
     folder = str(file.parent.resolve())
     if folder not in sys.path:
         sys.path.insert(0, folder)
@@ -322,7 +322,7 @@ def _beside(file: Path) -> Any:
 
 
 def _origin(function: Callable[..., Any]) -> str:
-    """What a function's code is known by: the hash of its file, and the version of the package that it is from."""
+    """An identifier of a function's code: the hash of its file, and the version of the package that it is from."""
     place = inspect.getsourcefile(inspect.unwrap(function))
     package = function.__module__.partition(".")[0]
     try:
@@ -333,7 +333,7 @@ def _origin(function: Callable[..., Any]) -> str:
 
 
 MADE = ("estimate", "units", "runs", "lost", "sampled")
-"""What a row of estimates has beside its levels."""
+"""Keys of a row of estimates other than its levels."""
 
 
 def plain_estimates(tables: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
@@ -360,7 +360,7 @@ def plain_estimates(tables: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]
 
 
 def held_by_seeds(by_seed: Sequence[Sequence[Mapping[str, Any]]]) -> list[tuple[str, int, int]]:
-    """How often the intervals of one seed hold the number of another, over all pairs of seeds.
+    """How often an interval from one seed contains the number from another seed, over all pairs of seeds.
 
     Two estimates differ by sqrt(2) of what one varies by, so that about 83 % of 95 % intervals are due.
 
@@ -389,7 +389,7 @@ def _levels_of(row: Mapping[str, Any]) -> tuple[Any, ...]:
 
 
 def number_table(number: Number, rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
-    """Heads and cells of one table of numbers; levels of ``across`` stand side by side."""
+    """The column heads and the cells of one table of numbers; levels of ``across`` stand side by side."""
     sign = "+" if number.against and number.of != "removed" else ""
     form = f"{sign}.{number.digits}f"
 

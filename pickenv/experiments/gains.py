@@ -1,8 +1,8 @@
-"""What models leave of rows that no fit saw, of simulated arms above all, and how much of it they remove.
+"""Errors that models leave on rows that no fit saw, mostly of simulated arms, and the share that they remove.
 
-A network interpolates between neighbours, so poses beside those it learnt from flatter it. Of blocks of a grid that are
-held out it removes little or nothing on measured arms; on a smooth simulated arm most. Units: m, rad; mm where names
-say so.
+A network interpolates between neighbours, so poses beside those it learnt from flatter it. On held-out blocks of a grid
+it removes little or nothing of a measured arm's errors, but most of a smooth simulated arm's. Units: m, rad; mm where
+names say so.
 """
 
 from __future__ import annotations
@@ -45,15 +45,15 @@ def left_by_models(
     attitudes: bool = False,
     **choices: Any,
 ) -> tuple[Squares, Result]:
-    """Errors on held-out rows of the nominal arm, of least squares, and of models upon them; no model is gated.
+    """Errors on held-out rows of the nominal arm, of least squares, and of models added to these; no model is gated.
 
     Args:
         arm: The arm.
         train: Rows that everything is fitted to.
         test: Rows held out.
         rng: Seeds what learns.
-        terms: Names, and the terms of each as `Choices` has them.
-        learnt: Names, and the residual model that each learns upon least squares.
+        terms: Names of the least-squares fits, and the terms of each as `Choices` has them.
+        learnt: Names of the learnt models, and the residual model that each adds to least squares.
         epochs: Passes of the paper's network; None for a network as `fit_remainder` has it by itself.
         attitudes: Whether residuals are learnt of attitudes too.
         choices: Further fields of `Choices`.
@@ -79,7 +79,7 @@ def left_by_models(
 def random_sets(
     plant: Plant, counts: Sequence[int], rng: np.random.Generator, instrument: str = TRACKER
 ) -> list[Measurements]:
-    """Sets of so many random poses each, as an instrument sees them (`simulated_tracker`)."""
+    """Sets of random poses, one for each of ``counts``, as an instrument sees them (`simulated_tracker`)."""
     nominal = plant.arm.nominal
     return [simulated_tracker(plant, random_joints(nominal, count, rng), rng, instrument) for count in counts]
 
@@ -96,17 +96,17 @@ ROWS, STEP, SEED = 400, 0.093, 20260
 """Points of the grid, their distance in m, and the seed of the joints that find the workspace's extent."""
 
 WRIST = 0.3
-"""At each point of the grid, joints that turn are moved by up to this, rad, and slides stay."""
+"""Largest random move of turning joints at each point of the grid, rad; slides stay."""
 
 FIELD = "field"
-"""The plant whose remainder is made as that of measured arms is."""
+"""Name of the plant whose remainder is made like the remainder of measured arms."""
 
 
 def grid_joints(nominal: Geometry, rows: int, rng: np.random.Generator) -> Array:
     """Joints ``(rows, n)`` of a grid of tool positions, line by line as a measuring run visits it, turned at each.
 
     Raises:
-        InputError: If the grid has fewer points.
+        InputError: If the grid has fewer than ``rows`` points.
     """
     joints = field_grid(nominal, STEP, SEED).joints
     first = (len(joints) - rows) // 2
@@ -118,7 +118,7 @@ def grid_joints(nominal: Geometry, rows: int, rng: np.random.Generator) -> Array
 
 
 def blocks_apart(rows: Measurements, pair: tuple[int, int]) -> tuple[Measurements, Measurements]:
-    """Rows to fit and rows of two of ten contiguous blocks, which are held out."""
+    """Rows to fit, and held-out rows: those in two of ten contiguous blocks."""
     judging = np.isin(np.arange(len(rows)) * BLOCKS // len(rows), pair)
     return rows.select(np.flatnonzero(~judging)), rows.select(np.flatnonzero(judging))
 
@@ -126,13 +126,13 @@ def blocks_apart(rows: Measurements, pair: tuple[int, int]) -> tuple[Measurement
 def left_of_blocks(
     arm: Arm, rows: Measurements, number: int, apart: int, rng: np.random.Generator, **models: Any
 ) -> dict[str, float]:
-    """RMS position errors that models leave of two blocks held out of a set, mm.
+    """RMS position errors that models leave on two held-out blocks of a set, mm, by model.
 
     Args:
         arm: The arm.
         rows: The set.
         number: Number of the set: every one has another pair of blocks.
-        apart: So many tenths the blocks lie apart.
+        apart: Distance between the two blocks, in tenths of the set.
         rng: Seeds what learns.
         models: Which models, as `left_by_models` takes them.
     """
@@ -144,7 +144,7 @@ def left_of_blocks(
 # What a network removes, as the demonstration shows it.
 
 ARMS = 5
-"""Arms of a design: they differ much in what a network gains on them."""
+"""Number of arms drawn from a design; several, since the gain of a network differs much between arms."""
 
 NETWORK: dict[str, Any] = {
     "terms": {LS: "none"},
@@ -154,19 +154,19 @@ NETWORK: dict[str, Any] = {
     "fit": "full",
     "frames": "fitted",
 }
-"""The paper's calibration and its network, base and tool fitted."""
+"""Models to compare: the paper's calibration and its network, with base and tool fitted."""
 
 
 @dataclass(frozen=True)
 class BlockedGain:
-    """What is left of rows far from those fitted, and how much of it a network removes.
+    """The error of least squares on rows far from those fitted, and the share of it that a model removes.
 
     Attributes:
         arm: Name of the arms.
-        ls_mm: What least squares leaves, mm RMS, mean.
-        removed: Share of it that a model removes, mean over arms, or over all rows of a measured one.
-        lowest: The least of any arm, or the lower 95 % end over ten blocks of a measured one; None where there is none.
-        highest: The largest, or the upper end.
+        ls_mm: Error that least squares leaves, mm RMS, mean over arms.
+        removed: Share of this error that a model removes, mean over arms, or over all rows of a measured arm.
+        lowest: The least share of any arm, or the lower 95 % end over ten blocks of a measured arm; None without one.
+        highest: The largest share, or the upper end.
     """
 
     arm: str
@@ -177,16 +177,16 @@ class BlockedGain:
 
 
 MEASURED = Path(__file__).with_name("measured_gains.json")
-"""What `pickenv bench calibration` found, as it writes it: arms, rows, folds and date."""
+"""File of results that `pickenv bench calibration` writes: gains with arms, rows, folds and date."""
 
 
 def measured_gains(model: str = "LS + BPNN") -> tuple[BlockedGain, ...]:
-    """How much of measured arms' errors a model removes, each contiguous fifth of a file held out of all fits in turn.
+    """Shares of measured arms' errors that a model removes; each contiguous fifth of a file is held out in turn.
 
     UR5 and WAM: Jacobi 2025; UR10: Landgraf et al. 2021. The models are not gated.
 
     Args:
-        model: Also "LS + GP" or "LS + terms".
+        model: "LS + BPNN", "LS + GP" or "LS + terms".
     """
     arms = json.loads(MEASURED.read_text(encoding="utf-8"))["arms"]
     return tuple(BlockedGain(arm["arm"], arm["ls_mm"], *arm["removed"][model]) for arm in arms)
@@ -198,12 +198,12 @@ def blocked_gains(
     arms: int = ARMS,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> list[BlockedGain]:
-    """How much of the errors on held-out blocks a network removes, on arms drawn from each design.
+    """Shares of the errors on held-out blocks that a network removes, on arms drawn from each design.
 
     Args:
-        designs: Plants by name, and the seed of arms, noise and networks of each.
+        designs: Names of plants, each with the seed of its arms, noise and networks.
         joints: Joint commands in the order in which they are measured ``(N, n)``, as from `grid_joints`.
-        arms: How many of each.
+        arms: Number of arms drawn from each design.
         progress: Told how many designs are done.
     """
     measure = partial(_left_on_design, designs=designs, joints=joints, arms=arms)
@@ -219,7 +219,7 @@ def blocked_gains(
 def _left_on_design(
     rng: np.random.Generator, design: str, designs: Mapping[str, np.random.SeedSequence], joints: Array, arms: int
 ) -> list[dict[str, float]]:
-    """What is left on each of some arms, one stream of random numbers after the other."""
+    """RMS errors that models leave on each of ``arms`` arms, one stream of random numbers after the other."""
     plant, rng = load_plant(design), np.random.default_rng(designs[design])
     population = draw_plants(plant, load_tolerances("medium"), arms, rng)
     sets = ((number, simulated_tracker(plant_at(population, number), joints, rng)) for number in range(arms))

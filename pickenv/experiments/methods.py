@@ -31,13 +31,13 @@ from pickenv.inspect.runs.recorded_episodes import Reaches, reaches_of
 from pickenv.wrappers import Compensate, CompensationVectorWrapper
 
 METHODS: tuple[str, ...] = ("raw", "ls", "ls_bpnn", "best")
-"""What is compared where nothing else is asked for."""
+"""Methods that are compared by default."""
 
 RESIDUALS = {"ls": None, "ls_bpnn": "bpnn", "best": "gp"}
-"""What methods with a name of their own add to least squares."""
+"""The residual model that each method with a name of its own adds to least squares."""
 
 ORIGIN = "evaluated_arm_sha256"
-"""In a kept calibration's record: hash of the arm and of how it was calibrated."""
+"""Key in a kept calibration's record: the hash of the arm and of how it was calibrated."""
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class CalibrationPlan:
         residual_poses: Poses for the residual model (the paper: 200).
         epochs: Passes of the network's training (the paper: 500).
         seed: Seed of poses, noise and networks; every arm has its own stream.
-        instrument: What measures them; one of `pickenv.arm.shipped_instruments`, or a path.
+        instrument: Instrument that measures the poses; one of `pickenv.arm.shipped_instruments`, or a path.
     """
 
     identification_poses: int = 100
@@ -78,7 +78,7 @@ def calibrate_arm(plant: Plant, method: str, plan: CalibrationPlan | None = None
     Args:
         plant: The arm.
         method: "ls", "ls_bpnn", "best", or "ls+" and the name of a registered residual model, such as "ls+rbf".
-        plan: How it is measured and fitted; a `CalibrationPlan` as it is by itself if left out.
+        plan: How the arm is measured and fitted; a default `CalibrationPlan` if left out.
         number: The arm's number in a population; every arm has its own poses and noise.
 
     Raises:
@@ -104,12 +104,12 @@ def calibrate_arm(plant: Plant, method: str, plan: CalibrationPlan | None = None
 
 
 def residual_of(method: str) -> str | None:
-    """The residual model that a method adds to least squares; None of "raw" and "ls"."""
+    """The residual model that a method adds to least squares; None for "raw" and "ls"."""
     return RESIDUALS.get(method, method.partition("+")[2] or None)
 
 
 def sources_of(method: str, plan: CalibrationPlan) -> tuple[Any, ...]:
-    """What names alone do not say: where a method's residual model is from, and the numbers of the instrument."""
+    """Inputs that names alone do not fix: the source of a method's residual model, and the instrument's numbers."""
     residual = residual_of(method)
     return None if residual is None else str(origin("residual", residual)), load_instrument(plan.instrument)
 
@@ -118,12 +118,12 @@ def sources_of(method: str, plan: CalibrationPlan) -> tuple[Any, ...]:
 
 
 def kept_calibration(folder: Path, plant: Plant, method: str, plan: CalibrationPlan, number: int) -> Calibration:
-    """The calibration of an arm from a folder, where it is made if it is not there; arguments as of `calibrate_arm`.
+    """The calibration of an arm from a folder, made and kept there if it is missing; arguments as for `calibrate_arm`.
 
     A file belongs to the arm's own numbers, to the plan and to the code that fits; its record says so as well.
 
     Raises:
-        InputError: If the kept file is damaged, or of another arm or plan than its name says.
+        InputError: If the kept file is damaged, or belongs to another arm or plan than its name says.
     """
     key = input_key(plant, method, sources_of(method, plan), plan, number)
     path = folder / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', plant.name)}-{method}-{key[:16]}.npz"
@@ -174,7 +174,7 @@ def reaches_behind(
 
     Args:
         act: Takes observations of all episodes at once, ``(N, ...)`` or a dict of them, and gives actions ``(N, n)``.
-        compensations: Methods as of `calibrate_arm`, and "raw"; each calibrates the arm anew with a simulated tracker.
+        compensations: Methods as for `calibrate_arm`, and "raw"; each calibrates the arm anew with a simulated tracker.
         id: A reach environment with a native vector.
         plant: The arm as it is.
         episodes: N, one fruit each.

@@ -38,16 +38,16 @@ from pickenv.inspect.runs.run_folder import listed_files
 from pickenv.orchard import load_gripper
 
 RUNG = "rung:"
-"""Before the name of a rung of the ladder, where a plant's may stand."""
+"""Prefix of a ladder rung's name, where a plant's name may stand as well."""
 
 CYCLE_MM = 2.0
-"""Radius within which a cycle is over, for the cycle time."""
+"""Distance to the fruit within which a cycle counts as over, mm, for the cycle time."""
 
 PICK_PLANT = "field"
 """Plant of the picking task."""
 
 PICKERS: Mapping[str, Callable[[Any], Policy]] = {"scripted": ScriptedPick, "hasty": partial(ScriptedPick, **HASTY)}
-"""Who picks: gently and after waiting for the arm to settle, and neither."""
+"""The picking policies by name: one is gentle and waits for the arm to settle, the other does neither."""
 
 LONGEST_CANOPY = 400
 """Steps after which a canopy is left, as in `pickenv/Pick-v0`."""
@@ -55,14 +55,14 @@ LONGEST_CANOPY = 400
 
 @dataclass(frozen=True)
 class PolicySettings:
-    """What is compared.
+    """Settings of a comparison of policies.
 
     Attributes:
         policies: Names of registered policies or of shipped baselines, policy files, or folders of one training with
             several seeds.
-        compensations: Methods as of `calibrate_arm`, and "raw".
+        compensations: Methods as for `calibrate_arm`, and "raw".
         feedback: "encoders" (open loop) and "camera".
-        plants: Plant presets; or "rung:orchard" and so on: a rung of the ladder of Reach with its arms to be judged on,
+        plants: Plant presets; or "rung:orchard" and so on: a rung of the ladder of Reach with its own arms for judging,
             the same for every seed.
         grippers: Names of grippers.
         arms: Arms drawn for each plant and seed.
@@ -70,7 +70,7 @@ class PolicySettings:
         seeds: Seeds of arms, fruit, pictures and calibrations.
         tolerances: Class of the arms' tolerances.
         camera_noise_mm: Standard deviation per axis of the camera's view of the gap.
-        fruit_noise_mm: The same for the fruit's position.
+        fruit_noise_mm: Standard deviation per axis of the fruit's position as seen.
         plan: How arms are calibrated; its seed is the comparison's.
         canopies: Canopies that each of `PICKERS` clears with each arm.
     """
@@ -103,7 +103,7 @@ class PolicySettings:
         check_limit("epochs", self.plan.epochs, "epochs")
 
     def world(self, plant: str, seed: int, feedback: str = "encoders") -> dict[str, Any]:
-        """Arguments of `pickenv/Reach-v0`: of a plant whose arms the seed draws, or of a rung of the ladder.
+        """Arguments of `pickenv/Reach-v0` for a plant whose arms the seed draws, or for a rung of the ladder.
 
         Raises:
             InputError: If there is no such rung, or it has fewer arms.
@@ -118,18 +118,18 @@ class PolicySettings:
         return own | {name: value for name, value in fixed.items() if name not in ("arms", "population")}
 
     def population(self, plant: str, seed: int) -> Plant:
-        """The arms of a plant that a seed draws, as the environments draw them; of a rung, its own."""
+        """The arms of a plant that a seed draws, as the environments draw them; for a rung, the rung's own arms."""
         world = self.world(plant, seed)
         draws = np.random.default_rng(world["population_seed"])
         return draw_arms(world["plant"], world["tolerances"], self.arms, draws)
 
     def levels(self, name: str) -> tuple[Any, ...]:
-        """What one of the fields names, each once."""
+        """The values of the field ``name``, without repeats."""
         return tuple(dict.fromkeys(getattr(self, name)))
 
 
 def population_seed(seed: int) -> int:
-    """The seed of a comparison's arms, given its own."""
+    """The seed of the arms of a comparison, from the seed of the comparison."""
     return seed_words(stream(seed, "arms"), 1)[0]
 
 
@@ -151,8 +151,8 @@ def run_policies(
         folder: Where rows are kept for the next time, or None.
         task: "reaching", for every policy with every feedback that it can use; "picking", where each of `PICKERS`
             clears canopies of `pickenv/Pick-v0` with the arms of `PICK_PLANT`, the same for every compensation.
-        cache: Where calibrations are kept for the next time; in the former's "calibrations", or nowhere, when None.
-        backend: Who computes, as of `pickenv.experiments.run`.
+        cache: Where calibrations are kept for the next time; when None, in "calibrations" below ``folder``, if given.
+        backend: Where pieces are computed, as for `pickenv.experiments.run`.
         workers: Processes.
         progress: Called with (stage, done, in all).
         fits: Called with plant, compensation, policy, seed and so on by name: whether that is measured.
@@ -184,7 +184,7 @@ def run_policies(
 
 
 def _calibrations(settings: PolicySettings, kept: Path, experiment: Experiment) -> Experiment:
-    """The arms that an experiment is to be run with, calibrated and kept one by one."""
+    """The experiment that calibrates, and keeps one by one, the arms of another experiment."""
     populations = {tuple(piece.levels[name] for name in BEHIND) for piece in experiment.pieces()}
     return Experiment(
         f"calibrations, {experiment.name}",
@@ -196,7 +196,7 @@ def _calibrations(settings: PolicySettings, kept: Path, experiment: Experiment) 
 
 
 BEHIND = ("plant", "compensation", "seed")
-"""What tells one calibrated population from another."""
+"""Levels that tell one calibrated population from another."""
 
 
 def _calibrated(settings: PolicySettings, kept: Path, *, rng: np.random.Generator, arm: int, **behind: Any) -> Columns:
@@ -220,7 +220,7 @@ def _inputs(
     seed: int,
     **_: Any,
 ) -> tuple[Any, ...]:
-    """What a piece's rows depend on beside its levels; another policy or seed changes none of it."""
+    """The inputs that a piece's rows depend on beside its levels; other policies or seeds do not change them."""
     learned = kinds[policy].files if policy in kinds else ()
     files = [path for name in learned for path in (Path(name), BASELINES / f"{name}.npz") if path.is_file()]
     return (
@@ -272,7 +272,7 @@ def _reaching(settings: PolicySettings, kept: Path, fits: Callable[..., bool]) -
 
 
 def _entrant(name: str) -> Kind:
-    """What kind of policy a name stands for; with what feedback one of somebody else's making can be run is tried."""
+    """The kind of policy that a name stands for; which feedback a foreign policy can use is found by trying."""
     kind, able, refusal = kind_of(name), [], ""
     if len(kind.feedback) == 1:
         return kind
@@ -292,7 +292,7 @@ def _reaches(
     settings: PolicySettings, kinds: Mapping[str, Kind], kept: Path, *, rng: np.random.Generator, plant: str,
     compensation: str, feedback: str, policy: str, seed: int, training: int,
 ) -> Columns:  # fmt: skip
-    """The episodes of one policy; they draw as the environments do, and not from ``rng``."""
+    """The episodes of one policy; their random numbers are drawn by the environments, not from ``rng``."""
     kind, population = kinds[policy], settings.population(plant, seed)
     world = settings.world(plant, seed, feedback)
     noise = float(np.hypot(world["camera_noise_mm"] or settings.camera_noise_mm, world["fruit_noise_mm"]))
@@ -355,7 +355,7 @@ def _picks(
     arm: int,
     **behind: Any,
 ) -> list[dict[str, Any]]:
-    """What one picker does with one arm and gripper, over all its canopies."""
+    """Results of one picker with one arm and gripper, over all its canopies."""
     seed, steps, collected, grasps = behind["seed"], 0, 0, []
     env = PickEnv(
         plant=behind["plant"],

@@ -1,4 +1,4 @@
-"""Compared policies on screens and in files: tables, pages, figures, run folders, all made of rows by `estimate`."""
+"""Tables, pages, figures and run folders of compared policies, all made from rows by `estimate`."""
 
 from __future__ import annotations
 
@@ -39,36 +39,36 @@ from pickenv.inspect.runs.matters import gripper_curves
 from pickenv.inspect.runs.run_folder import TakePicture, recorded_run, unedited
 
 EPISODES = "episodes.parquet"
-"""An evaluation's episodes in its run folder, a row each."""
+"""File in an evaluation's run folder that holds its episodes, one row each."""
 
 ROWS = "rows.json"
-"""Its table there, for people and other programs."""
+"""File in an evaluation's run folder that holds its table, for people and other programs."""
 
 CELL = ("policy", "compensation", "feedback", "plant")
-"""What a number is of."""
+"""Columns whose levels say what a number of the table belongs to."""
 
 KEYS = (*CELL, "gripper")
 
 HEADS = ("mean (mm)", "95 % interval (mm)", "median arm (mm)", "95th arm (mm)", "success (%)", "cycle (s)")
-"""What stands beside `KEYS`; an interval where the number has none of its own column follows in brackets."""
+"""Heads of the columns beside `KEYS`; an interval without a column of its own follows its number in brackets."""
 
 STATISTICS: Mapping[str, str | float] = {"mean": "mean", "median arm": 0.5, "95th percentile arm": 0.95}
 
 
 def estimates(rows: Rows, value: str, of: str | float = "mean", by: Sequence[str] = CELL) -> dict[Any, Estimate]:
-    """Numbers over arms, and over trainings where there are several, by the levels of some columns."""
+    """Estimates over arms, and over trainings where there are several, by the levels of the columns ``by``."""
     over = ("arm", "training") if "training" in rows.columns and of != "interquartile" else ("arm",)
     lines = estimate(rows.columns, value, by=by, over=over, of=of)
     return {tuple(line[name] for name in by): line["estimate"] for line in lines}
 
 
 def cell_of(rows: Rows, key: Sequence[Any], by: Sequence[str] = CELL) -> Rows:
-    """The rows at these levels."""
+    """The rows whose columns ``by`` are at the levels ``key``."""
     return rows.where(**dict(zip(by, key, strict=True)))
 
 
 def grippers_of(rows: Rows) -> tuple[str, ...]:
-    """The grippers that rows have chances of."""
+    """Names of the grippers for which the rows have chances of taking the fruit."""
     return tuple(name.removeprefix("chance_") for name in rows.columns if name.startswith("chance_"))
 
 
@@ -76,7 +76,7 @@ def grippers_of(rows: Rows) -> tuple[str, ...]:
 
 
 def evaluation_content(settings: PolicySettings, rows: Rows) -> dict[str, Any]:
-    """The table of an evaluation and what each compensation is worth, for JSON."""
+    """The table of an evaluation and the comparison of its compensations, for JSON."""
     return {"rows": evaluation_rows(settings, rows), "comparisons": compensations_compared(rows)}
 
 
@@ -117,7 +117,7 @@ def evaluation_rows(settings: PolicySettings, rows: Rows) -> list[dict[str, Any]
 
 
 def compensations_compared(rows: Rows) -> list[dict[str, Any]]:
-    """Every compensation against each before it, pair by pair."""
+    """Comparisons of every compensation with each one listed before it, pair by pair."""
     steps, names = [behind for (behind,) in rows.levels("compensation")], ("policy", "feedback", "plant")
     pairs = {}
     for number, base in enumerate(steps):
@@ -135,7 +135,7 @@ def compensations_compared(rows: Rows) -> list[dict[str, Any]]:
 
 
 def cells_of(row: Mapping[str, Any]) -> list[str]:
-    """What people are shown of a row: `KEYS` and `HEADS`."""
+    """The cells of a row as people are shown them: those of `KEYS` and of `HEADS`."""
     trained = {None: "", 1: " (one training)"}.get(row["trainings"], f" ({row['trainings']} trainings)")
     return [
         f"{row['policy']}{trained}",
@@ -191,7 +191,7 @@ def read_episodes(run: Run) -> Rows:
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
-    """The page of an evaluation: what each compensation is worth, every cell with its interval, figures."""
+    """The page of an evaluation: its compensations compared, every cell with its interval, and figures."""
     path = unedited(run, ROWS)
     with refusing_damage(path, "an evaluation's table", f"`{run.made_by}` makes it anew"):
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -301,10 +301,10 @@ def cycle_figure(rows: Rows, plant: str) -> Figure:
 # The leaderboard: interquartile means over the arms of several seeds (Agarwal et al. 2021), a table for each task.
 
 LEAST_SEEDS = 5
-"""Fewest seeds of a leaderboard."""
+"""Fewest seeds that a leaderboard may have."""
 
 ARMS_OF_RUNGS = 16
-"""Arms of a rung, which all seeds share."""
+"""Number of arms of a rung; all seeds share them."""
 
 LEADERBOARD = PolicySettings(
     policies=("scripted", "servo", "adaptive", *shipped_baselines()), plants=("qiao2026", "field"), arms=2, episodes=16,
@@ -326,7 +326,7 @@ def rungs(names: Sequence[str]) -> tuple[str, ...]:
 
 
 def run_leaderboard(settings: PolicySettings, folder: Path, **how: Any) -> list[dict[str, Any]]:
-    """Run what was not run yet, and give the rows of all tasks; arguments as of `run_policies`.
+    """Run the parts that were not run yet, and return the rows of all tasks; arguments as for `run_policies`.
 
     Raises:
         InputError: If there are too few seeds, or as `run_policies` does.
@@ -350,7 +350,7 @@ def reaching_rows(rows: Rows) -> list[dict[str, Any]]:
 
 
 def picking_rows(rows: Rows) -> list[dict[str, Any]]:
-    """One row per picker and compensation, best picks per hour with the first gripper first."""
+    """One row per picker and compensation, ordered by picks per hour with the first gripper, the most first."""
     by = ("policy", "compensation", "gripper")
     rates = estimates(rows, "picks_per_hour", by=by)
     table = []
@@ -384,7 +384,7 @@ def _board_row(
 
 
 def leaderboard_heads(row: Mapping[str, Any]) -> list[str]:
-    """Heads of the table that a row belongs to: `WORDS`, then numbers."""
+    """Column heads of the table that a row belongs to: `WORDS`, then the numbers."""
     rates = [f"picks per hour, {name}" for name in row.get("picks_per_hour", {})]
     success = (f"success, {name}" for name in row["success_by_gripper"])
     mean = "mean (mm) at the grasp" if rates else "mean (mm)"
@@ -392,7 +392,7 @@ def leaderboard_heads(row: Mapping[str, Any]) -> list[str]:
 
 
 def leaderboard_cells(row: Mapping[str, Any]) -> list[str]:
-    """What people are shown of a row, in the order of its heads."""
+    """The cells of a row as people are shown them, in the order of its heads."""
     rates, ends = row.get("picks_per_hour", {}), row.get("picks_per_hour_ci95", {})
     return [
         *(row["policy"], row["feedback"], policy_label(row["compensation"]), f"{row['mean_mm']:.3f}"),
@@ -404,7 +404,7 @@ def leaderboard_cells(row: Mapping[str, Any]) -> list[str]:
 
 
 def leaderboard_tables(rows: Sequence[Mapping[str, Any]]) -> str:
-    """The tables in Markdown, one per task."""
+    """The leaderboard's tables in Markdown, one per task."""
     parts = []
     for task, group in groupby(rows, lambda row: row["task"]):
         table = list(group)

@@ -1,4 +1,4 @@
-"""What `pickenv bench calibration` hands over: rows for programs (JSON), tables for people (Markdown)."""
+"""The output of `pickenv bench calibration`: rows for programs (JSON), and tables for people (Markdown)."""
 
 from __future__ import annotations
 
@@ -32,10 +32,11 @@ def bench_json(bench: Bench) -> dict[str, Any]:
     """Every row in one format; reductions are fractions, None where there is no such figure.
 
     Keys of a row: "table" ("gains", "best" or "peers"), "robot", "split" ("random", "blocks" or "poses"), "model",
-    "nominal_mm" (base and tool fitted), "held_out_mm", "published_mm" (a mean, of others), "measured_reduction" (of
-    what "before" names), "ci95" of it, "predicted_reduction" (by twins of other rows) and "predicted_ci95" (where one
-    more arm would lie), "statistic" ("rms" or "mean") and "rows" judged. "models" are the table of measured robots, a
-    row for each number: "value_mm" with its ends "low_mm" and "high_mm", and what is "used" by it.
+    "nominal_mm" (base and tool fitted), "held_out_mm", "published_mm" (a mean that others report), "measured_reduction"
+    (of the error of the model that "before" names), its "ci95", "predicted_reduction" (by twins of other rows) and
+    "predicted_ci95" (where one more arm would lie), "statistic" ("rms" or "mean") and "rows" judged. "models" are the
+    table of measured robots, a row for each number: "value_mm" with its ends "low_mm" and "high_mm", and what is "used"
+    by it.
     """
     return {
         "rows": [*bench.gains, *_best_rows(bench.models), *_peer_rows(bench.peers)],
@@ -47,11 +48,11 @@ def bench_json(bench: Bench) -> dict[str, Any]:
 
 
 def blocked_json(bench: Bench, made: str) -> dict[str, Any]:
-    """What models remove of rows in blocks, for the demonstration's table: its `measured_gains.json`.
+    """The shares of errors that models remove on held-out blocks: the demonstration's `measured_gains.json`.
 
     Args:
-        bench: What calibrations leave.
-        made: The date.
+        bench: The finished bench.
+        made: The date on which it was made.
     """
     arms: dict[str, dict[str, Any]] = {}
     for gain in (gain for gain in bench.gains if gain["split"] != "random"):
@@ -67,7 +68,7 @@ def blocked_json(bench: Bench, made: str) -> dict[str, Any]:
 
 
 def _best_rows(models: Rows) -> list[dict[str, Any]]:
-    """LS and the best model of each row of the table of measured robots."""
+    """JSON rows for least squares and the best model, from each row of the table of measured robots."""
     rows = []
     for name, nominal, ls, best in _by_row(models):
         spread = SPREAD[name]
@@ -83,14 +84,14 @@ def _best_rows(models: Rows) -> list[dict[str, Any]]:
 
 
 def _by_row(rows: Rows) -> Iterable[tuple[Any, ...]]:
-    """Names of rows, each with what was measured of it."""
+    """Groups of rows: the name of each row of the table, with its measured values."""
     return ((name, *rows.where(row=name).dicts()) for (name,) in rows.levels("row"))
 
 
 def _model_json(row: dict[str, Any]) -> dict[str, Any]:
-    """One number of the table of measured robots, its ends None where there is no interval.
+    """One number of the table of measured robots as a JSON row; its ends are None where there is no interval.
 
-    Empty for the best model where nothing but geometry was tried.
+    The row is empty for the best model where only geometry was tried.
     """
     spread = SPREAD[row["row"]]
     if row["model"] == "best" and spread.terms == "none":
@@ -107,7 +108,7 @@ def _ends(model: dict[str, Any]) -> list[float | None]:
 
 
 def _peer_rows(peers: Rows) -> list[dict[str, Any]]:
-    """Each peer on the held-out rows, and on the other poses."""
+    """JSON rows of each peer, for the held-out rows and for the other poses."""
     real, rows = SETS[PEER_SET], []
     for row in peers.dicts():
         name = PEER_ROWS[row["row"]]
@@ -119,7 +120,7 @@ def _peer_rows(peers: Rows) -> list[dict[str, Any]]:
 
 
 def agreement(gains: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """How well gains were predicted on blocks, of every model beside who knows only the other robots.
+    """How well the gain of every model on blocks was predicted, beside a guess that knows only the other robots.
 
     Args:
         gains: Rows of the table "gains".
@@ -165,7 +166,7 @@ def agreement(gains: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def agreement_words(bench: Bench) -> str:
-    """How well gains were predicted, in a few sentences; empty where none was asked for."""
+    """A few sentences on how well gains were predicted; empty where no gains were asked for."""
     if not bench.gains:
         return ""
     found = agreement(bench.gains)
@@ -206,7 +207,7 @@ def points_words(found: Mapping[str, Any]) -> str:
 
 
 def gain_cells(bench: Bench) -> list[tuple[str, ...]]:
-    """The rows of the table of predicted beside measured reductions."""
+    """The cells of the table of predicted and measured reductions."""
     cells: list[tuple[str, ...]] = []
     for gain in bench.gains:
         predicted, measured = gain["predicted_reduction"], gain["measured_reduction"]
@@ -219,7 +220,7 @@ def gain_cells(bench: Bench) -> list[tuple[str, ...]]:
 
 
 def csv_files(bench: Bench) -> dict[str, str]:
-    """The tables of gains and of measured robots as CSV files with heads, as the pages show them; none without rows."""
+    """The tables of gains and of measured robots as CSV texts by file name, as pages show them; none without rows."""
     tables: dict[str, tuple[Sequence[str], list[tuple[str, ...]]]] = {}
     if bench.gains:
         tables[GAINS_FILE] = GAIN_HEADS, gain_cells(bench)
@@ -234,7 +235,7 @@ def csv_files(bench: Bench) -> dict[str, str]:
 
 
 def spread_cells(models: Rows) -> list[tuple[str, ...]]:
-    """The rows of the table of measured robots that were judged."""
+    """The cells of the table of measured robots, for the rows that were judged."""
     table: list[tuple[str, ...]] = []
     for name, nominal, ls, best in _by_row(models):
         row = SPREAD[name]
@@ -258,7 +259,7 @@ def _millimetres(model: dict[str, Any]) -> str:
 
 
 def peer_cells(bench: Bench) -> list[tuple[str, ...]]:
-    """The rows of the table of what peers leave on the UR5's rows."""
+    """The cells of the table of errors that peers leave on the UR5's rows."""
     return [
         (PEER_ROWS[name], f"{held_out['held_out_mm']:.4f}", f"{poses['held_out_mm']:.4f}", poses["note"])
         for name, held_out, poses in _by_row(bench.peers)

@@ -1,4 +1,4 @@
-"""What calibrations leave of measured robots: beside what twins predicted, in the table of results, beside peers.
+"""Errors that calibrations leave on measured robots: beside twins' predictions, in the table of results, beside peers.
 
 Three experiments, each in a folder of its own. "gains" are of folds of a robot's rows: squared errors of the rows held
 out, measured, and on arms drawn from the twin of the other rows. "models" are rows of the table of measured robots,
@@ -55,16 +55,16 @@ from pickenv.experiments.gains import LEARNT, LS, NOMINAL, TERMS, Squares, as_me
 
 @dataclass(frozen=True)
 class RealSet:
-    """One file, or some, of one robot.
+    """The data files of one robot.
 
     Attributes:
-        robot: As tables name it.
+        robot: Name of the robot in tables.
         arm: Arm name or file; {} is the folder of the data sets.
         columns: Column description.
         files: Rows, as a pattern below the folder of the data sets.
-        poses: Rows of other poses to judge by, likewise; empty where there are none.
-        published: What others published of these poses, or of the rows where there are no others, mean in mm.
-        twinned: Whether twins are made of it and residuals learnt: poses or positions, enough of them for five folds.
+        poses: Files with rows of other poses to judge by, as such a pattern; empty where there are none.
+        published: Mean error that others published for these poses, or for the rows where there are no such poses, mm.
+        twinned: Whether twins are made of the set and residuals learnt; it then has poses or positions for five folds.
     """
 
     robot: str
@@ -76,7 +76,7 @@ class RealSet:
     twinned: bool = False
 
     def paths(self, data: Path) -> tuple[list[Path], list[Path]]:
-        """Files of the rows, and of the other poses.
+        """The files of the rows, and the files of the other poses.
 
         Raises:
             InputError: If there are none.
@@ -111,25 +111,25 @@ SETS = {name: RealSet(**entry) for name, entry in TABLES["sets"].items()}
 
 SPLITS = ("random", "blocks")
 GAINS = {f"gain_{name}_{split}": (name, split) for name in SETS if SETS[name].twinned for split in SPLITS}
-"""Predicted beside measured gains: robot's set and split."""
+"""Rows of predicted beside measured gains: each name with the robot's set and the split."""
 
 BEFORE = {LS: NOMINAL, TERMS: LS, **dict.fromkeys(LEARNT, LS)}
-"""The models, and what each one's reduction is a share of."""
+"""For each model, the model whose error its reduction is a share of."""
 
 BATCHES = 4
-"""So many times as many arms as are wanted are drawn at most, where some cannot be calibrated."""
+"""Largest ratio of arms drawn to arms wanted, where some cannot be calibrated."""
 
 
 @dataclass(frozen=True)
 class BenchSettings:
-    """How much is computed.
+    """Settings that say how much is computed.
 
     Attributes:
-        rows: Rows of a set at most for predicted and measured gains, equally spaced in its file.
+        rows: Most rows of a set for predicted and measured gains, equally spaced in its file.
         folds: Parts of these rows that are held out in turn.
         draws: Arms drawn from each fold's twin.
         splits: Random splits of those rows.
-        seed: Of everything random.
+        seed: Seed of everything random.
     """
 
     rows: int = 600
@@ -140,14 +140,14 @@ class BenchSettings:
 
     @staticmethod
     def quick() -> BenchSettings:
-        """About a minute for the UR5."""
+        """Settings with which the UR5 takes about a minute."""
         return BenchSettings(rows=160, folds=2)
 
 
 def fold_errors(
     rng: np.random.Generator, row: str, fold: int, settings: BenchSettings, data: Path
 ) -> Mapping[str, Any]:
-    """Squared errors of the rows held out of one fold, by model: measured ("drawn" is 0), and of each arm drawn."""
+    """Squared errors of one fold's held-out rows, by model: as measured ("drawn" is 0), and of each drawn arm."""
     name, split = GAINS[row]
     arm, rows, _ = SETS[name].load(data)
     used = learnable(arm, rows, settings.rows)
@@ -176,7 +176,7 @@ def learnable(arm: Arm, rows: Observations, most: int) -> Measurements:
 def folds_of(
     poses: RowNumbers, split: str, folds: int, rng: np.random.Generator
 ) -> list[tuple[RowNumbers, RowNumbers]]:
-    """Rows to fit and rows held out: of a file whose poses are shuffled, or contiguous parts of it."""
+    """Rows to fit and held-out rows of each fold: random parts of a file, or contiguous ones, as ``split`` says."""
     count = int(poses.max()) + 1
     place = np.argsort(rng.permutation(count)) if split == "random" else np.arange(count)
     return contiguous_folds(np.zeros_like(poses), place[poses], folds)
@@ -185,14 +185,15 @@ def folds_of(
 def judged_fold(
     arm: Arm, data: Measurements, rows: tuple[RowNumbers, RowNumbers], draws: int, seed: np.random.SeedSequence
 ) -> tuple[list[Squares], int]:
-    """Measured rows and arms drawn, calibrated on ``rows[0]`` and judged on ``rows[1]``.
+    """Calibrate the measured arm and arms drawn from its twin on ``rows[0]``, and judge them on ``rows[1]``.
 
-    The twin is made of the rows fitted alone. Its arms are draws from the posterior of geometry, terms and remainder,
-    with the arm's own scatter, measured at the same joints with the instrument's; a mean would flatter every model.
+    The twin is made of the fitted rows alone. Its arms are draws from the posterior of geometry, terms and remainder,
+    with the arm's own scatter, measured at the same joints with the instrument's scatter; a mean of the posterior
+    would flatter every model.
 
     Returns:
-        Squared errors on the measured rows, then those of each arm drawn; and how many arms no calibration could be
-        found for, in whose place others were drawn.
+        A list of squared errors, of the measured rows and then of each drawn arm; and the number of arms for which no
+        calibration was found, and which other draws replaced.
 
     Raises:
         InputError: If the measured rows cannot be calibrated, or too many of the arms drawn.
@@ -221,15 +222,15 @@ def judged_fold(
 
 @dataclass(frozen=True)
 class SpreadRow:
-    """One row of the table.
+    """One row of the table of measured robots.
 
     Attributes:
-        name: Of the set.
+        name: Name of the set.
         how: Which rows judge: "random", "blocks", or "poses" of files of their own.
-        terms: As `Choices` has it.
-        residual: As `Choices` has it.
+        terms: Terms, as `Choices` has them.
+        residual: Residual model, as `Choices` has it.
         statistic: "rms" or "mean".
-        remark: Beside the best model.
+        remark: Remark beside the best model.
     """
 
     name: str
@@ -241,7 +242,7 @@ class SpreadRow:
 
     @property
     def real(self) -> RealSet:
-        """Its set."""
+        """The robot's set that the row is about."""
         return SETS[self.name]
 
     @property
@@ -251,11 +252,11 @@ class SpreadRow:
 
 
 SPREAD = {name: SpreadRow(**entry) for name, entry in TABLES["rows"].items()}
-"""The rows by name, in the order of the table."""
+"""The rows of the table of measured robots by name, in its order."""
 
 
 def model_errors(rng: np.random.Generator, row: str, settings: BenchSettings, data: Path) -> list[dict[str, Any]]:
-    """What nominal, geometric and best model leave, mm, each with the ends of its spread; NaN where there are none."""
+    """Errors that nominal, geometric and best model leave, mm, with the ends of their spread; NaN for missing ones."""
     spread = SPREAD[row]
     arm, rows, poses = spread.real.load(data)
     choices = Choices(terms=spread.terms, residual=spread.residual)
@@ -280,7 +281,7 @@ def model_errors(rng: np.random.Generator, row: str, settings: BenchSettings, da
 
 
 def _stated(statistic: str, result: Result) -> Array:
-    """Value and 95 % interval of nominal, geometric and best model ``(3, 3)``, mm."""
+    """Errors of nominal, geometric and best model, each with its 95 % interval ``(3, 3)``, mm."""
     models = [result.position[name] for name in (NOMINAL, GEOMETRIC, list(result.position)[-1])]
     return np.array(
         [[getattr(model, statistic), *(getattr(model, f"{statistic}_ci95") or (np.nan, np.nan))] for model in models]
@@ -292,7 +293,7 @@ def _stated(statistic: str, result: Result) -> Array:
 # fitted already for those that cannot do it. What drives each package lies in scripts/peers of a checkout.
 
 OURS, PEER_SET = "pickenv", "ur5"
-"""Our own name among them, and the set that they are judged on."""
+"""Name of this package among the peers, and the set that they are judged on."""
 
 WORKERS = Path(pickenv.__file__).parents[1] / "scripts" / "peers"
 HELD_OUT = 200
@@ -302,12 +303,12 @@ LIMIT = 900.0
 
 @dataclass(frozen=True)
 class Peer:
-    """A package from PyPI.
+    """A package from PyPI that is compared with pickenv.
 
     Attributes:
-        name: Its name there.
+        name: Its name on PyPI.
         version: The pinned version.
-        method: What it does, for the table.
+        method: Its method in words, for the table.
         poses: Poses that it is given, or None for all of the training rows.
         runs: How often it is repeated.
     """
@@ -324,7 +325,7 @@ PEERS = tuple(Peer(**entry) for entry in TABLES["peers"])
 
 @dataclass(frozen=True, eq=False)
 class PeerTask:
-    """The data of the comparison.
+    """The data that peers are compared on.
 
     Attributes:
         nominal: The arm as its maker describes it.
@@ -360,7 +361,7 @@ def accuracy_on(geometry: Geometry, task: PeerTask) -> dict[str, float]:
 
 
 def peer_problem(task: PeerTask, start: Geometry, runs: int) -> dict[str, Any]:
-    """What a worker reads; see scripts/peers/problem.py."""
+    """The problem that a peer's worker process reads; see scripts/peers/problem.py."""
     names = tuple(f"joint_{i + 1}" for i in range(start.joints))
     descriptions = [urdf_text(replace(arm, joint_names=names), "arm") for arm in (start, task.nominal)]
     rows = {"": task.train, "held_out_": task.held_out, "random_": task.random}
@@ -379,10 +380,10 @@ def homogeneous(pose: Pose) -> list[list[float]]:
 
 
 def peer_python(peer: Peer, folder: Path, install: bool) -> Path:
-    """The Python of the peer's own environment, made when it is not there yet and ``install`` says so.
+    """The Python of the peer's own environment, which is made if it is missing and ``install`` is true.
 
     Raises:
-        InputError: If it is not there, or cannot be made, with the installer's last words.
+        InputError: If the environment is missing, or cannot be made; then with the installer's last words.
     """
     home = folder.resolve() / f"{peer.name}-{peer.version}"
     python = home / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
@@ -410,11 +411,11 @@ def run_peer(
 
     Args:
         peer: The peer.
-        task: The rows; it is given as many as it can take.
+        task: The data; the peer is given as many rows as it can take.
         start: The arm with base and tool fitted.
         folder: Where the peers' environments are kept.
         limit: Seconds that it may take.
-        install: Whether it is installed there when it is not yet.
+        install: Whether to install the peer there if it is not installed yet.
 
     Raises:
         InputError: If it cannot be installed, fails, or takes longer than ``limit`` seconds.
@@ -437,7 +438,7 @@ def run_peer(
 
 
 def last_words(text: str) -> str:
-    """The last line that says something."""
+    """The last line of a text that mentions an error, or else its last line that is not blank."""
     lines = [line.strip() for line in text.splitlines() if line.strip()]
     errors = [line for line in lines if "error" in line.lower()]
     return (errors or lines or ["without a word"])[-1]
@@ -446,7 +447,7 @@ def last_words(text: str) -> str:
 def judged_peer(peer: Peer | None, data: Path, folder: Path) -> dict[str, Any]:
     """Errors of a peer, or of our own least squares where it is None, on the same rows, mm.
 
-    "nominal" are those with base and tool fitted alone.
+    "nominal" names the errors with only base and tool fitted.
 
     Raises:
         InputError: If the data are missing, or the peer is not installed, fails, or takes too long.
@@ -484,13 +485,13 @@ QUICK = ("gain_ur5_random", "gain_ur5_blocks", "ur5_random")
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """What calibrations leave.
+    """The results of a bench: errors that calibrations leave.
 
     Attributes:
         settings: How much was computed.
         gains: Predicted beside measured gains, as rows of the JSON file.
         models: Rows of measured robots: row, model, value and ends of each.
-        peers: Errors of peers on UR5's rows: row, split, nominal and left.
+        peers: Errors of peers on the UR5's rows: row, split, and errors before (nominal) and after (left).
         skipped: Rows that were not made, and why.
     """
 
@@ -511,13 +512,13 @@ def run_bench(
     workers: int = 1,
     progress: Progress | None = None,
 ) -> Bench:
-    """Make these rows, or go on with them.
+    """Make the given rows, or go on making them.
 
     Args:
         rows: Some of `ROWS`.
-        settings: How much.
+        settings: How much is computed.
         data: Folder of the data sets.
-        out: Folder for what is done.
+        out: Folder for results.
         peers: Folder of the peers' environments.
         workers: Processes.
         progress: Called with (experiment, pieces done, pieces in all).
@@ -560,7 +561,7 @@ def _set_of(row: str) -> RealSet:
 
 
 def _inputs(row: str, settings: BenchSettings, data: Path, **_: int) -> tuple[Any, ...]:
-    """What a row's figures depend on beside the code."""
+    """The inputs that a row's figures depend on beside the code."""
     files = [file_sha256(path) for paths in _set_of(row).paths(data) for path in paths]
     return (settings, _set_of(row), SPREAD.get(row), files)
 
@@ -568,8 +569,8 @@ def _inputs(row: str, settings: BenchSettings, data: Path, **_: int) -> tuple[An
 def gains_of(folds: Rows) -> list[dict[str, Any]]:
     """The gain of every model over all folds of one set and split, as rows of the JSON file.
 
-    Intervals are of 95 %: of the measured gain over rows of random folds, or over ten blocks of the file, within which
-    neighbours are alike; of the predicted one for one more arm drawn.
+    All intervals are at 95 %. That of the measured gain is over rows for random folds, or over ten blocks of the file,
+    since neighbours in a block are alike; that of the predicted gain is for one more drawn arm.
 
     Args:
         folds: Rows of `fold_errors`.
@@ -608,16 +609,16 @@ def bench_row(
 
 
 def _interval(pairs: Array, split: str) -> Ends | None:
-    """Of the share of the RMS that is removed, from squares after and before ``(n, 2)``, of rows or of blocks in order.
+    """The interval of the removed share of the RMS, from squares after and before ``(n, 2)`` of rows or ordered blocks.
 
-    As the logarithm of what is left, which is less skewed.
+    It is computed on the logarithm of the share left, which is less skewed.
     """
     ends = statistic_interval(pairs, lambda some: 0.5 * np.log(np.divide(*some.sum(axis=0))), ordered=split == "blocks")
     return None if ends is None else (float(-np.expm1(ends[1])), float(-np.expm1(ends[0])))
 
 
 def predicted_gain(after: Array, before: Array) -> tuple[float, Ends | None]:
-    """Mean gain of drawn arms, and where one more would lie.
+    """The mean gain of drawn arms, and the interval in which one more arm's gain would lie.
 
     The twins of the folds differ and their arms are drawn apart, so the gain of one arm varies by the sum of what it
     varies by from arm to arm of each fold's twin (first order in the squares), with folds (draws - 1) degrees of
@@ -625,7 +626,7 @@ def predicted_gain(after: Array, before: Array) -> tuple[float, Ends | None]:
 
     Args:
         after: Sums of squared errors that the model leaves ``(folds, draws)``.
-        before: Sums that the step before leaves.
+        before: Sums of squared errors that the step before leaves.
     """
     folds, draws = after.shape
     gain = float(np.mean(1.0 - np.sqrt(after.sum(axis=0) / before.sum(axis=0))))

@@ -1,4 +1,4 @@
-"""A tolerance study: what it varies, read from a TOML file; and what each of its arms is and meets.
+"""A tolerance study: its settings, read from a TOML file, and the arms that it draws, with what each arm meets.
 
 A study is a list of settings: populations of arms, how they are calibrated, and what they carry. Files and columns are
 in mm, deg and kg, and every name says so; inside it is SI.
@@ -62,11 +62,11 @@ from pickenv.envs.shared.task import GOAL_MARGIN
 from pickenv.experiments.engine import Rows
 
 VERSION = 3
-"""Raised whenever the same configuration gives other rows, so that old results are not mixed with new ones."""
+"""Version of the rows; it is raised when a configuration gives other rows, so that old and new results do not mix."""
 
 RAW, LS = "raw", "ls"
 METHODS = (RAW, LS, *(f"{LS}+{kind}" for kind in names("residual")))
-"""No calibration; least squares; least squares and a learnt residual of that kind."""
+"""Ways of calibration: none, least squares, and least squares with each kind of learnt residual."""
 
 
 @toml_table
@@ -74,8 +74,8 @@ class Noise:
     """Standard deviation of the tracker, per axis.
 
     Attributes:
-        position_mm: Of a position, mm.
-        attitude_deg: Of an attitude, deg.
+        position_mm: Standard deviation of a position, mm.
+        attitude_deg: Standard deviation of an attitude, deg.
     """
 
     position_mm: Annotated[float, Unit("mm").within(*LIMITS["position_mm"]), Key("position_mm")]
@@ -83,7 +83,7 @@ class Noise:
 
 
 DEFAULT_NOISE = Noise(POSITION_STD * 1e3, math.degrees(ATTITUDE_STD))
-"""The tracker of a study that names none."""
+"""Noise of the tracker in a study that gives none."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ class Setting:
         tolerances: Tolerance class.
         it_grade: ISO 286-1 grade of the lengths.
         poses: Calibration poses; 0 without calibration.
-        noise: Of the tracker; zero without calibration.
+        noise: Noise of the tracker; zero without calibration.
         method: One of `METHODS`.
         payload_kg: Mass held at the tool while picking; calibrations are made with the plant's own.
     """
@@ -139,11 +139,11 @@ class StudyConfig:
         plant: Plant preset, or path to a plant file.
         seed: Seed of arms, noise, fruit and poses.
         arms: Arms N of every setting.
-        chunk: Arms that are worked on and stored together.
+        chunk: Number of arms that are worked on and stored together.
         fruit: Fruit M that every arm reaches for.
         payload_kg: Payloads.
-        radius_mm: An arm has a fruit when its tool ends this near.
-        share: An arm is within specification when it has at least this share of the fruit.
+        radius_mm: An arm gets a fruit when its tool ends within this distance of it.
+        share: An arm is within specification when it gets at least this share of the fruit.
         tolerances: Tolerance classes, by name or path.
         it_grades: ISO 286-1 grades, each instead of the class's own; None for the class's own.
         methods: Calibrations, of `METHODS`.
@@ -213,7 +213,7 @@ class StudyConfig:
         return plant
 
     def load_instrument(self) -> Instrument:
-        """What measures the arms.
+        """Load the instrument that measures the arms.
 
         Raises:
             InputError: If it is unknown or impossible.
@@ -229,7 +229,7 @@ class StudyConfig:
         return {name: load_tolerances(name) for name in self.tolerances}
 
     def sha256(self) -> str:
-        """Hash of everything that the rows depend on, the numbers of plant, instrument and tolerance classes among it.
+        """Hash of everything that the rows depend on, including the numbers of plant, instrument and tolerance classes.
 
         Raises:
             InputError: If plant, instrument or tolerance class are unknown or impossible.
@@ -278,27 +278,27 @@ ARM_STREAM, TRACKER_STREAM, FRUIT_STREAM, POSES_STREAM, RESIDUAL_STREAM = range(
 """First part of the key of each random stream."""
 
 MAX_TILT = math.radians(30.0)
-"""Fruit are reached for with the tool this near to the vertical, as in `pickenv/Reach-v0`."""
+"""Largest angle of the tool with the vertical when it reaches for fruit, rad, as in `pickenv/Reach-v0`."""
 
 DRAWS = 1000
 """Joints drawn for every fruit before an arm counts as unable to hold its tool upright."""
 
 AT_ONCE = 4
-"""Joints drawn for every fruit at a time; of the shipped arms two in five or more are upright."""
+"""Joints drawn for every fruit at a time; with shipped arms two in five or more hold the tool upright."""
 
 TRIED = 5
-"""Arms for which a study's numbers of poses are tried before it begins."""
+"""Number of arms on which a study's numbers of poses are tried before it begins."""
 
 
 @dataclass(frozen=True, eq=False)
 class Circumstances:
-    """What one arm meets, whatever the setting.
+    """The fruit, poses and tracker errors that one arm meets in every setting.
 
     Attributes:
         number: The arm's number.
         fruit: Nominal joints that bring the tool to each of its fruit ``(M, n)``, rad or m.
         poses: Calibration poses ``(P, n)``, spread evenly; a setting with fewer uses the first ones.
-        tracker: How the tracker errs there, and what the arm's friction does, in standard deviations.
+        tracker: Errors of the tracker at these poses, and effects of the arm's friction, in standard deviations.
     """
 
     number: int
@@ -314,15 +314,15 @@ class Circumstances:
 
 @dataclass(frozen=True, eq=False)
 class Protocol:
-    """A study made ready.
+    """A study that is ready to run.
 
     Attributes:
         config: What is studied.
-        settings: Its cells.
+        settings: The settings of the study.
         design: The plant that arms are drawn from.
         tolerances: Tolerance classes by name.
         model: What least squares identifies.
-        tracker: What measures the arms, but for how it errs.
+        tracker: The instrument that measures the arms, without its errors.
     """
 
     config: StudyConfig
@@ -334,24 +334,24 @@ class Protocol:
 
     @property
     def nominal(self) -> Geometry:
-        """What the controller believes."""
+        """The geometry that the controller believes in: the design's nominal one."""
         return self.design.arm.nominal
 
     def populations(self) -> list[list[Setting]]:
-        """The settings by population: those that draw the same arms."""
+        """The settings grouped by population: settings of one group draw the same arms."""
         groups: dict[tuple[str, int], list[Setting]] = {}
         for setting in self.settings:
             groups.setdefault((setting.tolerances, setting.it_grade), []).append(setting)
         return list(groups.values())
 
     def draw(self, setting: Setting, arms: range) -> Plant:
-        """These arms of a setting's population, as a batch."""
+        """Draw the arms with the numbers ``arms`` from a setting's population, as a batch."""
         parent = np.random.SeedSequence(self.config.seed, spawn_key=(ARM_STREAM,), n_children_spawned=arms.start)
         tolerances = replace(self.tolerances[setting.tolerances], it_grade=setting.it_grade)
         return draw_plants(self.design, tolerances, len(arms), np.random.default_rng(parent))
 
     def circumstances(self, arm: int) -> Circumstances:
-        """What an arm meets, by its number.
+        """The circumstances of the arm with this number.
 
         Raises:
             InputError: If no joints are found that hold the tool upright.
@@ -365,12 +365,12 @@ class Protocol:
         )
 
     def instrument(self, setting: Setting) -> Instrument:
-        """What measures the arms of a setting."""
+        """The instrument that measures the arms of a setting."""
         noise = MeasurementNoise(setting.noise.position_mm * 1e-3, math.radians(setting.noise.attitude_deg))
         return replace(self.tracker, noise=noise)
 
     def stream(self, purpose: int, arm: int) -> np.random.Generator:
-        """The random numbers of an arm for a purpose: one of the streams above but the arms'."""
+        """A generator of an arm's random numbers for a purpose: any ``..._STREAM`` of this module but `ARM_STREAM`."""
         return np.random.default_rng(np.random.SeedSequence(self.config.seed, spawn_key=(purpose, arm)))
 
 
@@ -399,7 +399,7 @@ def prepared_study(config: StudyConfig) -> Protocol:
 
 
 def measured(protocol: Protocol, arm: Plant, setting: Setting, around: Circumstances) -> Measurements:
-    """What the setting's tracker sees of an arm at its calibration poses."""
+    """Readings of an arm by the setting's tracker at its calibration poses."""
     instrument, poses = protocol.instrument(setting), setting.poses
     return tracked(arm, instrument, around.poses[:poses], around.tracker.first(poses))
 
@@ -410,14 +410,14 @@ def carrying(plant: Plant, payload_kg: float) -> Plant:
 
 
 def spread_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> Array:
-    """Joints ``(count, n)`` spread evenly over the joint ranges (scrambled Halton): so is every first part of them."""
+    """Joints ``(count, n)`` spread evenly over their ranges (scrambled Halton); so is any first part of them."""
     if not count:
         return np.empty((0, nominal.joints))
     return np.asarray(qmc.scale(qmc.Halton(nominal.joints, rng=rng).random(count), nominal.lower, nominal.upper))
 
 
 def _upright_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> Array:
-    """Joints ``(count, n)`` away from their limits that hold the tool upright, drawn evenly among such joints."""
+    """Joints ``(count, n)``, away from their limits, that hold the tool upright; drawn evenly among all such joints."""
     margin = GOAL_MARGIN * (nominal.upper - nominal.lower)
     inner = replace(nominal, lower=nominal.lower + margin, upper=nominal.upper - margin)
     upright = np.empty((0, nominal.joints))
@@ -457,14 +457,14 @@ SIZES: Mapping[str, tuple[str, Callable[[Any], tuple[Any, ...]]]] = {
 
 
 def deviations(design: Plant, arms: Plant) -> dict[str, Array]:
-    """The columns for a batch of arms.
+    """The columns of drawn deviations for a batch of arms.
 
     Args:
-        design: What they were drawn from.
+        design: The plant that the arms were drawn from.
         arms: N arms.
 
     Returns:
-        Columns ``(N,)`` by name. Numbers that are zero in the design, and so in every arm, have none.
+        Columns ``(N,)`` by name. Numbers that are zero in the design, and so in every arm, have no column.
     """
     nominal = design.arm.nominal
     names = iter(nominal.parameter_names)
@@ -509,14 +509,14 @@ FIGURES = (ERROR, "error_rms_mm", "error_p50_mm", "error_p95_mm", "error_max_mm"
 
 @dataclass(frozen=True, eq=False)
 class Outcomes:
-    """What became of N arms in one setting.
+    """The results of N arms in one setting.
 
     Attributes:
         setting: The setting.
         status: For each arm, `OK` or why it could not be judged ``(N,)``.
-        iterations: Steps of its least squares ``(N,)``.
-        position: True tool against wanted tool at each fruit ``(N, M)``, m; anything where the status is not OK.
-        attitude: The same for the attitude, rad.
+        iterations: Least-squares steps of each arm ``(N,)``.
+        position: Distance of true and wanted tool at each fruit ``(N, M)``, m; arbitrary where the status is not OK.
+        attitude: Angle between true and wanted attitude at each fruit ``(N, M)``, rad; arbitrary likewise.
     """
 
     setting: Setting
@@ -527,7 +527,7 @@ class Outcomes:
 
 
 def gathered(outcomes: Sequence[Outcomes]) -> Outcomes:
-    """Outcomes of some arms each in one setting, as one."""
+    """Join outcomes of different arms in one setting into one `Outcomes`."""
     return Outcomes(
         setting=outcomes[0].setting,
         status=[text for part in outcomes for text in part.status],
@@ -578,7 +578,7 @@ def evaluate_arm(protocol: Protocol, settings: Sequence[Setting], arm: Plant, ar
 
 @dataclass(frozen=True, eq=False)
 class ArmCommands:
-    """What an arm is told to reach its fruit.
+    """The commands with which an arm reaches for its fruit.
 
     Attributes:
         joints: Joint commands ``(M, n)``, rad or m.
@@ -625,7 +625,7 @@ def _calibrated(protocol: Protocol, setting: Setting, arm: Plant, around: Circum
 
 
 def reach_status(missed: int, config: StudyConfig) -> str:
-    """Status of an arm whose commands end far from this many fruit by the calibration's own word."""
+    """Status of an arm whose commands, as its own calibration says, end far from ``missed`` of its fruit."""
     if (config.fruit - missed) / config.fruit >= config.share:
         return OK
     return (

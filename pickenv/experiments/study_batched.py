@@ -1,8 +1,9 @@
 """Calibrate and judge thousands of arms of a study at once, in torch: the arms are the last axis of every component.
 
-The same physics, least squares and compensation as arm by arm (`pickenv.experiments.study`), so that the rows
-agree. All arms start at the nominal geometry. What is redundant follows from each arm's own poses, and is nearly always
-the same; an arm with others, or one that needs more than undamped steps, is handed over. Components are ``(M, N)`` at
+Physics, least squares and compensation are the same as arm by arm (`pickenv.experiments.study`), so that the rows
+agree. All arms start at the nominal geometry. Which parameters are redundant
+follows from each arm's poses, and is nearly always the same; an arm with other ones, or one that needs more than
+undamped steps, is handed over to the code for single arms. Components are ``(M, N)`` at
 fruit and ``(P, N)`` at poses, arms last. SI.
 """
 
@@ -37,21 +38,21 @@ from pickenv.experiments.engine import Rows, joined
 from pickenv.experiments.study import measured
 
 BLOCKS = {"cpu": 2**14, "cuda": 2**22}
-"""Poses worked on together on each device: what a core's caches hold, or what keeps a GPU busy."""
+"""Number of poses worked on together on each device: as many as a core's caches hold, or as keep a GPU busy."""
 
 IN_TIME = 8
-"""Times as many where the arms are measured in time."""
+"""Factor on the number of poses worked on together where the arms are measured in time."""
 
 
 @dataclass(frozen=True, eq=False)
 class _Commands:
-    """What N arms are told.
+    """Commands for N arms.
 
     Attributes:
-        joints: Components ``(M, N)``, rad or m.
+        joints: Joint commands, one array ``(M, N)`` per joint, rad or m.
         missed: Fruit out of each arm's reach ``(N,)``, as far as its calibration can say.
         steps: Least-squares steps ``(N,)``.
-        converged: Whether the arm was calibrated here ``(N,)``; the others are handed over.
+        converged: Whether each arm was calibrated here ``(N,)``; the others are calibrated one by one.
     """
 
     joints: Sequence[Tensor]
@@ -72,7 +73,7 @@ def evaluate_batch(protocol: study.Protocol, chunk: int, rng: object = None, dev
 def judge_batch(
     protocol: study.Protocol, setting: study.Setting, plants: Plant, around: Sequence[study.Circumstances]
 ) -> study.Outcomes:
-    """Any batch of arms in one setting, each in its own circumstances, on this processor."""
+    """Judge any batch of arms in one setting, each in its own circumstances, on the CPU."""
     place = partial(torch.as_tensor, dtype=torch.float64, device="cpu")
     size, parts = _block_size(protocol, "cpu"), []
     with torch_on_one_thread():
@@ -95,7 +96,7 @@ def check_device(device: str) -> None:
 
 
 def _block_size(protocol: study.Protocol, device: str) -> int:
-    """Arms worked on together; of arms measured in time more, as each step of each move then is for all of them."""
+    """Number of arms worked on together; more where arms are measured in time, as each step then serves all of them."""
     poses = BLOCKS[device] * (IN_TIME if protocol.design.has_state else 1)
     return max(1, poses // max(protocol.config.fruit, *(setting.poses for setting in protocol.settings)))
 
@@ -172,7 +173,7 @@ def _norms(components: Sequence[Tensor], count: int) -> Array:
 # Rank-aware least squares of many arms, step by step as `least_squares` takes them.
 
 STEPS = 10
-"""Steps before an arm counts as one that needs more; three or four are usual."""
+"""Most undamped steps for an arm here; an arm that needs more is handed over. Three or four are usual."""
 
 
 def visited_frames(
@@ -302,7 +303,7 @@ def _jacobian(nominal: Geometry, model: ErrorModel, weights: Tensor, links: Sequ
 def _solve(matrix: Tensor, weighted: Tensor) -> tuple[Tensor, Tensor]:
     """Least-squares steps ``(N, K)``, and whether the equations were sound ``(N,)``.
 
-    The normal equations do: what they lose of a step, the next step makes good.
+    The normal equations are accurate enough: the next step makes up for what they lose of a step.
     """
     turned = matrix.mT
     factor, failed = torch.linalg.cholesky_ex(turned @ matrix)

@@ -1,4 +1,4 @@
-"""A finished study's findings, where single arms stand in it, the verdict in words, and figures.
+"""The findings of a finished study: ranks of single arms among its arms, the verdict in words, and figures.
 
 The design's own true arm (for `qiao2026` the true values of the paper's Table 1) is placed in the population that its
 tolerance class would make: it meets what the population's arms meet, and is compared with each of them at that arm's
@@ -50,7 +50,7 @@ class Findings:
         dense: Quantiles of the mean position error at `DENSE`.
         sensitivities: For one setting of each method, all else in the middle of what was varied, the rows of
             `sensitivities_of`, by number; or why there are none.
-        placements: For the same settings, where the design's own true arm stands, or why nowhere; empty where the
+        placements: For the same settings, the place of the design's own true arm, or why it has none; empty where the
             design has no true arm of its own.
     """
 
@@ -102,14 +102,14 @@ def _or_why_not(finding: Callable[[int], Any], setting: int) -> Any:
 # Single arms.
 
 MOST = {study.RAW: 1000, study.LS: 1000}
-"""Arms that an arm is compared with at most, by method."""
+"""Most arms that an arm is compared with, by method."""
 MOST_LEARNT = 20
-"""The same for methods that learn, which take seconds for each."""
+"""Most arms that an arm is compared with under methods that learn, which take seconds for each arm."""
 
 
 @dataclass(frozen=True)
 class Placement:
-    """Where an arm stands in the population of a setting.
+    """The place of an arm in the population of a setting.
 
     Attributes:
         arm: The arm's name.
@@ -134,7 +134,7 @@ def place(protocol: study.Protocol, rows: Dataset, setting: study.Setting, arm: 
         rows: Its rows.
         setting: One of its settings.
         arm: A single true arm; it need not be of the setting's population.
-        name: What it is called.
+        name: Name of the arm.
 
     Raises:
         InputError: If the arm has no result in this setting, or no other arm has.
@@ -185,11 +185,11 @@ REQUIRED_YIELD = 0.95
 CHOICES = ("tolerances", "it_grade", "method", "poses", "noise_mm", "noise_deg")
 """What a maker chooses; the payload is what the arms then meet."""
 FEW = 200
-"""Below so many arms the verdict says how little they tell."""
+"""Number of arms below which the verdict says how little they tell."""
 
 
 def study_verdict(config: study.StudyConfig, rows: Sequence[Row]) -> PageVerdict:
-    """Whether some way suffices at the payload that is hardest for it, and which is the least demanding.
+    """Whether a way of making and calibrating arms suffices at its hardest payload, and the least demanding such way.
 
     Args:
         config: The study.
@@ -233,7 +233,7 @@ def study_verdict(config: study.StudyConfig, rows: Sequence[Row]) -> PageVerdict
 
 
 def specified(config: study.StudyConfig) -> str:
-    """When an arm is good enough, in words."""
+    """The specification in words: when an arm is good enough."""
     return f"at least {100 * config.share:g} % of the fruit within {config.radius_mm:g} mm"
 
 
@@ -254,7 +254,7 @@ def setting_label(row: Row) -> str:
 
 
 def _ease(row: Row) -> tuple[Any, ...]:
-    """Larger for what asks less of a maker: coarse grades first, then few poses, then a noisy tracker."""
+    """Sort key that is larger where less is asked of a maker: by coarse grade, then few poses, then a noisy tracker."""
     return row["it_grade"], -row["poses"], row["noise_mm"], row["method"] == study.RAW
 
 
@@ -267,14 +267,14 @@ def _way(row: Row) -> str:
 
 
 def _at(row: Row, loads: Sequence[float]) -> str:
-    """The payload, where there is one or several were tried."""
+    """Words for a row's payload, where it has one or several were tried."""
     if row["payload_kg"]:
         return f", carrying {row['payload_kg']:g} kg"
     return ", without payload" if len(loads) > 1 else ""
 
 
 def _best_at(rows: Sequence[Row], load: float) -> str:
-    """The best way at one payload alone."""
+    """Words for the best way of making and calibrating arms at one payload alone."""
     best = max((row for row in rows if row["payload_kg"] == load), key=lambda row: row["yield"])
     return f"{_capital(_at(best, (load, load)))} the best is {_way(best)}: {_share(best)}."
 
@@ -285,7 +285,7 @@ def _capital(text: str) -> str:
 
 
 def _share(row: Row) -> str:
-    """Yield with its interval, percent."""
+    """A row's yield with its interval in words, percent."""
     return percent(row["yield"], row["yield_low"], row["yield_high"], 1)
 
 
@@ -298,17 +298,17 @@ AXES: Mapping[str, tuple[str, str, str]] = {
     "noise_mm": ("the tracker's noise", "tracker noise, standard deviation per axis (mm)", "noise {:g} mm"),
     "payload_kg": ("the payload", "payload (kg)", "payload {:g} kg"),
 }
-"""What a study may vary along an axis: in words, as the axis's label, and a value of it."""
+"""Columns that a study may vary along an axis, each with its words, the axis's label and the format of a value."""
 ERROR_LABEL = "arm's mean position error (mm)"
 NOTE = 7.5
 """Size of the line below a figure that says how to read it, points."""
 NOTE_LETTER, LEGEND = 0.062, 1.8
-"""Inches: a letter of that line, and what a legend beside the panels takes."""
+"""Widths of a letter of the note below a figure, and of a legend beside the panels, inches."""
 NEAREST, ALIKE = 0.015, 0.015
-"""Curves that are nowhere farther apart, as a share of what is shown, or of their values on a logarithmic axis, are
-drawn once: about what a line is wide."""
+"""Largest distance of curves that are drawn as one, about the width of a line: as a share of the range shown, and on a
+logarithmic axis as a share of their values."""
 LONGEST = 16
-"""Parameters in a tornado; the rest are as good as zero."""
+"""Most parameters in a tornado figure; the rest are as good as zero."""
 
 
 def study_drawings(findings: Findings) -> Drawings:
@@ -355,7 +355,7 @@ def _word(row: Row) -> str:
 
 
 def varied(rows: Sequence[Row]) -> list[str]:
-    """Which of `AXES` take several values among calibrated settings (payload and grade among all)."""
+    """Names of the `AXES` that take several values among calibrated settings (payload and grade: among all)."""
     calibrated = [row for row in rows if row["method"] != study.RAW]
     return [
         name for name in AXES if len({row[name] for row in (calibrated if name in ("poses", "noise_mm") else rows)}) > 1
@@ -367,7 +367,8 @@ def yield_curves(yields: Sequence[Row], along: str, specification: str) -> Figur
 
     Args:
         yields: Rows of `yields_of`.
-        along: The axis; what else varies is shown by colour and line, or held at its middle value, which is named.
+        along: The axis; other things that vary are shown by colour and line, or kept at their middle value, which is
+            named.
         specification: When an arm is good enough, in words.
 
     Raises:
@@ -406,7 +407,7 @@ def distributions(quantiles: Sequence[Row], radius_mm: float | None = None) -> F
     """Cumulative distribution of the arms' errors, one curve per grade and method.
 
     Args:
-        quantiles: With many probabilities, such as 0.01 to 0.99.
+        quantiles: Rows of `quantiles_of` with many probabilities, such as 0.01 to 0.99.
         radius_mm: The specified radius, drawn as a line when given.
     """
     rows = held(_judged(quantiles), ("it_grade", "method"))
@@ -435,7 +436,7 @@ def distributions(quantiles: Sequence[Row], radius_mm: float | None = None) -> F
 
 
 def tornado(sensitivities: Sequence[Row], setting: str) -> Figure:
-    """Which tolerance matters: share of the variance between arms, per parameter and per kind, with intervals.
+    """Figure of the tolerances that matter: shares of the variance between arms by parameter and kind, with intervals.
 
     Args:
         sensitivities: Rows of `sensitivities_of`.
@@ -465,10 +466,10 @@ def tornado(sensitivities: Sequence[Row], setting: str) -> Figure:
 
 
 def arm_among_population(quantiles: Sequence[Row], setting: int, placement: Placement) -> Figure:
-    """Where one arm stands in the population of a setting.
+    """Figure of one arm's place in the population of a setting.
 
     Args:
-        quantiles: With many probabilities.
+        quantiles: Rows of `quantiles_of` with many probabilities.
         setting: Number of the setting.
         placement: The arm's error, and its share of the population below it in equal circumstances.
     """
@@ -500,7 +501,7 @@ def _judged(quantiles: Sequence[Row]) -> list[Row]:
 
 
 def _arms(rows: Sequence[Row]) -> str:
-    """How many arms figures rest on; few are called a trial run."""
+    """Words for the number of arms behind a figure; few arms are called a trial run."""
     arms = max((int(row["arms"]) for row in rows), default=0)
     return f"{arms} arms" + f" (a trial run: fewer than {FEW})" * (arms < FEW)
 
@@ -580,7 +581,7 @@ def _held_words(rows: Sequence[Row], shown: Sequence[str]) -> str | None:
 
 
 def _series(rows: Sequence[Row], along: str, beside: tuple[str, str]) -> Iterator[tuple[str, list[Row]]]:
-    """Rows of one curve each, with its label, ordered along the axis."""
+    """The label and the rows of each curve, ordered along the axis."""
     keys = sorted({(row[beside[0]], row[beside[1]]) for row in rows}, key=lambda key: (key[0] != study.RAW, *key))
     for key in keys:
         curve = sorted((r for r in rows if (r[beside[0]], r[beside[1]]) == key), key=lambda row: row[along])
@@ -589,12 +590,12 @@ def _series(rows: Sequence[Row], along: str, beside: tuple[str, str]) -> Iterato
 
 
 def _valued(name: str, row: Row) -> str:
-    """What a row has on one of `AXES`, in words."""
+    """A row's value on one of `AXES`, in words."""
     return AXES[name][2].format(row[name])
 
 
 def _looks(rows: Sequence[Row], beside: str) -> Callable[[Row], dict[str, Any]]:
-    """How a curve is drawn: in its method's colour; pattern and mark tell values of ``beside`` apart."""
+    """A function that gives a curve's style: its method's colour, and line and mark by its value of ``beside``."""
     methods = list(dict.fromkeys(row["method"] for row in rows))
     colours = dict(zip(methods, style.rgb(policy_colours(methods)), strict=True))
     values = sorted({row[beside] for row in rows if beside != "poses" or row["method"] != study.RAW})
@@ -608,13 +609,13 @@ def _looks(rows: Sequence[Row], beside: str) -> Callable[[Row], dict[str, Any]]:
 
 
 def _note(figure: Figure, text: str) -> None:
-    """A line below a figure that says how to read it."""
+    """Write a line below a figure that says how to read it."""
     lines = wrap(text, int(figure.get_figwidth() / NOTE_LETTER))
     figure.supxlabel("\n".join(lines), fontsize=NOTE, color=style.INK)
 
 
 def _parameter_label(name: str) -> str:
-    """delta_a2_mm as a2; size_joint_stiffness_1 as joint stiffness 1."""
+    """A parameter's name for people: a2 for delta_a2_mm, joint stiffness 1 for size_joint_stiffness_1."""
     for end in ("_mm", "_deg"):
         name = name.removesuffix(end)
     return name.removeprefix("delta_").removeprefix("size_").removesuffix("_K").replace("_", " ")

@@ -1,4 +1,4 @@
-"""What a study's folder gets to look at: one HTML file that needs no network, figures, and a recording for Rerun.
+"""Outputs in a study's folder: a report in one HTML file that needs no network, figures, and a recording for Rerun.
 
 The page: verdict first, then yields, errors, what matters, origin. The recording: a setting's worst, median and best
 arm side by side, each calibrated at its own poses; all reach for the fruit of the worst one, so that they can be
@@ -49,7 +49,7 @@ SHARES = (
     "and poses, and tracker noise."
 )
 MATTERS = 8
-"""Parameters listed for each setting; the figure shows more."""
+"""Number of parameters listed for each setting; the figure shows more."""
 
 
 def write_outputs(folder: str | Path, sobol_samples: int = 0) -> list[Path]:
@@ -57,7 +57,7 @@ def write_outputs(folder: str | Path, sobol_samples: int = 0) -> list[Path]:
 
     Args:
         folder: The study's results.
-        sobol_samples: A power of two, for Sobol indices of the shown settings; none for 0.
+        sobol_samples: A power of two, for Sobol indices of the shown settings; with 0 none are computed.
     """
     folder, written = Path(folder), []
     findings = study_findings.gather(folder)
@@ -282,7 +282,7 @@ def record_study(folder: str | Path, setting: int, path: str | Path) -> Path:
 
 
 def arms_compared(folder: str | Path, setting: int) -> Comparison:
-    """Worst, median and best arm of a setting in the place of policies; see `record_study`."""
+    """A comparison with a setting's worst, median and best arm in the place of policies; see `record_study`."""
     protocol = prepared_study(study_of(folder))
     config, nominal = protocol.config, protocol.nominal
     if not 0 <= setting < len(protocol.settings):

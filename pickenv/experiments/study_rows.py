@@ -32,7 +32,7 @@ ROWS, SUMMARY, SOBOL = "rows", "summary.json", "sobol.json"
 SOBOL_AGAIN = "run `pickenv study` with `sobol` again"
 
 BATCHED = "batched"
-"""Works on all arms of a chunk at once; the other executors work arm by arm."""
+"""Name of the executor that works on all arms of a chunk at once; the others work arm by arm."""
 EXECUTORS = {"serial": "serial", "joblib": "loky", "ray": "ray", BATCHED: "loky"}
 """The backend of each executor: where chunks are worked on."""
 
@@ -47,7 +47,7 @@ def run_study(
     progress: Callable[[int, int], None] | None = None,
     warn: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
-    """Compute what is missing of a study and summarise it.
+    """Compute the missing chunks of a study, and summarise it.
 
     Args:
         config: The study.
@@ -101,7 +101,7 @@ def _batched(protocol: study.Protocol, device: str) -> Callable[..., Any]:
 
 
 def _name(config: study.StudyConfig) -> str:
-    """Name of a study's experiment, and so the beginning of its files' names."""
+    """The name of a study's experiment, with which its files' names begin."""
     return f"study-{config.sha256()[:16]}"
 
 
@@ -130,7 +130,7 @@ def _summary(protocol: study.Protocol, folder: Path, files: Sequence[Path], abou
 
 
 def _components(protocol: study.Protocol, setting: study.Setting) -> dict[str, Any]:
-    """What the differences between arms come from in a setting that stands for its method, or why it is not known."""
+    """Causes of the differences between arms in a setting that represents its method, or why they are not known."""
     from pickenv.experiments.study_variance import components_of
 
     try:
@@ -143,7 +143,7 @@ def _components(protocol: study.Protocol, setting: study.Setting) -> dict[str, A
 
 
 def _claim(folder: Path, config: study.StudyConfig, arithmetic: str) -> None:
-    """Have a folder for a study: write its configuration, or check that it holds the same one."""
+    """Claim a folder for a study: write its configuration there, or check that the one there is the same."""
     described, sha256 = folder / "study.toml", config.sha256()
     if not described.is_file():
         if (folder / ROWS).exists():
@@ -238,7 +238,7 @@ def write_record(path: Path, content: Row) -> dict[str, Any]:
 
 
 def read_record(path: Path, sha256: str, again: str) -> dict[str, Any]:
-    """What `write_record` wrote about a study ("config_sha256").
+    """Read the record that `write_record` wrote about a study, which it names in "config_sha256".
 
     Args:
         path: The file.
@@ -295,7 +295,7 @@ def write_sobol(folder: str | Path, settings: Sequence[int], samples: int) -> Pa
 
 
 def read_sobol(folder: str | Path) -> dict[int, list[dict[str, Any]]]:
-    """What `write_sobol` wrote; empty where nothing was written.
+    """The Sobol indices that `write_sobol` wrote, by setting; empty where none were written.
 
     Raises:
         InputError: If the file is damaged, edited or about another study.
@@ -310,7 +310,7 @@ def read_sobol(folder: str | Path) -> dict[int, list[dict[str, Any]]]:
 def check_folder(folder: str | Path) -> list[tuple[Path, str | None]]:
     """Verify a study's folder from end to end.
 
-    What can be made anew from these (report, figures, recording) is not looked at.
+    Files that can be made anew from these (report, figures, recording) are not checked.
 
     Returns:
         The configuration, the record and every file among the rows, missing chunks, the summary and Sobol indices where
@@ -326,7 +326,7 @@ def check_folder(folder: str | Path) -> list[tuple[Path, str | None]]:
 
 
 def _fault(read: Callable[[Path], Any], folder: Path, path: Path) -> tuple[Path, str | None]:
-    """A file of a folder, and the sentence with which reading it is refused."""
+    """A file of a folder with None, or with the sentence that says why ``read`` refuses it."""
     try:
         read(folder)
     except InputError as error:
@@ -339,13 +339,13 @@ def _fault(read: Callable[[Path], Any], folder: Path, path: Path) -> tuple[Path,
 SETTING = ("setting", "tolerances", "it_grade", "poses", "noise_mm", "noise_deg", "payload_kg", "method")
 """Columns that name a setting."""
 VARIED = ("it_grade", "poses", "noise_mm", "payload_kg")
-"""What a study may vary, beside tolerance class and method."""
+"""Columns that a study may vary, beside tolerance class and method."""
 
 PROBABILITIES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
 def held(rows: Sequence[Row], shown: Sequence[str]) -> list[Row]:
-    """The rows in which everything that is not shown stands at its middle value; raw arms have no poses and noise."""
+    """The rows in which every varied column but ``shown`` is at its middle value; raw arms have no poses or noise."""
     calibrated = [row for row in rows if row["method"] != study.RAW] or rows
     middle = {}
     for name in ("tolerances", *VARIED):
@@ -415,7 +415,7 @@ def quantiles_of(
 
 
 def _by_setting(rows: ds.Dataset, columns: Sequence[str]) -> Iterator[tuple[dict[str, Any], Rows]]:
-    """Each setting, by number, with some columns of its rows."""
+    """Yield each setting, ordered by number, with the given columns of its rows."""
     settings: dict[int, dict[str, Any]] = {}
     for batch in rows.to_batches(columns=list(SETTING), use_threads=False):
         groups = pa.Table.from_batches([batch]).group_by(list(SETTING), use_threads=False).aggregate([])

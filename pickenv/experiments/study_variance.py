@@ -1,4 +1,4 @@
-"""What arms' errors differ by: drawn anew one by one, by Sobol's indices, and by regression on a study's rows.
+"""Causes of differences between arms' errors: by drawing each anew, by Sobol's indices, and by regression on rows.
 
 Components: the arm, its fruit, its poses or the tracker is drawn again while the others are held, on arms beyond the
 study's own. Figure: the radius that holds the required share of an arm's fruit, which decides whether it is within
@@ -47,10 +47,10 @@ def variance_indices(first: Array, second: Array, mixed: Array, names: Sequence[
     """The indices of causes, from R independent blocks of n rows.
 
     Args:
-        first: The figure with all causes from A ``(R, n)``.
-        second: With all from B ``(R, n)``.
-        mixed: For each of G causes, with it alone from B ``(G, R, n)``.
-        names: Of the causes.
+        first: Values of the figure with all causes from sample A ``(R, n)``.
+        second: Values with all causes from sample B ``(R, n)``.
+        mixed: For each of G causes, values with this cause from B and all others from A ``(G, R, n)``.
+        names: Names of the causes.
 
     Returns:
         For each cause ``group``, ``first_order`` (its share alone), ``total`` (with all its interactions, never less),
@@ -88,7 +88,7 @@ def _ends(part: Array, whole: Array, value: float) -> tuple[float | None, float 
 # Components.
 
 MOST_ARMS, LEAST_ARMS = 256, 30
-"""Arms of the design at most, and fewest for which it is made: of 20 arms intervals of totals hold 92 %."""
+"""Most and fewest arms of the design: with 20 arms, 95 % intervals of totals would hold only 92 %."""
 
 
 def components_of(protocol: Protocol, setting: Setting) -> list[dict[str, Any]]:
@@ -99,8 +99,8 @@ def components_of(protocol: Protocol, setting: Setting) -> list[dict[str, Any]]:
         setting: One of its settings, raw or least squares.
 
     Returns:
-        As `variance_indices`, of the groups arms, fruit, and for least squares poses and tracker; with the number of
-        ``arms``.
+        Rows as from `variance_indices`, for the groups arms and fruit, and with least squares poses and tracker; each
+        with the number of ``arms``.
 
     Raises:
         InputError: If the setting's method is another, or too few arms can be judged.
@@ -162,9 +162,9 @@ SOBOL_STREAM = 7
 SCRAMBLES = 32
 """Independent Sobol sequences that a sample consists of; the intervals are over them."""
 LEAST_SAMPLES = 8 * SCRAMBLES
-"""Rows of a sample at least: with fewer the intervals hold too seldom."""
+"""Fewest rows of a sample: with fewer, the intervals contain the true value too seldom."""
 SAMPLES = 2048
-"""Rows of a sample when nothing else is asked."""
+"""Default number of rows of a sample."""
 
 
 def tolerance_groups(design: Plant) -> dict[str, list[int]]:
@@ -189,7 +189,7 @@ def sobol_of(protocol: Protocol, setting: Setting, samples: int) -> list[dict[st
         samples: A power of two; (groups + 2) times as many arms are made.
 
     Returns:
-        As `sobol_indices`, with the number of arms.
+        Rows as from `sobol_indices`, with the number of arms.
 
     Raises:
         InputError: If the setting's method is another, or an arm cannot be judged.
@@ -242,7 +242,7 @@ def sobol_indices(
         rng: Draws the scrambled Sobol sequences, `SCRAMBLES` of them.
 
     Returns:
-        As `variance_indices`. Total minus first order is interaction.
+        Rows as from `variance_indices`. Total minus first order is interaction.
 
     Raises:
         InputError: If the groups do not name every input once, or ``samples`` is no power of two or too few.
@@ -270,11 +270,11 @@ def sobol_indices(
 # Sensitivities.
 
 DEVIATION = re.compile(r"delta_.+_(mm|deg)|size_.+|(sine|cosine)_.+|rise_K")
-"""Columns that hold what was drawn for an arm."""
+"""Pattern of the names of columns that hold deviations drawn for an arm."""
 BLOCKS = 100
 """Groups of arms that the jackknife leaves out in turn; an arm's group follows from its number."""
 ARMS_PER_TERM = 5
-"""A regression is refused on fewer arms for each of its terms."""
+"""Fewest arms for each term of a regression; with fewer, it is refused."""
 TAILS = (0.975, 0.025)
 
 
@@ -400,10 +400,10 @@ class _Regression:
     """A regression on 2 k terms, x and x^2 of k deviations, and what it says of G groups of them.
 
     Attributes:
-        slopes: ``(2 k,)``, mm^2.
+        slopes: Slopes of the terms ``(2 k,)``, mm^2.
         terms: Covariance of the terms ``(2 k, 2 k)``.
-        variance: Of the squared error, mm^4.
-        share: Of the variance ``(G,)``, with what scatter alone gives.
+        variance: Variance of the squared error, mm^4.
+        share: Each group's share of the variance ``(G,)``, including what scatter alone adds.
         mean_square: What the groups' spread adds to the mean of the squared error ``(G,)``, mm^2.
         linear: Standardised coefficient of each group's first deviation ``(G,)``.
         r2: Share of the variance that all of them explain.
@@ -419,7 +419,7 @@ class _Regression:
 
 
 def _regressed(sums: Array, groups: Sequence[Sequence[int]]) -> _Regression:
-    """Regress on sums of products of one set."""
+    """The regression from the sums of products of one set of arms."""
     count = sums[0, 0]
     mean = sums[0] / count
     covariance = sums / count - np.outer(mean, mean)
@@ -440,7 +440,7 @@ def _regressed(sums: Array, groups: Sequence[Sequence[int]]) -> _Regression:
 
 
 def _terms_of(group: Sequence[int], deviations: int) -> list[int]:
-    """Places of x and x^2 of a group among the terms."""
+    """Indices of the x and x^2 terms of a group among all terms."""
     return [*group, *(deviations + i for i in group)]
 
 
@@ -463,7 +463,7 @@ def _share_by_chance(
 
 
 def _interval(share: float, chance: float, pseudo: Array) -> tuple[float, float]:
-    """95 % interval of a share without what chance adds.
+    """95 % interval of a share, after what chance adds to it is taken off.
 
     The root of a share is a length in the space of slopes, and its standard error the same everywhere, so that the
     share over that error squared is noncentral chi-square, as if of ``chance / error**2`` degrees of freedom. The
@@ -471,8 +471,8 @@ def _interval(share: float, chance: float, pseudo: Array) -> tuple[float, float]
     them, and holds the estimate where that is below zero.
 
     Args:
-        share: With what chance adds.
-        chance: What that is.
+        share: The share, including what chance adds.
+        chance: The part that chance adds.
         pseudo: The jackknife's pseudo-values of the share's root; their skewness gives each side an error of its own.
     """
     estimate, ends = share - chance, mean_interval(pseudo)
