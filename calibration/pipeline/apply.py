@@ -1,7 +1,8 @@
-"""Applying a calibration: targets in, corrected joint commands out, each with the error that is left and how sure.
+"""Applying a calibration: targets in, corrected joint commands out, each with its remaining error and uncertainty.
 
-Joint targets mean the pose that the nominal arm would take; pose targets are first brought to nominal joints by the
-inverse kinematics. Then Qiao 2026 eqs (13)-(16) with the rank-aware inverse and, where learnt, the residual. SI units.
+A joint target means the pose that the nominal arm would take; the inverse kinematics first bring pose targets to
+nominal joints. Then Qiao 2026 eqs (13)-(16) are applied with the rank-aware inverse and, where one was learnt, the
+residual model. SI units.
 """
 
 from __future__ import annotations
@@ -25,10 +26,10 @@ POSITION_TOLERANCE = 1e-5
 """Remaining compensable position error, m, above which a target counts as not reached."""
 
 ATTITUDE_TOLERANCE = 2e-5
-"""The same for attitude, rad."""
+"""Remaining compensable attitude error, rad, above which a target counts as not reached."""
 
 PASSES = 4
-"""Corrections applied, each from the command of the one before; the second already moves by micrometres only."""
+"""Number of corrections, each starting from the last command; the second already moves it by micrometres only."""
 
 FRAMES = ("controller", "instrument")
 
@@ -38,18 +39,20 @@ class CorrectedCommands:
     """Corrected commands for N targets.
 
     Attributes:
-        targets: The nominal joint targets ``(N, n)``, rad or m; for pose targets those that the inverse found.
+        targets: The nominal joint targets ``(N, n)``, rad or m; for pose targets, what the inverse kinematics found.
         joints: The commands ``(N, n)``, within the joint limits; not to be used where the target is not reached.
         reached: Whether position and compensable attitude are met to 0.01 mm and 0.001 deg by prediction ``(N,)``.
-        before: Predicted pose error without calibration ``(N, 6)``, m and rad: what the arm does if told the target.
+        before: Predicted pose error without calibration ``(N, 6)``, m and rad: the error when the target is commanded.
         remaining: Predicted pose error with the command ``(N, 6)``.
-        impossible: The part of it that no joint motion removes ``(N, 6)``.
-        uncertainty: Standard uncertainty of position ``(N,)``, m, and attitude ``(N,)``, rad, reached; None if unknown.
-        within95: What holds 95 of 100 errors of position ``(N,)``, m, and attitude ``(N,)``, rad; None if unknown.
-        reasons: For each target that is not reached, by index, why.
+        impossible: The part of ``remaining`` that no joint motion removes ``(N, 6)``.
+        uncertainty: Standard uncertainty of the position ``(N,)``, m, and attitude ``(N,)``, rad, that the arm reaches;
+            None if unknown.
+        within95: Bound on 95 of 100 errors of position ``(N,)``, m, and attitude ``(N,)``, rad; None if unknown.
+        reasons: The reason why a target is not reached, by the index of the target.
         lines: Line of each target in its file.
-        prismatic: Joint types.
-        caution: What the calibration's rows do not tell of its workspace; None where they tell it.
+        prismatic: For each joint, whether it slides.
+        caution: A sentence on the parts of the workspace that the calibration's rows say too little of; None if
+            there are none.
     """
 
     targets: Array
@@ -82,11 +85,11 @@ class CorrectedCommands:
         return list(columns), np.stack([column.astype(object) for column in columns.values()], axis=1)
 
     def write_csv(self, path: str | Path) -> Path:
-        """Write the table, whole or not at all."""
+        """Write the table as a CSV file, whole or not at all, and return its path."""
         return write_table(path, *self.table())
 
     def report(self) -> str:
-        """A few lines for people; names the rows that cannot be reached."""
+        """A summary of a few lines for people, which names the rows that cannot be reached."""
         rows = self.reached if self.reached.any() else np.ones_like(self.reached)
         before, after, never = (
             [float(size[rows].mean()) for size in _sizes(error)]
@@ -127,14 +130,14 @@ def apply_calibration(
     frame: str = "controller",
     conditions: Conditions | None = None,
 ) -> CorrectedCommands:
-    """Correct targets.
+    """Compute the commands that bring the calibrated arm to targets.
 
     Args:
         calibration: The calibration of this arm.
         arm: The arm.
         targets: Nominal joints, or tool poses.
         frame: For pose targets: "controller" (the arm's own base, tool as in the arm file) or "instrument" (the frame
-            that the calibration was measured in, tool as it was fitted).
+            that the calibration was measured in, with the fitted tool).
         conditions: Payload and temperature, one value each, where the calibration depends on them.
 
     Raises:
@@ -212,8 +215,8 @@ def _sizes(errors: Array) -> tuple[Array, Array]:
 def toward(compensator: Compensator, wanted: Pose, start: Array) -> Array:
     """Commands ``(N, n)`` that bring the real tool to ``wanted`` poses, from joints near them; eq (15), repeated.
 
-    A joint at its limit that would have to go further is held there, and the others take over what they can. Fewer than
-    six joints go for the position first.
+    A joint that would have to go beyond its limit stays there, and the other joints take over what they can. An arm
+    with fewer than six joints puts the position first.
     """
     lower, upper = compensator.nominal.lower, compensator.nominal.upper
     weights = np.repeat([1.0, attitude_weight(compensator.nominal.joints)], 3)
@@ -233,7 +236,7 @@ def toward(compensator: Compensator, wanted: Pose, start: Array) -> Array:
 
 
 def _carried(pose: Pose, believed: Geometry, fitted: Geometry) -> Pose:
-    """A tool pose in the controller's frame, as the instrument's frame and the fitted tool have it."""
+    """A tool pose from the controller's frame, expressed in the instrument's frame for the fitted tool."""
     turn = fitted.base.rotation @ believed.base.rotation.T
     twist = believed.tool.rotation.T @ fitted.tool.rotation
     mount = pose.rotation @ believed.tool.rotation.T

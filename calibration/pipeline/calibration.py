@@ -1,4 +1,4 @@
-"""A fitted calibration: predict, compensate, save and load. One verified file, refused on another arm."""
+"""A fitted calibration: it predicts, compensates, saves and loads as one verified file, refused on another arm."""
 
 from __future__ import annotations
 
@@ -41,20 +41,21 @@ from pickenv.calibration.residuals.residual_models import LearntResidual
 # in its record, so that a command can be given with its uncertainty later. SI units.
 
 NEARBY, SPACING = 0.3, 1.5
-"""Poses whose joints lie so far apart, rad or m, are alike in what a model leaves out; or so many times farther than
-those measured lie from their neighbours."""
+"""Greatest distance of joints, rad or m, at which two poses are alike in what a model leaves out; or, if it is larger,
+so many times the distance of the measured poses from their neighbours."""
 
 VAGUE = 2.0
-"""Poses that parameters tell so many times worse than 95 of 100 rows fitted are unlike what was measured."""
+"""A pose is unlike what was measured where the parameters' part of its uncertainty is more than so many times that of
+95 of 100 fitted rows."""
 
 MEASURED_REGION = "measured_region"
 """Entry of a calibration's record that holds `region_of`."""
 
 QUANTITIES = {"position": screen_unit(True), "attitude": screen_unit(False)}
-"""What of a pose is uncertain, and in which unit screens show it."""
+"""The uncertain parts of a pose, and the unit and factor in which screens show each."""
 
 ANCHORS = 400
-"""Poses at most that stand for where an arm was measured."""
+"""Most poses that stand for the region in which an arm was measured."""
 
 SHARE = 0.95
 
@@ -65,12 +66,13 @@ class PoseUncertainty:
 
     Attributes:
         names: Identified parameters of the arm.
-        covariance: Of their errors ``(p, p)``, m and rad.
+        covariance: Covariance of the errors of these parameters ``(p, p)``, m and rad.
         position_repeat: Standard deviation of one position coordinate that the parameters do not explain, m.
-        attitude_repeat: The same of one attitude coordinate, rad; None where only positions were measured.
-        factors: Of `QUANTITIES`, as far as enough errors show it: "factor", 95 of 100 errors are smaller than this many
-            times their expected root mean square; "covered", the share of the held-out errors within it, each judged by
-            a factor and a size found without its block.
+        attitude_repeat: Standard deviation of one attitude coordinate that the parameters do not explain, rad; None
+            where only positions were measured.
+        factors: For each of `QUANTITIES` of which there are enough errors: "factor", 95 of 100 errors are smaller than
+            this many times their expected root mean square; "covered", the share of the held-out errors within it, each
+            judged by a factor and a size found without its block.
     """
 
     names: tuple[str, ...]
@@ -229,7 +231,7 @@ def joint_features(joints: Array, slides: tuple[bool, ...]) -> Array:
 
 
 def region_of(sure: PoseUncertainty, model: ArmModel, data: Observations) -> dict[str, Any]:
-    """The region that was measured, for a record: some rows' joints, how far apart, how well told there.
+    """The measured region, for a record: some rows' joints, the distance that is near, and the uncertainty there.
 
     Args:
         sure: Uncertainty of the arm.
@@ -248,10 +250,10 @@ def region_of(sure: PoseUncertainty, model: ArmModel, data: Observations) -> dic
 
 
 def measured_there(record: Mapping[str, Any], model: ArmModel, data: Observations) -> NDArray[np.bool_] | None:
-    """A mask of the rows ``(N,)`` that lie where an arm was measured: others are near, and parameters tell the pose.
+    """A mask of the rows ``(N,)`` in the measured region: fitted rows are near, and the parameters determine the pose.
 
     Args:
-        record: The calibration's; None is returned where it does not say.
+        record: The calibration's record; the result is None where it holds no region or no uncertainty.
         model: The arm.
         data: The rows.
     """
@@ -266,10 +268,10 @@ def measured_there(record: Mapping[str, Any], model: ArmModel, data: Observation
 
 
 def uncertainty_from(record: Mapping[str, Any]) -> PoseUncertainty | None:
-    """The uncertainty that a calibration's record holds, or None if it holds none or no spare equations gave one.
+    """The uncertainty that a calibration's record holds, or None if it holds none or had no spare equations.
 
-    Older records hold a scatter that differs from pose to pose, and the factor of 95 of 100 for that; what holds 95 of
-    100 is unknown then.
+    Older records hold a scatter that differs from pose to pose, and a factor for that scatter; the bound on 95 of 100
+    errors is then unknown.
     """
     entry = record.get("uncertainty")
     if not isinstance(entry, Mapping):
@@ -375,7 +377,7 @@ class Calibration:
         single_precision: bool = False,
         fast: bool = True,
     ) -> Compensator:
-        """The map from joint targets to joint commands, for control loops and environments.
+        """Make the map from joint targets to joint commands, for control loops and environments.
 
         Args:
             with_residual: Whether the learnt residual takes part; parametric terms always do.
@@ -410,13 +412,13 @@ class Calibration:
 
     @property
     def caution(self) -> str | None:
-        """A sentence on what its rows do not tell of the workspace it was made for; None where they tell it."""
+        """A sentence on the parts of its workspace that the fitted rows say too little of; None if there are none."""
         workspace = self.record.get("workspace")
         sentence = workspace.get("reservation") if isinstance(workspace, Mapping) else None
         return None if sentence is None else str(sentence)
 
     def reservations(self) -> dict[str, str]:
-        """Reservations against using it, by name, each a sentence that says what to do."""
+        """The reservations against using this calibration, by name, each a sentence that says what to do."""
         sentences = {}
         verdict = self.record.get("verdict")
         if isinstance(verdict, Mapping) and verdict.get("grade") == "do not use":
@@ -435,25 +437,25 @@ class Calibration:
 
     @property
     def in_own_base(self) -> Geometry:
-        """The calibrated geometry in the robot's own base: fitted frames are the instrument's, and no part of it."""
+        """The calibrated geometry in the robot's own base; the arm's own base replaces a fitted one."""
         if self.record.get("frames") == "fitted":
             return replace(self.identified, base=self.arm.base)
         return self.identified
 
     def compensate(self, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
-        """Joint commands for joint targets ``(..., n)``, rad or m."""
+        """Compute joint commands ``(..., n)`` for joint targets ``(..., n)``, rad or m."""
         return self.compensator(conditions=conditions)(joints)
 
     def predict(self, joints: ArrayLike, conditions: Conditions | None = None) -> Pose:
-        """Expected true tool pose at joint commands ``(..., n)``."""
+        """Predict the true tool pose at joint commands ``(..., n)``, rad or m."""
         return self.compensator(conditions=conditions, fast=False).predict(joints)
 
     def errors(self, data: Measurements, turn: Array | None = None) -> Array:
-        """Measured minus predicted ``(N, 6)`` or ``(N, 3)``, m and rad, with terms and the learnt residual, where any.
+        """Measured minus predicted poses ``(N, 6)`` or positions ``(N, 3)``, m and rad, with terms and learnt residual.
 
         Args:
             data: Poses or positions.
-            turn: How the base has turned ``(3, 3)`` since the residual was learnt, which was in its axes.
+            turn: Rotation of the base ``(3, 3)`` since the residual was learnt, which is in the axes of the base.
         """
         errors = data.difference(self.model)
         if self.learnt is not None:
@@ -532,7 +534,7 @@ class Calibration:
 
 
 def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Calibration:
-    """The calibration that a file's parts make; raises anything at all where they make none."""
+    """Make a calibration from a file's parts; where they make none, any exception can be raised."""
     names, prismatic, record = header["joint_names"], header["prismatic"], header["record"]
     parts = {key: part_of(arrays, f"{key}/") for key in GEOMETRIES}
     arm, nominal, identified = (geometry_from_arrays(part, names, prismatic, key) for key, part in parts.items())

@@ -1,9 +1,9 @@
-"""The one way from rows to a result, for every kind of measurement and whoever asks.
+"""The one way from measured rows to a calibration result, for every kind of measurement and every caller.
 
-`STAGES` has its steps in order: check, align, identify, add terms, learn what remains; reading comes
-before, judgement after. Nominal means after base and tool were fitted: an uncalibrated arm is not blamed for where the
-instrument stood. Terms and residual model are chosen within the training rows, so that the held-out figures are those
-of rows never looked at.
+`STAGES` lists its steps in order: check, align, identify, add terms, learn what remains; reading comes before them,
+judgement after them. "Nominal" errors are taken after base and tool were fitted: an uncalibrated arm is not blamed for
+where the instrument stood. Terms and residual model are chosen within the training rows, so that the held-out figures
+come from rows that no choice has used.
 """
 
 from __future__ import annotations
@@ -62,22 +62,22 @@ class Choices:
         terms: "auto", or names of terms joined by "+", or "none".
         residual: "auto", a residual model's name, or "none".
         force: Whether a named residual model is used even if it does not win.
-        robust: Whether rows far off are left out; they are listed all the same.
+        robust: Whether rows far off are left out; they are listed in either case.
         seed: Seeds everything random.
-        frames: Whether base and tool are "known" or "fitted"; as the data say when None.
+        frames: Whether base and tool are "known" or "fitted"; when None, what the data say of them.
         learn_from: Poses for the named residual model, which is then used as it is, as the paper does; when None it
             learns from the training rows, if it wins there.
-        settings: Settings of the network that learns from them; the paper's when None.
-        lens: "fixed" or "free", for pictures; as their description says when None.
-        refit: Which of "base" and "tool" the rows to judge by have of their own, as rows of another station do.
-        refit_rows: So many of them are used to find those.
+        settings: Settings of the network that learns from ``learn_from``; the paper's when None.
+        lens: "fixed" or "free", for pictures; when None, what their description says.
+        refit: Which of "base" and "tool" differ in the rows to judge by, as they do at another station.
+        refit_rows: Number of the rows to judge by from which these frames are found.
         fit: One of `pickenv.calibration.model.prior.FIT_WORDS`: "auto", all parameters by their priors; "offsets", the
-            joints' zeros alone; "full", all of them without priors, as the papers do.
-        tolerances: The tolerance class that parts are expected to be made to, by name or path; the arm's own, or that
-            of a cobot, when None.
-        prior_scale: Factor on its widths; found from the rows when None.
-        workspace: Where the verdict speaks (`pickenv.calibration.pipeline.result.workspace_joints`); the joint limits
-            when None.
+            joints' zeros alone; "full", all parameters without priors, as the papers do.
+        tolerances: The tolerance class that parts are expected to be made to, by name or path; when None, the arm's own
+            class, or else the class of a cobot.
+        prior_scale: Factor on the widths of the priors; found from the rows when None.
+        workspace: The region that the verdict is about (`pickenv.calibration.pipeline.result.workspace_joints`); the
+            joint limits when None.
     """
 
     terms: str = "auto"
@@ -98,7 +98,11 @@ class Choices:
 
 
 def refuse_options(train: Observations, choices: Choices) -> None:
-    """Refuse what is there for poses and positions only."""
+    """Refuse options that apply only to another kind of measurement than the rows hold.
+
+    Raises:
+        InputError: Names the option.
+    """
     learnt = choices.residual not in ("auto", "none")
     tracked = all(part.poses is not None for part in train.parts)
     options = {
@@ -120,14 +124,18 @@ Data = Observations | str | Path | Sequence[str | Path] | Sequence[Observations]
 """Rows: measurements, observations of any kind or several of them, or the files that hold them."""
 
 Columns = str | Path | Sequence[str | Path] | None
-"""Description of the files' columns, by name or path; several for one per file."""
+"""Description of the files' columns, by name or path; or several, one for each file."""
 
 STATIONS: dict[str, tuple[str, ...]] = {"none": (), "base": ("base",), "tool": ("tool",), "base,tool": OWN}
-"""Frames that stations can have of their own, as they are written."""
+"""Frames that each station can have of its own, by the word that names them."""
 
 
 def given_arm(arm: Arm | str | Path | None, columns: Columns) -> Arm:
-    """The arm; one that only carries poses where they are finished."""
+    """Load the arm; where the files hold finished poses, a carrier that only reproduces them takes its place.
+
+    Raises:
+        InputError: If an arm is given with finished poses, or none is given without them.
+    """
     described = [load_description(description) for description in _each(columns)]
     if any(description.poses for description in described):
         if arm is not None:
@@ -147,16 +155,16 @@ def given_rows(
     known: bool = False,
     like: Observations | None = None,
 ) -> tuple[Observations, NoiseFloor | None]:
-    """Rows, and what their files say about noise (of several stations, the first one's).
+    """Read the rows, and what their files say about noise (for several stations, the noise of the first station).
 
     Args:
         arm: The arm.
         data: The rows, or their files.
-        columns: How the files are laid out; of several descriptions each is for one file.
+        columns: How the files are laid out; several descriptions are for one file each.
         stations: What each file, or data set, has of its own, of `STATIONS`. When left out, the rows tell which files
             of poses or positions are of one set-up, and other kinds have both frames of their own.
         known: Whether base and tool are known; then all files are of one set-up.
-        like: Rows whose set-ups these are of, where they judge those.
+        like: The training rows, where ``data`` judge them and come from the set-ups in which they were measured.
 
     Raises:
         InputError: Names the file, row, column or unit at fault.
@@ -187,12 +195,12 @@ def given_rows(
 
 
 def pool_of(path: str | Path, geometry: Geometry, columns: str | Path | None = None) -> tuple[Array, NDArray[np.int64]]:
-    """Joints ``(N, n)`` of a file of poses to choose from, and their lines in it ``(N,)``.
+    """Read the joints ``(N, n)`` of a file of poses to choose from, and the line of each pose in the file ``(N,)``.
 
     Args:
         path: Joint targets or tool poses in our own columns; or measurements, where they are described.
         geometry: The arm.
-        columns: Their description.
+        columns: Description of the columns of measurements.
 
     Raises:
         InputError: Names the file, row, column or unit at fault, or a pose that cannot be reached.
@@ -213,7 +221,7 @@ def _each(columns: Columns) -> list[str | Path]:
 def _joined(
     arm: Arm, sets: list[Observations], stations: str | None, known: bool, like: Observations | None
 ) -> Observations:
-    """One data set as it is; several as stations of one arm, as asked or as poses and positions tell."""
+    """Join several data sets as stations of one arm, as asked or as poses and positions show; leave one as it is."""
     if stations is None:
         tracked = [file for part in sets if part.poses is not None for file in _files(part.poses)]
         if isinstance(like, Stacked) and tracked:
@@ -226,14 +234,14 @@ def _joined(
 
 
 def _files(data: Measurements) -> list[Measurements]:
-    """The rows of each file."""
+    """The rows of each file as measurements of their own."""
     origins = origins_of(data)
     numbers = np.unique(origins.file)
     return [replace(data.select(origins.file == i), source=origins.files[i]) for i in numbers.tolist()]
 
 
 def _refuse_no_numbers(arm: Arm, data: Observations) -> None:
-    """Refuse arrays that no file could have held."""
+    """Refuse measurements that are of no known kind, do not fit the arm's joints or are not finite."""
     if not hasattr(data, "joints"):
         kinds = ", ".join(names("observation"))
         raise InputError(f"{type(data).__name__} are no measurements; give files, or observations ({kinds})")
@@ -252,17 +260,17 @@ def _refuse_no_numbers(arm: Arm, data: Observations) -> None:
 
 
 GATE_ROWS = 3000
-"""Residual models are judged on so many training rows at most, taken evenly."""
+"""Most training rows, taken evenly, that residual models are judged on."""
 
 ENOUGH_FOR_BLOCKS = 40
-"""Fewer training poses than this are not enough to hold blocks out of."""
+"""Fewest training poses from which blocks can be held out."""
 
 GEOMETRY = "geometry"
 
 SPLITS = ("random", "blocked")
 
 FEW_VIEWS, FEW_ROWS = 60, 20
-"""So many pictures, or poses, are judged one by one, each by a fit to those of all other poses."""
+"""Up to this many pictures, or poses, are judged one by one, each by a fit to the rows of all other poses."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,11 +282,11 @@ class Draft:
         choices: What was asked for.
         train: Rows to fit, in the order measured.
         test: Rows to judge by.
-        rng: Draws for the residual model that will be used.
+        rng: Random generator of the residual model that will be used.
         progress: Called with (what is done, how many are done, how many there are).
         left_out: Rows far off that were left out.
         aligned: Evidence of the base and tool fit; None where they are known.
-        fits: What was fitted so far, by name, in order; the last will be used.
+        fits: The fits so far, by name, in order; the last will be used.
         term_choice: How terms were chosen.
         gate: The residual models' verdicts.
     """
@@ -297,12 +305,12 @@ class Draft:
 
     @property
     def tracked(self) -> Measurements | None:
-        """Training poses or positions, of stations as the first one would have measured them; None for other kinds."""
+        """Training poses or positions, all as the first station would have measured them; None for other kinds."""
         return fitting.tracked_rows(self.best[1].identification, self.train)
 
     @property
     def best(self) -> tuple[str, fitting.Fit]:
-        """The last of the fits, and its name."""
+        """The name of the last fit, and the fit."""
         return list(self.fits.items())[-1]
 
     def with_fit(self, name: str, fit: fitting.Fit) -> Draft:
@@ -338,13 +346,13 @@ def calibrate(
         stations: What each file, or data set, has of its own: "base", "tool", "base,tool" or "none". When left out,
             the rows tell which files of poses or positions share a set-up; other kinds have both of their own.
         test: Rows to judge by; some of ``data`` when left out.
-        split: How those are held out: "random", and the calibration is fitted to the others; or "blocked", all ten
-            contiguous tenths in turn, each judged by a model fitted and chosen without it, while the calibration itself
-            is fitted to all rows. Fewer than 40 poses are always judged so, and up to 20 one by one.
-        test_rows: How many are held out at random; a fifth when left out.
+        split: How rows of ``data`` are held out: "random", and the calibration is fitted to the others; or "blocked",
+            all ten contiguous tenths in turn, each judged by a model fitted and chosen without it, while the
+            calibration itself is fitted to all rows. Fewer than 40 poses are always judged so, and up to 20 one by one.
+        test_rows: How many rows are held out at random; a fifth when left out.
         choices: Terms, residual model, frames, robustness and seed; the defaults choose by the data.
         unit: Serial number of the robot, kept in the calibration.
-        rng: Draws for the residual model; from the seed when left out.
+        rng: Random generator of the residual model; made from the seed when left out.
         progress: Called with (what is done, how many are done, how many there are): residual models or blocks judged,
             epochs of the network that learns from poses of its own.
 
@@ -406,16 +414,16 @@ def _assessed(draft: Draft, held_out: fitting.HeldOut) -> Result:
 
 
 def _judged_once(draft: Draft) -> Result:
-    """The calibration judged on its rows held out."""
+    """Judge the calibration on its held-out rows."""
     draft = _through(STAGES, draft)
     return _assessed(draft, fitting.held_out_of(draft.fits, draft.test))
 
 
 def _judged_by_blocks(draft: Draft) -> Result:
-    """The calibration of all rows, judged on each block by what the same stages make of the other blocks.
+    """Calibrate with all rows, and judge each block by a calibration that the same stages make from the other blocks.
 
-    Terms are chosen anew without each block. The residual model of a block is chosen on every other block, that one
-    never among them, for to choose among residual models anew for every block takes ten times as long.
+    Terms are chosen anew without each block. Residual models are chosen only twice, on the odd and on the even blocks,
+    since to choose one for every block would take ten times as long; a block takes the choice that it had no part in.
     """
     checked = _check(draft)
     complete = _through(STAGES[1:], checked)
@@ -446,7 +454,7 @@ def _judged_by_blocks(draft: Draft) -> Result:
 
 
 def _judged_elsewhere(draft: Draft) -> Result:
-    """The calibration judged on another station, whose own frames are found from a few of its rows."""
+    """Judge the calibration on another station, whose own frames are found from a few of its rows."""
     test = draft.test
     draft = _through(STAGES, replace(draft, test=draft.train.select(np.arange(0))))
     if test.poses is None:
@@ -459,14 +467,14 @@ def _judged_elsewhere(draft: Draft) -> Result:
 
 
 def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
-    """Rows to fit and rows held out, block by block; of few pictures, or very few poses, each is a block."""
+    """The rows to fit and the rows held out, block by block; each of few pictures, or very few poses, is a block."""
     poses, count = same_poses(train.joints), pose_count(train.joints)
     few = count <= (FEW_VIEWS if train.kind == "pixels" else FEW_ROWS)
     return contiguous_folds(train.groups, poses, count if few else BLOCKS)
 
 
 def _chosen(checked: Draft, rows: Rows) -> str | None:
-    """Name of the residual model that the stages choose on these rows."""
+    """Name of the residual model that the stages choose on these rows; None if they choose none or fail."""
     choices, train = checked.choices, checked.train.select(rows)
     if choices.residual == "none" or choices.learn_from is not None:
         return None
@@ -509,12 +517,12 @@ def _check(draft: Draft) -> Draft:
 
 
 def _align(draft: Draft) -> Draft:
-    """Base and tool, where they are not known."""
+    """Fit base and tool, where they are not known."""
     return replace(draft, aligned=fitting.fit_frames(draft.arm, draft.train, draft.choices.frames == "known"))
 
 
 def _identify(draft: Draft) -> Draft:
-    """The geometry, from what was expected of it and what the rows say."""
+    """Identify the geometry from its priors and the rows."""
     choices, known_frames = draft.choices, draft.aligned is None
     start = draft.arm.nominal if draft.aligned is None else draft.aligned.geometry
     model = prior_model(
@@ -529,7 +537,7 @@ def _identify(draft: Draft) -> Draft:
 
 
 def _add_terms(draft: Draft) -> Draft:
-    """As many of the wanted terms, in their order, as converge; "auto" chooses them within the training rows."""
+    """Add the wanted terms, dropping the last one until the fit converges; "auto" chooses within the training rows."""
     (name, geometric), choice = draft.best, None
     bare, known_frames = geometric.identification, draft.aligned is None
     if draft.choices.terms != "auto":
@@ -551,7 +559,7 @@ def _add_terms(draft: Draft) -> Draft:
 
 
 def _learn(draft: Draft) -> Draft:
-    """A residual model: the named one from poses of its own, or one that wins within the training rows."""
+    """Learn a residual model: the named one from poses of its own, or one that wins within the training rows."""
     choices = draft.choices
     if choices.learn_from is not None:
         settings = (choices.settings or BpnnSettings()) if choices.residual == "bpnn" else None
@@ -576,14 +584,14 @@ def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSe
 
 
 def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> tuple[GateVerdict, ...]:
-    """Verdicts on residual models within the training rows."""
+    """The verdicts on residual models, judged within the training rows."""
     data = train.select(equally_spaced(len(train), GATE_ROWS))
     name, best = draft.best
     expected, fitted = best.identification.prior, best.identification.arm_model
     assert expected is not None
 
     def refit(rows: Measurements) -> ArmModel:
-        """Fit the arm to some of the rows; what these scatter by, the fit to all of them says."""
+        """Fit the arm to some of the rows, whose scatter is taken from the fit to all of them."""
         none, unused = np.zeros(0), np.zeros(rows.rows_per_pose * len(rows))
         return solve(expected, rows, noise_of(rows, fitted, none, unused)).arm_model
 

@@ -1,7 +1,7 @@
-"""An old calibration on new rows: does it still beat the nominal arm, is it as good as promised, was this measured?
+"""An old calibration on new rows: does it beat the nominal arm, is it as good as promised, was this region measured?
 
-What is wrong is named by its cause: frames that moved explain the rows, joints' zeros do, or nothing that a robot does
-between two measurements. mm and degrees on screens, SI inside.
+Where it is not as promised, the cause is named: frames that moved explain the rows, joints' zeros explain them, or
+nothing that happens to a robot between two measurements does. mm and degrees on screens, SI inside.
 """
 
 from __future__ import annotations
@@ -44,33 +44,33 @@ REFIT_ROWS = 6
 """Rows that base and tool are found from when nobody says how many."""
 
 CHANGE_STD = (1.0, np.pi / 6)
-"""Standard deviations of a frame's change before rows are seen, m and rad: what rows do not tell stays as it was."""
+"""Prior standard deviations of a frame's change, m and rad: what the rows do not determine stays as it was."""
 
 NO_RANK = 1e-12
-"""Nothing is redundant where all is expected somewhere."""
+"""Rank tolerance, so small that no parameter counts as redundant: each has a prior."""
 
 TOLD = 0.1
-"""A direction is told where its standard deviation is less than this share of `CHANGE_STD`."""
+"""Rows determine a direction of a frame where its standard deviation is less than this share of `CHANGE_STD`."""
 
 CANDIDATES = 1000
-"""Rows are chosen among so many at most, taken evenly."""
+"""Most rows, taken evenly, among which the rows for the frames are chosen."""
 
 
 Moves = dict[str, tuple[float, float, int, int]]
-"""Shift, m, and turn, rad, of frames by name, and how many of three directions of each are not told."""
+"""Shift, m, and turn, rad, of each frame by name, and how many of the three directions of each the rows leave open."""
 
 
 Restationed = tuple[Calibration, Rows, Rows, Array, Moves]
 """A calibration with the base and tool of another station; the rows that these were found from; all rows of other
-poses; the mean square that errors there should have ``(R,)``, m^2, which is what the calibration leaves elsewhere and
-what the frames are uncertain by; and how far the frames lie from where they were."""
+poses; the mean square ``(R,)``, m^2, expected of the errors of those other rows, from the scatter of one reach and the
+uncertainty of the frames; and how far the frames have moved."""
 
 
 def frames_and_rows(text: str | None, rows: int | None) -> tuple[tuple[str, ...], int]:
-    """The frames that a list such as "base,tool" names, and how many rows they are found from.
+    """The frames that a list such as "base,tool" names, and the number of rows they are found from.
 
     Raises:
-        InputError: If it names others, or there are rows and no frames to find from them.
+        InputError: If the list names other frames, or a number of rows is given without frames.
     """
     if text is None:
         if rows is not None:
@@ -89,17 +89,17 @@ def restationed(
     count: int = REFIT_ROWS,
     used: Rows | None = None,
 ) -> Restationed:
-    """Find base, tool or both of a calibrated arm anew from a few rows, chosen by their joints alone.
+    """Find base, tool or both of a calibrated arm anew from a few rows, which are chosen by their joints alone.
 
-    The frames are expected where they were, within `CHANGE_STD`, which is as good as nothing where the rows tell them;
-    where they do not, they stay.
+    The frames are expected where they were, within `CHANGE_STD`; this hardly matters in directions that the rows
+    determine, and in other directions the frames stay.
 
     Args:
         calibration: The calibration.
         data: Poses or positions at the other station.
         own: Which of "base" and "tool" are found.
-        count: Rows to find them from; they are chosen so that positions elsewhere are told best (I-optimal).
-        used: These rows, where they were chosen already.
+        count: Rows to find them from; they are chosen so that other positions are predicted best (I-optimal).
+        used: The rows to find the frames from, where they were chosen already.
 
     Raises:
         InputError: If there are too few rows.
@@ -143,18 +143,18 @@ def restationed(
 
 
 def own_frames_model(geometry: Geometry, own: Collection[str]) -> ErrorModel:
-    """Base, tool or both."""
+    """An error model of the base, the tool or both."""
     frames = frames_model(geometry)
     return frames.some(np.array([name.startswith(tuple(own)) for name in frames.names]))
 
 
 def expected_square(data: Measurements) -> float:
-    """Mean square of a position error that is scatter alone, m^2, of rows that say what one reach scatters by."""
+    """Mean square of a position error that is scatter alone, m^2; the rows' uncertainty is the scatter of one reach."""
     return 3.0 * data.position_std**2
 
 
 def weighed_by_reach(calibration: Calibration, data: Measurements) -> Measurements:
-    """The data with what one reach scatters by as their uncertainty, where the calibration knows it."""
+    """The data with the scatter of one reach as their uncertainty, where the calibration knows a larger one."""
     uncertainty = calibration.record.get("uncertainty") or {}
     position = max(float(uncertainty.get("position_repeat_m") or 0.0), data.position_std)
     attitude = max(float(uncertainty.get("attitude_repeat_rad") or 0.0), data.attitude_std)
@@ -162,7 +162,7 @@ def weighed_by_reach(calibration: Calibration, data: Measurements) -> Measuremen
 
 
 def _telling(model: ArmModel, data: Measurements, frames: ErrorModel, count: int) -> Rows:
-    """The rows that tell the frames best, for positions all over the data."""
+    """The rows from which the frames are found best, for positions all over the data."""
     pool = equally_spaced(len(data), CANDIDATES)
     jacobian = model.jacobian(data.joints[pool], data.conditions.select(pool))[..., frames.columns] * frames.tolerance
     rows = jacobian[:, : data.rows_per_pose] * data.row_weights[:, None]
@@ -172,7 +172,7 @@ def _telling(model: ArmModel, data: Measurements, frames: ErrorModel, count: int
 
 
 def _starts(model: ArmModel, few: Measurements, own: Collection[str]) -> Iterator[ArmModel]:
-    """The model as it is, and near the new frames."""
+    """Starting points for the frames' fit: the model as it is, then with frames near the new ones."""
     geometry = model.geometry
     yield model
     if set(own) == {"tool"}:
@@ -184,9 +184,9 @@ def _starts(model: ArmModel, few: Measurements, own: Collection[str]) -> Iterato
 
 
 def errors_there(there: Calibration, before: Calibration, data: Measurements) -> Array:
-    """Measured minus predicted ``(R, 6)`` or ``(R, 3)`` on rows of another station, m and rad.
+    """Measured minus predicted poses ``(R, 6)`` or positions ``(R, 3)`` of rows of another station, m and rad.
 
-    What was learnt is turned with the base, in whose axes it was learnt.
+    The learnt residual turns with the base, since it was learnt in the axes of the base.
     """
     return there.errors(data, there.identified.base.rotation @ before.identified.base.rotation.T)
 
@@ -194,13 +194,13 @@ def errors_there(there: Calibration, before: Calibration, data: Measurements) ->
 def near_rows(
     calibration: Calibration, data: Measurements, refit: Collection[str], count: int
 ) -> tuple[Measurements, tuple[LeftOut, ...]]:
-    """The rows but a few that are far off; where many are, the arm has moved, and they must judge.
+    """The rows without a few that are far off, and these; where many are far off, the arm has moved, and all stay.
 
     Args:
         calibration: The calibration.
         data: Rows, maybe of another station.
-        refit: Which frames are that station's own; then rows far off are so wherever base and tool may be.
-        count: Rows that these frames will be found from.
+        refit: Which frames are that station's own; then they are fitted before rows are called far off.
+        count: Number of rows that these frames will be found from.
     """
     model = calibration.model
     if refit:
@@ -218,17 +218,17 @@ def near_rows(
 
 
 GROWN = 1.5
-"""Errors may be so many times what is expected before a calibration counts as no longer as promised: rows of another
-region of the workspace are up to 1.3 times worse on four sets of one robot."""
+"""Errors may be up to so many times what is expected before a calibration is no longer as good as promised: rows of
+another region of the workspace are up to 1.3 times worse on four sets of one robot."""
 
 ELSEWHERE = 20.0
-"""Errors of more than so many times what is expected come from no region of the workspace."""
+"""Errors of more than so many times what is expected cannot come from another region of the workspace."""
 
 MOSTLY = 5.0
-"""Frames elsewhere explain such errors where these are so many times smaller with them."""
+"""Moved frames explain errors beyond `ELSEWHERE` if fitting the frames makes them so many times smaller."""
 
 ALIKE = 0.75
-"""With errors of more than this share of the nominal arm's, little of the calibration is this arm's."""
+"""With errors of more than this share of the nominal arm's errors, the calibration hardly describes this arm."""
 
 Status = Literal[
     "still good",
@@ -243,21 +243,21 @@ Status = Literal[
 
 @dataclass(frozen=True, eq=False)
 class Verification:
-    """The verdict of new rows on a calibration.
+    """The verdict on a calibration from new rows.
 
     Attributes:
         status: The verdict.
-        reason: Why, in a sentence.
+        reason: The reason for the verdict, as a sentence.
         calibrated: Errors of the calibrated arm, mm.
         nominal: Errors of the nominal arm, with the same frames refitted on the same rows, mm.
-        expected: What the RMS should be, mm.
-        rows: Rows judged.
-        refitted: Rows that base and tool were found from.
+        expected: The RMS that the calibration promises, mm.
+        rows: Number of rows judged.
+        refitted: Number of rows that base and tool were found from.
         moved: How far base and tool lie from where they were.
-        since: The first row from which on errors stay large, in words; None where they do not.
-        left_out: Rows far off from all others.
-        no_gain: Why the rows do not show that the calibrated arm is better than the nominal one; None where they do.
-        measured: Share of the rows that lie where the calibration was measured; None where that is not known.
+        since: The row from which on errors stay large, in words; None where there is no such row.
+        left_out: Rows left out because they are far off.
+        no_gain: Why the rows do not show that the calibrated arm is better than the nominal arm; None where they do.
+        measured: Share of the rows that lie in the region that the calibration measured; None if that is not known.
     """
 
     status: Status
@@ -275,11 +275,11 @@ class Verification:
 
     @property
     def ratio(self) -> float:
-        """RMS error, in what was promised."""
+        """Ratio of the RMS error to the RMS that was promised."""
         return self.calibrated.rms / self.expected
 
     def text(self) -> str:
-        """For the terminal: the verdict first."""
+        """The report for the terminal, which begins with the verdict."""
         heads = ("arm", "RMS (mm)", "mean (mm)", "95 % interval (mm)", "p95 (mm)", "max (mm)")
         rows = [(name, *error_cells(s)) for name, s in (("nominal", self.nominal), ("calibrated", self.calibrated))]
         how = f"base and tool as they were; expected of the calibrated arm: {figure(self.expected)} mm RMS"
@@ -309,7 +309,7 @@ class Verification:
         return "\n".join([f"verdict: {self.status.upper()}: {self.reason}", *(block.text() for block in blocks)])
 
     def _moved(self, name: str) -> tuple[str, str]:
-        """Sizes of a frame's shift and turn, as far as the rows tell."""
+        """A frame's shift (mm) and turn (deg) as texts, which say how many directions the rows leave open."""
         shift, turn, *untold = self.moved[name]
         sizes = (figure(shift * 1e3), figure(float(np.degrees(turn))))
         cells = []
@@ -319,7 +319,7 @@ class Verification:
         return cells[0], cells[1]
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """The verification as values for JSON."""
         return {
             "status": self.status,
             "reason": self.reason,
@@ -354,10 +354,10 @@ def verify(
         calibration: The calibration.
         data: New poses or positions of the same robot.
         refit: Which of "base" and "tool" are found anew first, because the instrument or its target was moved.
-        refit_rows: Rows to find them from.
+        refit_rows: Number of rows to find these frames from.
 
     Raises:
-        InputError: If these are no poses or positions, or too few.
+        InputError: If the data are not poses or positions, or too few.
     """
     poses: Measurements | None = data.poses
     if poses is None:
@@ -400,7 +400,7 @@ def verify(
 
 
 def promised(calibration: Calibration, data: Measurements) -> Array:
-    """Mean square that errors should have at these rows ``(N,)``, m^2, by the calibration's own uncertainty."""
+    """Mean square error ``(N,)``, m^2, that the calibration's own uncertainty promises for each row."""
     sure = uncertainty_from(calibration.record)
     if sure is None:
         return np.full(len(data), expected_square(weighed_by_reach(calibration, data)))
@@ -409,7 +409,7 @@ def promised(calibration: Calibration, data: Measurements) -> Array:
 
 
 def _since(data: Measurements, rest: Rows, errors: Array, expected: Array) -> str | None:
-    """The first of the contiguous blocks from which on all are larger than they may be."""
+    """The file and row from which on all blocks have errors larger than they may be; None if there is no such row."""
     if len(rest) < 4 * BLOCKS:
         return None
     parts = np.array_split(np.arange(len(rest)), BLOCKS)
@@ -451,7 +451,7 @@ def _cause(
 
 
 def _left(there: Calibration, data: Measurements, model: ErrorModel) -> float:
-    """RMS position error once these parameters are fitted to these rows, m, as of rows that they were not fitted to."""
+    """RMS position error, m, after a model's parameters are fitted to the rows, corrected for what the fit takes up."""
     if len(data) < len(model.names):
         return np.inf
     learnt = there.errors(data) - data.difference(there.model)
@@ -465,7 +465,7 @@ def _left(there: Calibration, data: Measurements, model: ErrorModel) -> float:
 
 
 def _less(data: Measurements, learnt: Array) -> Measurements:
-    """The rows without what was learnt: learnt errors ``(N, 3 or 6)`` are minus what a residual model adds."""
+    """The rows without the residual model's part; ``learnt`` ``(N, 3 or 6)`` is minus what that model adds."""
     position = data.position + learnt[:, :3]
     if data.rotation is None or learnt.shape[1] < 6:
         return replace(data, position=position)
