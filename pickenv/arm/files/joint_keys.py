@@ -77,7 +77,7 @@ class ByJoint:
         self.units = units
 
     def __get_pydantic_core_schema__(self, _source: Any, handler: Any) -> Any:
-        """The schema of a list of two kinds of tables, told apart by the joint, or by keys if the arm lacks that joint."""
+        """The schema of a list of two kinds of tables; the joint tells them apart, or the keys where it is unknown."""
         from pydantic_core import core_schema as core
 
         kinds = []

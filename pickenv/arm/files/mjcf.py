@@ -47,7 +47,8 @@ def mjcf_text(geometry: Geometry, name: str, comment: str = "") -> str:
     """A MuJoCo model of the chain; a site named "tool" has the tool's pose.
 
     Where a joint moves several links, equality constraints make the others follow the one that moves as the joint does:
-    where only kinematics are computed, set their joint positions too. Characters that XML cannot hold are left out of names.
+    where only kinematics are computed, set their joint positions too. Characters that XML cannot hold are left out of
+    names.
 
     Raises:
         InputError: If no link moves just as its joint does, which MJCF cannot express; URDF can.
