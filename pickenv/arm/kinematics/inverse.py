@@ -30,7 +30,10 @@ from pickenv.arm.kinematics.task_space import (
 from pickenv.base import InputError
 
 STEP_LIMIT = 0.4
-"""Largest Gauss-Newton step, in half-ranges of a joint or 0.4 rad, so that a step stays where the Jacobian holds."""
+"""Largest Gauss-Newton step of a joint, as a share of its half-range, or of 1 rad or 1 m where that is less.
+
+The limit keeps a step where the Jacobian holds.
+"""
 
 NUMERIC_TOLERANCE = 1e-6
 """Relative singular value below which a direction is given up in any case."""

@@ -109,7 +109,7 @@ def small_rotation(m: ModuleType, reference: Sequence[Scalar], actual: Sequence[
 def frame_error(
     m: ModuleType, reference: Frame, actual: Frame, rotation: Callable[..., tuple[Scalar, ...]] = rotation_between
 ) -> tuple[Scalar, ...]:
-    """The `pose_error` of frames: x, y, z, rx, ry, rz in m and rad, world axes; ``rotation`` may be `small_rotation`."""
+    """The `pose_error` of frames: x, y, z, rx, ry, rz (m, rad, world axes); ``rotation`` may be `small_rotation`."""
     apx, apy, apz = actual[9:]
     bpx, bpy, bpz = reference[9:]
     return (apx - bpx, apy - bpy, apz - bpz, *rotation(m, reference, actual))
