@@ -4,8 +4,8 @@
 comment is a seal over all other bytes. Before anything is unpacked, the seal, the list of members and their sizes are
 checked; arrays are rebuilt from the header's types, never from text that NumPy would evaluate.
 
-A seal is the SHA-256 of all other bytes of a file, kept inside it: one bit changed anywhere, and it does not hold. It
-finds damage and carelessness; whoever wants to deceive can seal a file anew. Two places keep it out of a reader's way:
+A seal is the SHA-256 of all other bytes of a file, kept inside the file; it holds only if no bit has changed. It finds
+damage and carelessness, but whoever wants to deceive can seal a file anew. Two places keep it out of a reader's way:
 the end of a file (a zip archive's comment), and, in Parquet, the gap between the last page and the footer, which
 readers find from the end of the file and whose offsets count from its beginning.
 """
@@ -36,28 +36,28 @@ SCHEMA = "pickenv container 1"
 HEADER = "header.json"
 
 LIMIT = 1 << 28
-"""Bytes that a file, and all that it unpacks to, may have unless the reader allows more (256 MiB)."""
+"""Most bytes that a file, and all that it unpacks to, may have unless the reader allows more (256 MiB)."""
 HEADER_LIMIT = 1 << 24
-"""Bytes that a header may have (16 MiB)."""
+"""Most bytes that a header may have (16 MiB)."""
 
 MOST_AXES = 32
-"""Axes that an array may have."""
+"""Most axes that an array may have."""
 
 PLAIN = re.compile(r"[<>|][biufcU][0-9]{1,9}")
-"""Types of numbers and text; what could hold objects is not among them."""
+"""NumPy's names for types of numbers and text; types that could hold objects do not match."""
 UTF8_NAME = 0x800
-"""The one flag that a member may carry; encryption is another."""
+"""The one flag that a member of the archive may carry; encryption, for example, is another."""
 BARE_END = b"PK\x05\x06"
-"""How the last 22 bytes of a zip archive without comment begin."""
+"""First bytes of the record of 22 bytes that ends a zip archive without comment."""
 
 
 @dataclass(frozen=True, eq=False)
 class Container:
-    """What such a file holds.
+    """What a container file holds.
 
     Attributes:
-        kind: What it is: "calibration", "policy".
-        version: Version of this kind's content.
+        kind: What the file is: "calibration", "policy".
+        version: Version of the content of this kind of file.
         made_with: Versions of pickenv, NumPy and Python, and the fingerprint of the code that wrote it ("code").
         header: Numbers and text by name, as JSON keeps them.
         arrays: Arrays by name.
@@ -74,15 +74,15 @@ class Container:
 
 @contextmanager
 def refusing_damage(path: str | Path, what: str, remake: str) -> Iterator[None]:
-    """Whatever reading a file raises inside leaves as one sentence: a damaged file can raise anything.
+    """A context that turns any exception of reading a file into one sentence, as a damaged file can raise anything.
 
     Args:
         path: The file.
-        what: What it should be: "a calibration file".
-        remake: What to do about it, as the end of a sentence.
+        what: What the file should be: "a calibration file".
+        remake: What to do about a damaged file, as the end of a sentence.
 
     Raises:
-        InputError: For every exception inside but an interrupt.
+        InputError: For every exception inside, except an interrupt.
     """
     try:
         yield
@@ -99,17 +99,17 @@ def _reason(error: Exception) -> str:
 
 
 def named_part(prefix: str, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """The arrays with a prefix before their names, as a part of something larger."""
+    """The arrays with ``prefix`` before their names, to be saved as a part of something larger."""
     return {f"{prefix}{name}": np.asarray(value) for name, value in arrays.items()}
 
 
 def part_of(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
-    """The inverse of `named_part`."""
+    """The arrays whose names begin with ``prefix``, without it: the inverse of `named_part`."""
     return {name.removeprefix(prefix): value for name, value in arrays.items() if name.startswith(prefix)}
 
 
 def npz_path(path: str | Path) -> Path:
-    """The path, with ``.npz`` appended if it is missing; a folder without a name, such as "/" or "..", as it is."""
+    """The path with ``.npz`` appended if it is missing; a folder without a name ("/", "..") stays as it is."""
     path = Path(path)
     return path if path.suffix == ".npz" or path.name in ("", "..") else path.with_name(path.name + ".npz")
 
@@ -128,12 +128,12 @@ def write_container(
 
     Args:
         path: The file (.npz).
-        kind: What it is, in a word or two.
+        kind: What the file is, in a word or two.
         header: Numbers and text by name (JSON).
         arrays: Arrays of numbers or text by name.
         blobs: Further bytes by name, such as another program's file.
-        version: Version of this kind's content.
-        compressed: Whether members are deflated.
+        version: Version of the content of this kind of file.
+        compressed: Whether the archive's members are deflated.
 
     Raises:
         InputError: If the file cannot be written.
@@ -181,7 +181,7 @@ def read_container(
 
     Args:
         path: The file.
-        kind: What it must be; None for anything.
+        kind: What the file must be; None for anything.
         remake: What to do about a file that is refused, as the end of a sentence: "fit it again".
         version: The version of this kind's content that the caller reads; None for any.
         limit: Bytes that the file, and all that it unpacks to, may have.
@@ -221,7 +221,7 @@ def _bounded(path: Path, limit: int) -> bytes:
 
 
 def _verified(content: bytes, limit: int) -> Container:
-    """The container in these bytes; raises anything at all where they are not one."""
+    """The container in ``content``; raises an exception of any kind where the bytes are no container."""
     if not ends_sealed(content):
         raise ValueError("its seal does not hold: a byte was changed or lost")
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -258,7 +258,7 @@ def _verified(content: bytes, limit: int) -> Container:
 
 
 def _description(name: str, value: NDArray[Any], numbers: bytes) -> dict[str, Any]:
-    """An array's line in the header."""
+    """The header's entry for an array."""
     if not PLAIN.fullmatch(value.dtype.str):
         raise TypeError(f"array {name!r} holds {value.dtype}; only numbers and text can be saved")
     fortran = value.flags.f_contiguous and not value.flags.c_contiguous
@@ -266,7 +266,7 @@ def _description(name: str, value: NDArray[Any], numbers: bytes) -> dict[str, An
 
 
 def _preamble(entry: Mapping[str, Any]) -> bytes:
-    """What a .npy file (version 1.0) has before its numbers."""
+    """The bytes that a .npy file (version 1.0) has before its numbers."""
     dtype, shape = str(entry["dtype"]), entry["shape"]
     lengths_fit = len(shape) <= MOST_AXES and all(type(length) is int and length >= 0 for length in shape)
     if not PLAIN.fullmatch(dtype) or not lengths_fit:
@@ -277,7 +277,7 @@ def _preamble(entry: Mapping[str, Any]) -> bytes:
 
 
 def _size(entry: Mapping[str, Any]) -> int:
-    """Bytes of an array's numbers."""
+    """The number of bytes that an array's numbers take."""
     size: int = math.prod(entry["shape"]) * np.dtype(entry["dtype"]).itemsize
     return size
 
@@ -305,9 +305,9 @@ def _sha256(content: bytes) -> str:
 # Seals.
 
 MARK = b"pickenv sha256 "
-"""What stands before the hash."""
+"""The bytes of a seal before its hash."""
 LENGTH = len(MARK) + 64
-"""Bytes of a seal."""
+"""Length of a seal, bytes."""
 
 PARQUET = b"PAR1"
 
@@ -344,11 +344,11 @@ def check_sealed_parquet(content: bytes, path: object, remake: str) -> None:
 
     Args:
         content: The file's bytes.
-        path: Its name, for the message.
-        remake: What to do about it, as the end of a sentence.
+        path: The file's name, for the message.
+        remake: What to do about a refused file, as the end of a sentence.
 
     Raises:
-        InputError: If there is no seal, or it does not hold.
+        InputError: If there is no seal, or the seal does not hold.
     """
     if not parquet_is_sealed(content):
         raise InputError(f"{path} is damaged or was written by something else (its seal does not hold); {remake}")

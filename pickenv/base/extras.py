@@ -1,4 +1,4 @@
-"""What does not come with the core, and the sentence that says how to get it.
+"""Packages that do not come with the core (extras), and the sentence that says how to install them.
 
 The core calibrates, compensates and makes environments. Everything heavier is an extra, loaded when it is first used.
 Where pickenv is installed, wherever it came from, `pip install 'pickenv[learn]'` adds networks, `pickenv[all]`
@@ -29,11 +29,11 @@ EXTRAS: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "compiled": ("llvmlite",),
     }
 )
-"""Extras by name, and what programs import of each."""
+"""Extras by name, each with the modules that it brings."""
 
 
 class MissingExtra(InputError, ImportError):
-    """A package of an extra that is not installed; the message is the command that installs it."""
+    """The error that a package of an extra is not installed; its message has the command that installs it."""
 
 
 def extra_of(module: str) -> str | None:
@@ -43,7 +43,7 @@ def extra_of(module: str) -> str | None:
 
 
 def missing(module: str) -> MissingExtra:
-    """What to raise where a module of an extra is not there."""
+    """The error to raise where a module of an extra is not installed."""
     top = module.partition(".")[0]
     return MissingExtra(f"this needs {top}, which is not installed; get it with: {command_for(str(extra_of(top)))}")
 
@@ -54,15 +54,15 @@ def command_for(*extras: str) -> str:
 
 
 def absent_extras(*extras: str) -> tuple[str, ...]:
-    """Those of these extras of which a package is not installed."""
+    """Those of the given extras that lack a package, because it is not installed."""
     return tuple(extra for extra in extras if not all(map(is_there, EXTRAS[extra])))
 
 
 def require(*modules: str) -> None:
-    """See to it that modules of extras are there, before they are imported.
+    """Check that modules of extras are installed, before they are imported.
 
     Raises:
-        MissingExtra: If one is not; the message names it and the command that installs it.
+        MissingExtra: If a module is not installed; the message names it and the command that installs it.
     """
     for module in modules:
         if not is_there(module):
@@ -70,5 +70,5 @@ def require(*modules: str) -> None:
 
 
 def is_there(module: str) -> bool:
-    """Whether a module can be imported, without doing so."""
+    """Whether a module can be imported; it is not imported to find out."""
     return sys.modules[module] is not None if module in sys.modules else find_spec(module) is not None

@@ -1,4 +1,4 @@
-"""Faces of rooms: a package offers the names of its stub, and loads a module when a name of it is first asked for."""
+"""Packages that load lazily: each offers the names of its stub, and loads a module when its name is first used."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ def offered(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[],
     """The ``__getattr__``, ``__dir__`` and ``__all__`` of a package: it offers what its stub imports.
 
     Args:
-        package: Its name.
-        file: Its own file; the stub, ``__init__.pyi``, stands beside it.
+        package: Name of the package.
+        file: The package's ``__init__.py``; the stub, ``__init__.pyi``, stands beside it.
     """
     load, directory, names = lazy_loader.attach_stub(package, file)
 

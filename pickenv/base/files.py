@@ -1,8 +1,8 @@
-"""Files are written whole or not at all: write beside, then rename, so that an interrupt never leaves half a file.
+"""Writing files whole or not at all: under another name, then renamed, so that an interrupt never leaves half a file.
 
 A run folder belongs to one process at a time: results of two runs are never mixed in it. The lock is the operating
-system's own, on the file `.lock` in the folder, so that it ends with its process however that ends; the file's content
-says whose it is. On a file system without locks, runs go on without.
+system's own, on the file `.lock` in the folder, so that it ends with its process, however the process ends; the file
+holds the id of that process. On a file system without locks, runs go on without.
 """
 
 from __future__ import annotations
@@ -28,15 +28,15 @@ Named = str | Path | Iterable[str | Path] | None
 """What an option names: a file, several, or none."""
 
 FULL = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
-"""How a system says that a disk is full, or that a user has had his share of it."""
+"""Error numbers by which a system says that a disk, or a user's share of it, is full."""
 
 
 def write_whole(path: str | Path, write: Callable[[Path], Any]) -> Path:
     """Let ``write`` fill a temporary file beside ``path``, then rename it into place.
 
     File and folder are flushed to the disk, so that a power cut leaves the old file or the new one. A link stays, and
-    the file that it leads to is replaced; devices, pipes and the standard streams are written into. What killed runs
-    of this machine left unfinished in the folder is taken away.
+    the file that it leads to is replaced; devices, pipes and the standard streams are written into. Unfinished files
+    that killed processes of this machine left in the folder are removed.
 
     Args:
         path: Where the finished file shall stand; missing folders are made.
@@ -46,7 +46,7 @@ def write_whole(path: str | Path, write: Callable[[Path], Any]) -> Path:
         The path written.
 
     Raises:
-        InputError: If the file cannot be written: no such right, no space, a folder in its place.
+        InputError: If the file cannot be written: no permission, no space, or a folder in its place.
     """
     path = Path(path)
     try:
@@ -80,7 +80,7 @@ def write_whole(path: str | Path, write: Callable[[Path], Any]) -> Path:
 
 
 def _fault_of_the_disk(error: BaseException | None) -> OSError | None:
-    """The system's own error, also where a writer answered a full disk with an error of its own."""
+    """The operating system's error behind ``error``, also where a writer met a full disk with an error of its own."""
     if isinstance(error, OSError):
         return error
     before = None if error is None else error.__context__
@@ -88,7 +88,7 @@ def _fault_of_the_disk(error: BaseException | None) -> OSError | None:
 
 
 def _temporary(target: Path) -> Path:
-    """A new, empty file beside ``target``, named after this process; its rights are those of any other new file."""
+    """Make an empty file beside ``target``, named after this process, with the permissions of any other new file."""
     name = f".pickenv-{_machine()}-{os.getpid()}-{secrets.token_hex(4)}{target.suffix}"
     temporary = target.with_name(name)
     os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))  # less what the umask takes away
@@ -97,7 +97,7 @@ def _temporary(target: Path) -> Path:
 
 @cache
 def _machine() -> str:
-    """Short name of what process ids are counted on: the machine and, in a container, the container."""
+    """Short name of the machine, and of the container if any, on which process ids are unique."""
     processes = Path("/proc/self/ns/pid")
     space = os.readlink(processes) if processes.is_symlink() else ""
     return hashlib.sha256(f"{platform.node()} {space}".encode()).hexdigest()[:8]
@@ -105,7 +105,7 @@ def _machine() -> str:
 
 @cache
 def _sweep(folder: Path) -> None:
-    """Take away, once per folder, the temporary files of processes of this machine that are no more."""
+    """Remove, once per folder, the temporary files of this machine's processes that no longer run."""
     if not os.access(folder, os.R_OK):
         return
     ours = re.compile(rf"\.pickenv-{_machine()}-(\d+)-[0-9a-f]{{8}}(\..*)?")
@@ -117,7 +117,7 @@ def _sweep(folder: Path) -> None:
 
 
 def _is_running(process: int) -> bool:
-    """Whether there is a process of that id; on Windows, where asking would end it, always."""
+    """Whether a process of that id is running; always True on Windows, where asking would end the process."""
     if sys.platform == "win32":
         return True
     try:
@@ -130,13 +130,13 @@ def _is_running(process: int) -> bool:
 
 
 def _flush(path: Path) -> None:
-    """Have a file's content on the disk."""
+    """Flush a file's content to the disk."""
     with path.open("rb+") as file:
         os.fsync(file.fileno())
 
 
 def _flush_folder(folder: Path) -> None:
-    """Have a folder's entries on the disk, where the system can: Windows opens no folders, some servers flush none."""
+    """Flush a folder's entries to the disk, where possible: Windows opens no folders, some servers flush none."""
     if sys.platform == "win32" or not os.access(folder, os.R_OK):
         return
     handle = os.open(folder, os.O_RDONLY)
@@ -150,7 +150,7 @@ def _flush_folder(folder: Path) -> None:
 
 
 def _write_into(path: Path, write: Callable[[Path], Any]) -> None:
-    """Let ``write`` fill a file elsewhere, then send its content where ``path`` leads."""
+    """Let ``write`` fill a file elsewhere, then write its content into what ``path`` leads to."""
     with tempfile.TemporaryDirectory() as folder:
         temporary = Path(folder) / f"content{path.suffix}"
         write(temporary)
@@ -163,7 +163,7 @@ def _write_into(path: Path, write: Callable[[Path], Any]) -> None:
 
 
 def _stream(path: Path) -> int | None:
-    """Number of the standard stream that ``path`` leads to, as /dev/stdout does, even into a file; None for others."""
+    """Number of the standard stream that ``path`` leads to, as /dev/stdout does, even into a file; else None."""
     for number in (1, 2):
         try:
             if os.path.samestat(os.fstat(number), path.stat()):
@@ -184,19 +184,19 @@ def write_json(path: str | Path, content: Any) -> Path:
 
 
 def separate(inputs: Mapping[str, Named], outputs: Mapping[str, Named]) -> None:
-    """Refuse to write over what is read, or two results into one file; call it before anything is computed.
+    """Refuse to write over an input, or two results into one file; called before anything is computed.
 
-    Links, hard links and different spellings of one file are seen through. Devices may be named twice. Several files of
+    Links, hard links and different spellings of one file are recognised. Devices may be named twice. Several files of
     one option, such as those of a run folder, are compared with other options' files, not with one another.
 
     Args:
-        inputs: What is read, by the option's name; names that are no files, such as an arm's "ur5", are passed over,
-            and of "arm.urdf#tip" the part before "#" counts.
+        inputs: What is read, by the option's name; names that are no files, such as an arm's "ur5", are ignored, and
+            of "arm.urdf#tip" only the part before "#" counts.
         outputs: What will be written, by the option's name.
 
     Raises:
-        InputError: If an output is an input or another option's output; the message names both options. If an output's
-            name is too long for a file, or a folder's.
+        InputError: If an output is an input or another option's output; the message names both options. Also if an
+            output's name is too long for a file, or is that of a folder.
     """
     taken = [(f"{name} reads", path) for name, names in inputs.items() for path in _paths(names) if path.exists()]
     for output, names in outputs.items():
@@ -218,7 +218,7 @@ def _paths(named: Named) -> Iterator[Path]:
 
 
 def _check_name(path: Path) -> None:
-    """Refuse a name that no file can have, or that a folder has: after hours of computing it would be too late."""
+    """Refuse a name that no file can have, or that a folder has, since after hours of computing it is too late."""
     try:
         folder = path.exists() and path.is_dir()
     except OSError as error:
@@ -228,7 +228,7 @@ def _check_name(path: Path) -> None:
 
 
 def _same(one: Path, other: Path) -> bool:
-    """Whether two paths lead to one file, be it there already or not."""
+    """Whether two paths lead to the same file, which need not exist yet."""
     if one.exists() and other.exists():
         return one.samefile(other)
     return os.path.normcase(os.path.realpath(one)) == os.path.normcase(os.path.realpath(other))
@@ -244,18 +244,18 @@ def _is_device(path: Path) -> bool:
 LOCK = ".lock"
 
 _held: set[str] = set()
-"""Folders that this process has locked: what it calls may lock them again."""
+"""Folders that this process has locked, which it may lock again within."""
 
 
 @contextmanager
 def locked(folder: str | Path) -> Iterator[None]:
-    """Have a run folder for this process alone inside the context; child processes may write for it.
+    """A context in which a run folder belongs to this process alone; its child processes may write there for it.
 
     Args:
-        folder: The folder; made where it is missing, with those above it, and taken away again if it stays empty.
+        folder: The folder; made where it is missing, with those above it, and removed again if it stays empty.
 
     Raises:
-        InputError: If another process is at work in it, or it cannot be written.
+        InputError: If another process is at work in the folder, or the folder cannot be written.
     """
     name = os.path.realpath(folder)
     if name in _held:
@@ -276,7 +276,7 @@ def locked(folder: str | Path) -> Iterator[None]:
 
 
 def _take(folder: Path) -> int:
-    """The open lock file of ``folder``, with our process id in it."""
+    """Lock ``folder``; return the open lock file, which holds this process's id."""
     path = folder / LOCK
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -302,7 +302,7 @@ def _take(folder: Path) -> int:
 
 
 def _is_still(path: Path, handle: int) -> bool:
-    """Whether ``path`` is the file that ``handle`` opened."""
+    """Whether ``path`` still leads to the file that ``handle`` opened."""
     try:
         return os.path.samestat(os.fstat(handle), path.stat())
     except FileNotFoundError:

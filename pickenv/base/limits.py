@@ -1,7 +1,7 @@
-"""How large a number may be that a person gives: beyond stands a wrong unit or a slip, or a run that never ends.
+"""Limits of the numbers that a person gives: beyond them is a wrong unit or a slip, or a run that never ends.
 
-One table for command options, study files and environments; `pickenv.arm` has its own for what files say of an arm.
-Reservations are what stands against using something, by name: refused, unless whoever uses it names the reservation.
+One table serves command options, study files and environments; `pickenv.arm` has its own for what files say of an arm.
+A reservation is a named reason against using something, which is refused unless its user allows that reservation.
 """
 
 from __future__ import annotations
@@ -41,19 +41,20 @@ LIMITS: Mapping[str, tuple[float, float, str]] = {
     "seed": (0, 2**128, "random numbers come from 128 bits"),
     "seed of training": (0, 2**32 - 1, "stable-baselines3 takes 32 bits"),
 }
-"""Least, most, and why no more, of each quantity; the name ends with the unit where there is one."""
+"""Least value, largest value, and the reason for the limit, of each quantity; a quantity's name ends with its unit."""
 
 
 def check_limit(name: str, value: Any, quantity: str) -> None:
-    """Refuse a number that is no number, not finite, or beyond the limits of its quantity.
+    """Refuse a value that is no number, not finite, or beyond the limits of its quantity.
 
     Args:
-        name: What it is called where it was given, for the message: "--hours", "study.toml: payload_kg of [picking]".
+        name: What the value is called where it was given, for the message: "--hours", or
+            "study.toml: payload_kg of [picking]".
         value: The number.
         quantity: A key of `LIMITS`.
 
     Raises:
-        InputError: If it is; the message says the limits and why.
+        InputError: If the value is refused; the message says the limits and why.
     """
     least, most, why = LIMITS[quantity]
     number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -63,7 +64,7 @@ def check_limit(name: str, value: Any, quantity: str) -> None:
 
 
 def shown(value: Any) -> str:
-    """What was given, as far as a sentence can hold it."""
+    """A value as messages show it, cut to 60 characters."""
     try:
         text = repr(value)
     except ValueError:
@@ -84,12 +85,12 @@ def obey(reservations: Mapping[str, str], allow: Collection[str], concerns: Coll
     """Refuse what has a reservation that concerns this use and was not allowed by name.
 
     Args:
-        reservations: Sentence that says what is wrong and what to do, by name.
+        reservations: By the name of each reservation, a sentence that says what is wrong and what to do.
         allow: Names that the user accepts.
         concerns: Names that matter for this use.
 
     Raises:
-        InputError: The sentence; or if a name allowed does not exist.
+        InputError: With the sentence of the first such reservation; or if a name allowed does not exist.
     """
     unknown = [name for name in allow if name not in NAMES]
     if unknown:

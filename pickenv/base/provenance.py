@@ -18,7 +18,7 @@ from pickenv.base import registry
 
 
 def versions(*packages: str) -> dict[str, str]:
-    """Versions of what computed numbers: pickenv, NumPy, Python, packages that extend it, and named ones if there."""
+    """The versions of pickenv, NumPy, Python, the packages that extend pickenv, and ``packages`` if installed."""
     numbers = {"pickenv": pickenv.__version__, "numpy": np.__version__, "python": platform.python_version()}
     numbers |= registry.packages()
     for name in packages:
@@ -28,12 +28,12 @@ def versions(*packages: str) -> dict[str, str]:
 
 
 def command_line(*words: object, **options: object) -> str:
-    """A command as a shell reads it; arguments as `command_words` has them."""
+    """A command line as a shell reads it; the arguments are those of `command_words`."""
     return shlex.join(command_words(*words, **options))
 
 
 def command_words(*words: object, **options: object) -> list[str]:
-    """A command word by word.
+    """The words of a command line.
 
     Args:
         words: Command and arguments.
@@ -49,13 +49,13 @@ def command_words(*words: object, **options: object) -> list[str]:
 
 
 SHOWS = ("cli.py", "commands/", "pictures/", *(f"inspect/{shelf}/" for shelf in ("figures", "films", "recordings")))
-"""What shows numbers and makes none: a change of it leaves kept work as it is."""
+"""Code that only shows numbers and makes none: work that was kept stays valid when it changes."""
 
 
 def code_fingerprint() -> str:
     """SHA-256 over the code and tables (.py, .toml) that make numbers, links of a checkout included.
 
-    Our own are read once. Packages of others that extend pickenv count by name and version, as they are in use now.
+    Files of pickenv are read once. Other packages that extend pickenv count by name and version, as now in use.
     """
     others = "".join(f"{package} {number}\n" for package, number in registry.packages().items())
     return hashlib.sha256(f"{_own_code()}{others}".encode()).hexdigest()
@@ -63,7 +63,7 @@ def code_fingerprint() -> str:
 
 @cache
 def _own_code() -> str:
-    """A line for each file: its place and its hash."""
+    """One line for each file of pickenv's code: its place and its hash."""
     root = Path(__file__).parents[1]
     files = (Path(folder) / name for folder, _, names in os.walk(root, followlinks=True) for name in names)
     code = {path.relative_to(root).as_posix(): path for path in files if path.suffix in (".py", ".toml")}
@@ -71,7 +71,7 @@ def _own_code() -> str:
 
 
 def made_with() -> dict[str, str]:
-    """What makes files: versions, and the fingerprint of the code ("code")."""
+    """What a file was made with: versions, and the fingerprint of the code ("code")."""
     return versions() | {"code": code_fingerprint()}
 
 

@@ -33,7 +33,7 @@ SHIPPED: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "backend": ("pickenv.envs.reaching.vector",),
     }
 )
-"""The modules that register what ships, by kind; the order of names is theirs."""
+"""By kind, the modules that register what ships with pickenv; names are listed in the order of these modules."""
 
 KINDS = tuple(SHIPPED)
 """Every kind of extension; `docs/extending.md` says what a thing of each must have."""
@@ -46,7 +46,7 @@ class Origin:
     """Where a registered thing comes from; a saved file that needs the thing keeps it.
 
     Attributes:
-        package: The distribution's name, such as "forest-for-pickenv"; "" of a script's or a notebook's own code.
+        package: The distribution's name, such as "forest-for-pickenv"; "" for the code of a script or a notebook.
         version: The distribution's version; "" where there is no package.
         module: The module, where there is no package; else "".
     """
@@ -60,7 +60,7 @@ class Origin:
 
 
 _entries: dict[str, dict[str, tuple[Any, Origin]]] = {kind: {} for kind in KINDS}
-"""What is registered, by kind and name, and where it comes from."""
+"""The registered things by kind and name, each with its origin."""
 
 
 def register(kind: str, name: str) -> Callable[[Thing], Thing]:
@@ -87,7 +87,7 @@ def register(kind: str, name: str) -> Callable[[Thing], Thing]:
 
 
 def names(kind: str) -> tuple[str, ...]:
-    """The names of a kind: what ships first, then those of others, sorted. Packages of others are not imported."""
+    """The names of a kind: those that ship with pickenv, then others, sorted. Other packages are not imported."""
     _import_shipped(kind)
     entries = _entries[kind]
     shipped = [name for module in SHIPPED[kind] for name in entries if entries[name][0].__module__ == module]
@@ -95,14 +95,14 @@ def names(kind: str) -> tuple[str, ...]:
 
 
 def get(kind: str, name: str, *, package: str = "", version: str = "", module: str = "") -> Any:
-    """A registered class or function; an installed package that offers it is imported.
+    """The registered class or function of this kind and name; an installed package that offers it is imported.
 
     Args:
         kind: One of `KINDS`.
         name: Its name.
-        package: The package that a saved file says the thing is of, as in `Origin`; "" asks for none in particular.
-        version: That package's version then.
-        module: The module that the file says, where the thing was of no package.
+        package: The package that a saved file names as the thing's origin (`Origin`); "" for no particular one.
+        version: The version of that package when the file was saved.
+        module: The module that the file names, where the thing came from no package.
 
     Raises:
         InputError: If there is no such thing, its package cannot be imported, or it is not of the package or module
@@ -142,7 +142,7 @@ def origin(kind: str, name: str) -> Origin:
 
 
 def registered_as(thing: Any) -> tuple[str, str] | None:
-    """Say by which kind and name a class or function is registered, or an installed package offers it; None if not."""
+    """The kind and name by which a class or function is registered or offered by an installed package, or None."""
     for kind, entries in _entries.items():
         for name, (registered, _) in entries.items():
             if registered is thing:
@@ -153,7 +153,7 @@ def registered_as(thing: Any) -> tuple[str, str] | None:
 
 
 def load_all(kind: str) -> dict[str, Any]:
-    """Everything of a kind by name; what another package cannot give is left aside with a warning."""
+    """Load everything of a kind, by name; what another package fails to provide is left out with a warning."""
     things = {}
     for name in names(kind):
         try:
@@ -164,7 +164,7 @@ def load_all(kind: str) -> dict[str, Any]:
 
 
 def packages() -> dict[str, str]:
-    """Name the packages of others that are installed or in use here, and their versions: results may depend on them."""
+    """The versions, by name, of other packages that extend pickenv, installed or in use: results may depend on them."""
     sources = {_origin_of_entry_point(point) for point in _installed(tuple(sys.path))}
     sources |= {source for entries in _entries.values() for _, source in entries.values()}
     return {
@@ -212,7 +212,7 @@ def _load_entry_point(kind: str, name: str) -> None:
 
 
 def _entry_points(kind: str) -> Mapping[str, tuple[metadata.EntryPoint, ...]]:
-    """The entry points of a kind by name, without those that bear a name of what ships."""
+    """The entry points of a kind by name, without those whose name something that ships with pickenv has."""
     offers: dict[str, tuple[metadata.EntryPoint, ...]] = {}
     for point in _installed(tuple(sys.path)):
         entry = _entries[kind].get(point.name)
@@ -228,7 +228,7 @@ def _entry_points(kind: str) -> Mapping[str, tuple[metadata.EntryPoint, ...]]:
 
 @lru_cache(maxsize=4)
 def _installed(path: tuple[str, ...]) -> tuple[metadata.EntryPoint, ...]:
-    """All entry points of ours; ``path`` is where Python looks, and another one is another question."""
+    """All entry points in pickenv's groups; ``path`` is where Python looks, and is the key of the cache."""
     del path
     points = metadata.entry_points()
     return tuple(point for kind in KINDS for point in points.select(group=f"pickenv.{kind}"))

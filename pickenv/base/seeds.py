@@ -1,8 +1,8 @@
-"""Seeds of everything that a comparison or a training draws: streams that no two seeds, arms or purposes share.
+"""Seeds of everything that a comparison or a training draws; no two seeds, arms or purposes share a stream.
 
 Neighbouring seeds are no trouble to NumPy's `SeedSequence`, but ``seed + i`` is: environment 1 of seed 0 would be
-environment 0 of seed 1. For small matrices one thread is enough: a pool costs more than it saves, most of all on a busy
-machine.
+environment 0 of seed 1. The module also limits linear algebra to one thread: for small matrices a pool of threads
+costs more than it saves, most of all on a busy machine.
 """
 
 from __future__ import annotations
@@ -25,30 +25,30 @@ Purpose = Literal[
 
 
 def stream(seed: int, purpose: Purpose, *numbers: int) -> np.random.SeedSequence:
-    """The stream of a seed for one purpose, and there for one arm or block, if numbered.
+    """The random stream of a seed for one purpose, or for one numbered arm or block within it.
 
     Args:
         seed: The seed of the run.
         purpose: What is drawn from it.
-        numbers: Such as the number of the arm.
+        numbers: Numbers within the purpose, such as that of the arm.
     """
     return np.random.SeedSequence(seed, spawn_key=(get_args(Purpose).index(purpose), *numbers))
 
 
 def seed_words(sequence: np.random.SeedSequence, count: int) -> list[int]:
-    """Seeds for what takes whole numbers, below 2^62; a longer list begins with the shorter."""
+    """Seeds below 2^62 for generators that take whole numbers; a longer list begins with the shorter one."""
     return [int(word) >> 2 for word in sequence.generate_state(count, np.uint64)]
 
 
 RUN = 2**16
-"""Environments that a run of `run_seed` has to itself, and number of such runs."""
+"""Number of environments that a run of `run_seed` has to itself, and number of such runs."""
 
 
 def run_seed(run: int) -> int:
     """A seed for a client that takes one number and counts on from it, as Gymnasium does: environment i gets seed + i.
 
-    Runs 0, 1, 2 … begin 65,536 apart, so that none of their environments share an episode. Below 2^32, as NumPy's old
-    generators and most clients want it.
+    Runs 0, 1, 2 … begin 65,536 apart, so that none of their environments share an episode. Seeds are below 2^32, as
+    NumPy's old generators and most clients need.
 
     Args:
         run: Number of the run, below 65,536.
@@ -75,7 +75,7 @@ def single_threaded() -> Iterator[None]:
 
 @contextmanager
 def torch_on_one_thread() -> Iterator[None]:
-    """Torch on one thread: small networks and blocks lose time to more, and one adds in one order."""
+    """Set torch to one thread: more cost time on small networks and blocks, and one always adds in the same order."""
     import torch
 
     before = torch.get_num_threads()

@@ -1,7 +1,7 @@
-"""Text files are read in one place: what a file is, which encoding it has, and all that a parser of it can raise.
+"""Reading text files: checks of what a file is and how it is encoded, and clear sentences for all errors of parsers.
 
 Readers of CSV, TOML, YAML, URDF and MJCF call `read_text` and `parsed`; each fault is one sentence that names the file
-and what to do. `shortened` keeps what a message quotes to a line, `decimal_number` says what a number is.
+and what to do. `shortened` keeps a message's quotations to one line, `decimal_number` decides what is a number.
 """
 
 from __future__ import annotations
@@ -19,10 +19,10 @@ from pickenv.base.errors import InputError
 Thing = TypeVar("Thing")
 
 PIECE = 1 << 20
-"""Bytes read at once."""
+"""Number of bytes read at once."""
 
 LARGEST = 1 << 30
-"""Bytes; no text file of ours comes near it."""
+"""Largest size of a text file, bytes; no file of ours comes near it."""
 
 MARKS = {
     b"\xff\xfe\x00\x00": "UTF-32",
@@ -31,7 +31,7 @@ MARKS = {
     b"\xfe\xff": "UTF-16",
     b"PK\x03\x04": "",
 }
-"""How files begin that are not UTF-8: byte order marks, longest first, and zip archives such as .xlsx."""
+"""First bytes of files that are not UTF-8: byte order marks, longest first, and zip archives such as .xlsx."""
 
 
 def read_text(path: str | Path, kind: str) -> str:
@@ -42,7 +42,7 @@ def read_text(path: str | Path, kind: str) -> str:
         kind: What it should be, for messages: "a CSV file".
 
     Raises:
-        InputError: If it is missing, a folder or a device, too large, or no UTF-8 text; names what it is.
+        InputError: If the file is missing, a folder or a device, too large, or no UTF-8 text; the message says which.
     """
     file_type, data = "file", b""
     try:
@@ -83,7 +83,7 @@ def _decoded(data: bytes, path: str | Path, kind: str) -> str:
 
 
 def parsed(parse: Callable[[], Thing], path: str | Path, kind: str) -> Thing:
-    """The result of ``parse()``, or one sentence that ``path`` is not valid ``kind`` ("TOML"), and why."""
+    """The result of ``parse()``; an error becomes one sentence that ``path`` is no valid ``kind`` ("TOML"), and why."""
     try:
         return parse()
     except RecursionError as error:
@@ -96,12 +96,12 @@ def yaml_content(text: str, path: str | Path) -> Any:
     """What a YAML text holds: mappings, lists, numbers and words; aliases and tags of Python are refused.
 
     Raises:
-        InputError: If it is no YAML; the message names ``path``.
+        InputError: If the text is no YAML; the message names ``path``.
     """
     import yaml  # late: most files are none
 
     class Plain(yaml.SafeLoader):
-        """Without aliases, through which a few lines can stand for endless ones."""
+        """A YAML loader without aliases, by which a few lines can stand for endlessly many."""
 
         def compose_node(self, parent: Any, index: Any) -> Any:
             if self.check_event(yaml.AliasEvent):
@@ -112,7 +112,7 @@ def yaml_content(text: str, path: str | Path) -> Any:
 
 
 def decimal_number(text: str) -> float | None:
-    """The number that ``text`` spells in ASCII digits, which may be nan or infinite; None where it spells none."""
+    """The number that ``text`` spells in ASCII digits, which may be nan or infinite; None if it spells no number."""
     if not text.isascii() or "_" in text:  # Python would take 1_000, and the digits of any script
         return None
     try:
@@ -137,21 +137,21 @@ def shortened(value: object, length: int = 60) -> str:
 
 
 def screen_width(otherwise: int) -> int:
-    """Characters of a line of the terminal, or of what COLUMNS says; ``otherwise`` where neither is known."""
+    """The width of the terminal in characters, or what COLUMNS says; ``otherwise`` where neither is known."""
     return shutil.get_terminal_size((otherwise, 24)).columns
 
 
 def folded(text: str, width: int) -> list[str]:
-    """A sentence in lines of a terminal; the second and later ones are set in."""
+    """The lines of a sentence folded to ``width`` characters; the second and later lines are indented."""
     return wrap(text, width, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False) or [""]
 
 
 def side_by_side(sizes: Sequence[int], repeated: int, width: int) -> list[list[int]]:
-    """Numbers of the columns of each table that fits ``width``: one, or several that all begin with the first columns.
+    """Split a table's columns into tables that fit ``width``; return the indices of the columns of each table.
 
     Args:
-        sizes: Characters that each column takes, with what is between them.
-        repeated: So many columns come first in every table.
+        sizes: Characters that each column takes, with what is between columns.
+        repeated: Number of first columns, which every table repeats.
         width: Characters of a line.
     """
     first = list(range(repeated))
@@ -169,7 +169,7 @@ def listed(names: Iterable[str], length: int = 600) -> str:
 
 
 def is_file(path: str | Path) -> bool:
-    """Whether a file stands there; a path that no file can have (too long, a zero byte) is none."""
+    """Whether ``path`` is a file; False for a path that no file can have (too long, a zero byte)."""
     try:
         return Path(path).is_file()
     except (OSError, ValueError):

@@ -1,4 +1,4 @@
-"""Effects of the motor side, of warmth and of instruments: whole encoder counts, a lag, growth, noise; rad, m, s."""
+"""Effects of the motors, of temperature and of instruments: encoder counts, lag, thermal growth, noise; rad, m, s."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Encoder(Effect, place=MOTOR):
     """Motor encoders of finite resolution: a drive can hold, and report, whole counts only.
 
     Attributes:
-        resolution: One count of each joint, seen at the joint, rad or m.
+        resolution: Size of one encoder count of each joint, measured at the joint, rad or m.
     """
 
     table = joint_table(_encoder, resolution=(ARCSEC.positive, UM.positive))
@@ -35,7 +35,7 @@ class Encoder(Effect, place=MOTOR):
     resolution: tuple[Scalar, ...]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Hold the motors at whole counts."""
+        """Round the motor positions to whole encoder counts."""
         pairs = zip(at.motor, self.resolution, strict=True)
         at.turn([nearest_whole(at.m, value / count) * count for value, count in pairs])
 
@@ -46,21 +46,21 @@ class Servo(Effect, place=MOTOR + 0.5):
     """Position loops that follow with an error proportional to speed: x' = (command - x) / time constant.
 
     Attributes:
-        time_constant: Of each joint's loop, s (one over the position gain).
+        time_constant: Time constant of each joint's position loop, s (one over the position gain).
     """
 
     time_constant: Annotated[tuple[Scalar, ...], MILLISECONDS.positive, PER_JOINT]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Turn the motors to where they have come."""
+        """Put the motors where they are by now, which is the memory."""
         at.turn(memory)
 
     def begin(self, at: Passage) -> Components:
-        """Motors that have arrived."""
+        """The motor positions at rest: the motors have arrived at the command."""
         return tuple(at.motor)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Motors under way."""
+        """The motor positions after ``dt`` seconds on the way to the command."""
         numbers = zip(memory, at.motor, self.time_constant, strict=True)
         return tuple([target + (value - target) * exponential(at.m, -dt / slow) for value, target, slow in numbers])
 
@@ -87,7 +87,7 @@ class ThermalGrowth(Effect, place=JOINT + 0.6, spreads={"time_constant": "warm_u
     time_constant: Annotated[Scalar, HOURS.positive]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Let a and d of every link grow, and what a slide has run out with its rack; angles stay."""
+        """Let a and d of every link grow, and the displacement of every slide, as its rack grows too; angles stay."""
         factors = [1.0 + alpha * memory[0] for alpha in self.expansion]
         pairs = zip(at.chain.links, factors, strict=True)
         links = [link._replace(a=link.a * factor, d=link.d * factor) for link, factor in pairs]
@@ -96,19 +96,19 @@ class ThermalGrowth(Effect, place=JOINT + 0.6, spreads={"time_constant": "warm_u
         at.joints = [value * factor if link.prismatic else value for link, value, factor in numbers]
 
     def begin(self, at: Passage) -> Components:
-        """The rise when the arm is switched on, K."""
+        """The temperature rise when the arm is switched on, K."""
         return (at.command[0] * 0.0 + self.initial_rise,)
 
     def rest(self, at: Passage) -> Components:
-        """The warm arm's."""
+        """The temperature rise of the warm arm, K."""
         return (self.final_rise,)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """The rise by then."""
+        """The temperature rise after ``dt`` seconds, K."""
         return (warmed(at.m, self, memory[0], dt),)
 
     def drawn(self, draws: Draws) -> ThermalGrowth:
-        """Arms that warm up to anything in the class' range."""
+        """The effect of many arms; each final temperature rise is drawn from the tolerance class's range."""
         low, high = draws.temperature_rise
         rise = low + (high - low) * draws.even["temperature_rise"][:, 0]
         return replace(super().drawn(draws), final_rise=rise)
@@ -125,17 +125,17 @@ def warmed(m: ModuleType, thermal: ThermalGrowth, rise: Scalar, dt: Scalar) -> S
 
 
 AXES = {"x": 0, "y": 3, "z": 6}
-"""Places at which a link's axes begin among a frame's components."""
+"""Where each of a link's axes begins among the twelve components of its frame."""
 
 
 @register("effect", "gravity_yield")
 @dataclass(frozen=True)
 class GravityYield(Effect, place=JOINT + 0.2):
-    """Joints that yield under moments that a calibration found.
+    """Joints that yield under gravity moments whose sizes a calibration found.
 
     Attributes:
-        moments: Joint that yields, link that weighs on it (both from 0), and what of it: "m" its mass at its origin,
-            "x", "y", "z" a first moment along its axis.
+        moments: For each moment: the joint that yields, the link that weighs on it (both from 0), and what of the link
+            weighs: "m" its mass, at its origin; "x", "y" or "z" its first moment along that axis of its own.
         sizes: One number per moment: rad/m for a mass on a joint that turns, rad for a first moment.
         up: Direction against gravity in the axes of frame 0.
     """
@@ -171,12 +171,12 @@ class GravityYield(Effect, place=JOINT + 0.2):
 @register("effect", "measurement_noise")
 @toml_table
 class MeasurementNoise(Effect, place=BESIDE):
-    """Normal errors of a measuring instrument, per axis.
+    """Normally distributed errors of a measuring instrument, per axis.
 
     Attributes:
-        position_std: Of a position at zero range, m.
-        attitude_std: Of an attitude, rad.
-        range_std: What each metre of range adds to a position's, m/m.
+        position_std: Standard deviation of a position at zero range, m.
+        attitude_std: Standard deviation of an attitude, rad.
+        range_std: What each metre of range adds to the standard deviation of a position, m/m.
         centring_std: How far the target's centre lies beside the point that is meant, m; it stays as long as the
             target is mounted.
     """
@@ -203,11 +203,11 @@ def read_frame(
 
     Args:
         m: ``math``, ``numpy`` or ``torch``.
-        noise: How it errs.
-        stand: Where it stands, in the frame's world, m.
+        noise: The instrument's errors.
+        stand: Where the instrument stands, in the frame's world, m.
         frame: The true tool frame.
         reading: Six standard normal numbers for each reading.
-        mounting: Three for the mounting of the target.
+        mounting: Three standard normal numbers for the mounting of the target.
     """
     if noise.centring_std:
         aside = [noise.centring_std * value for value in mounting]

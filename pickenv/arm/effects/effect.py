@@ -1,4 +1,4 @@
-"""Effects, and the thing that they act on: a joint command on its way from the motors to the tool.
+"""Effects, and what they act on: a joint command on its way from the motors to the tool.
 
 Formulas run on Python floats, NumPy arrays or torch tensors, like `pickenv.arm.kinematics.forward`; the numbers of an
 effect may be arrays too, one entry per arm. Gravity points along -z of the world. Units: m, rad, N, kg, s.
@@ -26,7 +26,8 @@ from pickenv.base import GRAVITY, KG, MM, InputError, registry, toml_table
 MOTOR, DRIVE, GEAR, JOINT, BEND, BASE, TOOL, BESIDE = (float(place) for place in range(8))
 """Places where an effect acts, from the motors to the tool: on the motors (`Passage.turn`), in the drives
 (`Passage.drive`), in the gears and at the joints (``joints``, ``chain``), along the links (``bends``), under the base
-and at the tool (``frame``); what is beside the arm never moves it. Effects of one place act in its fractions' order."""
+and at the tool (``frame``); an effect beside the arm (`BESIDE`) never moves it. Effects of one place act in the order
+of its fractions."""
 
 Components = tuple[Scalar, ...]
 
@@ -36,7 +37,7 @@ Weight = tuple[Scalar, Scalar, Scalar]
 
 @toml_table
 class Load:
-    """Masses that gravity pulls at.
+    """The masses that gravity pulls at.
 
     Attributes:
         mass: Mass of each link, kg.
@@ -55,13 +56,13 @@ class Passage:
     Attributes:
         m: The namespace of the formulas: ``math``, ``numpy`` or ``torch``.
         command: The joint command, n components, rad or m.
-        motor: Where the motors are, n.
-        driven: Where the drives hold the joints, n.
-        joints: Where the joints are, n.
+        motor: Positions of the motors, n components.
+        driven: Positions at which the drives hold the joints, n components.
+        joints: Positions of the joints, n components.
         cold: The true geometry as it was measured.
         chain: The true geometry as it is now.
         load: The masses, or None.
-        bends: What bends the links, asked for its `Effect.flexure` when all joints are known.
+        bends: The effects that bend the links; each is asked for its `Effect.flexure` when all joints are known.
     """
 
     __slots__ = ("_frame", "_pull", "bends", "chain", "cold", "command", "driven", "joints", "load", "m", "motor")
@@ -75,19 +76,19 @@ class Passage:
         self._frame: Frame | None = None
 
     def turn(self, motor: Sequence[Scalar]) -> None:
-        """Move the motors, and all behind them."""
+        """Move the motors, and with them the drives and the joints."""
         self.motor = self.driven = self.joints = motor
 
     def drive(self, driven: Sequence[Scalar]) -> None:
-        """Move the joints behind the motors."""
+        """Move the drives, and with them the joints; the motors stay."""
         self.driven = self.joints = driven
 
     @property
     def pull(self) -> tuple[list[Weight], list[Scalar]]:
-        """Gravity's pull at the driven joints of the straight, cold arm, which needs masses: the rest is small.
+        """Gravity's pull on the straight, cold arm at its driven joints, as two lists; the plant must have masses.
 
-        What hangs on each link, itself and all behind it, last what the tool holds; and torques and forces on the
-        joints, N*m or N.
+        The first list has the weight on each link (the link and all behind it), and last what the tool holds; the
+        second has the torques or forces on the joints, N*m or N. What bending and growth would change is small.
         """
         if self._pull is None:
             straight = frames(self.m, self.cold, self.driven)  # not kept: NumPy uses its memory again
@@ -97,7 +98,7 @@ class Passage:
 
     @property
     def frame(self) -> Frame:
-        """The tool's frame; joints and links are what they are from here on."""
+        """The tool's frame; once it was asked for, later changes of joints and links do not count."""
         if self._frame is None:
             bends = [effect.flexure(self) for effect in self.bends]
             bend = (
@@ -113,10 +114,10 @@ class Passage:
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """Even random numbers of N arms, and how far their tolerance class lets them differ.
+    """Evenly distributed random numbers of N arms, and how far their tolerance class lets the arms differ.
 
     Attributes:
-        even: Numbers from 0 to 1 ``(N, k)`` by what they are for; an effect's own under "own NAME".
+        even: Numbers from 0 to 1 ``(N, k)`` by what they are for; those of one effect alone are under "own NAME".
         spread: Standard deviations of the logarithm of sizes, by the entries of [spread].
         temperature_rise: Range of the warm arm's temperature rise, K.
     """
@@ -126,13 +127,13 @@ class Draws:
     temperature_rise: tuple[float, float]
 
     def scaled(self, values: Sequence[float], key: str, first: int = 0, spread: str | float = "") -> tuple[Array, ...]:
-        """Each value times factors about 1 by its column ``(N,)`` of the numbers ``key``.
+        """Each value times N factors about 1, which follow from its own column ``(N,)`` of the numbers ``key``.
 
         Args:
             values: The values.
             key: What the numbers are for.
-            first: The first value's column.
-            spread: The entry of [spread], where that is not ``key``, or the standard deviation itself.
+            first: Column of the first value.
+            spread: The entry of [spread], where its name is not ``key``; or the standard deviation itself.
         """
         size = spread if isinstance(spread, float) else getattr(self.spread, spread or key)
         factors = np.exp(size * standard_normal_of(self.even[key]))
@@ -140,25 +141,26 @@ class Draws:
 
 
 def standard_normal_of(even: Array) -> Array:
-    """Standard normal numbers of even ones."""
+    """The standard normal numbers that correspond to even numbers from 0 to 1."""
     return np.asarray(ndtri(np.clip(even, 1e-12, 1.0 - 1e-12)))
 
 
 class Effect:
-    """One cause of an arm's error: base of frozen dataclasses of numbers, of one arm or of many.
+    """One cause of an arm's error: the base class of frozen dataclasses of numbers, for one arm or many.
 
-    Its class says ``place``: where it acts, `MOTOR` to `BESIDE` and fractions. It may say ``spreads``: which of its
-    numbers differ from arm to arm, each with its entry in a tolerance class's [spread], whose random numbers it then
-    shares, or with a standard deviation of its logarithm and random numbers of its own. ``needs_load``: whether it is
-    nothing without masses. ``name``: what it is registered as, and its table in plant files, where that is not the
-    class's name in lower case, words apart by ``_``.
+    A class of effects says ``place``: where the effect acts, `MOTOR` to `BESIDE` and fractions. It may say ``spreads``:
+    which of its numbers differ from arm to arm. Each such number has an entry in a tolerance class's [spread], whose
+    random numbers it then shares, or else a standard deviation of its logarithm and random numbers of its own. It may
+    say ``needs_load``: whether the effect does nothing without masses. It may say ``name``: what the effect and its
+    table in plant files are called, where that is not the class's name in lower case with ``_`` between words.
 
-    An effect that remembers has `begin` and `carry` (and `rest`, where that is another memory); its memory is a tuple
-    of components of the joints' shape.
+    An effect that remembers has `begin` and `carry` (and `rest`, where the memory at rest differs from that at the
+    beginning); its memory is a tuple of components of the joints' shape.
 
     Attributes:
-        table: What a plant file's table is read as, where that is not the class itself as `toml_table` makes it.
-        remembers: Whether it has a memory.
+        table: The type that a plant file's table is read as, where that is not the class itself as `toml_table` makes
+            it.
+        remembers: Whether the effect has a memory.
     """
 
     name: ClassVar[str]
@@ -177,36 +179,36 @@ class Effect:
         cls.remembers = cls.carry is not Effect.carry
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Change the command's passage, unless links are to bend (`flexure`); without a memory, that is empty."""
+        """Change the command's passage; by default, note that links are to bend (`flexure`). No memory is ``()``."""
         at.bends.append(self)
 
     def flexure(self, at: Passage) -> Flexure:
-        """The bending of the links; of effects that do nothing else."""
+        """How the links bend, for effects that do nothing else."""
         raise NotImplementedError(f"effect '{self.name}' has neither act nor flexure")
 
     def begin(self, at: Passage) -> Components:
-        """Its memory at rest at a command, just switched on."""
+        """The effect's memory when the arm was just switched on and rests at a command."""
         return ()
 
     def rest(self, at: Passage) -> Components:
-        """Its memory where a command is held for ever, whatever was before."""
+        """The effect's memory once a command has been held for ever, whatever was before."""
         return self.begin(at)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Its memory after a command has been held for ``dt`` seconds."""
+        """The effect's memory after a command has been held for ``dt`` seconds."""
         return memory
 
     def fault(self, arm: Arm) -> str:
-        """The part of it that cannot be on this arm, and what to give, for messages; empty where all can."""
+        """What of this effect is impossible on ``arm``, and what to give instead, for messages; empty if nothing is."""
         return ""
 
     def own_sizes(self) -> tuple[Scalar, ...]:
-        """The numbers that differ from arm to arm by random numbers of the effect's own."""
+        """The numbers that differ from arm to arm and have random numbers of the effect's own."""
         names = (name for name, spread in self.spreads.items() if isinstance(spread, float))
         return tuple(number for name in names for number in _numbers(getattr(self, name)))
 
     def drawn(self, draws: Draws) -> Self:
-        """The effect of many arms, its `spreads` drawn about its own."""
+        """The effect of many arms, whose numbers in ``spreads`` are drawn about this effect's own."""
         parts: dict[str, Any] = {}
         used: Counter[str] = Counter()
         for name, spread in self.spreads.items():  # sizes of one spread take its columns one after another
@@ -222,7 +224,7 @@ def _numbers(value: Any) -> tuple[Any, ...]:
 
 
 def table_of(name: str) -> Any:
-    """The type that the plant file's table of a registered effect is read as; None where no file holds it.
+    """The type that a registered effect's table in a plant file is read as; None if no file can hold the effect.
 
     Raises:
         InputError: If there is no such effect, its package cannot be loaded, or it is no effect of that name.
@@ -234,11 +236,11 @@ def table_of(name: str) -> Any:
 
 
 def weights_behind(chain: Chain, frames: Sequence[Frame], load: Load) -> list[Weight]:
-    """The weight on each link: itself and all behind it; last what the tool holds.
+    """The weight on each link, of the link and all behind it, and last the weight of what the tool holds.
 
     Args:
         chain: The chain.
-        frames: Its frames from `pickenv.arm.kinematics.forward.frames`.
+        frames: The frames of the chain, from `pickenv.arm.kinematics.forward.frames`.
         load: The masses.
     """
     mass: Scalar = load.payload
@@ -260,14 +262,14 @@ def gravity_torques(chain: Chain, frames: Sequence[Frame], load: Load) -> list[S
 
     Args:
         chain: The chain.
-        frames: Its frames from `pickenv.arm.kinematics.forward.frames`.
+        frames: The frames of the chain, from `pickenv.arm.kinematics.forward.frames`.
         load: The masses.
     """
     return weights_torques(chain, frames, weights_behind(chain, frames, load))
 
 
 def weights_torques(chain: Chain, frames: Sequence[Frame], weights: Sequence[Weight]) -> list[Scalar]:
-    """`gravity_torques` of what hangs on each link."""
+    """The `gravity_torques` for weights that are known: one entry per link, as `weights_behind` gives them."""
     torques: list[Scalar] = []
     for link, frame, (mass, moment_x, moment_y) in zip(chain.links, frames[1:], weights, strict=False):
         zx, zy, zz, px, py, _ = frame[6:]

@@ -1,7 +1,7 @@
 """The ground under the machine gives way: it tilts at once with the reach moment, and goes on sinking for hours.
 
-Tilt = moment / stiffness, at once; then creep towards a multiple of it and a settlement of the whole machine, both with
-one time constant (a Kelvin-Voigt body). Gravity points along -z of the world. Units: m, rad, N*m, s, kg.
+At once, tilt = moment / stiffness. Then the tilt creeps on towards a multiple of it, and the whole machine settles,
+both with one time constant (a Kelvin-Voigt body). Gravity points along -z of the world. Units: m, rad, N*m, s, kg.
 """
 
 from __future__ import annotations
@@ -51,17 +51,17 @@ class BaseTilt(Effect, place=BASE, spreads=GIVING_WAY, needs_load=True):
         at.frame = (*turned[:9], turned[9] + x0, turned[10] + y0, turned[11] + z0 - settlement)
 
     def begin(self, at: Passage) -> Components:
-        """Creep about x and y in rad, and settlement in m: none yet."""
+        """The creep about x and y in rad, and the settlement in m: still zero."""
         zero = at.command[0] * 0.0
         return zero, zero, zero
 
     def rest(self, at: Passage) -> Components:
-        """Creep and settlement in the long run."""
+        """The creep about x and y in rad, and the settlement in m, in the long run."""
         x, y = self._tilt(at)
         return self.creep * x, self.creep * y, self.settlement
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Creep and settlement by then."""
+        """The creep about x and y in rad, and the settlement in m, after ``dt`` seconds."""
         faded, pairs = exponential(at.m, -dt / self.time_constant), zip(self.rest(at), memory, strict=True)
         return tuple([final + (part - final) * faded for final, part in pairs])
 
@@ -85,7 +85,7 @@ BELOW_ONE = Check(
 
 
 LARGEST_DAMPING = 0.5
-"""No structure is damped more; a draw from a wide spread stops here."""
+"""Largest damping ratio of a structure; a draw from a wide spread stops here."""
 
 
 @register("effect", "settling")
@@ -95,7 +95,7 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
 
     Attributes:
         frequency: Natural frequency of each joint's mode, Hz.
-        damping: Its damping ratio zeta, below 1.
+        damping: Damping ratio zeta of each mode, below 1.
         participation: Share p of the joint's acceleration that reaches the mode.
         rise_time: Time constant of the motion profile, s: how smoothly commands are approached.
     """
@@ -106,22 +106,22 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
     rise_time: Annotated[Scalar, MILLISECONDS.positive]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Swing the joints."""
+        """Add the vibrations to the joints."""
         if memory:
             n = len(at.joints)
             at.joints = [value + swing for value, swing in zip(at.joints, memory[n : 2 * n], strict=True)]
 
     def begin(self, at: Passage) -> Components:
-        """Each joint's profile, rad or m; its vibration e; and e' + p x', which no sudden command changes."""
+        """The joints' motion profiles x, rad or m; their vibrations e; and e' + p x', which no command makes jump."""
         still = [value * 0.0 for value in at.command]
         return *at.command, *still, *still
 
     def rest(self, at: Passage) -> Components:
-        """Nothing swings any more."""
+        """An empty memory: nothing swings any more."""
         return ()
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Profiles, vibrations and velocities then."""
+        """The joints' profiles x, vibrations e and velocities e' + p x' after ``dt`` seconds."""
         m, lag, n = at.m, self.rise_time, len(at.command)
         faded = exponential(m, -dt / lag)
         profiles, vibrations, rates = [], [], []
@@ -150,7 +150,7 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
         return *profiles, *vibrations, *rates
 
     def drawn(self, draws: Draws) -> Settling:
-        """Modes of which none is damped more than any structure."""
+        """The modes of many arms, none damped more than `LARGEST_DAMPING`."""
         modes = super().drawn(draws)
         damping: Any = tuple(np.minimum(zeta, LARGEST_DAMPING) for zeta in modes.damping)
         return replace(modes, damping=damping)

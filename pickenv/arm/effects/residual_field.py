@@ -1,10 +1,10 @@
-"""Error that no table of links holds: the tool's displacement as a random function of the joints, a sum of waves.
+"""Errors that no link table can express: the tool's displacement as a random function of the joints, a sum of waves.
 
 Random features of a Gaussian process (Rahimi and Recht 2007): an output is the sum over k of a_k cos(w_k x) + b_k
-sin(w_k x), where x are the joints less a centre, those that turn far by sine and cosine. Arms share the frequencies and
-differ in their weights. Of one output's frequencies the smooth ones (what a calibration learnt) come first, then rough
-ones, whose length scale is so short that no measurement tells them from scatter. Waves are taken in single precision,
-which is exact to nanometres, for they are most of the cost. Units: m and rad.
+sin(w_k x), where x are the joints less a centre; joints that turn far enter by sine and cosine. Arms share the
+frequencies and differ in their weights. Among the frequencies of one output, the smooth ones (what a calibration
+learnt) come first, then rough ones, whose length scale is so short that no measurement tells them from scatter. Waves
+are computed in single precision, which is exact to nanometres, because they are most of the cost. Units: m and rad.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from pickenv.arm.kinematics.pose_error import displaced_frame
 from pickenv.base import ARCMIN, DEG, MM, NUMBER, WHOLE, InputError, Then, register, toml_table
 
 CHUNK = 64
-"""Arms or poses worked on together in NumPy: their waves then stay in a core's cache."""
+"""Number of arms or poses that NumPy works on together, so that their waves stay in a core's cache."""
 
 Single = NDArray[np.float32]
 
@@ -39,8 +39,9 @@ class Features:
     """The waves, the same for all arms.
 
     Attributes:
-        frequency: Of each output's K waves, side by side, by each input ``(F, O K)``, 1/rad or 1/m.
-        centre: What is taken off each input, F numbers.
+        frequency: Frequency of each wave by each input ``(F, O K)``, 1/rad or 1/m; the K waves of each of the O outputs
+            stand side by side.
+        centre: What is subtracted from each input, F numbers.
         periodic: For each joint, whether it enters by sine and cosine.
         outputs: Number of outputs O: 3 (position) or 6 (pose).
     """
@@ -58,7 +59,7 @@ class Features:
         return int(self.frequency.shape[1]) // self.outputs
 
     def inputs(self, m: ModuleType, q: Sequence[Scalar]) -> list[Scalar]:
-        """Inputs of joints, less the centre: those that enter directly, then sines, then cosines."""
+        """The inputs at joints ``q``, less the centre: joints that enter directly, then sines, then cosines."""
         turning = [value for value, far in zip(q, self.periodic, strict=True) if far]
         direct = [value for value, far in zip(q, self.periodic, strict=True) if not far]
         raw = [*direct, *(m.sin(value) for value in turning), *(m.cos(value) for value in turning)]
@@ -73,20 +74,20 @@ class Features:
 
     @cached_property
     def tensors(self) -> dict[Any, Any]:
-        """Frequencies as a tensor, by number type and device."""
+        """A cache of the frequencies as tensors, by number type and device."""
         return {}
 
 
 @register("effect", "residual")
 @dataclass(frozen=True, eq=False)
 class ResidualField(Effect, place=TOOL + 0.5, name="residual"):
-    """Displacement of the tool, of one arm or of many.
+    """Displacement of the tool of one arm or of many.
 
     Attributes:
         features: The waves.
-        weight: Weights of their cosines and sines ``(O, 2, K)``, or of each arm ``(N, O, 2, K)``, m and rad.
+        weight: Weights of the waves' cosines and sines ``(O, 2, K)``, or those of each arm ``(N, O, 2, K)``, m and rad.
         offset: Constant part of each output, O numbers.
-        turn: Rotation of the frame in which it was learnt into the arm's own, row by row.
+        turn: Rotation from the frame in which the field was learnt into the arm's own, row by row.
     """
 
     features: Features
@@ -109,12 +110,12 @@ class ResidualField(Effect, place=TOOL + 0.5, name="residual"):
 
     @cached_property
     def tensors(self) -> dict[Any, Any]:
-        """Weights of a single arm as a tensor, by number type and device."""
+        """A cache of the weights of a single arm as tensors, by number type and device."""
         return {}
 
 
 def _outputs(m: ModuleType, field: ResidualField, q: Sequence[Scalar]) -> list[Scalar]:
-    """The outputs, component by component."""
+    """The outputs of the field at joints ``q``, one number or array per output."""
     features = field.features
     if m.__name__ == "torch":
         return _tensor_outputs(m, field, q)
@@ -135,7 +136,7 @@ def _outputs(m: ModuleType, field: ResidualField, q: Sequence[Scalar]) -> list[S
 
 
 def _fill(field: ResidualField, inputs: Array, outputs: Array) -> None:
-    """Write outputs ``(O, ...)`` at inputs ``(F, ...)``."""
+    """Write the field's outputs at ``inputs`` ``(F, ...)`` into ``outputs`` ``(O, ...)``."""
     weight = np.broadcast_to(field.weight, (outputs.shape[-1], *field.weight.shape[-3:]))
     for first in range(0, outputs.shape[-1], CHUNK):
         some = slice(first, first + CHUNK)
@@ -143,7 +144,7 @@ def _fill(field: ResidualField, inputs: Array, outputs: Array) -> None:
 
 
 def _weighed(features: Features, inputs: Array, weight: Single) -> Array:
-    """Sums of waves ``(..., O)`` at inputs ``(F, ...)``, each with its weight."""
+    """Weighted sums of the waves ``(..., O)`` at inputs ``(F, ...)``."""
     angle = features.angles(inputs)
     cosines, sines = (np.cos(angle) * weight[..., 0, :]).sum(-1), (np.sin(angle) * weight[..., 1, :]).sum(-1)
     return np.asarray(cosines + sines, dtype=float)
@@ -176,13 +177,13 @@ SEED = WHOLE.not_negative
 
 @toml_table
 class WavesTable:
-    """[drive_harmonics] of a plant file.
+    """The table [drive_harmonics] of a plant file.
 
     Attributes:
-        seed: Of the design's own draw.
+        seed: Seed of the design's own draw.
         decay: Coefficients fall as order to the power of minus this.
-        joints: Per joint the number of waves, the standard deviation of a coefficient at the longest period, and the
-            longest and the shortest period.
+        joints: For each joint the number of waves, the standard deviation of a coefficient at the longest period, and
+            the longest and the shortest period.
     """
 
     seed: Annotated[int, SEED]
@@ -206,7 +207,7 @@ class WaveSpread:
         joint: Index of the joint (from 0).
         std: Standard deviation of a coefficient at the longest period, rad or m.
         longest: Longest period, rad or m.
-        shortest: Shortest period.
+        shortest: Shortest period, rad or m.
         decay: Coefficients fall as order to the power of minus this.
     """
 
@@ -220,11 +221,11 @@ class WaveSpread:
 @register("effect", "drive_harmonics")
 @dataclass(frozen=True)
 class DriveHarmonics(Effect, place=DRIVE + 0.5):
-    """Periodic errors of the drives that an arm has for itself.
+    """Periodic errors of the drives that differ from arm to arm.
 
     Attributes:
-        spread: How each is spread over arms.
-        harmonics: Those of this arm.
+        spread: How each periodic error is spread over arms.
+        harmonics: The periodic errors of this arm.
     """
 
     table = Annotated[Any, Then(lambda table, _: drive_harmonics_of(table), WavesTable)]
@@ -233,15 +234,15 @@ class DriveHarmonics(Effect, place=DRIVE + 0.5):
     harmonics: tuple[Harmonic, ...]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Drive the joints in waves."""
+        """Add the periodic errors to the driven joints."""
         at.drive(with_waves(at.m, self.harmonics, at.motor, at.driven))
 
     def drawn(self, draws: Draws) -> DriveHarmonics:
-        """The drives of other arms."""
+        """The drives of many arms."""
         return self.of_numbers(draws.even[self.name])
 
     def of_numbers(self, even: Array) -> DriveHarmonics:
-        """The drives that even numbers ``(..., 3 W)`` stand for: of each wave the order, and two coefficients."""
+        """The drives that even random numbers ``(..., 3 W)`` stand for: an order and two coefficients for each wave."""
         order, sine, cosine = np.moveaxis(even.reshape(*even.shape[:-1], len(self.spread), 3), -1, 0)
         harmonics = []
         for k, wave in enumerate(self.spread):
@@ -255,7 +256,7 @@ class DriveHarmonics(Effect, place=DRIVE + 0.5):
 
 
 def drive_harmonics_of(table: WavesTable) -> DriveHarmonics:
-    """The effect of a plant file: the design's own draw.
+    """The effect that the table of a plant file describes, with the design's own draw of the waves.
 
     Raises:
         InputError: If a shortest period is not below the longest.
@@ -276,10 +277,10 @@ def drive_harmonics_of(table: WavesTable) -> DriveHarmonics:
 
 @toml_table
 class StructureTable:
-    """[local_structure] of a plant file.
+    """The table [local_structure] of a plant file.
 
     Attributes:
-        seed: Of the waves, which all arms share, and of the design's own weights.
+        seed: Seed of the waves, which all arms share, and of the design's own weights.
         position: Standard deviation of the tool's displacement along each axis, m.
         waves: Number of waves of each axis.
         joints: Length scale of each joint that matters.
@@ -294,7 +295,7 @@ class StructureTable:
 @register("effect", "local_structure")
 @dataclass(frozen=True, eq=False)
 class LocalStructure(Effect, place=TOOL):
-    """Displacement of the tool that changes over fractions of a degree, of one arm or of many.
+    """Displacement of the tool of one arm or of many; it changes over fractions of a degree.
 
     Attributes:
         std: Standard deviation of a weight over arms, m.
@@ -311,11 +312,11 @@ class LocalStructure(Effect, place=TOOL):
         self.field.act(at, memory)
 
     def drawn(self, draws: Draws) -> LocalStructure:
-        """The structure of other arms."""
+        """The local structure of many arms."""
         return self.of_numbers(draws.even[self.name])
 
     def of_numbers(self, even: Array) -> LocalStructure:
-        """The structure that even random numbers ``(..., weights)`` stand for."""
+        """The local structure that even random numbers ``(..., weights)`` stand for."""
         features = self.field.features
         weight = self.std * standard_normal_of(even).reshape(*even.shape[:-1], features.outputs, 2, features.count)
         return replace(self, field=replace(self.field, weight=weight.astype(np.float32)))
@@ -327,7 +328,7 @@ class LocalStructure(Effect, place=TOOL):
 
 
 def local_structure_of(table: StructureTable, context: Any) -> LocalStructure:
-    """The effect of a plant file: the design's own draw."""
+    """The effect that the table of a plant file describes, with the design's own draw of the weights."""
     lengths = np.array(numbers_per_joint(table, context, "length")[0])
     joints = len(lengths)
     per_length = np.divide(1.0, lengths, out=np.zeros(joints), where=lengths > 0)

@@ -23,7 +23,7 @@ class JointCompliance(Effect, place=JOINT, spreads={"stiffness": "joint_stiffnes
     """Each joint yields under its gravity torque or force: dq = tau / k.
 
     Attributes:
-        stiffness: N*m/rad for revolute joints, N/m for prismatic ones.
+        stiffness: Stiffness k of each joint, N*m/rad for revolute joints, N/m for prismatic ones.
     """
 
     stiffness: Annotated[tuple[Scalar, ...], toml_tables.NUMBER.positive, PER_JOINT]
@@ -36,7 +36,7 @@ class JointCompliance(Effect, place=JOINT, spreads={"stiffness": "joint_stiffnes
 
 @toml_tables.toml_table
 class Boom(Effect, place=BEND):
-    """A telescopic boom that moves its tip: base of effects that say how in ``bent``.
+    """Base class of effects that move the tip of a telescopic boom; each says how in ``bent``.
 
     Attributes:
         joint: Index (from 0) of the prismatic joint whose link is the boom; the boom lies along its z axis.
@@ -52,7 +52,7 @@ class Boom(Effect, place=BEND):
         return lambda i, frame: self.bent(at, frame, length) if i == self.joint else frame
 
     def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
-        """The frame of the tip, of a boom that is ``length`` metres long, once bent."""
+        """The frame of the tip of a boom ``length`` metres long, after bending; ``frame`` is the one before."""
         raise NotImplementedError
 
 
@@ -87,7 +87,7 @@ class RollerPlay(Boom, place=BEND + 0.8, spreads={"clearance": "roller_clearance
 
     Attributes:
         clearance: Clearance between boom and rollers, m.
-        overlap: Length inside the rollers at zero displacement, m; the displacement is taken off it.
+        overlap: Length of the boom inside the rollers at zero displacement, m; the displacement is subtracted from it.
     """
 
     clearance: Annotated[Scalar, toml_tables.MM.not_negative]
@@ -99,7 +99,7 @@ class RollerPlay(Boom, place=BEND + 0.8, spreads={"clearance": "roller_clearance
         return lowered_tip(frame, angle * length, angle)
 
     def fault(self, arm: Arm) -> str:
-        """An overlap that the boom runs out of."""
+        """Words for messages where the boom can run out of its overlap, and what to give; empty otherwise."""
         limit = arm.nominal.upper[self.joint]
         if self.overlap > limit:
             return ""
@@ -115,9 +115,9 @@ class Harmonic:
 
     Attributes:
         joint: Index of the joint (from 0).
-        amplitude: rad or m.
-        period: rad or m.
-        phase: rad.
+        amplitude: Amplitude A, rad or m.
+        period: Period in the joint's displacement q, rad or m.
+        phase: Phase, rad.
     """
 
     joint: int
@@ -151,7 +151,7 @@ class TransmissionError(Effect, place=DRIVE):
         at.drive(with_waves(at.m, self.harmonics, at.driven, driven))
 
     def drawn(self, draws: Draws) -> TransmissionError:
-        """Drives whose leads and amplitudes spread; phases are anything: no two gears are alike."""
+        """Drives of many arms: lead errors and amplitudes spread; phases are arbitrary, as no two gears are alike."""
         amplitudes = draws.scaled([term.amplitude for term in self.harmonics], self.name)
         phases = 2.0 * math.pi * draws.even["phase"]
         terms = zip(self.harmonics, amplitudes, phases.T, strict=True)
@@ -168,7 +168,7 @@ def _harmonics(entries: Any, _context: Any) -> tuple[Harmonic, ...]:
 def with_waves(
     m: ModuleType, harmonics: Sequence[Harmonic], q: Sequence[Scalar], driven: Sequence[Scalar]
 ) -> list[Scalar]:
-    """Joint displacements ``driven`` with the periodic errors at the motor positions ``q`` on top."""
+    """The joint displacements ``driven`` plus the periodic errors at the motor positions ``q``."""
     joints = list(driven)
     for term in harmonics:
         angle = q[term.joint] * (math.tau / term.period) + term.phase
@@ -177,7 +177,7 @@ def with_waves(
 
 
 def lowered_tip(frame: Frame, sag: Scalar, slope: Scalar) -> Frame:
-    """The frame of a link's tip, lowered where the link is level by ``sag`` (m) and tilted down by ``slope`` (rad)."""
+    """The frame of a link's tip after bending: a level link is lowered by ``sag`` (m) and tilted by ``slope`` (rad)."""
     *axes, zx, zy, zz, px, py, pz = frame
     # Gravity across the boom is (zx zz, zy zz, zz^2 - 1); the slope turns z towards it, about z x (0, 0, -1).
     turned = turn_horizontally((*axes, zx, zy, zz), -slope * zy, slope * zx)
@@ -189,8 +189,8 @@ def turn_horizontally(
 ) -> list[Scalar]:
     """Turn vectors, at ``starts`` in ``axes``, by the small horizontal rotation vector (wx, wy, 0): Rodrigues' formula.
 
-    Its two coefficients are taken as series, so that no division is needed at zero; below 0.03 rad they are exact to
-    double precision.
+    The formula's two coefficients are computed as series, so that no division is needed at zero; below 0.03 rad they
+    are exact to double precision.
     """
     square = wx * wx + wy * wy
     first = 1.0 - square * (1.0 / 6.0 - square / 120.0)
@@ -232,15 +232,15 @@ class Backlash(Effect, place=GEAR + 0.5, spreads={"width": "backlash"}):
     preload: tuple[Scalar, ...]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Put the joints behind their gaps."""
+        """Put the joints where their gaps let them be, which is the memory."""
         at.joints = memory
 
     def begin(self, at: Passage) -> Components:
-        """Joints in the middle of gaps that gravity does not close."""
+        """The joint positions at rest: in the middle of every gap that gravity does not close."""
         return self.carry(at, tuple(at.joints), 0.0)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Joints that the motors have pushed along."""
+        """The joint positions after the motors have pushed the joints along."""
         behind, torques = [], at.pull[1] if at.load else None
         for i, (entry, output, width, preload) in enumerate(
             zip(at.joints, memory, self.width, self.preload, strict=True)
@@ -261,9 +261,9 @@ class StickBand(Effect, place=GEAR, spreads={"forward": "friction", "backward": 
 
     Attributes:
         forward: How far each joint lags when it moves in the positive direction, rad or m (friction / stiffness).
-        backward: The same for the negative direction.
-        scatter: Standard deviation of the friction from one stop to the next, as a share of it. Time steps do not draw
-            it: whoever asks how well the arm repeats does (`one_stop`).
+        backward: How far each joint lags when it moves in the negative direction, rad or m.
+        scatter: Standard deviation of the friction from one stop to the next, as a share of the friction. Time steps do
+            not draw it; tests of how well the arm repeats do (`one_stop`).
     """
 
     table = joint_table(lambda *sizes: StickBand(*sizes), forward=TRAVEL, backward=TRAVEL, scatter=SCATTER)
@@ -273,16 +273,16 @@ class StickBand(Effect, place=GEAR, spreads={"forward": "friction", "backward": 
     scatter: Scalar = 0.0
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Put the joints behind their friction."""
+        """Put the joints where friction lets them be, which is the memory."""
         at.joints = memory
 
     def begin(self, at: Passage) -> Components:
-        """Joints in the middle of their bands."""
+        """The joint positions at rest: in the middle of their friction bands."""
         numbers = zip(at.joints, self.forward, self.backward, strict=True)
         return tuple([entry + 0.5 * (backward - forward) for entry, forward, backward in numbers])
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Joints that the motors have pulled along."""
+        """The joint positions after the motors have pulled the joints along."""
         numbers = zip(at.joints, memory, self.forward, self.backward, strict=True)
         return tuple([play(at.m, entry, output, forward, backward) for entry, output, forward, backward in numbers])
 
@@ -303,14 +303,14 @@ def one_stop(m: ModuleType, band: StickBand, normal: Sequence[Sequence[Scalar]])
 
 
 def play(m: ModuleType, entry: Scalar, output: Scalar, lag: Scalar, lead: Scalar) -> Scalar:
-    """New output of a play operator.
+    """The new output of a play operator, which follows its input with a gap (friction, backlash).
 
     Args:
         m: ``math``, ``numpy`` or ``torch``.
         entry: New input.
         output: Output so far.
         lag: How far the output may stay behind the input.
-        lead: How far it may stay ahead.
+        lead: How far the output may stay ahead of the input.
     """
     return clipped(m, output, entry - lag, entry + lead)
 
@@ -333,7 +333,7 @@ class BoomCouple(Boom, place=BEND + 0.4, spreads={"flexural_rigidity": "flexural
     flexural_rigidity: Annotated[Scalar, toml_tables.Unit("N_m2").positive]
 
     def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
-        """Bend the boom under the part across it of the moment about its tip."""
+        """Bend the boom under that part of the moment about its tip which acts across the boom."""
         zx, zy, zz, px, py, _ = frame[6:]
         mx, my = moment_about(at.pull[0][self.joint + 1], px, py)
         along, turn = mx * zx + my * zy, length / self.flexural_rigidity
@@ -353,7 +353,7 @@ class BoomTorsion(Boom, place=BEND + 0.6, spreads={"torsional_rigidity": "flexur
     torsional_rigidity: Annotated[Scalar, toml_tables.Unit("N_m2").positive]
 
     def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
-        """Twist the boom under the part along it of the moment about its tip."""
+        """Twist the boom under that part of the moment about its tip which acts along the boom."""
         zx, zy, zz, px, py, _ = frame[6:]
         mx, my = moment_about(at.pull[0][self.joint + 1], px, py)
         angle = length / self.torsional_rigidity * (mx * zx + my * zy)
@@ -364,16 +364,16 @@ class BoomTorsion(Boom, place=BEND + 0.6, spreads={"torsional_rigidity": "flexur
 class Bearing:
     """The guide of a slide: two bearings, one behind the other, each of two pads that are springs across the axis.
 
-    Together they give 2k against a force across the axis and k s^2 / 2 against a moment across it. About the axis
-    bearings in line give nothing; there it is the pads' distance that counts: k b^2 / 2.
+    Together the bearings have the stiffness 2k against a force across the axis, and k s^2 / 2 against a moment across
+    it. Against a moment about the axis, bearings in line give nothing, but the distance of the pads does: k b^2 / 2.
 
     Attributes:
         joint: Index (from 0) of the prismatic joint.
-        stiffness: Of one bearing, N/m.
-        span: Distance s between the two at zero displacement, m.
+        stiffness: Stiffness k of one bearing, N/m.
+        span: Distance s between the two bearings at zero displacement, m.
         width: Distance b between the pads of a bearing, across the axis, m.
         overhang: How far the link's origin is ahead of its guide's outlet at zero displacement, m; the displacement
-            adds to it and is taken off the span. None where the bearings travel with the link, about its origin.
+            adds to it and is subtracted from the span. None where the bearings travel with the link, about its origin.
     """
 
     joint: Annotated[int, toml_tables.WHOLE, BOOM]
@@ -426,7 +426,7 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
         return give
 
     def fault(self, arm: Arm) -> str:
-        """A span that the slide runs out of."""
+        """Words for messages where a slide can run out of its span, and what to give; empty otherwise."""
         for bearing in self.bearings:
             limit = arm.nominal.upper[bearing.joint]
             if bearing.overhang is not None and bearing.span <= limit:
@@ -437,7 +437,7 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
         return ""
 
     def drawn(self, draws: Draws) -> SlideCompliance:
-        """Slides whose bearings' stiffness spreads."""
+        """The slides of many arms, whose bearings differ in stiffness."""
         stiffness = [bearing.stiffness for bearing in self.bearings]
         sizes = draws.scaled(stiffness, "bearing_stiffness", spread="joint_stiffness")
         pairs = zip(self.bearings, sizes, strict=True)
@@ -445,7 +445,7 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
 
 
 def moment_about(weight: Weight, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
-    """Gravity's moment (x, y) about a point above or below (x, y) of the world; about the vertical there is none."""
+    """Gravity's moment (about x, about y) about any point on the vertical line through (x, y) of the world, N*m."""
     mass, moment_x, moment_y = weight
     return -GRAVITY * (moment_y - mass * y), GRAVITY * (moment_x - mass * x)
 
@@ -453,7 +453,10 @@ def moment_about(weight: Weight, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
 def _swung(
     wx: Scalar, wy: Scalar, wz: Scalar, arm: Scalar, z: Sequence[Scalar], moved: Sequence[Scalar]
 ) -> tuple[Scalar, ...]:
-    """Displacement of a frame that turns by w about a point ``arm`` behind it along z, and is moved besides."""
+    """Displacement (three of position, three of rotation) of a frame that is moved and turned by w.
+
+    The frame turns about a point that lies ``arm`` behind it along ``z``.
+    """
     zx, zy, zz = z
     across = (wy * zz - wz * zy, wz * zx - wx * zz, wx * zy - wy * zx)
     return (*(part + arm * way for part, way in zip(moved, across, strict=True)), wx, wy, wz)

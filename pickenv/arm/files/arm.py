@@ -15,7 +15,7 @@ from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Coupling, Ge
 from pickenv.base import InputError
 
 MOST_RATIO = 1e3
-"""No link moves further than this times the joint that it follows."""
+"""Largest ratio of a link's displacement to that of the joint that it follows."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,12 +23,12 @@ class Arm:
     """A named arm.
 
     Attributes:
-        name: As in its file.
-        source: Where its numbers come from.
+        name: The name in the arm's file.
+        source: Where the arm's numbers come from.
         nominal: The geometry that the controller believes in.
         true: The geometry as built, where the file gives one (simulated arms), else None.
         speed: Largest joint speeds, rad/s or m/s, shape (n,).
-        tolerance_class: Name of the tolerance class that its parts are made to, where the file says one.
+        tolerance_class: Name of the tolerance class that the arm's parts are made to, where the file says one.
     """
 
     name: str
@@ -47,7 +47,7 @@ class Arm:
 
 
 ORTHONORMAL = 1e-9
-"""Most that R R^T of a rotation may be from the identity: far above rounding, far below what is felt at a tool."""
+"""How far R R^T of a rotation R may be from the identity: far above rounding, far below what matters at a tool."""
 
 
 def geometry_arrays(geometry: Geometry) -> dict[str, Array]:
@@ -73,7 +73,8 @@ def geometry_from_arrays(
         which: The geometry's name, for messages: "nominal".
 
     Raises:
-        InputError: If an array is missing, of another shape or not finite, a rotation is none, or limits are swapped.
+        InputError: If an array is missing, of another shape or not finite, if a matrix is no rotation, or if limits are
+            swapped.
     """
     if not all(isinstance(name, str) for name in joint_names) or not all(type(kind) is bool for kind in prismatic):
         raise InputError("joint names are text, and joint types are true (slides) or false (turns)")
@@ -92,7 +93,7 @@ def geometry_from_arrays(
 
 
 def _coupling(named: Mapping[str, NDArray[Any]], joints: int, which: str) -> Coupling:
-    """The joint that moves each link, checked."""
+    """The saved `Coupling`, checked: the joint that moves each link."""
     values = finite(named, "coupling", (3, named["coupling"].shape[-1]), which)
     joint, ratio, slides = values.tolist()
     if not set(joint) <= set(range(joints)) or 0.0 in ratio or not set(slides) <= {0.0, 1.0}:
@@ -101,7 +102,7 @@ def _coupling(named: Mapping[str, NDArray[Any]], joints: int, which: str) -> Cou
 
 
 def finite(named: Mapping[str, NDArray[Any]], name: str, shape: tuple[int, ...], which: str) -> Array:
-    """The array called ``name``; refused unless it has this shape and holds finite numbers in double precision."""
+    """The array called ``name``, which is refused unless it has this shape and holds finite float64 numbers."""
     value = named[name]
     if value.shape != shape or value.dtype != np.float64:
         raise InputError(f"{which}/{name} holds {value.dtype} of shape {value.shape}, not numbers of shape {shape}")
@@ -128,7 +129,7 @@ def content_sha256(*parts: Any) -> str:
 
 
 def plain(value: Any) -> Any:
-    """A value as JSON has it: dataclasses by their fields' names, arrays as lists."""
+    """A value in a form that JSON can hold: dataclasses as mappings of their fields, arrays as lists."""
     if is_dataclass(value) and not isinstance(value, type):
         return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, tuple | list):

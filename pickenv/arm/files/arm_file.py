@@ -1,6 +1,6 @@
-"""Arms by name or by file: the door to all formats, and two of them.
+"""Reading arms by name or from a file of any format; the TOML format and UR kinematics files are read here.
 
-Arms are TOML files: nominal link table, limits, base and tool, and, for simulated arms, the true deviations.
+An arm's TOML file has its nominal link table, limits, base and tool, and, for a simulated arm, the true deviations.
 
 Files give degrees and millimetres and say so in every key; inside, everything is radians and metres. The shipped arms
 lie in `pickenv/arm/files/arms`. A joint table with ``follows`` is a link that another joint moves, ``ratio`` times
@@ -35,7 +35,7 @@ Vector = tuple[float, float, float]
 
 @toml_tables.toml_table
 class JointTable:
-    """One of the [[joints]], whatever moves it."""
+    """An entry of [[joints]] of any kind."""
 
     _: KW_ONLY
     number: Annotated[int, toml_tables.WHOLE]
@@ -89,7 +89,7 @@ def _kind(joint: Mapping[str, Any]) -> type[JointTable]:
 
 @toml_tables.toml_table
 class PoseTable:
-    """[base] or [tool]."""
+    """The table [base] or [tool]."""
 
     position: Annotated[Vector, toml_tables.MM] = (0.0, 0.0, 0.0)
     rotation_vector: Annotated[Vector, toml_tables.DEG] = (0.0, 0.0, 0.0)
@@ -152,10 +152,10 @@ class ArmFile:
 
 
 def read_arm(path: Path) -> Arm:
-    """The arm of a TOML file.
+    """Read the arm that a TOML file describes.
 
     Raises:
-        InputError: If it is malformed; the message names file, line and joint or key.
+        InputError: If the file is malformed; the message names file, line and joint or key.
     """
     file = toml_tables.read_toml(ArmFile, path)
     links = sorted(file.joints, key=lambda joint: joint.number)
@@ -184,7 +184,7 @@ def read_arm(path: Path) -> Arm:
 
 
 def _coupling(links: list[Any], leaders: list[Any], slides: tuple[bool, ...]) -> Coupling | None:
-    """The joint that moves each link, from ``follows`` and ``ratio``; None where each joint moves its own alone."""
+    """The joint that moves each link, from ``follows`` and ``ratio``; None where each joint moves one link alone."""
     if len(leaders) == len(links) and all(link.ratio == 1.0 for link in links):
         return None
     order = {link.number: i for i, link in enumerate(leaders)}
@@ -202,7 +202,7 @@ UR_LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 UR_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
 LIMITS_OF = "ur10e"
-"""The file has no limits and speeds; this arm's are taken, the slowest of its series."""
+"""The arm that lends its limits and speeds, as a UR kinematics file has none; it is the slowest of its series."""
 
 
 @register("arm_format", "yml")
@@ -211,7 +211,8 @@ def load_ur_yaml(path: str | Path, tip: str | None = None) -> Arm:
     """Read a UR kinematics file, whose arm ends at its flange.
 
     Raises:
-        InputError: If it is none, a joint or a number is missing, or a tip is named; the message says which.
+        InputError: If it is no such file, if a joint or a number is missing, or if a tip is named; the message says
+            which.
     """
     path = Path(path)
     if tip:
@@ -223,10 +224,10 @@ def load_ur_yaml(path: str | Path, tip: str | None = None) -> Arm:
 
 
 def ur_row(path: Path) -> tuple[JointRow, str]:
-    """The joints that `load_ur_yaml` makes an arm of, and the file's mark of the robot.
+    """The joints that `load_ur_yaml` makes an arm of, and the file's hash of the robot as words for its source.
 
     Raises:
-        InputError: If it is none, or a joint or a number is missing; the message names it.
+        InputError: If it is no such file, or a joint or a number is missing; the message names it.
     """
     content = yaml_content(read_text(path, "a UR kinematics file (.yaml)"), path)
     links = content.get("kinematics") if isinstance(content, Mapping) else None
@@ -275,7 +276,7 @@ def load_arm(name: str | Path) -> Arm:
 
 @register("arm_format", "toml")
 def load_toml(path: str | Path, tip: str | None = None) -> Arm:
-    """Read an arm by the name of a shipped one or from a TOML file, which says itself where the arm ends."""
+    """Read a shipped arm by its name, or an arm from a TOML file, which says itself where the arm ends."""
     endings = ", ".join(f".{name}" for name in registry.names("arm_format"))
     file = toml_tables.file_named("arm", f"{path}#{tip}" if tip else path, ARMS, endings)
     return _read(file, file.stat().st_mtime_ns)

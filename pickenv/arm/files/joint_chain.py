@@ -1,10 +1,10 @@
 """Parts that readers and writers of URDF and of MJCF share: the flange of a tree, and joints in a row as a `Geometry`.
 
-Joints that follow another are no joints of the arm: one joint moves their links too
-(`pickenv.arm.kinematics.geometry.Coupling`), whether it stands in the chain or beside it. Slides that follow one
-another and are moved by one joint are one slide, exactly: two stages of a lift give one link whose ratio is the sum
-of theirs, along the sum of their directions. Offsets go into the zero position, and a joint's limits and speed are
-what every link that it moves allows. Metres and radians.
+A joint that follows another does not count as a joint of the arm: the joint that it follows moves its link too
+(`pickenv.arm.kinematics.geometry.Coupling`), whether that joint stands in the chain or beside it. Consecutive slides
+that one joint moves are exactly one slide: two stages of a lift give one link, along the sum of their directions, whose
+ratio is the sum of their ratios. Offsets go into the zero position, and a joint's limits and speed are what every link
+that it moves allows. Metres and radians.
 """
 
 from __future__ import annotations
@@ -25,9 +25,10 @@ from pickenv.base import InputError, shortened
 
 
 def link_origins(geometry: Geometry) -> list[Pose]:
-    """Pose of each link in the link before it, its joint at zero; the base is part of the first.
+    """Pose of each link in the link before it, with joints at zero; the base is part of the first pose.
 
-    A joint then moves about, or along, its link's z: Rx(alpha) Tx(a) Ry(beta) Rz(theta) Tz(d) is all that is before it.
+    A joint then turns about, or slides along, its link's z: the whole Rx(alpha) Tx(a) Ry(beta) Rz(theta) Tz(d) comes
+    before its motion.
     """
     origins, before = [], geometry.base
     for i in range(geometry.links):
@@ -51,13 +52,13 @@ FLANGES = ("tool0", "flange", "attachment_site")
 """Makers' names of the flange, surest first: ROS-Industrial, REP 199, MuJoCo Menagerie; each may have a prefix."""
 
 SIDE = 2
-"""A branch is passed by where the way beside it has at least so many times its joints: wheels, a head, a pinion."""
+"""A branch (wheels, a head, a pinion) is passed by where another branch has at least so many times its joints."""
 
 
 class Carried(NamedTuple):
-    """A link and what holds it: the moving joints before it, by name; none where it is fixed.
+    """A link that stands on another, and the names of the moving joints that carry it; none where it is fixed.
 
-    ``only_named`` says that it is a mere mark, which is the flange only where it is called so.
+    ``only_named`` says that it is a mere mark, which counts as the flange only if its name says so.
     """
 
     link: str
@@ -69,8 +70,8 @@ def flange(children: Mapping[str, Sequence[Carried]], root: str) -> str:
     """The link to which a tool is bolted.
 
     Args:
-        children: What stands on each link; a tree.
-        root: Where the arm stands.
+        children: What stands on each link; together they are a tree.
+        root: The link on which the arm stands.
 
     Raises:
         InputError: If the tree branches into arms, or into a gripper, before anything like an arm has moved.
@@ -113,7 +114,7 @@ def flange(children: Mapping[str, Sequence[Carried]], root: str) -> str:
 
 
 def _hands(children: Mapping[str, Sequence[Carried]], order: Sequence[str]) -> set[str]:
-    """Links behind whose joints, and before them, only joints named as a gripper's stand; none if all were."""
+    """The links of grippers: only joints named like a gripper's carry them and stand behind; none if all joints are."""
     hands: set[str] = set()
     arms: set[str] = set()  # links behind which another joint stands
     for link in reversed(order):
@@ -129,7 +130,7 @@ def _hands(children: Mapping[str, Sequence[Carried]], order: Sequence[str]) -> s
 
 
 class Drive(NamedTuple):
-    """A joint that is commanded: whether it slides, its limits and its largest speed, rad or m, and per second."""
+    """A joint that is commanded: whether it slides, its limits in rad or m, and its largest speed in rad/s or m/s."""
 
     slides: bool
     lower: float
@@ -142,16 +143,16 @@ class ChainJoint:
     """A joint on the way from base to tip: it is displaced by ``offset`` plus ``ratio`` times its driver's value.
 
     Attributes:
-        name: Its name, for messages.
-        driver: Name of the joint that moves it: its own, or that of the joint that it follows.
-        ratio: Displacement per displacement of the driver; 0 where it does not move.
-        offset: Displacement at zero of the driver, rad or m.
-        slides: Whether it slides (else it turns).
-        origin: Its pose in the frame of the joint before, or of the world.
-        axis: Unit vector (3,), in its own frame.
-        allowed: Smallest and largest displacement and speed, where they narrow what the driver may do.
-        body: Name of the body that it moves, where the file places bodies and not joints.
-        within: Its place in that body (3,).
+        name: Name of the joint, for messages.
+        driver: Name of the joint that drives this one: itself, or the joint that it follows.
+        ratio: Displacement of this joint per displacement of the driver; 0 where it does not move.
+        offset: Displacement of this joint where the driver is at zero, rad or m.
+        slides: Whether the joint slides (else it turns).
+        origin: Pose of the joint in the frame of the joint before, or of the world.
+        axis: The joint's axis, a unit vector (3,) in its own frame.
+        allowed: Smallest and largest displacement and largest speed, where they narrow what the driver may do.
+        body: Name of the body that the joint moves, where the file places bodies and not joints.
+        within: Place of the joint in that body (3,).
     """
 
     name: str
@@ -166,7 +167,7 @@ class ChainJoint:
     within: Array = field(default_factory=lambda: np.zeros(3))
 
     def motion(self, value: float) -> Pose:
-        """The pose, in the joint's own frame, of what it carries once displaced by ``value``, rad or m."""
+        """The pose of what the joint carries, in the joint's frame, at the joint displacement ``value``, rad or m."""
         if self.slides:
             return Pose(value * self.axis, np.eye(3))
         return Pose(np.zeros(3), Rotation.from_rotvec(value * self.axis).as_matrix())
@@ -179,10 +180,10 @@ class JointRow(NamedTuple):
         name: What the file calls the robot.
         root: Name of the first link.
         tip: Name of the last link.
-        joints: Those that move, or may; what is fixed between them is part of their origins.
+        joints: The joints that move, or may move; what is fixed between them is part of their origins.
         tool: Pose of the tip in the frame of the last joint.
-        drives: The drivers by name.
-        mount: Name of the fixed joint, or of the site, that holds the tip; None where a moving joint does.
+        drives: The joints that are commanded, by name.
+        mount: Name of the fixed joint or the site that holds the tip; None where a moving joint holds it.
     """
 
     name: str
@@ -194,7 +195,7 @@ class JointRow(NamedTuple):
     mount: str | None = None
 
     def geometry(self) -> tuple[Geometry, Array]:
-        """The arm that the row makes, and the largest speeds of its drives.
+        """The geometry of the arm that the row makes, and the largest speeds of its drives.
 
         Raises:
             InputError: If no joint moves, or limits or slides leave no motion.
@@ -223,15 +224,15 @@ class JointRow(NamedTuple):
         return geometry if alone else replace(geometry, coupling=coupling), speed
 
     def arm(self, path: Path, form: str, by_name: bool) -> Arm:
-        """The arm of a file.
+        """The arm that the row makes, with the file as its source.
 
         Args:
             path: The file.
             form: Its format.
-            by_name: Whether the tip was named; else the arm's source says which link was taken.
+            by_name: Whether the caller named the tip; else the arm's source says which link was taken.
 
         Raises:
-            InputError: As `geometry` does; the message names the file.
+            InputError: Where `geometry` raises one; the message names the file.
         """
         try:
             geometry, speed = self.geometry()
@@ -242,14 +243,15 @@ class JointRow(NamedTuple):
 
 
 def driver_of(name: str, followed: Callable[[str], tuple[str, float, float] | None]) -> tuple[str, float, float]:
-    """The joint that moves a joint in the end, and the ratio and offset between their displacements.
+    """The joint that drives a joint in the end, with the ratio and the offset between their displacements.
 
     Args:
-        name: The joint; it may follow one that follows another.
-        followed: For a joint's name, the joint that it follows, with ratio and offset; None where it is driven.
+        name: The joint that is driven; it may follow a joint that follows another.
+        followed: Gives, for a joint's name, the joint that it follows, with ratio and offset; None where it follows no
+            other.
 
     Raises:
-        InputError: If it follows itself.
+        InputError: If the joint follows itself.
     """
     ratio, offset, driver, names = 1.0, 0.0, name, {name}
     while (leader := followed(driver)) is not None:
@@ -262,7 +264,7 @@ def driver_of(name: str, followed: Callable[[str], tuple[str, float, float] | No
 
 
 def _within(driver: Drive, joint: ChainJoint) -> Drive:
-    """A driver, narrowed to what a joint that follows it allows."""
+    """The driver with limits and speed narrowed to what ``joint``, which follows it, allows."""
     if joint.allowed is None:
         return driver
     least, most, speed = joint.allowed
@@ -277,7 +279,7 @@ def _within(driver: Drive, joint: ChainJoint) -> Drive:
 
 
 def _one_slide_each(links: list[ChainJoint]) -> list[ChainJoint]:
-    """Slides that follow one another commute: those of one driver are one slide along the sum of their directions."""
+    """The links, with consecutive slides of one driver made one: slides commute, so their directions add up."""
     joined: list[ChainJoint] = []
     first = 0  # of the slides that follow one another
     for link in links:
@@ -300,7 +302,7 @@ def _one_slide_each(links: list[ChainJoint]) -> list[ChainJoint]:
 
 
 def _in_order(links: list[ChainJoint], drives: Mapping[str, Drive]) -> tuple[str, ...]:
-    """The drivers' names: each stands where a link moves just as it does, or else where it first moves one."""
+    """The drivers' names in the order of the first links that move just as they do, or else that they move at all."""
 
     def place(name: str) -> int:
         places = [i for i, link in enumerate(links) if link.driver == name]

@@ -1,6 +1,6 @@
-"""Joints as plant files speak of them: by number from 1, one number per joint in lists, sizes in the unit of the joint.
+"""How plant files give joints: by number from 1, in lists one number per joint, sizes in the unit of the joint.
 
-What is checked against the arm finds it in the context that a plant file is read with: a mapping with ``arm``.
+Checks against the arm find it in the context that a plant file is read with, a mapping with the key ``arm``.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pickenv.base import ARCMIN, MM, WHOLE, InputError, Kinds, Then, Unit, fault
 
 
 def arm_in(context: Mapping[str, Any] | None) -> Arm | None:
-    """The arm of the plant file that is being read; None outside of one, and where the file names none."""
+    """The arm of the plant file that is being read; None where no plant file is read or it names no arm."""
     return (context or {}).get("arm")
 
 
@@ -26,11 +26,11 @@ def _per_joint(values: Any, context: Any) -> Any:
 
 
 PER_JOINT = Then(_per_joint)
-"""As many entries as the arm has joints."""
+"""Annotates a list that must have as many entries as the arm has joints."""
 
 
 def joint_index(number: int, context: Any) -> int:
-    """The index from 0 of a joint of the arm."""
+    """The index, from 0, of the arm's joint with this number, from 1."""
     arm = arm_in(context)
     if arm is not None and not 1 <= number <= arm.nominal.joints:
         raise fault(f"a joint number from 1 to {arm.nominal.joints}")
@@ -45,15 +45,15 @@ def _boom(number: int, context: Any) -> int:
 
 
 BOOM = Then(_boom)
-"""The number of a prismatic joint, which becomes its index from 0."""
+"""Annotates the number of a prismatic joint, which becomes its index from 0."""
 
 
 TRAVEL = (ARCMIN.not_negative, MM.not_negative)
-"""Units of what a joint travels in vain: it turns, or it slides."""
+"""Units of lost motion or error of a joint that turns, and of one that slides."""
 
 
 def numbers_per_joint(table: Any, context: Any, *keys: str) -> tuple[tuple[float, ...], ...]:
-    """For each key one number per joint from the entries of a table, zero for joints that none names."""
+    """One number per joint for each key, from the entries of a table; zero for joints that no entry names."""
     entries: dict[int, Any] = {}
     for entry in table.joints:
         if entry.joint in entries:
@@ -65,19 +65,19 @@ def numbers_per_joint(table: Any, context: Any, *keys: str) -> tuple[tuple[float
 
 
 class Entry(dict[str, Any]):
-    """A table of a list that knows whether the joint that it names slides."""
+    """An entry of a list of tables, which knows whether the joint that it names slides."""
 
     slides = False
 
 
 class ByJoint:
-    """A list of tables with ``joint`` and sizes, each in a unit for revolute and in another for prismatic joints."""
+    """Annotates a list of tables of ``joint`` and sizes; a size has one unit for revolute, one for prismatic joints."""
 
     def __init__(self, **units: tuple[Unit, Unit]) -> None:
         self.units = units
 
     def __get_pydantic_core_schema__(self, _source: Any, handler: Any) -> Any:
-        """A list of two kinds of tables, told apart by the joint, or by their keys where there is no such joint."""
+        """The schema of a list of two kinds of tables; the joint tells them apart, or the keys where it is unknown."""
         from pydantic_core import core_schema as core
 
         kinds = []
@@ -102,11 +102,12 @@ class ByJoint:
 
 
 def joint_table(make: Callable[..., Any], **sizes: tuple[Unit, Unit] | Unit) -> Any:
-    """A table of sizes by joint, joints left out being zero, and of single ones, zero where they are left out.
+    """The type of a table of sizes by joint and of single numbers; whatever is left out is zero.
 
     Args:
-        make: Makes of it one tuple of numbers, one per joint, for each size by joint, and one number for each other.
-        sizes: Units of each size for revolute and prismatic joints; the one unit of a single number.
+        make: Makes the effect; it gets a tuple with one number per joint for each size by joint, then each single
+            number.
+        sizes: Units by name: two for a size by joint (revolute, prismatic), one for a single number.
     """
     pairs = {name: unit for name, unit in sizes.items() if isinstance(unit, tuple)}
     singles = {name: unit for name, unit in sizes.items() if isinstance(unit, Unit)}

@@ -35,10 +35,10 @@ from pickenv.base import InputError, decimal_number, is_file, listed, one_line, 
 
 
 DENSITY, LEAST_MASS = 3.0, 0.2
-"""kg/m of a link, and the lightest one's mass in kg."""
+"""Mass per length of a link, kg/m, and the least mass of a link, kg."""
 
 STIFFNESS, DAMPING = 2000.0, 200.0
-"""Of the position drives, N*m/rad or N/m, and N*m*s/rad or N*s/m."""
+"""Stiffness of the position drives, N*m/rad or N/m, and their damping, N*m*s/rad or N*s/m."""
 
 TOOL_SITE = "tool"
 
@@ -46,11 +46,12 @@ TOOL_SITE = "tool"
 def mjcf_text(geometry: Geometry, name: str, comment: str = "") -> str:
     """A MuJoCo model of the chain; a site named "tool" has the tool's pose.
 
-    Where a joint moves several links, those after its own follow it by an equality constraint: set their joint
-    positions too where only kinematics are computed. Characters that XML cannot hold are left out of names.
+    Where a joint moves several links, equality constraints make the others follow the one that moves as the joint does:
+    where only kinematics are computed, set their joint positions too. Characters that XML cannot hold are left out of
+    names.
 
     Raises:
-        InputError: If a joint moves no link as it moves itself, for which MJCF has no joint; URDF has.
+        InputError: If no link moves just as its joint does, which MJCF cannot express; URDF can.
     """
     leaders = leading_links(geometry)
     if None in leaders:
@@ -88,7 +89,7 @@ def mjcf_text(geometry: Geometry, name: str, comment: str = "") -> str:
 
 
 def _weigh(body: Element, end: Array) -> None:
-    """Mass and inertia of a rod from a link's origin to ``end``, m, and its picture."""
+    """Give a link the mass, the inertia and the look of a rod from its origin to ``end``, m."""
     length = float(np.linalg.norm(end))
     mass = max(DENSITY * length, LEAST_MASS)
     # Across the rod; along it no less, so that it is never singular.
@@ -118,8 +119,8 @@ class MjcfValues:
     """Settings by which a file is to be read.
 
     Attributes:
-        degrees: Whether its angles are degrees, which is MJCF's default.
-        sequence: Order of its Euler angles; small letters turn about moving axes.
+        degrees: Whether the file's angles are degrees, which is MJCF's default.
+        sequence: Order of the file's Euler angles; small letters turn about moving axes.
         autolimits: Whether a range alone limits a joint.
         defaults: Attributes of each class of defaults, by element and class.
     """
@@ -155,7 +156,7 @@ class MjcfValues:
         return cls(unit == "degree", sequence, settings.get("autolimits", "true") == "true", defaults)
 
     def merged(self, tag: str, element: Element, childclass: str) -> Attributes:
-        """An element's attributes over those of its class.
+        """An element's attributes, completed by those of its class of defaults.
 
         Raises:
             InputError: If there is no such class.
@@ -166,7 +167,7 @@ class MjcfValues:
         return _over(self.defaults.get((tag, name), {}), element.attrib)
 
     def angle(self, value: float) -> float:
-        """An angle of the file, rad."""
+        """An angle of the file, converted to rad."""
         return math.radians(value) if self.degrees else value
 
     def pose(self, attributes: Attributes) -> Pose:
@@ -174,10 +175,10 @@ class MjcfValues:
         return Pose(xml_numbers(attributes.get("pos", "0 0 0"), "pos", toml_tables.M.most), self._rotation(attributes))
 
     def motion(self, joint: _Joint) -> tuple[Drive, float, bool]:
-        """A joint's kind, limits and speed; its reference, rad or m; and whether the limits are the file's own.
+        """A joint as a `Drive`; its reference (MJCF's ``ref``), rad or m; and whether the limits are the file's own.
 
         Raises:
-            InputError: If it is neither hinge nor slide, or its range is missing or empty.
+            InputError: If the joint is neither hinge nor slide, or its range is missing or empty.
         """
         attributes, name = joint.attributes, shortened(joint.name)
         kind, word = attributes.get("type", "hinge"), attributes.get("limited", "auto")
@@ -239,7 +240,7 @@ class MjcfValues:
 
 
 def _over(below: Attributes, own: Attributes) -> dict[str, str]:
-    """Attributes over inherited ones; of orientations one remains, and any other way beats quat, as in MuJoCo."""
+    """Inherited attributes overridden by an element's own; of orientations one remains, and quat yields to others."""
     ways = [key for key in ORIENTATIONS if key in own]
     inherited = [key for key in ORIENTATIONS[1:] if key in below]
     dropped = {"quat"} if ways == ["quat"] and inherited else set()
@@ -335,7 +336,7 @@ def _follow_includes(root: Element, main: Path) -> None:
 
 
 def _bodies(root: Element, values: MjcfValues) -> dict[str, _Body]:
-    """Bodies by name, with the world, and sites by "site NAME"."""
+    """The world and the bodies by name, and the sites by "site NAME"."""
     bodies = {WORLD: _Body(WORLD, "", identity_pose())}
     waiting = [
         (world, WORLD, identity_pose(), world.get("childclass", "")) for world in reversed(root.findall("worldbody"))
@@ -382,7 +383,7 @@ def _end(bodies: Mapping[str, _Body], tip: str | None) -> str:
 
 
 def _above(bodies: Mapping[str, _Body], key: str) -> list[str]:
-    """A body and those that it stands on, up to the world, which is left out."""
+    """The keys of a body and of the bodies that carry it, up to the world, which is left out."""
     keys = []
     while key != WORLD:
         keys.append(key)
@@ -393,7 +394,7 @@ def _above(bodies: Mapping[str, _Body], key: str) -> list[str]:
 def _joints(
     chain: list[str], bodies: Mapping[str, _Body], root: Element, values: MjcfValues
 ) -> tuple[list[ChainJoint], Pose, dict[str, Drive]]:
-    """Joints along a chain of bodies, what stands behind the last of them, and the joints that drive them."""
+    """The joints along a chain of bodies, the pose of the tip behind the last joint, and the joints that drive them."""
     joints: dict[str, _Joint] = {}
     for body in bodies.values():
         for joint in body.joints:
@@ -427,7 +428,7 @@ def _joints(
 
 
 def _ties(root: Element, values: MjcfValues, joints: Mapping[str, _Joint]) -> dict[str, tuple[str, float, float]]:
-    """For each joint that an equality constraint ties: the joint that it follows, or the world; ratio and offset."""
+    """For each joint that an equality constraint ties: the joint (or the world) that it follows, ratio and offset."""
     ties: dict[str, tuple[str, float, float]] = {}
     for tie in root.iterfind("equality/joint"):
         name, leader, law = tie.get("joint1", ""), tie.get("joint2", WORLD), tie.get("polycoef", "")
@@ -455,7 +456,7 @@ def _ties(root: Element, values: MjcfValues, joints: Mapping[str, _Joint]) -> di
 
 
 def _refuse_loops(root: Element, bodies: Mapping[str, _Body], moved: set[str]) -> None:
-    """A constraint between bodies closes a loop; one that holds a joint of the chain makes it no open chain."""
+    """Refuse constraints between bodies that close a loop through a joint of the chain, which is then no open chain."""
     for tie in (*root.iterfind("equality/connect"), *root.iterfind("equality/weld")):
         ends = [f"site {tie.get(f'site{i}')}" if tie.get("site1") else tie.get(f"body{i}") for i in (1, 2)]
         bound = [end for end in ends if end is not None and end in bodies]

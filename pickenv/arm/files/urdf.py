@@ -1,7 +1,7 @@
 """URDF in: any serial chain of revolute, continuous, prismatic and fixed joints of a tree becomes a `Geometry`.
 
-Joints that mimic another are no joints of the arm; the joint that they follow moves their links too. Where no tip is
-named, it is the flange (`pickenv.arm.files.joint_chain.flange`), and the arm's source says so.
+A joint that mimics another does not count as a joint of the arm; the joint that it follows moves its link too. Where no
+tip is named, the tip is the flange (`pickenv.arm.files.joint_chain.flange`), and the arm's source says so.
 
 Lengths in metres and angles in radians, as URDF has them; rpy is rotation about fixed x, y, z axes.
 """
@@ -28,17 +28,21 @@ from pickenv.base import M_PER_S, RAD, RAD_PER_S, InputError, M, one_line, regis
 
 
 ROD_RADIUS, SHORTEST_ROD = 0.015, 0.02
-"""m; of the rods that viewers draw for the links. Kinematics do not look at them."""
+"""Radius and least length, m, of the rods that viewers draw for the links; kinematics ignore them."""
 
 MASS, INERTIA, EFFORT = 0.1, 1e-4, 100.0
-"""Of every moving link and joint, since simulators load nothing that weighs or lifts nothing; no arm's own."""
+"""Mass (kg), inertia (kg*m^2) and largest effort of every moving link and joint.
+
+They are no real arm's: simulators refuse a link without mass and a joint without effort.
+"""
 
 
 def urdf_text(geometry: Geometry, name: str, speed: Array | None = None) -> str:
-    """A URDF of the chain, one joint per link, ``base`` to ``tool``; exact, so forward kinematics agree to rounding.
+    """A URDF of the chain from ``base`` to ``tool``, one joint per link; its forward kinematics agree to rounding.
 
     Each link is drawn as a rod to the next joint, and a slide as a rod back to where it starts. Where a joint moves
-    several links, those after its own mimic it; where it moves none as it moves itself, it stands beside the chain.
+    several links, the others mimic the one that moves just as the joint does; where no link does, the joint stands
+    beside the chain.
     Characters that XML cannot hold are left out of names.
     """
     robot = Element("robot", name=one_line(name))
@@ -94,7 +98,7 @@ def _moving_link(robot: Element, name: str) -> Element:
 def _joint(
     robot: Element, name: str, slides: bool | None, parent: str, child: str, origin: Pose, limits: Sequence[float] = ()
 ) -> Element:
-    """A joint along or about z with its lower and upper limit and speed; fixed where ``slides`` is None."""
+    """Add a joint along or about z with lower limit, upper limit and speed; it is fixed if ``slides`` is None."""
     kind = "fixed" if slides is None else "prismatic" if slides else "revolute"
     joint = ElementTree.SubElement(robot, "joint", name=name, type=kind)
     ElementTree.SubElement(joint, "parent", link=parent)
@@ -172,7 +176,7 @@ def urdf_row(path: Path, tip: str | None = None) -> JointRow:
 
 
 def _joints(chain: list[Element], by_name: Mapping[str, Element]) -> tuple[list[ChainJoint], Pose, dict[str, Drive]]:
-    """The joints of a row of elements, the tip in the last one's frame, and what drives them."""
+    """The joints of a row of elements, the pose of the tip in the last joint's frame, and the driving joints."""
     joints: list[ChainJoint] = []
     drives: dict[str, Drive] = {}
     before = identity_pose()  # from the last joint that moves
@@ -204,7 +208,7 @@ def _joints(chain: list[Element], by_name: Mapping[str, Element]) -> tuple[list[
 
 
 def _unique(joints: list[Element]) -> tuple[dict[str, Element], dict[str, Element]]:
-    """The joints by name, and by the link behind them; URDF asks for each name once, and for one joint to each link."""
+    """The joints by name, and by the link behind them; a name, or a link behind a joint, given twice is refused."""
     by_name: dict[str, Element] = {}
     above: dict[str, Element] = {}
     for joint in joints:
@@ -221,7 +225,7 @@ def _unique(joints: list[Element]) -> tuple[dict[str, Element], dict[str, Elemen
 
 
 def _chain(above: Mapping[str, Element], tip: str | None) -> tuple[list[Element], str]:
-    """The joints from the root to ``tip``, and the tip; loops are refused."""
+    """The joints from the root to ``tip``, and the tip's name; loops are refused."""
     try:
         TopologicalSorter({link: [_link(joint, "parent")] for link, joint in above.items()}).prepare()
     except CycleError as error:
@@ -251,7 +255,7 @@ def _flange(above: Mapping[str, Element]) -> str:
 
 
 def _driver(joint: Element, by_name: Mapping[str, Element]) -> tuple[Element, float, float]:
-    """The joint that moves this one, and the multiplier and offset between them."""
+    """The joint that drives this one in the end, with the multiplier and the offset between them."""
 
     def mimicked(name: str) -> tuple[str, float, float] | None:
         mimic = by_name[name].find("mimic")
@@ -275,7 +279,7 @@ def _driver(joint: Element, by_name: Mapping[str, Element]) -> tuple[Element, fl
 
 
 def _limits(joint: Element) -> tuple[float, float, float]:
-    """Lower and upper limit and speed of a joint; a continuous one is given one turn."""
+    """Lower limit, upper limit and speed of a joint; a continuous joint gets one turn as its range."""
     kind, limit = str(joint.get("type")), joint.find("limit")
     unit = "m" if MOVING[kind] else "rad"
     if limit is None and kind != "continuous":

@@ -18,10 +18,10 @@ Element = ElementTree.Element
 
 
 def xml_root(path: Path, ending: str) -> Element:
-    """The XML of a file; entities, which can grow without end, are refused.
+    """The root element of an XML file; entities, which can grow without end, are refused.
 
     Raises:
-        InputError: If it cannot be read or is no XML.
+        InputError: If the file cannot be read or is no XML.
     """
     text = read_text(path, f"a {ending} file")
     declared = re.match(r"""<\?xml[^>]*?encoding\s*=\s*["']([^"']*)""", text)
@@ -40,7 +40,7 @@ def xml_numbers(text: str, key: str, most: float, count: int = 3) -> Array:
     """The numbers that an attribute lists, none larger than ``most``.
 
     Raises:
-        InputError: If they are not ``count`` finite numbers, or one is too large.
+        InputError: If the text is not ``count`` finite numbers, or one of them is too large.
     """
     parts = [decimal_number(part) for part in text.split()]
     values = np.array([np.nan if part is None else part for part in parts])
@@ -56,7 +56,7 @@ def xml_number(text: str, owner: str, most: float) -> float:
     """The number in an attribute, no larger than ``most``.
 
     Raises:
-        InputError: If it is none, or too large.
+        InputError: If the text is no number, or the number is too large.
     """
     value = decimal_number(text)
     if value is None or not np.isfinite(value):
@@ -67,5 +67,5 @@ def xml_number(text: str, owner: str, most: float) -> float:
 
 
 def numbers_text(numbers: ArrayLike) -> str:
-    """Numbers as an attribute lists them, with all their digits."""
+    """The numbers as the text of an attribute, with all their digits."""
     return " ".join(repr(float(number)) for number in np.atleast_1d(numbers))

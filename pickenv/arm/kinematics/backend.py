@@ -1,6 +1,6 @@
 """The few operations that `math`, `numpy` and `torch` spell differently, so that a formula is written once.
 
-Numbers of a plant may be plain floats while the joints are arrays; functions of such numbers alone stay on floats.
+Numbers of a plant may be plain floats while the joints are arrays; a function of plain floats alone gives a float.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ ONE: Any = SimpleNamespace(
     maximum=max,
     clip=lambda value, low, high: min(max(value, low), high),
 )
-"""Floats with NumPy's sine and cosine: one pose gets the bits that it has among many in arrays, without their cost."""
+"""The namespace for floats with NumPy's sine and cosine: a single pose gets the same bits as among many in arrays, but
+without the cost of arrays."""
 
 
 def namespace_of(m: ModuleType, value: Scalar) -> ModuleType:
@@ -36,7 +37,7 @@ def exponential(m: ModuleType, value: Scalar) -> Scalar:
 
 
 def clipped(m: ModuleType, value: Scalar, low: Scalar, high: Scalar) -> Scalar:
-    """``value`` held between ``low`` and ``high``, both plain floats or both of its kind."""
+    """``value`` clipped to ``low`` and ``high``, which are both plain floats or both of the kind of ``value``."""
     if m is math:
         return low if value < low else high if value > high else value
     if m is np:
@@ -52,29 +53,29 @@ def chosen(m: ModuleType, condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
 
 
 def possible(m: ModuleType, condition: Scalar) -> bool:
-    """Whether a rare case may be present; torch always says yes, so that nothing waits for the device."""
+    """Whether ``condition`` may hold somewhere; always True with torch, so that nothing waits for the device."""
     return bool(condition) if m is math else bool(np.any(condition)) if m is np else True
 
 
 def set_aside(m: ModuleType, condition: Scalar) -> bool:
-    """Whether a rare case is noted and left to whoever runs the formula, as a namespace that writes it down does."""
+    """Whether ``m`` notes a rare case and leaves it to whoever runs the formula, as a namespace for tracing does."""
     note = getattr(m, "set_aside", None)
     return note is not None and bool(note(condition))
 
 
 def outside(m: ModuleType, function: Callable[..., None], values: Sequence[Scalar], rows: int) -> list[Scalar] | None:
-    """The numbers that a function of whole arrays makes of others, where a namespace writes formulas down; else None.
+    """The results of a function of whole arrays, where ``m`` is a namespace that traces formulas; else None.
 
     Args:
         m: The namespace.
         function: Gets an array ``(k, N)`` and fills one ``(rows, N)``, column by column.
-        values: What it is given, k.
-        rows: How many numbers it makes of them.
+        values: The k numbers that the function is given.
+        rows: How many numbers the function makes of them.
     """
     note = getattr(m, "outside", None)
     return None if note is None else note(function, values, rows)
 
 
 def nearest_whole(m: ModuleType, value: Scalar) -> Scalar:
-    """The nearest whole number; halves go to the even one, as in IEEE 754."""
+    """The whole number nearest to ``value``; halves are rounded to the even neighbour, as in IEEE 754."""
     return float(round(value)) if m is math else m.round(value)

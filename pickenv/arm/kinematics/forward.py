@@ -76,7 +76,7 @@ def geometry_from_axes(
 
 
 def _common_normal(near: Array, z: Array, point: Array, next_z: Array, previous: Array) -> tuple[Array, Array]:
-    """Foot on axis (near, z) of the common normal to axis (point, next_z), and its direction."""
+    """The foot on axis (near, z) of its common normal with axis (point, next_z), and the direction of that normal."""
     cross = np.cross(z, next_z)
     sine = float(np.linalg.norm(cross))
     if sine < PARALLEL:  # any normal will do: take the one at ``near``
@@ -127,7 +127,7 @@ class Link(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """A geometry made ready for `frames`: base, links, tool (None where it is the identity), what moves together."""
+    """A geometry made ready for `frames`: base, links, tool (None where it is the identity) and coupling."""
 
     base: Frame
     links: tuple[Link, ...]
@@ -140,7 +140,7 @@ def chain_of(geometry: Geometry, m: ModuleType = math) -> Chain:
 
     Args:
         geometry: A single geometry; with ``m`` = numpy its link parameters may carry batch dimensions (one arm each).
-        m: ``math`` for constants that are Python floats (they mix with any executor's joints), else ``numpy``.
+        m: ``math`` for constants that are Python floats (which mix with any executor's joints), else ``numpy``.
     """
     single = m is math
     tables = (getattr(geometry, name) for name in LINK_PARAMETERS)
@@ -155,7 +155,7 @@ def chain_of(geometry: Geometry, m: ModuleType = math) -> Chain:
 
 
 def frame_of(pose: Pose) -> Frame:
-    """The twelve components: Python floats of a single pose, arrays of poses ``(...)``."""
+    """The twelve components of a pose as a frame: Python floats for a single pose, arrays for poses ``(...)``."""
     if pose.position.ndim > 1:
         axes = np.ascontiguousarray(np.moveaxis(pose.rotation, (-1, -2), (0, 1)))
         return (*axes.reshape(9, *axes.shape[2:]), *np.moveaxis(pose.position, -1, 0))
@@ -264,7 +264,7 @@ def forward(geometry: Geometry, q: ArrayLike) -> Pose:
 
 
 SHORTEST_LINK = 0.02
-"""m; a link part that is longer than this in some pose is drawn, a shorter one is skipped."""
+"""Length, m, that a link part must exceed in some pose to be drawn; a shorter part is skipped."""
 
 
 def nominal_points(geometry: Geometry, q: ArrayLike) -> Array:
@@ -288,10 +288,10 @@ def nominal_points(geometry: Geometry, q: ArrayLike) -> Array:
 
 
 def true_points(geometry: Geometry, q: ArrayLike, tool: ArrayLike) -> Array:
-    """Points ``(..., 2n + 2, 3)`` along the true arm, in m: its true geometry, drawn to where the tool really stood.
+    """Points ``(..., 2n + 2, 3)`` along the true arm, in m: its true geometry, shifted to end at the true tool.
 
-    Where along the arm compliance, drives or the ground displace it is not asked: what they add at the tool is spread
-    evenly along the links. Base and tool are exact.
+    Where along the arm compliance, drives or the ground displace it is not computed: what they add at the tool is
+    spread evenly along the links. Base and tool are exact.
 
     Args:
         geometry: True geometry.
@@ -306,6 +306,6 @@ def true_points(geometry: Geometry, q: ArrayLike, tool: ArrayLike) -> Array:
 
 
 def drawn_parts(points: Array) -> list[int]:
-    """The link parts of the polyline ``(..., K, 3)`` are long enough to be drawn: indices of their first points."""
+    """Indices of the first points of those parts of the polyline ``(..., K, 3)`` that are long enough to be drawn."""
     lengths = np.linalg.norm(np.diff(points, axis=-2), axis=-1).reshape(-1, points.shape[-2] - 1)
     return [int(i) for i in np.flatnonzero(lengths.max(axis=0) > SHORTEST_LINK)]

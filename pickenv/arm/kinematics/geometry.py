@@ -34,18 +34,18 @@ class Pose(NamedTuple):
 
 
 def identity_pose() -> Pose:
-    """The pose that moves nothing."""
+    """The identity: the pose that moves nothing."""
     return Pose(np.zeros(3), np.eye(3))
 
 
 def inverse_pose(pose: Pose) -> Pose:
-    """The frame that a pose ``(...)`` is told in, told in the pose."""
+    """The inverse of a pose ``(...)``: the pose of its reference frame, expressed in the frame of the pose."""
     back = np.swapaxes(pose.rotation, -1, -2)
     return Pose(-np.einsum("...ij,...j->...i", back, pose.position), back)
 
 
 def behind(pose: Pose, after: Pose) -> Pose:
-    """The pose ``after``, which is told in the frame ``pose``, in the frame that ``pose`` is told in; or batches."""
+    """The pose ``after``, given in the frame ``pose``, expressed in the reference frame of ``pose``; or batches."""
     step = np.einsum("...ij,...j->...i", pose.rotation, after.position)
     return Pose(pose.position + step, pose.rotation @ after.rotation)
 
@@ -54,7 +54,7 @@ def behind(pose: Pose, after: Pose) -> Pose:
 class Coupling:
     """The joint that moves each link, where links move together: link i is displaced by ratio[i] q[joint[i]].
 
-    What a link is displaced by at zero joints is part of its theta or d.
+    Where a link stands at zero joints is part of its theta or d.
 
     Attributes:
         joint: Index of the joint that moves the link, from 0, one per link (L,).
@@ -67,11 +67,11 @@ class Coupling:
     slides: tuple[bool, ...]
 
     def displacements(self, q: Sequence[Any]) -> list[Any]:
-        """Displacement of each link, for joint values of any kind: floats, arrays or tensors."""
+        """The displacement of each link for joint values of any kind: floats, arrays or tensors."""
         return [ratio * q[joint] for joint, ratio in zip(self.joint, self.ratio, strict=True)]
 
     def gathered(self, links: Array, joints: int) -> Array:
-        """Derivatives by the links' displacements ``(..., L)`` as derivatives by the joints' ``(..., n)``."""
+        """Derivatives by the joint values ``(..., n)``, from derivatives by the links' displacements ``(..., L)``."""
         matrix = np.zeros((len(self.joint), joints))
         matrix[range(len(self.joint)), self.joint] = self.ratio
         return np.asarray(links @ matrix)
@@ -112,7 +112,7 @@ class Geometry:
 
     @property
     def joints(self) -> int:
-        """Number of joints n: what is commanded."""
+        """Number of joints n, which are what is commanded."""
         return len(self.prismatic)
 
     @property
@@ -132,12 +132,12 @@ class Geometry:
 
     @property
     def ratios(self) -> tuple[float, ...]:
-        """For each link, its displacement per displacement of that joint, shape (L,)."""
+        """For each link, its displacement per displacement of the joint that moves it, shape (L,)."""
         return (1.0,) * self.joints if self.coupling is None else self.coupling.ratio
 
     @property
     def link_names(self) -> tuple[str, ...]:
-        """One name per link, shape (L,): its joint's, with a number where the joint moves several links."""
+        """One name per link, shape (L,): its joint's name, with a number where the joint moves several links."""
         owners, names = self.owners, []
         for i, joint in enumerate(owners):
             place = f" ({owners[: i + 1].count(joint)} of {owners.count(joint)})" if owners.count(joint) > 1 else ""
@@ -191,7 +191,7 @@ class Geometry:
 
 
 def geometry_fingerprint(geometry: Geometry) -> str:
-    """Hash of the joint types, the link parameters, base and tool: what is fitted to one arm is refused on another."""
+    """Hash of joint types, link parameters, base and tool, by which a fit to one arm is refused on another arm."""
     links = [getattr(geometry, name) for name in LINK_PARAMETERS]
     chain: list[object] = [geometry.prismatic, [v.tolist() for v in (*links, *geometry.base, *geometry.tool)]]
     if geometry.coupling is not None:

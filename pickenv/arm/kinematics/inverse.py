@@ -1,9 +1,10 @@
-"""Rank-aware inverse kinematics for batches of targets, and the workspace that it shows.
+"""Rank-aware inverse kinematics for batches of targets, and measures of the workspace.
 
 Gauss-Newton steps through the truncated pseudo-inverse, a pull to mid-range in the null space (Liegeois 1977), joint
-limits by locking joints that push outwards, and restarts from evenly spread joints. What is still not reached is tried
-by damped steps (Levenberg 1944, Marquardt 1963), which never lose ground at joint limits, from those of many poses that
-stand nearest. Targets that cannot be reached are said to be so, with the error that remains. Metres and radians.
+limits by locking joints that push outwards, and restarts from evenly spread joints. Targets
+still not reached are tried by damped steps (Levenberg 1944, Marquardt 1963), which never lose ground at joint limits,
+from the nearest of many sample poses. The result says which targets cannot be reached, and the error that remains.
+Metres and radians.
 """
 
 from __future__ import annotations
@@ -29,14 +30,17 @@ from pickenv.arm.kinematics.task_space import (
 from pickenv.base import InputError
 
 STEP_LIMIT = 0.4
-"""Largest Gauss-Newton step, in half-ranges of a joint or 0.4 rad, so that a step stays where the Jacobian holds."""
+"""Largest Gauss-Newton step of a joint, as a share of its half-range, or of 1 rad or 1 m where that is less.
+
+The limit keeps a step where the Jacobian holds.
+"""
 
 NUMERIC_TOLERANCE = 1e-6
-"""Relative singular value below which a direction is lost in any case."""
+"""Relative singular value below which a direction is given up in any case."""
 
 
 POOL, NEAREST, DAMPED_STEPS = 2**13, 8, 40
-"""Poses among which starts are sought, starts per restart, and steps from each."""
+"""Number of sample poses to choose starts from, number of starts per restart, and of damped steps from each."""
 
 WHOLE = slice(0, 6)
 """Components of a pose error that are to vanish: position and attitude."""
@@ -50,11 +54,11 @@ class InverseSolution:
     """Joints found for targets, and how well they reach them.
 
     Attributes:
-        joints: ``(..., n)`` rad or m, within the joint limits.
-        reached: ``(...)``, whether position and compensable attitude are met within the tolerances asked for.
+        joints: The joints ``(..., n)``, rad or m, within the joint limits.
+        reached: Whether each target's position and compensable attitude are met within the tolerances ``(...)``.
         position_error: Remaining position error ``(...)``, m.
         attitude_error: Remaining attitude error ``(...)``, rad, compensable or not.
-        noncompensable_attitude: The part of it that no joint motion removes ``(...)``, rad.
+        noncompensable_attitude: The part of the attitude error that no joint motion removes ``(...)``, rad.
     """
 
     joints: Array
@@ -76,18 +80,18 @@ def inverse(
     restarts: int = 4,
     position_only: bool = False,
 ) -> InverseSolution:
-    """Joints that bring the tool to ``target``, as far as rank and joint limits allow.
+    """Find joints that bring the tool to ``target``, as far as rank and joint limits allow.
 
     Args:
         geometry: A single arm.
         target: Tool poses, position ``(..., 3)`` and rotation ``(..., 3, 3)``, world frame.
         start: Joints ``(..., n)`` to start from; mid-range when left out.
-        position_tolerance: m; a larger remaining position error counts as not reached.
-        attitude_tolerance: rad; for the compensable part of the attitude error.
+        position_tolerance: Largest remaining position error that counts as reached, m.
+        attitude_tolerance: Largest remaining compensable attitude error that counts as reached, rad.
         rank_tolerance: Relative singular value below which a direction is left alone.
         max_iterations: Gauss-Newton steps per start.
-        restarts: Further starts, spread evenly over the joint ranges, for targets not reached, and then `NEAREST` times
-            as many from poses near the target; with 0 there are none of either.
+        restarts: Number of further starts, spread evenly over the joint ranges, for targets not reached; then `NEAREST`
+            times as many starts from poses near the target. With 0 there are no further starts of either kind.
         position_only: Whether the attitude is free: an arm of few joints reaches few places with a given one.
 
     Returns:
@@ -115,7 +119,7 @@ def inverse(
     attitude_limit = np.inf if position_only else attitude_tolerance
 
     def judge(goals: Pose, q: Array) -> InverseSolution:
-        """Joints ``(K, n)`` as a solution for goals."""
+        """The joints ``(K, n)`` as an `InverseSolution` for the goals."""
         error = pose_error(forward(geometry, q), goals)
         impossible = noncompensable_error(geometry, q, error, rank_tolerance)
         distance = np.linalg.norm(error[:, :3], axis=-1)
@@ -158,12 +162,12 @@ def inverse(
 
 
 def _cost(solution: InverseSolution) -> Array:
-    """The error that a joint motion might still remove, m and rad as one."""
+    """The error that a joint motion might still remove: metres and radians added up."""
     return solution.position_error + solution.attitude_error - solution.noncompensable_attitude
 
 
 def _near(geometry: Geometry, position: Array, rotation: Array, count: int) -> Array:
-    """Joints of the ``count`` poses of an even spread that stand nearest to each target (targets * count, n)."""
+    """Joints ``(targets * count, n)`` of those ``count`` evenly spread poses that stand nearest to each target."""
     joints = halton_joints(geometry, POOL)
     pool = forward(geometry, joints)
     size = max(float(pool.position.std(axis=0).max()), 1e-6)
@@ -176,7 +180,7 @@ def _near(geometry: Geometry, position: Array, rotation: Array, count: int) -> A
 
 
 def _descend_damped(geometry: Geometry, goals: Pose, q: Array, parts: slice) -> Array:
-    """Damped steps within the joint limits; one that does not come nearer is not taken, and damped more next time."""
+    """Descend by damped steps within the joint limits; a step that comes no nearer is dropped and damped more."""
     damping = np.full(len(q), 1e-3)
     error = pose_error(forward(geometry, q), goals)[:, parts]
     for _ in range(DAMPED_STEPS):
@@ -204,7 +208,7 @@ def _descend(
     max_iterations: int,
     parts: slice,
 ) -> Array:
-    """Damped-step Gauss-Newton with null-space pull; rows that have settled are left alone."""
+    """Descend by Gauss-Newton steps with a pull in the null space; rows that have settled are left alone."""
     middle, half = (geometry.lower + geometry.upper) / 2, (geometry.upper - geometry.lower) / 2
     q = q.copy()
     active = np.arange(len(q))
@@ -247,10 +251,10 @@ def _step(jacobian: Array, error: Array, pull: Array, half: Array, rank_toleranc
 
 
 SAMPLES = 2**14
-"""Evenly spread joints that show roughly where the tool can be."""
+"""Number of evenly spread joint samples that show roughly where the tool can be."""
 
 ITERATIONS = 10
-"""Steps of the inverse from the nearest sample; it converges quadratically."""
+"""Steps of the inverse from the nearest sample; they converge quadratically."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -259,9 +263,9 @@ class Cube:
 
     Attributes:
         centre: Its centre (3,), m.
-        edge: Its edge, m; parallel to the world axes.
-        rotation: Tool attitude with which it is reached (3, 3).
-        free: Whether it is reached with any attitude.
+        edge: Length of its edges, m; they are parallel to the world axes.
+        rotation: Tool attitude with which the cube is reached (3, 3).
+        free: Whether any attitude counts as reaching it.
     """
 
     centre: Array
@@ -280,14 +284,14 @@ class Cube:
 
 
 def largest_cube(geometry: Geometry, rotation: Array | None = None, *, steps: int = 20, free: bool = False) -> Cube:
-    """The largest cube within reach.
+    """The largest cube, parallel to the world axes, that lies within reach.
 
     Args:
         geometry: The arm.
-        rotation: Tool attitude (3, 3); that of the middle of all joint ranges when left out. Only the part of it that
-            the joints can turn counts.
+        rotation: Tool attitude (3, 3); the attitude in the middle of all joint ranges when left out. Only the part of
+            the attitude that the joints can turn counts.
         steps: Grid steps along the longest side of the workspace.
-        free: Whether any attitude will do, as for an arm that cannot hold one and go everywhere.
+        free: Whether any attitude will do, as for an arm that cannot keep one attitude and go everywhere.
 
     Raises:
         InputError: If not even the smallest cube of the grid is within reach.
@@ -320,7 +324,7 @@ def largest_cube(geometry: Geometry, rotation: Array | None = None, *, steps: in
 def farthest(geometry: Geometry) -> float:
     """Largest distance of the tool from the arm's base, frame 0, within the joint limits, m.
 
-    The best of the samples is driven on to a maximum.
+    The farthest of `SAMPLES` samples is optimised on to a maximum.
     """
     joints = halton_joints(geometry, SAMPLES)
     foot = geometry.base.position

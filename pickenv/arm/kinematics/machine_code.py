@@ -1,8 +1,8 @@
-"""Formulas written down once, operation by operation, and run as machine code: one loop over the poses.
+"""Formulas recorded once, operation by operation (a trace), and then run as machine code: one loop over the poses.
 
-They run on `Traced` numbers as on arrays, with `SYMBOLS` in the place of `numpy`. What comes out is a list of
-operations in which nothing is computed twice; LLVM (llvmlite) makes code of it. Results differ from NumPy's by
-roundings, for sines and cosines are Taylor series here, and logarithms and arc tangents those of the C library.
+Formulas run on `Traced` numbers as on arrays, with `SYMBOLS` in the place of `numpy`. The result is a list of
+operations in which nothing is computed twice; LLVM (llvmlite) compiles it. Results differ from NumPy's by roundings,
+because sines and cosines are Taylor series here, and logarithms and arc tangents are those of the C library.
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ DOUBLE, SINGLE, WORD, FLAG = "double", "float", "i64", "i1"
 COMMUTATIVE = frozenset({"add", "mul", "and", "or", "xor"})
 
 Fill = Callable[[Array, Array], None]
-"""Gets an array ``(k, N)`` and fills one ``(rows, N)``."""
+"""A function that gets an array ``(k, N)`` and fills an array ``(rows, N)``."""
 
 
 Goals = list[tuple[int, str, int]]
-"""Number of an operation, and the array and row that its result goes to."""
+"""What is written: for each result, the number of its operation, and the array and row that it goes to."""
 
 
 class Untraceable(Exception):
-    """A formula asked for a number where only its name is known."""
+    """Raised where a formula needs the value of a number of which only the operation is known."""
 
 
 class Operation(NamedTuple):
-    """One operation.
+    """One operation of a trace.
 
     Attributes:
         name: "add", "sqrt", "input", "constant", ...
         kind: Kind of its result.
-        operands: Numbers of the operations that it takes.
-        detail: Array and row of an input, value of a constant.
+        operands: Numbers of the operations whose results it takes.
+        detail: Array and row of an input; value of a constant.
     """
 
     name: str
@@ -57,16 +57,16 @@ class Operation(NamedTuple):
 
 
 Call = tuple[Fill, Sequence[Scalar], int]
-"""A function of whole arrays, called between two loops; what it is given; how many numbers it makes of them."""
+"""A function of whole arrays, which is called between two loops; its arguments; and how many numbers it returns."""
 
 
 class Trace:
-    """Operations in the order in which they were written down.
+    """Operations in the order in which they were recorded.
 
     Attributes:
-        operations: All of them, each but once.
-        exceptions: Truth values; where one is true, the formulas ask for more than operations can give.
-        calls: Functions of whole arrays; the results of call i are the rows of the input "found<i>".
+        operations: All operations, each only once.
+        exceptions: Truth values of rare cases; where one is true, the formulas need more than these operations.
+        calls: Functions of whole arrays; the results of call i are the rows of the input array "found<i>".
     """
 
     def __init__(self) -> None:
@@ -76,7 +76,7 @@ class Trace:
         self._known: dict[Operation, int] = {}
 
     def note(self, name: str, kind: str, *operands: int, detail: Any = None) -> Traced:
-        """The result of an operation."""
+        """Record an operation, unless it is there already, and return its result."""
         if name in COMMUTATIVE and operands[0] > operands[1]:
             operands = operands[::-1]
         operation = Operation(name, kind, operands, detail)
@@ -86,15 +86,15 @@ class Trace:
         return Traced(self, self._known[operation], kind)
 
     def inputs(self, array: str, rows: int, kind: str = DOUBLE) -> list[Traced]:
-        """The rows of an array ``(rows, N)``."""
+        """The rows of an input array ``(rows, N)`` as traced numbers."""
         return [self.note("input", kind, detail=(array, row)) for row in range(rows)]
 
     def outputs(self, array: str, rows: Sequence[Scalar], kind: str = DOUBLE, first: int = 0) -> Goals:
-        """Have numbers of a kind written into an array ``(rows, N)``, from row ``first`` on."""
+        """The goals by which numbers of a kind are written into an array ``(rows, N)``, from row ``first`` on."""
         return [(self.of(value, kind), array, row) for row, value in enumerate(rows, first)]
 
     def of(self, value: Scalar, kind: str) -> int:
-        """Number of the operation that gives ``value``; plain numbers become constants of this kind."""
+        """The number of the operation that gives ``value``; plain numbers become constants of this kind."""
         if isinstance(value, Traced):
             return value.number
         if not isinstance(value, bool | int | float | np.generic):
@@ -111,7 +111,7 @@ class Trace:
 
 
 def _binary(name: str, kind: str | None = None, swapped: bool = False) -> Callable[[Traced, Any], Any]:
-    """An operator of `Traced`; ``kind`` is that of its result where it is not that of its operands."""
+    """Make an operator of `Traced`; ``kind`` is the kind of its result, where that differs from its operands'."""
 
     def operator(self: Traced, other: Any) -> Any:
         if not isinstance(other, Traced | bool | int | float | np.generic):
@@ -123,7 +123,7 @@ def _binary(name: str, kind: str | None = None, swapped: bool = False) -> Callab
 
 
 class Traced:
-    """A number of which only is known by which operation it comes about."""
+    """A number without a value: only the operation that gives it is known."""
 
     __slots__ = ("kind", "number", "trace")
     __array_ufunc__ = None  # NumPy's numbers leave the arithmetic to this class
@@ -148,7 +148,7 @@ class Traced:
         return cast(Traced, self ^ True)
 
     def as_double(self) -> Traced:
-        """A word as a float64."""
+        """This 64-bit word as a float64."""
         return self.trace.note("number", DOUBLE, self.number)
 
     @property
@@ -166,10 +166,10 @@ class Traced:
 # What `numpy` is to arrays.
 
 PI, PI_RESIDUE = float.fromhex("0x1.921fb544p+1"), float.fromhex("0x1.0b4611a626331p-33")
-"""Half a turn, rad: its first 33 bits, of which many times are exact, and what is missing."""
+"""Half a turn, rad, in two parts: its first 33 bits, whose multiples are exact, and the remainder."""
 
 TERMS = 11
-"""Of each series: at a quarter turn the first one left out is less than half a rounding of the largest."""
+"""Number of terms of each series: at a quarter turn, the first one left out is below half a rounding of the largest."""
 
 INTRINSICS = {"round": "rint", "abs": "fabs"} | {name: name for name in ("sqrt", "atan2", "log", "log10", "exp")}
 """Functions by the names that NumPy and LLVM have for them."""
@@ -188,7 +188,7 @@ def cosine(m: Any, angle: Scalar) -> Scalar:
 
 
 def _reduced(m: Any, angle: Scalar) -> tuple[Scalar, Scalar]:
-    """The sign that an angle's whole half turns give to its sine and cosine, and what is left without them."""
+    """The sign that an angle's whole half turns give to its sine and cosine, and the angle without these half turns."""
     halves = m.round(angle * (1.0 / math.pi))
     odd = halves - 2.0 * m.round(0.5 * halves)
     return 1.0 - 2.0 * (odd * odd), (angle - PI * halves) - PI_RESIDUE * halves
@@ -204,7 +204,7 @@ def _summed(square: Scalar, first: int) -> Scalar:
 
 
 def _function(name: str, plain: Callable[..., Any]) -> Callable[..., Any]:
-    """A function of `Traced` and plain numbers; of plain numbers alone it is NumPy's."""
+    """Make a function of `Traced` and plain numbers; for plain numbers alone it calls NumPy's function ``plain``."""
 
     def function(*values: Scalar) -> Scalar:
         trace = _trace_of(values)
@@ -253,16 +253,16 @@ SYMBOLS: Any = SimpleNamespace(
     set_aside=_set_aside,
     outside=_outside,
 )
-"""The namespace that is to traced numbers as `numpy` is to arrays."""
+"""The namespace of functions of traced numbers, as `numpy` is that of arrays."""
 
 
 # A trace as machine code.
 
 LANES = 8
-"""Poses that one instruction works on, or two where the processor has no such wide ones."""
+"""Number of poses that one instruction works on (two instructions if the processor has none so wide)."""
 
 THOROUGH = 1024
-"""From so many poses on, code that takes four times as long to generate and runs a third faster is worth it."""
+"""Number of poses from which code that takes four times as long to generate and runs a third faster pays off."""
 
 BY_KIND = {
     DOUBLE: {
@@ -273,18 +273,18 @@ BY_KIND = {
     WORD: {"add": "add", "mul": "mul", "xor": "xor", "shift": "lshr", "number": "uitofp"},
     FLAG: {"and": "and", "or": "or", "xor": "xor"},
 }
-"""Instructions, by the kind of what they take."""
+"""LLVM's instructions for each operation, by the kind of its operands."""
 
 FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64)
 
 
 class Compiled:
-    """A trace ready to be run: a loop for what each call is given, which begins anew, and one for the outputs.
+    """A trace compiled to loops: one loop computes the arguments of each call, and a last one the outputs.
 
     Args:
         trace: The operations.
-        goals: What is written; all in the last loop, for inputs are read until then.
-        count: For how many poses it will be run.
+        goals: What is written, all in the last loop, because inputs are read until then.
+        count: Number of poses that it will be run for.
     """
 
     def __init__(self, trace: Trace, goals: Goals, count: int) -> None:
@@ -299,7 +299,7 @@ class Compiled:
         self._between: dict[str, Array] = {}
 
     def run(self, arrays: Mapping[str, NDArray[Any]], count: int) -> None:
-        """Compute outputs from inputs: arrays ``(rows, count)`` by name, whose rows lie one after the other."""
+        """Compute outputs from inputs; both are arrays ``(rows, count)`` by name, contiguous row by row."""
         if self._calls and (not self._between or self._between["given0"].shape[1] != count):
             for i, (_, values, rows) in enumerate(self._calls):
                 self._between[f"given{i}"] = np.empty((len(values), count))
@@ -330,7 +330,7 @@ DECLARED = tuple(_declared(name, lanes) for name in INTRINSICS.values() for lane
 
 
 def _loop(operations: Sequence[Operation], name: str, goals: Goals, arrays: Sequence[str]) -> str:
-    """A function: a loop by lanes, and one for what is left."""
+    """LLVM's code of a function with two loops: over groups of `LANES` poses, then over the poses left."""
     wide, narrow = ("\n".join(_Body(operations, goals, arrays, lanes).lines) for lanes in (LANES, 1))
     return f"""
 define void @{name}(ptr noalias %bases, i64 %count) {{
@@ -358,7 +358,7 @@ done:
 
 
 class _Body:
-    """The instructions of one loop for some poses at once; `lines` are they."""
+    """The instructions of one loop that works on ``lanes`` poses at once; ``lines`` holds their text."""
 
     def __init__(self, operations: Sequence[Operation], goals: Goals, arrays: Sequence[str], lanes: int) -> None:
         self.lines: list[str] = []
@@ -379,7 +379,7 @@ class _Body:
             self.lines.append(f"  store {memory} {value}, ptr {place}, align 1")
 
     def _value(self, operation: Operation) -> str:
-        """The name of an operation's result, or a constant."""
+        """The text that stands for an operation's result: a name, or a constant."""
         name, result = operation.name, operation.kind
         if name == "constant":
             value = operation.detail
@@ -417,7 +417,7 @@ class _Body:
         return _type(kind, self._lanes)
 
     def _place(self, array: str, row: int, kind: str) -> tuple[str, str]:
-        """Pointer to this turn's entries in a row of an array, and their type in memory."""
+        """The pointer to the entries of a row that this pass of the loop works on, and their type in memory."""
         if array not in self._bases:
             slot = self._new(f"getelementptr ptr, ptr %bases, i64 {self._arrays.index(array)}")
             self._bases[array] = self._new(f"load ptr, ptr {slot}")
@@ -429,12 +429,12 @@ class _Body:
 
 @lru_cache(maxsize=64)
 def machine(code: str, names: tuple[str, ...], thorough: bool) -> tuple[Any, list[int]]:
-    """The engine that keeps code in memory, and the addresses of its functions.
+    """Compile code; return the engine that keeps it in memory, and the addresses of its functions.
 
     Args:
-        code: LLVM's language.
-        names: Of the functions.
-        thorough: Whether registers are used well, which takes four times as long to generate.
+        code: Code in LLVM's language.
+        names: Names of the functions.
+        thorough: Whether LLVM optimises, so that registers are used well; this takes four times as long.
     """
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()

@@ -1,7 +1,7 @@
 """Differences of poses: position in metres and attitude as a rotation vector, both in world axes.
 
-In components (floats, NumPy arrays or torch tensors, see `pickenv.arm.kinematics.forward`), with a NumPy face on
-top. Euler angles are never used: they inflate attitude errors (Qiao 2026 digest, fact 10).
+Formulas run on components (floats, NumPy arrays or torch tensors, see `pickenv.arm.kinematics.forward`); functions of
+NumPy arrays stand on top. Euler angles are never used: they inflate attitude errors (Qiao 2026 digest, fact 10).
 """
 
 from __future__ import annotations
@@ -19,10 +19,11 @@ from pickenv.arm.kinematics.forward import Frame, Scalar, frame_of, pose_of
 from pickenv.arm.kinematics.geometry import Array, Pose
 
 REVERSED = -0.99
-"""Below this cosine, from 172 degrees, the rotation's axis is read from the symmetric part: the sine has lost it."""
+"""Cosine of an angle (172 degrees) beyond which the rotation's axis is read from the symmetric part of the matrix,
+because the sine is then too small to show it."""
 
 SMALL_SINE = 0.1
-"""Up to this sine of a rotation its series is exact to rounding."""
+"""Sine of a rotation up to which the series of its arc sine is exact to rounding."""
 
 ARC_SINE = tuple(math.comb(2 * k, k) / 4.0**k / (2 * k + 1) for k in range(8))
 """Taylor coefficients of arcsin(s) / s in s^2."""
@@ -48,7 +49,7 @@ def rotation_between(m: ModuleType, reference: Sequence[Scalar], actual: Sequenc
     Args:
         m: ``math``, ``numpy`` or ``torch``.
         reference: A frame, or its first nine components.
-        actual: The same of the other.
+        actual: The other frame, or its first nine components.
     """
     axx, axy, axz, ayx, ayy, ayz, azx, azy, azz = actual[:9]
     bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz = reference[:9]
@@ -89,7 +90,7 @@ def _turn(reference: Sequence[Scalar], actual: Sequence[Scalar]) -> tuple[tuple[
 
 
 def small_rotation(m: ModuleType, reference: Sequence[Scalar], actual: Sequence[Scalar]) -> tuple[Scalar, ...]:
-    """`rotation_between`, sooner where the rotation is below six degrees: its arc sine by a series."""
+    """As `rotation_between`, but faster for rotations below six degrees, whose arc sine is computed by a series."""
     sines, (xx, yy, zz) = _turn(reference, actual)
     sx, sy, sz = sines
     square = sx * sx + sy * sy + sz * sz
@@ -108,14 +109,14 @@ def small_rotation(m: ModuleType, reference: Sequence[Scalar], actual: Sequence[
 def frame_error(
     m: ModuleType, reference: Frame, actual: Frame, rotation: Callable[..., tuple[Scalar, ...]] = rotation_between
 ) -> tuple[Scalar, ...]:
-    """`pose_error` of frames: (x, y, z, rx, ry, rz), m and rad, world axes; ``rotation`` may be `small_rotation`."""
+    """The `pose_error` of frames: x, y, z, rx, ry, rz (m, rad, world axes); ``rotation`` may be `small_rotation`."""
     apx, apy, apz = actual[9:]
     bpx, bpy, bpz = reference[9:]
     return (apx - bpx, apy - bpy, apz - bpz, *rotation(m, reference, actual))
 
 
 def displaced_frame(m: ModuleType, frame: Frame, error: Sequence[Scalar]) -> Frame:
-    """The frame that differs from ``frame`` by six components in the sense of `frame_error`: Rodrigues' formula."""
+    """The frame that differs from ``frame`` by ``error`` in the sense of `frame_error`; by Rodrigues' formula."""
     dx, dy, dz, wx, wy, wz = error
     square = wx * wx + wy * wy + wz * wz + 1e-40
     angle = m.sqrt(square)
@@ -132,7 +133,7 @@ def displaced_frame(m: ModuleType, frame: Frame, error: Sequence[Scalar]) -> Fra
 
 
 def pose_error(reference: Pose, actual: Pose) -> Array:
-    """Error of ``actual`` against ``reference``.
+    """The error of the pose ``actual`` against ``reference``.
 
     Returns:
         Array ``(..., 6)``: position difference in m, then the rotation vector of R_actual R_reference^T in rad, both

@@ -37,7 +37,7 @@ def link_column(
         before: Frame of the link before, twelve components.
         after: The link's own frame.
         tool: Origin of the tool, three components.
-        twist: Cosine and sine of the link's alpha, and its a; only beta asks for them.
+        twist: Cosine and sine of the link's alpha, and its a; only the derivative by beta needs them.
     """
     x, y, z, px, py, pz = after[6:] if kind in ("theta", "d") else (*before[:3], *before[9:])
     if kind in ("a", "d"):
@@ -51,7 +51,7 @@ def link_column(
 
 
 def jacobian_columns(geometry: Geometry, links: Sequence[Frame], tool: Frame) -> list[Column]:
-    """Columns of the joint Jacobian, one per joint, for the frames of base, links and tool in components."""
+    """Columns of the joint Jacobian, one per joint, from the frames of base, links and tool in components."""
     hand = tool[9:]
     columns = [
         link_column("d" if slides else "theta", (), link, hand, ())
@@ -122,7 +122,7 @@ def parameter_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
 
 
 def _frames(geometry: Geometry, q: ArrayLike) -> tuple[list[Frame], Frame, tuple[int, ...]]:
-    """Frames of base and links, of the tool, and the shape of poses; the frames of a single pose are floats."""
+    """The frames of base and links, the frame of the tool, and the batch shape of the poses; of one pose, as floats."""
     joints = split_joints(geometry.joints, q)
     shape = np.broadcast_shapes(joints[0].shape, geometry.alpha.shape[:-1])
     m = np if shape else math
@@ -132,14 +132,14 @@ def _frames(geometry: Geometry, q: ArrayLike) -> tuple[list[Frame], Frame, tuple
 
 
 DIRECTION_TOLERANCE = 5e-3
-"""Below this share of the largest singular value a direction counts as impossible.
+"""Share of the largest singular value below which a direction counts as impossible.
 
 On the picking arm the fifth singular value stays above 0.11 of the first, and a real arm's sixth below 0.001.
 """
 
 
 POSITION_FIRST = 0.05
-"""Weight of a radian, in m, where fewer than six joints have to choose between position and attitude; else 1."""
+"""Weight of a radian, in m, for arms of fewer than six joints, which must choose between position and attitude."""
 
 
 def attitude_weight(joints: int) -> float:
@@ -164,7 +164,7 @@ def task_directions(
         geometry: The arm.
         q: Joints ``(..., n)``.
         tolerance: Relative singular value below which a direction counts as impossible.
-        weight: What a radian counts, in m.
+        weight: Weight of a radian, in m.
 
     Returns:
         Orthonormal columns ``(..., 6, 6)`` (position in m, rotation vector in rad, world axes) and the task rank
@@ -183,8 +183,8 @@ def noncompensable_error(
 ) -> Array:
     """The part ``(..., 6)`` of a pose error ``(..., 6)`` that no small joint motion removes.
 
-    For the picking arm it is a rotation about z1 x z5 (Qiao 2026 digest, fact 4). With a ``weight`` of radians against
-    metres it is what is left where the weighed error is smallest.
+    For the picking arm this part is a rotation about z1 x z5 (Qiao 2026 digest, fact 4). ``weight`` is the weight of a
+    radian, in m: the part is what remains of the error where the weighted error is smallest.
     """
     weights = np.repeat([1.0, weight], 3)
     u, rank = task_directions(geometry, q, tolerance, weight)

@@ -1,7 +1,8 @@
 """A measuring campaign on the simulated arm, in time: warm up, drive from pose to pose, wait, read.
 
-The arm stops where friction and gaps let it, by the way that it came, while its links warm up and the ground gives
-way. ISO 9283 and calibration data come from the same stops. One arm runs on floats, many on arrays or tensors. SI.
+Where the arm stops depends on friction and gaps, and thus on the way that it came, while its links warm up and the
+ground gives way. ISO 9283 and calibration data come from the same stops. One arm runs on floats, many on arrays or
+tensors. SI units.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from pickenv.base import HOURS, MILLISECONDS, MM, SECONDS, file_named, read_toml
 
 
 Place: TypeAlias = Callable[[Array], Scalar]
-"""Makes a component of an array, for example a tensor on a GPU."""
+"""A function that makes a component, for example a tensor on a GPU, from an array."""
 
 
 @dataclass(frozen=True)
@@ -53,16 +54,16 @@ class Pace:
 
 
 def move_time(plant: Plant, start: ArrayLike, target: ArrayLike, pace: Pace) -> Array:
-    """Duration of moves between joints ``(..., n)``, s, as the slowest joint asks for it."""
+    """The duration of moves between joints ``(..., n)``, s, which the slowest joint determines."""
     way = np.abs(np.asarray(target, dtype=float) - np.asarray(start, dtype=float))
     return np.asarray(np.max(way / (plant.arm.speed * pace.speed), axis=-1))
 
 
 def commands(plant: Plant, start: ArrayLike, target: ArrayLike, pace: Pace) -> Iterator[tuple[Array, Array | float]]:
-    """Joint commands ``(..., n)`` of moves, each with the time it is held, s; the last one is held while waiting.
+    """Joint commands ``(..., n)`` of moves, each with the time it is held, s; the last is held for the waiting time.
 
-    Several moves begin together, and each takes its own time: one that has arrived earlier holds its target for no
-    time at all until the longest arrives, so that it ends as it does alone.
+    Several moves begin together, and each takes its own time. A move that arrives early holds its target for zero
+    seconds until the longest move arrives, so that it ends just as it would alone.
     """
     start, target = np.asarray(start, dtype=float), np.asarray(target, dtype=float)
     duration = move_time(plant, start, target, pace)
@@ -93,18 +94,18 @@ def moved(
     place: Place | None = None,
     normal: Array | None = None,
 ) -> tuple[PlantState, Frame]:
-    """Move from the command ``start`` to ``target`` and wait: the state, and the true tool frame then.
+    """Move from the command ``start`` to ``target`` and wait; return the state and the true tool frame after that.
 
     Args:
         plant: The arm, or many.
         m: ``math`` for one arm on floats, ``numpy`` or ``torch`` for many.
-        state: Its state at ``start``.
+        state: The plant's state at ``start``.
         start: Joints ``(..., n)``, rad or m.
         target: Joints ``(..., n)``.
         pace: Speed, control period and waiting time.
         place: Makes components of arrays where ``m`` wants others.
-        normal: Standard normal numbers of this one stop's friction ``(2, n, ...)``, forward and backward of each joint:
-            without its scatter, an arm would repeat exactly. None for the usual friction.
+        normal: Standard normal numbers of this one stop's friction ``(2, n, ...)``, forward and backward of each joint;
+            without scatter of the friction, an arm would repeat exactly. None for the usual friction.
     """
     band = plant.effect("stick_band")
     if normal is not None and band is not None and band.scatter:
@@ -122,7 +123,7 @@ def moved(
 INSTRUMENTS = Path(__file__).parent / "instruments"
 
 TRACKER = "laser_tracker"
-"""The instrument of calibrations that name none."""
+"""Name of the instrument of calibrations that name none."""
 
 
 @toml_table
@@ -130,14 +131,14 @@ class Instrument:
     """An instrument that measures the arm.
 
     Attributes:
-        name: Its name.
-        stand: Where it stands, in the arm's world, m.
+        name: Name of the instrument.
+        stand: Where the instrument stands, in the arm's world, m.
         source: Where the numbers come from.
-        dwell: Waiting time between arrival and reading, s; None where it waits until nothing changes any more: the
-            arm is then warm, the ground at rest, and friction and gaps in their middle.
-        warm_up: Time on before the first pose, s, in the middle of the joints' ranges.
+        dwell: Waiting time between arrival and reading, s; None for waiting until nothing changes any more: the arm is
+            then warm, the ground at rest, and friction and gaps in their middle.
+        warm_up: Time that the arm is switched on before the first pose, s, in the middle of the joints' ranges.
         period: Control period of the drives from pose to pose, s, at full speed.
-        noise: How it errs; None for the errors that the plant states of the instrument beside it.
+        noise: The instrument's errors; None for the errors that the plant states for an instrument beside it.
     """
 
     name: str
@@ -149,19 +150,19 @@ class Instrument:
     noise: MeasurementNoise | None = None
 
     def noise_on(self, plant: Plant) -> MeasurementNoise | None:
-        """Its errors at this plant: by its own numbers, else by those that the plant states."""
+        """The instrument's errors at this plant: its own, else those that the plant states, if any."""
         noise: MeasurementNoise | None = plant.effect("measurement_noise") if self.noise is None else self.noise
         return noise
 
 
 class NormalDraws(NamedTuple):
-    """Standard normal numbers that decide what a campaign of P poses meets; axes of further arms follow.
+    """Standard normal numbers that decide the chance errors of a campaign of P poses; axes of further arms follow.
 
     Attributes:
-        reading: For each reading ``(P, 6)``.
-        mounting: For the one mounting of the target ``(3,)``.
-        stops: For the friction of each stop: forward and backward of each joint ``(P, 2, n)``; zeros where it does
-            not scatter.
+        reading: Numbers of each reading ``(P, 6)``.
+        mounting: Numbers of the one mounting of the target ``(3,)``.
+        stops: Numbers of the friction at each stop, forward and backward of each joint ``(P, 2, n)``; zeros where
+            friction does not scatter.
     """
 
     reading: Array
@@ -182,13 +183,13 @@ def load_instrument(name: str | Path) -> Instrument:
     """Read an instrument by name or from a path to a TOML file.
 
     Raises:
-        InputError: If it is unknown or a number is impossible; the message names the file and the key.
+        InputError: If the instrument is unknown or a number is impossible; the message names the file and the key.
     """
     return read_toml(Instrument, file_named("instrument", name, INSTRUMENTS))
 
 
 def normal_draws(plant: Plant, poses: int, rng: np.random.Generator) -> NormalDraws:
-    """Draw for one campaign; readings come from ``rng``, what the arm and its target do from a child of it."""
+    """Draw the numbers of one campaign: readings from ``rng``; mounting and stops from a child of it."""
     (child,) = rng.spawn(1)
     band, shape = plant.effect("stick_band"), (poses, 2, plant.geometry.joints)
     scatters = band is not None and band.scatter
@@ -208,18 +209,18 @@ def switched_on(plant: Plant, m: ModuleType, joints: Array, warm_up: float, plac
 def visited(
     plant: Plant, m: ModuleType, joints: Array, instrument: Instrument, stops: Array, place: Place | None = None
 ) -> Frame:
-    """True tool frames when an instrument reads them, one pose after another.
+    """The true tool frames at the moments when an instrument reads them, one pose after another.
 
     Args:
         plant: One arm, or many.
         m: ``numpy`` for one arm; ``numpy`` or ``torch`` for many.
         joints: Joint commands ``(P, n)`` of one arm, ``(P, N, n)`` of many, in the order in which they are visited.
-        instrument: How long is waited.
-        stops: As `NormalDraws` has them.
+        instrument: The instrument, which says how long is waited.
+        stops: The numbers ``stops`` of `NormalDraws`.
         place: Makes components of arrays where ``m`` wants others.
 
     Returns:
-        Components ``(P,)`` or ``(P, N)``.
+        A frame whose components have the shape ``(P,)`` or ``(P, N)``.
     """
     if instrument.dwell is None or not plant.has_state or not len(joints):
         return plant.tool_frame(m, in_components(m, joints, place))
@@ -258,12 +259,12 @@ GEOMETRY = "geometry"
 
 
 def causes_of(plant: Plant) -> tuple[str, ...]:
-    """The rows of a plant's table: its geometry, and its effects but for those that never move the arm."""
+    """The causes of a plant's error by name: its geometry, and its effects except those that never move the arm."""
     return (GEOMETRY, *(name for name in plant.names if plant.effect(name).place < BESIDE))
 
 
 def alone(plant: Plant, *names: str) -> Plant:
-    """The plant with nothing but these of its `causes_of` on; without its geometry it has the nominal one."""
+    """The plant with only these of its `causes_of` on; if the geometry is not among them, it is the nominal one."""
     geometry = plant.geometry if GEOMETRY in names else plant.arm.nominal
     return replace(plant, geometry=geometry, effects=tuple(effect for effect in plant.effects if effect.name in names))
 
@@ -286,13 +287,14 @@ def effect_shares(
         pace: How the reaches are made; full speed and 0.5 s of waiting when left out.
 
     Returns:
-        For JSON: ``plant``, ``reaches``, ``running_hours`` and ``dwell`` (s) say of what, all else is in mm. ``alone``:
-        for each effect that is on, its share when it is the only one; ``geometry`` is the true against the nominal
-        geometry. ``without``: for each of them, true tool against the nominal one with everything on but it, the error
-        that remains. ``all``: everything on. ``sum_of_means`` of ``alone``: all shares in one line, the worst case.
-        ``root_sum_square`` of these means: shares in random directions. A share has the ``mean`` distance that the tool
-        moves over all reaches, its 95th percentile ``p95``, the largest ``max``, and ``varying``, the mean after each
-        axis' mean is taken off: what no constant offset removes.
+        A mapping for JSON. ``plant``, ``reaches``, ``running_hours`` and ``dwell`` (s) say what was run; all else is in
+        mm. ``alone``: for each effect that is on, its share when it is the only one; ``geometry`` is the true against
+        the nominal geometry. ``without``: for each effect, the error that remains with everything on but that effect.
+        ``all``: the share with everything on. ``sum_of_means``: the sum of the means in ``alone``, the worst case, in
+        which all shares point the same way. ``root_sum_square``: the root of the sum of their squares, for shares in
+        random directions. A share has the ``mean`` distance of the true tool from the nominal one over all reaches, its
+        95th percentile ``p95``, the largest ``max``, and ``varying``, the mean after each axis' mean is subtracted:
+        what no constant offset removes.
     """
     pace = pace or Pace()
     joints = np.asarray(joints, dtype=float)
@@ -302,7 +304,7 @@ def effect_shares(
     start = np.roll(joints, 1, axis=0)
 
     def share(*names: str) -> dict[str, float]:
-        """The tool after reaches from the joints before (the first from the last), against the nominal one."""
+        """The tool's distance from the nominal tool, mm, after reaches from the joints before (first from last)."""
         some = alone(plant, *names)
         _, frame = moved(some, np, switched_on(some, np, start, running_time), start, joints, pace)
         error = np.stack(np.broadcast_arrays(*frame[9:]), -1) - nominal

@@ -1,7 +1,8 @@
 """Accuracy of an arm by ISO 9283:1998, on the simulated arm: AP, RP, vAP and dAP, raw and calibrated.
 
-Thirty cycles over five poses of the inclined plane of the largest cube in the workspace, at full speed; the warm arm,
-except for the drift. AP = |mean - command|; RP = mean distance from the mean + 3 standard deviations. mm and deg.
+The arm runs thirty cycles over five poses of the inclined plane of the largest cube in the workspace, at full speed; it
+is warm, except in the drift test. AP = |mean - command|; RP = mean distance from the mean + 3 standard deviations.
+Units: mm and deg.
 """
 
 from __future__ import annotations
@@ -22,13 +23,13 @@ from pickenv.arm.plant.campaign import TRACKER, Instrument, Pace, move_time, mov
 from pickenv.base import InputError, statistic_interval
 
 Compensate = Callable[[Array], Array]
-"""Joint targets ``(..., n)`` for the nominal arm to joint commands for the real one."""
+"""A function from joint targets ``(..., n)`` for the nominal arm to joint commands for the real arm."""
 
 CYCLES = 30
-"""Measurements of a pose by the standard; fewer tell too little of RP for an interval."""
+"""Measurements of a pose by the standard; fewer tell too little about RP for an interval."""
 
 ORDER = (4, 3, 2, 1, 0)
-"""One cycle: P5, P4, P3, P2, P1."""
+"""Poses of one cycle in their order: P5, P4, P3, P2, P1."""
 
 VARIATION_POSES = (0, 1, 3)
 """vAP is taken at P1, P2 and P4."""
@@ -44,11 +45,11 @@ class Iso9283Settings:
     Attributes:
         cycles: Measurements per pose.
         pace: Speed, control period and waiting time before each measurement.
-        warm_up: Time on before the tests of the warm arm, s.
+        warm_up: Time that the arm is switched on before the tests of the warm arm, s.
         approach: Length of the approaches from three directions, m.
         drift_time: Duration of the drift test, s.
-        drift_interval: Time between its measurements, s.
-        drift_cycles: Measurements averaged each time.
+        drift_interval: Time between the measurements of the drift test, s.
+        drift_cycles: Number of measurements averaged at each of these times.
     """
 
     cycles: int = CYCLES
@@ -67,12 +68,12 @@ class Iso9283Settings:
 
 
 Performance = dict[str, Any]
-"""The figures that one controller, raw or calibrated, gets out of the arm, as JSON has them.
+"""The figures that the arm reaches under one controller, raw or calibrated, in the form of JSON.
 
 poses: AP and RP at P1 to P5, each as `pose_performance` gives them. variation_mm, variation_deg: vAP_P, the largest
 distance between the means of three approach directions, at P1, P2 and P4. drift_mm, drift_deg: dAP_P, the largest
 change of AP_P at P1 since the start, over the drift time. wander_mm: largest distance of the mean position at P1 from
-where it was at the start. drift_hours, drift_accuracy_mm: times of the drift measurements, and AP_P at P1 then.
+the mean position at the start. drift_hours, drift_accuracy_mm: times of the drift measurements, and AP_P at P1 then.
 worst_accuracy_mm, worst_repeatability_mm: the largest AP_P and RP_l of the five poses.
 """
 
@@ -86,8 +87,8 @@ class Iso9283Result:
         cube: The cube that the poses lie in.
         settings: How the test was run.
         instrument_mm: RP_l that the tracker's noise would show, at the mean range, on an arm that repeats exactly.
-        raw: The arm as its controller believes it to be.
-        calibrated: The same arm with compensated commands, or None.
+        raw: Figures of the arm with commands for the nominal arm.
+        calibrated: Figures of the arm with compensated commands, or None.
     """
 
     plant: str
@@ -98,11 +99,11 @@ class Iso9283Result:
     calibrated: Performance | None
 
     def performances(self) -> dict[str, Performance]:
-        """Raw, and calibrated if it was tested, by name."""
+        """The figures by name: "raw", and "calibrated" if that was tested."""
         return {"raw": self.raw} | ({"calibrated": self.calibrated} if self.calibrated is not None else {})
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON; the unit of each number is in its key."""
+        """The result for JSON; the unit of each number is in its key."""
         settings = {
             "cycles": self.settings.cycles,
             "speed_share": self.settings.pace.speed,
@@ -169,9 +170,10 @@ def iso9283(
             only.
         rng: Draws the friction of each stop and the measuring instrument's noise; raw and calibrated arm meet the same.
         settings: How the test is run.
-        cube: Where; the largest cube in the workspace when left out.
-        reference: What joint targets mean in the world: the arm's nominal geometry when left out. A calibration that
-            fitted base and tool means its own nominal geometry; both raw and calibrated arm are then judged by it.
+        cube: The cube that the poses lie in; the largest cube in the workspace when left out.
+        reference: The geometry that gives joint targets their meaning in the world; the arm's nominal geometry when
+            left out. For a calibration that fitted base and tool, it is that calibration's nominal geometry; raw and
+            calibrated arm are then both judged by it.
 
     Raises:
         InputError: If a test pose cannot be reached.
@@ -200,7 +202,7 @@ def iso9283(
 
 
 def _largest_cube(geometry: Geometry) -> Cube:
-    """The largest cube; with any attitude where an arm of fewer than six joints can hold none."""
+    """The largest cube; any attitude counts if an arm of fewer than six joints can keep none throughout a cube."""
     try:
         return largest_cube(geometry)
     except InputError:
@@ -219,7 +221,7 @@ def _joints_for(plant: Plant, poses: Pose, start: Array | None, free: bool) -> A
 
 
 def _approaches(plant: Plant, poses: Pose, targets: Array, length: float, free: bool) -> Array:
-    """Joints ``(3 poses, 3 directions, n)`` a short way before P1, P2, P4 along x, y and z, towards the centre."""
+    """Joints ``(3 poses, 3 directions, n)`` a short way from P1, P2, P4 along x, y, z, towards the centre."""
     some = list(VARIATION_POSES)
     inwards = np.where(poses.position[some] - poses.position[0] > 0, -1.0, 1.0)
     before = poses.position[some][:, None, :] + length * inwards[:, :, None] * np.eye(3)
@@ -242,7 +244,7 @@ def _performance(
     mounting, noise = rng.spawn(1)[0].normal(size=3).tolist(), instrument.noise_on(plant)
 
     def measured(state: PlantState, stops: Sequence[tuple[Array, int | None]]) -> tuple[PlantState, Array]:
-        """The state after moves, from P1 on, and errors ``(..., 6)``, m and rad, at stops that say of which pose."""
+        """Move from P1 through stops; return the state, and errors ``(..., 6)``, m and rad, at stops with a pose."""
         errors, start = [], home
         for target, i in stops:
             normal = rng.normal(size=(2, len(target)))
@@ -299,13 +301,13 @@ def _performance(
 
 
 def pose_performance(name: str, errors: Array) -> dict[str, Any]:
-    """Figures of one pose, P1 to P5, from errors ``(cycles, 6)`` in m and rad.
+    """The figures of one pose, P1 to P5, from its errors ``(cycles, 6)`` in m and rad.
 
     Returns:
-        accuracy_mm: AP_P, distance between the mean of the attained positions and the command. accuracy_deg: the same
-        for the attitude, angle of the mean rotation vector. repeatability_mm: RP_l. repeatability_deg: RP_a, RP_b,
+        accuracy_mm: AP_P, distance between the mean of the attained positions and the command. accuracy_deg: accuracy
+        of the attitude, the angle of the mean rotation vector. repeatability_mm: RP_l. repeatability_deg: RP_a, RP_b,
         RP_c, three standard deviations about each world axis. repeatability_ci95_mm: 95 % interval of RP_l over cycles;
-        None with fewer than `CYCLES` or without any scatter. mean_error_mm: in x, y, z of the world.
+        None with fewer than `CYCLES` or without any scatter. mean_error_mm: mean error in x, y, z of the world.
     """
     mean, repeatability = errors.mean(axis=0), _repeatability(errors)
     ends = None  # an arm that repeats to rounding has no scatter to resample
@@ -323,6 +325,6 @@ def pose_performance(name: str, errors: Array) -> dict[str, Any]:
 
 
 def _repeatability(errors: Array) -> float:
-    """RP_l of errors ``(cycles, 6)``: mean distance from the mean position, and three standard deviations, m."""
+    """RP_l of errors ``(cycles, 6)``, m: the mean distance from the mean position plus three standard deviations."""
     distance = np.linalg.norm(errors[:, :3] - errors[:, :3].mean(axis=0), axis=-1)
     return float(distance.mean() + 3.0 * distance.std(ddof=1))

@@ -1,9 +1,9 @@
 """The true arm: what a joint command really does to the tool.
 
 Motor (counts, lag) -> drive error -> friction -> backlash -> compliance -> swing -> warm chain -> slides and boom ->
-ground -> local structure -> what a calibration found beside them: each is an effect in a list, and with none of them
-the plant is exactly the true geometry. Some effects depend on the joints alone; the others remember, in components
-that run on floats, arrays and tensors. Numbers may be arrays: one entry per arm, many arms at once.
+ground -> local structure -> what a calibration found beside these: each is an effect in a list, and without effects the
+plant is exactly the true geometry. Some effects depend on the joints alone; the others have a memory, in components
+that may be floats, arrays or tensors. Numbers may be arrays: one entry per arm, many arms at once.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ CONSTANTS = toml_tables.Check(
 
 @toml_tables.toml_table
 class Unmeasured:
-    """Constants of a plant that nobody measured, which are larger or smaller together: [[unmeasured]] of a plant file.
+    """Constants of a plant that nobody measured and that vary together: an entry of [[unmeasured]] in a plant file.
 
     Attributes:
-        name: What they are.
+        name: What the constants are.
         constants: Attributes of effects, such as "base_tilt.stiffness".
-        times: Least and largest multiple of the plant's own numbers that is as likely as any between.
-        source: Why so far.
+        times: Least and largest multiple of the plant's own numbers; all multiples between them are equally likely.
+        source: Why the multiples reach so far.
     """
 
     name: Annotated[str, toml_tables.LINE]
@@ -55,14 +55,15 @@ class Unmeasured:
 
 @dataclass(frozen=True)
 class Layout:
-    """The meaning of each coefficient beside the geometry, in order: leads, harmonics, moments, then the boom's two.
+    """The meaning of a calibration's coefficients beside the geometry, in order: leads, harmonics, moments, boom.
 
     Attributes:
         leads: The joint of each lead error, from 0.
         harmonics: Joint and order (1/rad, 1/m) of each periodic error, which has a sine and a cosine coefficient.
-        moments: As `pickenv.arm.effects.drives.GravityYield` has them.
+        moments: The moments as in `pickenv.arm.effects.drives.GravityYield`.
         up: Direction against gravity in the axes of frame 0.
-        boom: Joint of a boom that bends and its free length in m, or None; tip load and own weight over EI.
+        boom: Joint of a boom that bends and its free length in m, or None; its two coefficients are tip load and own
+            weight over EI.
     """
 
     leads: tuple[int, ...] = ()
@@ -73,27 +74,27 @@ class Layout:
 
     @property
     def sizes(self) -> tuple[int, int, int, int]:
-        """Number of coefficients of each kind."""
+        """Numbers of coefficients: of leads, harmonics, moments and the boom."""
         return len(self.leads), 2 * len(self.harmonics), len(self.moments), 2 * (self.boom is not None)
 
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """An arm as it was found; P = 5L + 12 + k parameters: the geometry's, then the coefficients.
+    """An arm as a calibration found it, in P = 5L + 12 + k parameters: those of the geometry, then k coefficients.
 
     Attributes:
-        identified: Geometry found, base and tool in the instrument's frame.
-        aligned: Base and tool of the nominal arm in that frame.
-        layout: What the coefficients are.
+        identified: The geometry found, whose base and tool belong to the instrument's frame.
+        aligned: Base and tool of the nominal arm, aligned to the instrument's frame.
+        layout: What the coefficients mean.
         coefficients: The coefficients found ``(k,)``.
-        factor: Parameters per standard normal number ``(P, p)``.
+        factor: Change of the parameters per standard normal number ``(P, p)``.
         unseen: Places of the parameters that were not identified ``(d,)``.
-        traces: Parameters per unit of each of them ``(P, d)``: itself, and what gives way.
-        field: The residual's mean, or None.
-        field_factor: Weights of each output's smooth waves, cosines then sines, per standard normal number
-            ``(O, 2 K, 2 K)``.
+        traces: Change of the parameters per unit of each unidentified one ``(P, d)``: itself, and what makes up for it.
+        field: The residual field with its mean weights, or None.
+        field_factor: Change of the weights of each output's smooth waves, cosines then sines, per standard normal
+            number ``(O, 2 K, 2 K)``.
         rough: Standard deviation of each output's rough waves together ``(O,)``, m and rad.
-        notes: What was told apart and how, one sentence each.
+        notes: What could be told apart and how, one sentence each.
     """
 
     identified: Geometry
@@ -114,26 +115,26 @@ PlantState = tuple[Components, ...]
 
 
 _Step: TypeAlias = tuple[tuple[Callable[..., Components], ...], Callable[[Passage, Components], None]]
-"""Methods that an effect has for its memory (`Effect.begin`, `rest`, `carry`; nothing where it has none), and its
-`Effect.act`: looked up once, for in steps of one arm that costs as much as they do."""
+"""An effect's methods for its memory (`Effect.begin`, `rest`, `carry`; an empty tuple without a memory), and its
+`Effect.act`. They are looked up once, because for a single arm a look-up costs as much as a step."""
 
 BEGIN, REST, CARRY = range(3)
 
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """An arm as its controller knows it, and everything that makes the real one differ.
+    """An arm as its controller knows it, and everything that makes the real arm differ.
 
     Attributes:
         name: Name of the preset.
         arm: The arm; its nominal geometry is what the controller believes in.
         geometry: True geometry.
         load: Masses for gravity; without them some effects do nothing.
-        effects: What else makes it differ, in the order in which it acts from the motors to the tool.
-        posterior: How surely a calibration knows all this, where the plant was made of one; else None.
-        unmeasured: Which of its effects' numbers nobody measured.
-        ready: A geometry and its chain where its numbers were moved or picked (`plant_batch.plants_on`), or None to
-            compute it; of another geometry than the plant's it is passed over.
+        effects: What else makes the real arm differ, in the order of action from the motors to the tool.
+        posterior: How well a calibration knows all this, where the plant was made from one; else None.
+        unmeasured: Which numbers of the effects nobody measured.
+        ready: A geometry and its prepared chain, where numbers were moved or picked (`plant_batch.plants_on`); None to
+            compute the chain. It is ignored if its geometry is not the plant's.
 
     Raises:
         ValueError: If two effects have one name.
@@ -156,14 +157,14 @@ class Plant:
 
     @cached_property
     def chain(self) -> Chain:
-        """The true geometry made ready for the executors, at the temperature at which it holds."""
+        """The true geometry made ready for the executors, at the temperature at which it was measured."""
         if self.ready is not None and self.ready[0] is self.geometry:
             return self.ready[1]
         return chain_of(self.geometry, math if self.geometry.alpha.ndim == 1 else np)
 
     @property
     def names(self) -> list[str]:
-        """The names of its effects, in the order of tables: what ships first."""
+        """The names of the plant's effects in the order of tables: those that ship with pickenv first."""
         names = {effect.name: None for effect in self.effects}
         return list(dict.fromkeys([*(name for name in registry.names("effect") if name in names), *names]))
 
@@ -172,7 +173,7 @@ class Plant:
         return next((effect for effect in self.effects if effect.name == name), None)
 
     def with_effect(self, *effects: Effect) -> Plant:
-        """This plant with effects added, or put in the place of those of their names."""
+        """This plant with effects added; an effect replaces the one that has its name."""
         names = {effect.name for effect in effects}
         return replace(self, effects=(*(effect for effect in self.effects if effect.name not in names), *effects))
 
@@ -189,7 +190,7 @@ class Plant:
 
     @cached_property
     def _steps(self) -> tuple[list[_Step], list[_Step], list[_Step]]:
-        """The effects that act, in order: those before the last that remembers, that one, and those after it."""
+        """The effects that act, in three lists: before the last one with a memory, that one, and after it."""
         on_arm = [effect for effect in self.effects if effect.place < BESIDE]
         acting = [effect for effect in on_arm if self.load is not None or not effect.needs_load]
         steps: list[_Step] = [
@@ -200,53 +201,56 @@ class Plant:
 
     @cached_property
     def _motors(self) -> list[tuple[Effect, int]]:
-        """The effects on the motors and the places of their memories, from the drive's side: counts are read last."""
+        """The effects on the motors, each with its memory's place in the state, in reverse order: counts come last."""
         motors = [effect for effect in self.effects if effect.place < DRIVE]
         return [(effect, sum(before.remembers for before in motors[:i])) for i, effect in enumerate(motors)][::-1]
 
     @cached_property
     def has_state(self) -> bool:
-        """Whether where the tool stands depends on more than the present command."""
+        """Whether the tool's pose depends on more than the present command, because an effect has a memory."""
         return bool(self._steps[1])
 
     def tool_frame(self, m: ModuleType, q: Sequence[Scalar]) -> Frame:
-        """True tool frame in components, for the joint command ``q``; ``m`` is math, numpy or torch.
+        """The true tool frame, in components, for the joint command ``q``; ``m`` is math, numpy or torch.
 
-        It is the settled, history-free pose: where the tool ends when ``q`` is held for ever. Gaps that gravity does
-        not close, and the friction band, are in their middle.
+        The frame is settled and free of history: where the tool ends when ``q`` is held for ever. Gaps that gravity
+        does not close, and the friction bands, are in their middle.
         """
         return self._ended(*self._passage(m, q, REST))
 
     def initial_state(self, m: ModuleType, q: Sequence[Scalar]) -> PlantState:
-        """State at rest at the command ``q``, just switched on: cold, and not yet sunk. See `advance`."""
+        """The state of an arm at rest at the command ``q``, just switched on: cold, and not yet sunk. See `advance`."""
         return self._passage(m, q, BEGIN)[0]
 
     def advance(self, m: ModuleType, state: PlantState, q: Sequence[Scalar], dt: Scalar) -> tuple[PlantState, Frame]:
         """Hold the joint command ``q`` for ``dt`` seconds.
 
-        Friction and backlash see the motor's way from where it was to where it is in the end, which is right as long as
-        it does not turn back within ``dt``; all else is exact for a held command.
+        Friction and backlash see only where the motor was before and where it is in the end, which is right as long as
+        the motor does not turn back within ``dt``; all else is exact for a held command.
 
         Args:
             m: ``math``, ``numpy`` or ``torch``.
             state: From `initial_state` or an earlier call.
             q: Joint command, n components, rad or m.
-            dt: s, one number or one per arm.
+            dt: Time, s; one number, or one per arm.
 
         Returns:
-            The new state, and the true tool frame at the end; with no effect that has a state, that is `tool_frame`.
+            The new state, and the true tool frame at the end, which is `tool_frame` if no effect has a memory.
         """
         new, at = self._passage(m, q, CARRY, state, dt)
         return new, self._ended(new, at)
 
     def carried(self, m: ModuleType, state: PlantState, q: Sequence[Scalar], dt: Scalar) -> PlantState:
-        """The state of `advance`, where nobody asks for the tool."""
+        """The new state as in `advance`, without the tool frame."""
         return self._passage(m, q, CARRY, state, dt)[0]
 
     def _passage(
         self, m: ModuleType, q: Sequence[Scalar], how: int, state: PlantState = (), dt: Scalar = 0.0
     ) -> tuple[PlantState, Passage]:
-        """Memories of the effects (`Effect.carry`, ...), and the passage up to where the last that has one will act."""
+        """The new memories of the effects, and the passage up to where the last effect with a memory will act.
+
+        ``how`` is the place of the method that makes the memories in `_Step` (`Effect.begin`, `rest` or `carry`).
+        """
         at = Passage(m, self.chain, self.load, q)
         memories: list[Components] = []
         before, last, _ = self._steps
@@ -261,7 +265,7 @@ class Plant:
         return tuple(memories), at
 
     def _ended(self, state: PlantState, at: Passage) -> Frame:
-        """The tool at the end of a passage."""
+        """The tool frame after the remaining effects have acted on the passage."""
         _, last, after = self._steps
         for _, act in last:
             act(at, state[-1])
@@ -270,10 +274,10 @@ class Plant:
         return at.frame
 
     def readings(self, m: ModuleType, state: PlantState, q: Sequence[Scalar]) -> list[Scalar]:
-        """The report of the motor encoders after `advance` to ``state`` at the command ``q``, rad or m.
+        """What the motor encoders report after `advance` to ``state`` at the command ``q``, rad or m.
 
-        The motor in whole counts, with its following error: they see neither drive errors nor friction, backlash,
-        deflection or swing.
+        Encoders report the motors in whole counts, with their following error: they see neither drive errors nor
+        friction, backlash, deflection or swing.
         """
         at = Passage(m, self.chain, self.load, q)
         for effect, i in self._motors:
@@ -281,5 +285,5 @@ class Plant:
         return list(at.motor)
 
     def tool_pose(self, q: ArrayLike) -> Pose:
-        """True tool pose, free of measurement noise, for joint commands ``(..., n)`` in rad and m."""
+        """The settled true tool pose, free of measurement noise, for joint commands ``(..., n)`` in rad and m."""
         return pose_of(self.tool_frame(np, split_joints(self.geometry.joints, q)))

@@ -1,7 +1,7 @@
-"""Many arms in one plant: every number of it may be an array with one entry per arm. Pick one arm, or move the numbers.
+"""Many arms in one plant, in which any number may be an array of one entry per arm: pick one arm, or move the numbers.
 
-Link parameters of the geometry are then ``(N, n)``, other numbers ``(N,)``; what all arms share stays a plain number.
-Base and tool are shared, or have one entry per arm too.
+In a batch of N arms, link parameters of the geometry are ``(N, n)`` and other numbers ``(N,)``; what all arms share
+stays a plain number. Base and tool are shared, or have one entry per arm too.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ def plant_count(plants: Plant) -> int | None:
 
 
 def plant_at(plants: Plant, i: int) -> Plant:
-    """Arm ``i`` of a batch, on plain numbers.
+    """The plant of arm ``i`` of a batch, on plain numbers.
 
     Raises:
         IndexError: If there is no such arm.
@@ -39,7 +39,7 @@ def plant_at(plants: Plant, i: int) -> Plant:
 
 
 def plants_on(plants: Plant, change: Callable[[Array], Scalar]) -> Plant:
-    """These arms with each of their arrays changed, for example moved to another executor or cut to some of many arms.
+    """A batch of arms with each of its arrays changed, for example moved to another executor or cut to some arms.
 
     The prepared chain's sines and cosines are changed, not computed anew, so that an arm has the same numbers to the
     bit however many others stand beside it. A single arm stays as it is.
@@ -58,7 +58,7 @@ def plants_on(plants: Plant, change: Callable[[Array], Scalar]) -> Plant:
 
 
 def arrays_of(plants: Plant) -> list[Any]:
-    """All arrays of a batch of arms, in a fixed order, for writing other arms into them; none of a single arm."""
+    """All arrays of a batch of arms, in a fixed order, for writing other arms into them; empty for a single arm."""
     if plant_count(plants) is None:
         return []
     links = tuple(getattr(plants.geometry, name) for name in LINK_PARAMETERS)
@@ -66,9 +66,9 @@ def arrays_of(plants: Plant) -> list[Any]:
 
 
 def with_links(geometry: Geometry, change: Callable[..., Any], *others: Geometry) -> Geometry:
-    """The geometry with ``change`` applied to each of its link parameters (and those of the others beside it).
+    """The geometry with ``change`` applied to each of its link parameters, together with those of ``others``.
 
-    Of a batch of arms whose bases or tools differ, to those too.
+    If the bases or tools of a batch of arms differ, ``change`` is applied to these too.
     """
     tables = (geometry, *others)
     values: dict[str, Any] = {name: change(*(getattr(table, name) for table in tables)) for name in LINK_PARAMETERS}
@@ -106,5 +106,5 @@ def leaves(tree: Any) -> list[Any]:
 
 
 def _opens(tree: Any) -> bool:
-    """Whether it is a dataclass to go through."""
+    """Whether ``tree`` is a dataclass whose fields are gone through; one marked as shared is not."""
     return is_dataclass(tree) and not isinstance(tree, type) and not getattr(tree, "shared", False)

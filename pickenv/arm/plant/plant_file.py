@@ -1,7 +1,7 @@
 """Plants are TOML files: which arm, and the size and source of each effect. The presets lie in `plants`.
 
-A calibrated arm's plant is a file of its own kind (`pickenv.arm.plant.twin_file`). A name may also ask for an arm
-without error ("ideal:ur5e"), or for one of a tolerance class ("coarse:ur5e").
+The plant of a calibrated arm is a file of another kind (`pickenv.arm.plant.twin_file`). A name may also ask for an arm
+without error ("ideal:ur5e"), or for an arm of a tolerance class ("coarse:ur5e").
 """
 
 from __future__ import annotations
@@ -31,22 +31,22 @@ from pickenv.base import InputError, is_file, listed, registry, shortened, strea
 PLANTS = Path(__file__).parent / "plants"
 
 NUMBERED = re.compile(r"(.+)#(\d{1,9})")
-"""The name of a plant, and the number of a draw of its unmeasured constants."""
+"""A plant's name followed by "#" and the number of a draw of its unmeasured constants."""
 
 NAMED = toml_tables.Check(lambda value: isinstance(value, str), "the name of a shipped arm or a path to an arm file")
 
 
 def _arm(name: Any, context: Any) -> Arm:
-    """The arm that a file names; what is read after it finds it in the context."""
+    """The arm that a plant file names, which is also put into the context, for what is read after it."""
     context["arm"] = arm = one_link_per_joint(load_arm(name))
     return arm
 
 
 def one_link_per_joint(arm: Arm) -> Arm:
-    """The arm, if each of its joints moves one link.
+    """The arm, if each of its joints moves exactly one link.
 
     Raises:
-        InputError: If one moves several.
+        InputError: If a joint moves several links.
     """
     if arm.nominal.coupling is not None:
         raise InputError(f"a joint of arm '{arm.name}' moves several links, which no effect of a plant knows yet")
@@ -58,7 +58,7 @@ def plant_file(effects: tuple[str, ...]) -> Any:
     """The type of a plant file that may have tables of these effects.
 
     Raises:
-        InputError: If one of them is not registered, or cannot be loaded.
+        InputError: If an effect is not registered, or cannot be loaded.
     """
     tables = {name: table_of(name) for name in effects}
     optional = {"load": Load} | {name: table for name, table in tables.items() if table is not None}
@@ -88,12 +88,12 @@ def shipped_plants() -> list[str]:
 
 
 def read_plant(name: str | Path) -> Plant:
-    """Read a plant by name (a preset) or from a path to a TOML file, or to that of a calibrated arm (.npz).
+    """Read a plant by name (a preset), or from a path to a TOML file or to a calibrated arm's file (.npz).
 
-    The true arm of a TOML file is its arm file's, or the nominal one where that gives none.
+    The true arm of a TOML file is that of its arm's file, or the nominal arm where that file gives no true one.
 
     Raises:
-        InputError: If the plant is unknown or a number is impossible; names the file and the key.
+        InputError: If the plant is unknown or a number is impossible; the message names the file and the key.
     """
     draw = NUMBERED.fullmatch(str(name))
     if draw and not is_file(str(name)):
@@ -126,15 +126,15 @@ def read_plant(name: str | Path) -> Plant:
 
 
 def plant_times(plant: Plant, times: Mapping[str, float]) -> Plant:
-    """The plant with groups of constants that nobody measured multiplied; those of effects that are off stay off.
+    """The plant with groups of unmeasured constants multiplied; constants of effects that are off are ignored.
 
     Args:
-        plant: On single numbers.
+        plant: The plant, on single numbers.
         times: Multiples by the names of `Unmeasured` groups.
 
     Raises:
         ValueError: If the plant has no such group.
-        AttributeError: If a group names an effect or a number that there is not.
+        AttributeError: If a group names an effect or a number that does not exist.
     """
     groups = {group.name: group.constants for group in plant.unmeasured}
     effects = {effect.name: effect for effect in plant.effects}
@@ -151,7 +151,7 @@ def plant_times(plant: Plant, times: Mapping[str, float]) -> Plant:
 
 
 def _multiplied(thing: Any, path: str, factor: float) -> Any:
-    """A record, or each of several, with the number at this path of attributes multiplied, or all numbers there."""
+    """A record (or each of a tuple of records) with the number, or all numbers, at ``path`` multiplied."""
     if isinstance(thing, tuple):
         return tuple(_multiplied(part, path, factor) for part in thing)
     if not path:
@@ -164,7 +164,7 @@ def with_drawn_constants(plant: Plant, draw: int) -> Plant:
     """The plant with each group of unmeasured constants multiplied by an even draw from its range.
 
     Args:
-        plant: On single numbers.
+        plant: The plant, on single numbers.
         draw: Number of the draw, which is its seed.
 
     Raises:
@@ -183,16 +183,16 @@ def with_drawn_constants(plant: Plant, draw: int) -> Plant:
 
 
 IDEAL = "ideal"
-"""The plant without any error: the true arm is the nominal one."""
+"""Name of the plant without any error, whose true arm is the nominal arm."""
 
 FIRST_ARM = "qiao2026"
-"""The arm of a class, or without error, where none is named."""
+"""The arm, or plant, of a name that gives only a tolerance class or "ideal"."""
 
 SAMPLES = 2**10
-"""Poses among which a joint's largest torque is sought."""
+"""Number of poses among which a joint's largest torque is sought."""
 
 LEAST_TORQUE = 0.01
-"""A joint that gravity does not load is as stiff as one with this share of its kind's largest torque."""
+"""Least torque of a joint, as a share of the largest of its kind, from which stiffness and preload are computed."""
 
 
 def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
@@ -200,13 +200,14 @@ def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
 
     Args:
         name: A preset's name, a path to a plant file (.toml) or a twin (.npz), "ideal:ARM", or "CLASS:ARM" with a
-            tolerance class and an arm or plant, each by name or path. Of a class, it is the design that arms are drawn
-            from (`draw_arms`). A plant file's name may end in "#3", or another number: then constants that nobody
-            measured are that draw of theirs (`with_drawn_constants`).
+            tolerance class and an arm or plant, each by name or path. "CLASS:ARM" gives the design that arms are drawn
+            from (`draw_arms`). A plant file's name may end in "#3", or another number: then the constants that nobody
+            measured are taken from the draw of that number (`with_drawn_constants`).
         without: Effects to switch off.
 
     Raises:
-        InputError: If plant, arm, class or effect are unknown or a number is impossible; names the file and the key.
+        InputError: If plant, arm, class or effect are unknown or a number is impossible; the message names the file
+            and the key.
     """
     kind, arm_name = _split(name)
     if kind == IDEAL:
@@ -223,7 +224,7 @@ def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
 
 
 def class_of(name: str | Path) -> Tolerances | None:
-    """The tolerance class that a plant's name begins with, None where there is none."""
+    """The tolerance class that a plant's name begins with; None where it begins with none."""
     kind, _ = _split(name)
     return load_tolerances(kind) if kind not in ("", IDEAL) else None
 
@@ -231,23 +232,23 @@ def class_of(name: str | Path) -> Tolerances | None:
 def draw_arms(
     name: str | Path, tolerances: str | Path, count: int, rng: np.random.Generator, *, without: Iterable[str] = ()
 ) -> Plant:
-    """Arms drawn from a plant's design by `draw_plants`, in the class that its name begins with or else ``tolerances``.
+    """Draw arms from a plant's design (`draw_plants`), in the class that its name begins with or else ``tolerances``.
 
     Args:
-        name: As `load_plant` takes it.
+        name: The plant's name, as `load_plant` takes it.
         tolerances: The class where the name begins with none.
         count: Number of arms, at least 1.
         rng: The parent of the arms' streams.
         without: Effects to switch off.
 
     Raises:
-        InputError: As `load_plant` and `draw_plants` do.
+        InputError: Where `load_plant` or `draw_plants` raise one.
     """
     return draw_plants(load_plant(name, without=without), class_of(name) or load_tolerances(tolerances), count, rng)
 
 
 def bare_plant(arm: Arm, sizes: SizesTable, final_rise: float) -> Plant:
-    """A plant of an arm of which nothing but its geometry is known."""
+    """The plant of an arm of which only the geometry is known; ``sizes`` gives its effects."""
     one_link_per_joint(arm)
     slides, load = np.array(arm.nominal.prismatic), rods(arm)
     torques = _largest_torques(arm, load)
@@ -269,7 +270,7 @@ def bare_plant(arm: Arm, sizes: SizesTable, final_rise: float) -> Plant:
 
 
 def rods(arm: Arm) -> Load:
-    """Links as rods from each joint to the next, with slides run out half, and from the last to the tool; 1 kg/m."""
+    """The masses of links as rods of 1 kg/m: from each joint to the next and to the tool, with slides run out half."""
     g = arm.nominal
     middle = np.where(g.prismatic, (g.lower + g.upper) / 2, 0.0)
     after = np.arange(1, g.joints)
@@ -282,14 +283,14 @@ def rods(arm: Arm) -> Load:
 
 
 def _largest_torques(arm: Arm, load: Load) -> Array:
-    """Size of each joint's largest torque or force under gravity (n,), N*m or N."""
+    """The largest gravity torque or force on each joint ``(n,)``, without sign, N*m or N."""
     chain = chain_of(arm.nominal)
     torques = gravity_torques(chain, frames(np, chain, list(halton_joints(arm.nominal, SAMPLES).T)), load)
     return np.array([np.abs(torque).max() for torque in torques])
 
 
 def _split(name: str | Path) -> tuple[str, str]:
-    """The class and the arm or plant that a name names; no class where it is a plant's own name or path."""
+    """The tolerance class, and the arm or plant, that a name names; the class is empty for a plain name or path."""
     kind, colon, arm_name = str(name).partition(":")
     if kind == IDEAL or (colon and (kind in shipped_tolerances() or kind.endswith(".toml"))):
         return kind, arm_name or FIRST_ARM
@@ -302,7 +303,7 @@ def _split(name: str | Path) -> tuple[str, str]:
 
 
 def _design(name: str, tolerances: Tolerances) -> Plant:
-    """The plant of that name, or one of an arm of that name that the class sizes."""
+    """The plant called ``name``; or else a plant of the arm called so, with effects sized by the class."""
     file = name.partition("#")[0]
     plant_file = file.endswith(".toml") and is_file(file) and "arm" in toml_tables.toml_of(file)[0]
     if plant_file or file in shipped_plants() or name.endswith(".npz"):

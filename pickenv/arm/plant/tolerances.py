@@ -1,4 +1,4 @@
-"""Differences of arms of one design: tolerance classes, and draws of as many different true arms as are wanted.
+"""How arms of one design differ: tolerance classes, and draws of any number of different true arms.
 
 Lengths follow ISO 286-1: IT = k (0.45 D^(1/3) + 0.001 D) um up to 500 mm, k (0.004 D + 2.1) um above, with D in mm.
 Sizes of effects spread log-normally about the plant's own. Inside everything is m, rad, K, s.
@@ -22,10 +22,10 @@ from pickenv.base import InputError, toml_tables
 TOLERANCES = Path(__file__).parent / "tolerance_classes"
 
 GRADES = {5: 7, 6: 10, 7: 16, 8: 25, 9: 40, 10: 64, 11: 100, 12: 160, 13: 250, 14: 400, 15: 640, 16: 1000, 17: 1600}
-"""Tolerance in units i for each IT grade (ISO 286-1, table 1)."""
+"""Tolerance of each IT grade in units of the standard tolerance factor i (ISO 286-1, table 1)."""
 
 SPARE = 64
-"""Places for so many waves of a drive are kept, so that what comes after them stays where it is without them."""
+"""Number of waves of drives for which random columns are kept, so that later columns stay in their places."""
 
 GRADE = toml_tables.WHOLE.within(min(GRADES), max(GRADES))
 LogSize = Annotated[float, toml_tables.NUMBER.not_negative]
@@ -33,7 +33,7 @@ LogSize = Annotated[float, toml_tables.NUMBER.not_negative]
 
 @toml_tables.toml_table
 class SpreadTable:
-    """[spread] of a tolerance file: the standard deviation of the logarithm of each size, 0 where it is left out."""
+    """The table [spread] of a tolerance file: the standard deviation of the logarithm of each size, 0 if left out."""
 
     joint_stiffness: LogSize = 0.0
     flexural_rigidity: LogSize = 0.0
@@ -50,13 +50,13 @@ class SpreadTable:
 
 @toml_tables.toml_table
 class SizesTable:
-    """[sizes] of a tolerance file: how large the effects of an arm are that brings no plant of its own.
+    """The table [sizes] of a tolerance file: the sizes of the effects of an arm that has no plant of its own.
 
     Attributes:
-        turning_sag: What a revolute joint yields under the arm's own weight where its torque is largest, rad.
-        sliding_sag: The same for a slide, m.
+        turning_sag: How far a revolute joint yields under the arm's own weight where its torque is largest, rad.
+        sliding_sag: How far a slide yields under the arm's own weight where its force is largest, m.
         turning_gap: Backlash of a revolute joint, rad.
-        sliding_gap: The same for a slide, m.
+        sliding_gap: Backlash of a slide, m.
         preload_share: Share of a joint's largest torque above which gravity holds its gap closed.
         expansion: Coefficient of linear expansion of the links, 1/K.
         warm_up: Time constant of the warm-up, s.
@@ -73,7 +73,7 @@ class SizesTable:
 
 @toml_tables.toml_table
 class Tolerances:
-    """Limits of how far arms of one design may lie from each other; a tolerance file says it in sections.
+    """A tolerance class: how far arms of one design may differ; a tolerance file gives it in sections.
 
     Attributes:
         name: Name of the class.
@@ -83,8 +83,8 @@ class Tolerances:
         distribution: ``uniform`` over the tolerance zone, or ``normal`` with the zone's edges at three standard
             deviations.
         spread: The standard deviation of the logarithm of each size (0.1 is about 10 %).
-        temperature_rise: Range of the warm arm's temperature rise, K; drawn evenly.
-        sizes: Effects of an arm that brings none, or None.
+        temperature_rise: Range of the warm arm's temperature rise, K, from which it is drawn evenly.
+        sizes: Sizes of the effects of an arm that has no plant of its own, or None.
     """
 
     name: str
@@ -100,7 +100,7 @@ class Tolerances:
 
 
 def it_tolerance(grade: int, length: Array | float) -> Array:
-    """Width of the tolerance zone of ISO 286-1 for lengths in m, in m."""
+    """The width of the tolerance zone of ISO 286-1, m, for lengths in m."""
     millimetres = np.abs(np.asarray(length, dtype=float)) * 1e3
     small = 0.45 * np.cbrt(millimetres) + 0.001 * millimetres
     large = 0.004 * millimetres + 2.1
@@ -116,7 +116,7 @@ def load_tolerances(name: str | Path) -> Tolerances:
     """Read a tolerance class by name or from a path to a TOML file.
 
     Raises:
-        InputError: If it is unknown or a number is impossible; the message names the file and the key.
+        InputError: If the class is unknown or a number is impossible; the message names the file and the key.
     """
     return toml_tables.read_toml(Tolerances, toml_tables.file_named("tolerance class", name, TOLERANCES))
 
@@ -125,15 +125,15 @@ def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random
     """Draw ``count`` different true arms of one design, as one plant whose numbers are arrays.
 
     Link parameters are drawn about the nominal geometry; the sizes of the effects that are on, about the plant's own.
-    Arm i has its own random stream, child i of ``rng``: it does not depend on ``count``, nor on which effects are on
-    (those of random numbers of their own take them last, one after the other).
+    Arm i has its own random stream, child i of ``rng``: the arm does not depend on ``count``, nor on which effects are
+    on (effects with random numbers of their own take them last, one after the other).
 
-    Of a plant that a calibration made, arms are drawn that its data allow, and what these do not tell is drawn about
-    what was found.
+    From a plant that a calibration made, arms are drawn that the calibration's data allow; what the data do not tell is
+    drawn about what was found.
 
     Args:
         plant: The design, or the arm that was calibrated; on single numbers.
-        tolerances: How far its arms differ; of a calibrated one, what was not identified.
+        tolerances: How far the design's arms differ; for a calibrated arm, how far what was not identified may lie off.
         count: Number of arms N, at least 1.
         rng: The parent of the arms' streams.
 
@@ -156,11 +156,11 @@ def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random
 
 
 def plants_from(plant: Plant, tolerances: Tolerances, even: Array) -> Plant:
-    """The arms that these even random numbers stand for, as one plant whose numbers are arrays.
+    """The arms that even random numbers stand for, as one plant whose numbers are arrays.
 
     Args:
-        plant: The design; on single numbers.
-        tolerances: How far its arms differ.
+        plant: The design, on single numbers.
+        tolerances: How far the design's arms differ.
         even: Numbers from 0 to 1 for each arm ``(N, K)``; `random_columns` says what each column is for.
     """
     columns = {key: even[:, places.start : places.stop] for key, places in random_columns(plant).items()}
@@ -187,19 +187,22 @@ def random_columns(plant: Plant) -> dict[str, range]:
 
 
 def _deviation(tolerances: Tolerances, even: Array) -> Array:
-    """Numbers in the tolerance zone from -1 to 1."""
+    """Deviations as shares of the half-width of the tolerance zone: from -1 to 1 where the class draws evenly."""
     return 2.0 * even - 1.0 if tolerances.distribution == "uniform" else standard_normal_of(even) / 3.0
 
 
 def half_widths(tolerances: Tolerances, nominal: Geometry) -> Array:
-    """Half-widths of the tolerance zones of a geometry's parameters ``(5n + 12,)``, m and rad; of frames the least."""
+    """The half-widths of the tolerance zones of a geometry's parameters ``(5n + 12,)``, m and rad.
+
+    Positions of base and tool have the half-width of the least length.
+    """
     lengths = np.concatenate([*(getattr(nominal, name) for name in LINK_PARAMETERS), np.zeros(12)])
     zone = it_tolerance(tolerances.it_grade, np.maximum(np.abs(lengths), tolerances.least_length))
     return np.where(nominal.parameter_is_angle, tolerances.angle, zone / 2.0)
 
 
 def standard_deviations(tolerances: Tolerances, nominal: Geometry) -> Array:
-    """Standard deviations of a geometry's parameters ``(5n + 12,)`` over arms of the class, m and rad."""
+    """The standard deviations of a geometry's parameters ``(5n + 12,)`` over arms of the class, m and rad."""
     share = math.sqrt(3.0) if tolerances.distribution == "uniform" else 3.0
     return half_widths(tolerances, nominal) / share
 

@@ -1,7 +1,7 @@
-"""Plants of a calibration's posterior: the arm as it was found, arms that the data allow, and a verified file (.npz).
+"""Twins, or plants of a calibration's posterior: the arm found, arms that the data allow, and a verified file (.npz).
 
-Everything is carried from the instrument's frame into the arm's own, so that the arm errs there as it did against the
-aligned nominal arm: base B_own B_aligned^-1 B, tool T T_aligned^-1 T_own. SI units.
+Everything is transformed from the instrument's frame into the arm's own, so that the arm errs there as it did against
+the aligned nominal arm: base B_own B_aligned^-1 B, tool T T_aligned^-1 T_own. SI units.
 """
 
 from __future__ import annotations
@@ -26,11 +26,11 @@ from pickenv.base import GRAVITY, InputError, read_container, refusing_damage, w
 from pickenv.base.container import named_part, part_of
 
 Zone = Callable[[Array], Array]
-"""Turns even numbers 0 to 1, one per parameter that was not identified, into deviations within tolerances, m or rad."""
+"""A function from even numbers 0 to 1, one per unidentified parameter, to deviations within tolerances, m or rad."""
 
 
 def twin_plant(name: str, arm: Arm, posterior: Posterior, noise: MeasurementNoise | None) -> Plant:
-    """The arm as it was found; its residual is the mean, which is no arm: judge on draws."""
+    """The plant of the arm as it was found; its residual is the mean, which is no possible arm: judge on draws."""
     geometry = _carried(arm, posterior, [posterior.identified])
     parts = (*_effects(arm, posterior, posterior.coefficients), posterior.field, noise)
     return Plant(name, arm, geometry, effects=tuple(part for part in parts if part is not None), posterior=posterior)
@@ -43,7 +43,7 @@ def twin_arms(plant: Plant, zone: Zone, streams: Sequence[np.random.Generator]) 
 
     Args:
         plant: A plant of a posterior.
-        zone: How far parameters that were not identified may lie from where they are.
+        zone: How far parameters that were not identified may lie from their values.
         streams: One generator per arm.
     """
     posterior = plant.posterior
@@ -65,7 +65,7 @@ def twin_arms(plant: Plant, zone: Zone, streams: Sequence[np.random.Generator]) 
 
 
 def _weights(posterior: Posterior, field: ResidualField, rng: np.random.Generator) -> Array:
-    """Deviation of the waves' weights ``(O, 2, K)`` from their mean."""
+    """A random deviation of the waves' weights ``(O, 2, K)`` from their mean."""
     outputs, count, smooth = field.features.outputs, field.features.count, posterior.field_factor.shape[-1] // 2
     normal = rng.standard_normal((outputs, 2 * smooth))
     learnt = np.einsum("okl,ol->ok", posterior.field_factor, normal).reshape(outputs, 2, smooth)
@@ -75,7 +75,7 @@ def _weights(posterior: Posterior, field: ResidualField, rng: np.random.Generato
 
 
 def _carried(arm: Arm, posterior: Posterior, geometries: Sequence[Geometry]) -> Geometry:
-    """Geometries in the arm's own frame: one as it is, several as one whose numbers are arrays."""
+    """Geometries in the arm's own frame: the one identified on plain numbers, drawn ones as one of arrays."""
     base, tool = posterior.aligned
     nominal = arm.nominal
     first, last = behind(nominal.base, inverse_pose(base)), behind(inverse_pose(tool), nominal.tool)
@@ -92,14 +92,14 @@ def _carried(arm: Arm, posterior: Posterior, geometries: Sequence[Geometry]) -> 
 
 
 def _together(poses: Sequence[Pose]) -> Pose:
-    """One pose where all are alike, else one per arm."""
+    """A single pose where all poses are equal, else one pose with an entry per arm."""
     position, rotation = (np.stack(parts) for parts in zip(*poses, strict=True))
     alike = np.ptp(position, axis=0).max() == 0.0 and np.ptp(rotation, axis=0).max() == 0.0
     return poses[0] if alike else Pose(position, rotation)
 
 
 def _effects(arm: Arm, posterior: Posterior, coefficients: Array) -> list[Effect]:
-    """The effects that coefficients ``(k,)`` stand for, or those of many arms ``(N, k)``."""
+    """The effects that the coefficients of one arm ``(k,)`` or of many arms ``(N, k)`` stand for."""
     layout, columns = posterior.layout, [_scalar(column) for column in np.moveaxis(coefficients, -1, 0)]
     ends = np.cumsum(layout.sizes).tolist()
     leads, waves, moments, boom = (columns[a:b] for a, b in zip([0, *ends], ends, strict=False))
@@ -123,7 +123,7 @@ def _effects(arm: Arm, posterior: Posterior, coefficients: Array) -> list[Effect
 
 
 def _scalar(value: Any) -> Any:
-    """An array of arms as it is, one number as a float."""
+    """An array of many arms unchanged, or a single number as a float."""
     return value if np.ndim(value) else float(value)
 
 
@@ -138,10 +138,11 @@ REMAKE_TWIN = "run `pickenv twin` to make one of a calibration"
 
 
 def write_twin(plant: Plant, path: str | Path) -> Path:
-    """Write a plant that was made of a calibration, whole or not at all.
+    """Write a plant that was made of a calibration; the file is written whole or not at all.
 
     Raises:
-        InputError: If it was not, or if effects were added to it or switched off; or if the file cannot be written.
+        InputError: If the plant was not made of a calibration, if effects were added to it or switched off, or if the
+            file cannot be written.
     """
     posterior, nominal = plant.posterior, plant.arm.nominal
     if posterior is None:
@@ -193,7 +194,7 @@ def read_twin(path: str | Path) -> Plant:
 
 
 def _plant_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Plant:
-    """The plant that a file's parts make; raises anything at all where they make none."""
+    """The plant that a file's parts make; raises an exception of any kind where they make none."""
     names, prismatic = header["joint_names"], header["prismatic"]
     parts = {key: part_of(arrays, f"{key}/") for key in ("arm", "identified", "aligned")}
     nominal, identified, aligned = (geometry_from_arrays(p, names, prismatic, key) for key, p in parts.items())
