@@ -31,7 +31,7 @@ ROD_RADIUS, SHORTEST_ROD = 0.015, 0.02
 """Radius and least length, m, of the rods that viewers draw for the links; kinematics ignore them."""
 
 MASS, INERTIA, EFFORT = 0.1, 1e-4, 100.0
-"""Mass (kg), inertia (kg*m^2) and largest effort of every moving link and joint.
+"""Mass, inertia and largest effort, in SI units, of every moving link and joint.
 
 They are no real arm's: simulators refuse a link without mass and a joint without effort.
 """
