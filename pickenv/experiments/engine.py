@@ -21,6 +21,7 @@ import socket
 import sys
 import threading
 import time
+import traceback
 import warnings
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -539,6 +540,9 @@ def spread(
 ) -> Iterator[tuple[int, Any]]:
     """Do some work for each number, and yield (number, result) in any order.
 
+    After a piece that fails none is begun any more; those that are being done are still yielded, and then its error is
+    raised. (loky's own way is to kill the other workers, in which its managing thread may die with a KeyError.)
+
     Args:
         work: What is done; a function of a module where other processes are to do it.
         numbers: The numbers that ``work`` is called with.
@@ -556,21 +560,34 @@ def spread(
     from joblib import Parallel, delayed
     from joblib.parallel import get_active_backend
 
-    todo = list(numbers)
+    todo, failures = list(numbers), list[Exception]()
+
+    def begun(together: int) -> Iterator[Any]:
+        for number in todo[:together]:
+            if failures:
+                return
+            yield delayed(_numbered)(work, number, os.getpid())
+
     with _working_on(backend, workers) as deaths:
         for _ in range(ATTEMPTS):
             streams = get_active_backend()[0].supports_return_generator
             parallel = Parallel(
-                n_jobs=workers or -1, return_as="generator_unordered" if streams else "list", batch_size=1
-            )
+                n_jobs=workers or -1, return_as="generator_unordered" if streams else "list", batch_size=1,
+                pre_dispatch="n_jobs" if streams else "2 * n_jobs",
+            )  # fmt: skip
             together = len(todo) if streams else 4 * (workers or parallel._effective_n_jobs())
             try:
-                while todo:
-                    some = parallel(delayed(_numbered)(work, number, os.getpid()) for number in todo[:together])
+                while todo and not failures:
+                    some = parallel(begun(together))
                     with _quietly_closed(some):
-                        for number, result in some:
+                        for number, result, failure in some:
                             todo.remove(number)
-                            yield number, result
+                            if failure is None:
+                                yield number, result
+                            else:
+                                failures.append(failure)
+                if failures:
+                    raise failures[0]
                 return
             except deaths:
                 continue
@@ -582,7 +599,7 @@ def spread(
 
 @contextmanager
 def _quietly_closed(results: Any) -> Iterator[None]:
-    """Drop results that nobody takes any more, as after a refused piece, without the warning that joblib would show."""
+    """Drop results that nobody takes any more, as after an interrupt, without the warning that joblib would show."""
     try:
         yield
     finally:
@@ -668,13 +685,19 @@ def _check_answers(address: str) -> None:
         ) from error
 
 
-def _numbered(work: Callable[[int], Any], number: int, driver: int) -> tuple[int, Any]:
+def _numbered(work: Callable[[int], Any], number: int, driver: int) -> tuple[int, Any, Exception | None]:
+    """One piece's number, its result, and the error that it failed with, if it did."""
     _end_with(driver)
     loky = sys.modules.get("joblib.externals.loky.process_executor")
     if loky is not None:
         # A process that loads torch after its first piece has no leak; one that is ended for it is waited for.
         loky._MAX_MEMORY_LEAK_SIZE = math.inf  # type: ignore[attr-defined]
-    return number, work(number)
+    try:
+        return number, work(number), None
+    except Exception as error:
+        if not isinstance(error, InputError):
+            error.add_note(traceback.format_exc())  # where in the worker; a traceback itself cannot be sent
+        return number, None, error
 
 
 @lru_cache(maxsize=1)

@@ -103,6 +103,25 @@ def test_an_error_of_the_work_is_not_taken_for_a_death():
         list(spread(work, [0], "loky", 1))
 
 
+def test_after_a_piece_that_fails_none_is_begun_and_those_begun_are_still_yielded(tmp_path):
+    def work(number: int) -> int:
+        (tmp_path / str(number)).touch()
+        while not (tmp_path / "0").exists() or not (tmp_path / "1").exists():
+            time.sleep(0.01)
+        if number == 0:
+            raise ZeroDivisionError("piece 0 divides by nothing")
+        time.sleep(1.0)
+        return number
+
+    done = []
+    with pytest.raises(ZeroDivisionError, match="piece 0 divides by nothing") as caught:
+        for number, _ in spread(work, range(50), "loky", 2):
+            done.append(number)
+    assert sorted(done) == sorted(int(path.name) for path in tmp_path.iterdir() if path.name != "0")
+    assert 1 in done and len(done) < 5
+    assert "in work" in caught.value.__notes__[0]  # the line of the worker at fault
+
+
 def test_an_unknown_executor_is_answered_with_the_known_ones(study_file, tmp_path):
     with pytest.raises(InputError, match="unknown executor 'dask'; give one of serial, joblib, ray, batched"):
         run_study(load_study(study_file()), tmp_path / "out", executor="dask")
