@@ -185,15 +185,17 @@ def functions() -> list[tuple[str, str, range]]:
 
 
 def sample(seed: int) -> Iterator[tuple[str, Mutant]]:
-    """Functions in random order, those with nothing to change left out, and one change to each."""
-    drawing = random.Random(seed)
-    order = functions()
-    drawing.shuffle(order)
-    for path, name, lines in order:
-        own = random.Random(f"{seed} {path} {name}")  # whatever becomes of other functions
+    """Functions in random order, those with nothing to change left out, and one change to each.
+
+    A function's place and change depend on the seed and its name alone, so that a sample can be gone on with while
+    other functions come and go.
+    """
+    own = {(path, name): random.Random(f"{seed} {path} {name}") for path, name, _ in functions()}
+    places = {function: drawing.random() for function, drawing in own.items()}
+    for path, name, lines in sorted(functions(), key=lambda function: places[function[:2]]):
         mutants = [m for m in mutants_of(path, (ROOT / path).read_text(encoding="utf-8")) if m.line in lines]
         if mutants:
-            yield name, own.choice(mutants)
+            yield name, own[path, name].choice(mutants)
 
 
 def tests_for(path: str, function: str) -> list[str]:
