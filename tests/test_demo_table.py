@@ -1,5 +1,7 @@
 """The demonstration's tables on the terminal: every cell is the summary's; what a network gains on blocks held out."""
 
+import re
+
 import numpy as np
 import pytest
 
@@ -68,11 +70,7 @@ def test_every_cell_is_the_summarys(capsys, reaches):
     told = summary(reaches)
     _print_demo(told, [])
     text = capsys.readouterr().out
-    rows = {
-        cells[1].strip(): [c.strip() for c in cells[2:-1]]
-        for line in text.splitlines()
-        if len(cells := line.split("│")) > 3
-    }
+    rows = {cells[0]: cells[1:] for line in text.splitlines() if len(cells := re.split(" {3,}", line.strip())) > 1}
     for key, label in (("raw", "raw"), ("ls", "LS"), ("ls_bpnn", "LS+BPNN")):
         found = told["policies"][key]
         mm, (low, high) = found["position_mm"], found["success_ci95"]

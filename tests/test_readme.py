@@ -173,8 +173,8 @@ def test_every_block_runs_in_order(tmp_path: Path) -> None:
     (learnt,) = json.loads((tmp_path / "runs/compared/comparison.json").read_text(encoding="utf-8"))["differences"]
     assert learnt["significant"] and -2.5 < learnt["difference_mm"] < -1.0
     assert "STILL GOOD" in robot
-    gain, significant = re.search(r"raw to ls (-?[\d.]+) mm \([^)]*\), significant: (\w+)", orchard).groups()
-    assert significant == "yes" and float(gain) < -2.0
+    gain, above = re.search(r"nearest, .*?; (-?[\d.]+) mm \(\S+ to (\S+)\) against raw", orchard).groups()
+    assert float(gain) < -2.0 and float(above) < 0.0
 
 
 def test_the_papers_numbers_and_references_are_there() -> None:

@@ -69,8 +69,17 @@ class BaseFrameError:
             "frames_moved_mm": self.moved * 1e3,
         }
 
+    def brief(self) -> str:
+        """The interval in one sentence."""
+        if np.isnan(self.low):
+            return "in the robot's own base frame: unknown, for only directions were measured"
+        return (
+            f"in the robot's own base frame: {self.low * 1e3:#.3g} to {self.high * 1e3:#.3g} mm on average, for base "
+            "and tool were fitted"
+        )
+
     def sentences(self) -> str:
-        """For people."""
+        """All that is known of it, and on what assumption the interval rests."""
         unseen = "base and tool were fitted, so the instrument cannot tell where the robot's base stands"
         if np.isnan(self.low):
             return f"{unseen}, nor where its tool is, for it sees directions and no positions"

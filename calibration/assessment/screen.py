@@ -19,8 +19,6 @@ from pickenv.calibration.model.measurements import screen_unit
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import LENS_NAMES
 
-UNBOUNDED = 100_000
-"""Characters of a line that goes elsewhere than to a terminal."""
 NARROW = 10
 """Characters that a column of words has at least."""
 
@@ -69,7 +67,7 @@ class Block:
 
     def text(self) -> str:
         """For the terminal, whose lines it fits: heads and words are broken, and what is still too wide is parted."""
-        width = screen_width(UNBOUNDED)
+        width = screen_width()
         return "\n".join(folded(self.title + (f": {self.note}" if self.note else ""), width) + self._lines(width))
 
     def _lines(self, width: int) -> list[str]:

@@ -122,15 +122,21 @@ class PoseUncertainty:
     def block(self, model: ArmModel, joints: Array, conditions: Conditions) -> Block:
         """A table of the bounds of errors at these poses, and whether held-out ones kept them."""
         rows = []
-        radii = self.within95(model, joints, conditions)
-        for (quantity, (unit, scale)), radius in zip(QUANTITIES.items(), radii, strict=True):
-            if radius is not None:
-                low, middle, high = np.percentile(radius * scale, [5, 50, 95])
-                cell = f"{figure(middle)} {unit} ({figure(low)} to {figure(high)})"
-                rows.append((quantity, cell, f"{100 * self.factors[quantity]['covered']:.1f} %"))
+        for quantity, (low, middle, high) in self.bounds(model, joints, conditions).items():
+            cell = f"{figure(middle)} {QUANTITIES[quantity][0]} ({figure(low)} to {figure(high)})"
+            rows.append((quantity, cell, f"{100 * self.factors[quantity]['covered']:.1f} %"))
         heads = ("of", "95 of 100 are within (5 to 95 of 100 poses)", "held so")
         note = "by pose; held: of held-out rows, each judged by what was found without its block"
         return Block("How far errors go", heads, tuple(rows), note, "uncertainty")
+
+    def bounds(self, model: ArmModel, joints: Array, conditions: Conditions) -> dict[str, list[float]]:
+        """What 95 of 100 errors keep within, of position (mm) and attitude (deg): at 5, 50 and 95 of 100 poses."""
+        radii = zip(QUANTITIES.items(), self.within95(model, joints, conditions), strict=True)
+        return {
+            quantity: np.percentile(radius * scale, [5, 50, 95]).tolist()
+            for (quantity, (_, scale)), radius in radii
+            if radius is not None
+        }
 
     def within95_record(self) -> dict[str, Any]:
         """Factors and what they cover (JSON), of position and attitude; None where too few errors show it."""

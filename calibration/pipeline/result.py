@@ -1,8 +1,8 @@
 """The one result of a calibration: verdict, held-out errors, what was found, what was left out.
 
-Whatever a screen shows of a calibration is made here, once: the terminal prints `Result.report`, the page shows the
-same blocks, `Result.as_dict` holds the same values, and the saved calibration carries the verdict in its record. Units:
-mm and degrees on screens, SI inside.
+Whatever a screen shows of a calibration is made here, once: the terminal prints `Result.summary` or all of
+`Result.report`, the page shows the same blocks, `Result.as_dict` holds the same values, and the saved calibration
+carries the verdict in its record. Units: mm and degrees on screens, SI inside.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm import Arm, Array, Geometry, Plant, draw_plants, forward, load_tolerances
-from pickenv.base import Ends, InputError, folded, require, screen_width
+from pickenv.base import Ends, InputError, folded, require, screen_width, shortened
 from pickenv.calibration.assessment import instrument, screen
 from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
 from pickenv.calibration.assessment.quality import Quality, grade_quality, workspace_error
@@ -37,6 +37,9 @@ from pickenv.calibration.pipeline.calibration import (
 from pickenv.calibration.pipeline.twin import SCATTER, SCATTER_PARTS, scatter_of, twin
 from pickenv.calibration.reading.read import NoiseFloor, floor_record, floor_text, joints_of, read_targets
 from pickenv.calibration.residuals.gate import GateVerdict, position_rms, selected, verdicts_record
+
+CAUTIONS, CAUTION = 3, 100
+"""Of cautions, a summary prints so many, each as two lines of so many characters."""
 
 SIGMAS = 2.0
 """A parameter has moved where its change is more than so many of its standard deviations."""
@@ -228,8 +231,8 @@ class Result:
         return tuple(block for block in (*blocks, sure, self._facts()) if block.rows)
 
     def __str__(self) -> str:
-        """The report."""
-        return self.report()
+        """The summary."""
+        return self.summary()
 
     def compensator(self) -> Compensator:
         """The map from joint targets to joint commands; see `Calibration.compensator` for its options."""
@@ -260,16 +263,47 @@ class Result:
 
         return write_calibration_report(path, self, seeds)
 
+    def summary(self) -> str:
+        """What a person needs first, in at most 22 lines of 100 characters; `report` has the rest.
+
+        The verdict, what must be known before use, held-out errors, and the errors to expect where the arm will work.
+        """
+        width = screen_width()
+        lines = self._verdict_lines()
+        cautions = [f"  {weight}: {text}" for weight, text in self.quality.others if weight != "note"]
+        for caution in cautions[:CAUTIONS]:
+            lines += folded(shortened(caution, 2 * min(width, CAUTION) - 8), width)
+        if len(cautions) > CAUTIONS:
+            lines.append(f"  and {len(cautions) - CAUTIONS} cautions more")
+        if self.base_frame is not None:
+            lines += folded(self.base_frame.brief(), width)
+        how = self.held_out.text(len(self.test.joints), len(self.train.joints)).partition(":")[0].partition(";")[0]
+        blocks = [replace(self._errors(), note=f"{how}; {self.best_model} is used")]
+        if self.quality.workspace is not None:
+            over = self.quality.workspace.block()
+            rows = tuple(row[:-1] for row in over.rows)
+            note = "by the fitted geometry; RMS, 95 % interval"
+            blocks.append(replace(over, header=over.header[:-1], rows=rows, note=note))
+        lines += [block.text() for block in blocks if block.rows]
+        if self.pixels is not None:
+            pictures = fitting.pixel_block(self.pixels, fitting.view_names(self.test.views))
+            lines += [f"{name}: {pixels}" for name, pixels in pictures.rows[1:3]]
+        if self.left_out:
+            kept = "kept, though far off" if any(item.kept for item in self.left_out) else "left out as far off"
+            more = f", and {len(self.left_out) - 1} more" if len(self.left_out) > 1 else ""
+            lines += folded(f"{kept}: {self.left_out[0].text()}{more}", width)
+        return "\n".join(lines)
+
     def report(self) -> str:
-        """For the terminal: the verdict first."""
+        """Everything, for the terminal: the verdict first."""
+        lines = self._verdict_lines()
+        sentences = [f"  {weight}: {text}" for weight, text in self.quality.others] + [f"frames: {self.frames_text}"]
+        lines += [line for sentence in sentences for line in folded(sentence, screen_width())]
+        return "\n".join([*lines, *(block.text() for block in self.blocks())])
+
+    def _verdict_lines(self) -> list[str]:
         verdict, _, reason = self.quality.verdict().partition(": ")
-        lines = [f"verdict: {verdict.upper()}: {reason}"]
-        lines += [f"  {weight}: {text}" for weight, text in self.quality.others]
-        lines += [f"frames: {self.frames_text}"]
-        width = screen_width(screen.UNBOUNDED)
-        return "\n".join(
-            [*(part for line in lines for part in folded(line, width)), *(b.text() for b in self.blocks())]
-        )
+        return folded(f"verdict: {verdict.upper()}: {reason}", screen_width())
 
     def _errors(self) -> screen.Block:
         figures = ("RMS", "mean", "95 % interval", "p95", "max")
@@ -393,6 +427,9 @@ class Result:
             "kind": solution.kind,
             "frames": "known" if self.known_frames else "fitted",
             "within95": self.uncertainty.within95_record(),
+            "within95_by_pose": self.uncertainty.bounds(
+                self.fit.calibration.model, self.test.joints, self.test.conditions
+            ),
             "base_frame": None if self.base_frame is None else self.base_frame.as_dict(),
             "stations": self.set_ups,
             "rows": {"train": len(self.train.joints), "test": len(self.test.joints)},
@@ -406,6 +443,7 @@ class Result:
             "prior": None if prior is None else {"source": prior.source, "scales": dict(prior.scales)},
             "condition": self.quality.observability["condition"],
             "converged": self.fit.identification.converged,
+            "iterations": len(solution.residual_rms) - 1,
             "solve_seconds": solution.solve_seconds,
             "unknowns_mm": screen.unknowns_in("mm", solution.unknowns),
             "directions": screen.unknowns_in("1", solution.unknowns),

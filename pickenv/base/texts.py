@@ -136,7 +136,11 @@ def shortened(value: object, length: int = 60) -> str:
     return text if len(text) <= length else f"{text[: length - 2].rstrip()} …"
 
 
-def screen_width(otherwise: int) -> int:
+UNBOUNDED = 100_000
+"""Characters of a line that goes elsewhere than to a terminal."""
+
+
+def screen_width(otherwise: int = UNBOUNDED) -> int:
     """The width of the terminal in characters, or what COLUMNS says; ``otherwise`` where neither is known."""
     return shutil.get_terminal_size((otherwise, 24)).columns
 

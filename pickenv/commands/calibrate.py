@@ -11,7 +11,7 @@ import typer
 from typer import Option
 
 import pickenv
-from pickenv.base import npz_path, require, separate, write_json
+from pickenv.base import command_line, npz_path, require, separate, write_json
 from pickenv.commands.showing import command_of, deliver, fields_among, progress_bars
 
 DO_NOT_USE = 3
@@ -41,6 +41,7 @@ def calibrate(
     lens: Literal["fixed", "free"] | None = None,
     lens_out: Path | None = None,
     unit: str | None = None,
+    details: Annotated[bool, Option("--details")] = False,
     json_file: Annotated[Path | None, Option("--json")] = None,
     out: Path | None = None,
     report: Path | None = None,
@@ -79,6 +80,7 @@ def calibrate(
         lens: Of pictures: take the camera's numbers as they are, or fit them.
         lens_out: Write the camera's lens as ROS camera_info (.yaml).
         unit: Serial number of the robot, kept in the calibration.
+        details: Print parameters, terms, harmonics, notes and evidence as well.
         json_file: Write the figures to this file.
         out: Write the fitted calibration to this file (.npz).
         report: Write a one-page report (.html).
@@ -123,6 +125,7 @@ def calibrate(
             unit=unit,
             progress=progress,
         )
+    refused = result.quality.grade == "do not use"
     seeds = {"split": split, "seed": seed, "held-out rows": len(result.test.joints)}
     command = command_of(calibrate, typed)
     deliver(
@@ -133,10 +136,24 @@ def calibrate(
             (run, lambda folder: write_run(folder, command, seed, result, seeds)),
             (json_file, result.as_dict()),
         ],
-        result.report(),
+        result.report() if details else result.summary(),
+        _next_step(arm, out, refused),
+        "" if details else "parameters, terms, notes and evidence",
     )
-    if result.quality.grade == "do not use":
+    if refused:
         raise typer.Exit(DO_NOT_USE)
+
+
+def _next_step(arm: str | None, out: Path | None, refused: bool) -> str:
+    """What to do with the calibration, with a command to copy; empty for finished poses, which have no arm."""
+    if arm is None:
+        return ""
+    if refused:
+        return f"measure more poses, or others: {command_line('pickenv', 'plan-poses', arm=arm, out='poses.csv')}"
+    if out is None:
+        return "keep it: the same command with --out my_arm.npz"
+    targets = command_line("pickenv", "apply", npz_path(out), "targets.csv", arm=arm, out="commands.csv")
+    return f"correct targets: {targets}"
 
 
 def write_run(folder: Path, command: str, seed: int, result: pickenv.Result, seeds: dict[str, Any]) -> list[Path]:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from textwrap import fill
 from typing import Annotated, Any
 
 from typer import Argument, Option
 
 import pickenv
-from pickenv.base import separate, write_json
-from pickenv.commands.showing import CommandOfNames, deliver, print_table, progress_bars
+from pickenv.base import command_line, screen_width, separate, write_json
+from pickenv.commands.showing import MOST, CommandOfNames, deliver, print_table, print_verdict, progress_bars
 
 SEVERAL = ("--compensate", "--label")
 """Options that may be followed by several values."""
@@ -44,6 +46,7 @@ def compare(
     camera_noise: float | None = None,
     grid_step: Annotated[float, Option(min=0.01)] = 0.1,
     allow: list[str] | None = None,
+    details: Annotated[bool, Option("--details")] = False,
     out: Path | None = None,
     json_file: Annotated[Path | None, Option("--json")] = None,
 ) -> None:
@@ -65,6 +68,7 @@ def compare(
         camera_noise: Noise of what the camera sees, mm per axis.
         grid_step: Distance of the error field's goals, m.
         allow: Use a calibration in spite of this: fitted-frames, do-not-use.
+        details: Print medians, 95th percentiles, and the differences fruit by fruit as well.
         out: Run folder: recording, page, figures, every episode.
         json_file: Write the numbers to this file.
 
@@ -99,20 +103,37 @@ def compare(
             (json_file, lambda path: write_json(path, content_of_comparison(comparison.episodes))),
             (out, lambda folder: write_comparison(comparison, folder)),
         ],
-        lambda: _print_comparison(comparison.episodes),
+        lambda: _print_comparison(comparison.episodes, details),
+        "see it: the same command with --out RUN, then pickenv inspect RUN"
+        if out is None
+        else f"see it: {command_line('pickenv', 'inspect', out)}",
+        "" if details else "medians, and the differences fruit by fruit",
     )
 
 
-def _print_comparison(episodes: pickenv.inspect.RecordedEpisodes) -> None:
+BRIEF = (0, 1, 4, 6)
+"""Columns of the table of policies that are printed without details: misses, attitude, what was picked."""
+
+
+def _print_comparison(episodes: pickenv.inspect.RecordedEpisodes, details: bool) -> None:
     from pickenv.inspect.runs import comparison_summary
 
+    print_verdict(f"{comparison_summary.outcome_sentence(episodes)}.")
+    print(fill(comparison_summary.explanation(episodes), screen_width()))
     rows, lines = comparison_summary.policy_cells(episodes), comparison_summary.difference_cells(episodes)
-    title = f"{len(episodes.seeds)} episodes of {episodes.env_id}, the same for all; gripper {episodes.gripper}"
-    print_table(title, comparison_summary.HEADS, rows, words=("policy",), caption=comparison_summary.INTERVALS)
-    if lines:
+    heads: Sequence[str] = comparison_summary.HEADS
+    shown = range(len(heads)) if details else BRIEF
+    print_table(
+        f"{len(episodes.seeds)} episodes of {episodes.env_id}, the same for all; gripper {episodes.gripper}",
+        [heads[i] for i in shown],
+        [[row[i] for i in shown] for row in rows],
+        words=("policy",),
+        caption=comparison_summary.INTERVALS,
+        most=None if details else MOST,
+    )
+    if lines and details:
         heads = comparison_summary.DIFFERENCES
         print_table("Fruit by fruit, the later policy minus the earlier one", heads, lines, words=("from", "to"))
-    print(f"{comparison_summary.outcome_sentence(episodes)}. {comparison_summary.explanation(episodes)}")
 
 
 def film(

@@ -12,8 +12,18 @@ from typing import Annotated, Any, Literal
 from typer import Option
 
 import pickenv
-from pickenv.base import InputError, locked, require, separate, unseen_share
-from pickenv.commands.showing import Save, deliver, limited, print_table, progress_bars, with_options
+from pickenv.base import InputError, locked, require, screen_width, separate, unseen_share
+from pickenv.commands.showing import (
+    MOST,
+    WIDTH,
+    Save,
+    deliver,
+    limited,
+    print_table,
+    print_verdict,
+    progress_bars,
+    with_options,
+)
 
 TERMINAL = 80
 """Characters of a line of the usual terminal."""
@@ -139,6 +149,7 @@ def study(
     report: Annotated[bool, Option("--report/--no-report")] = True,
     sobol: Annotated[bool, Option("--sobol")] = False,
     samples: Annotated[int, Option(min=0, callback=limited("samples"))] = 2048,
+    details: Annotated[bool, Option("--details")] = False,
 ) -> None:
     """What share of arms is good enough: draw a population, calibrate every arm, send it to fruit, count.
 
@@ -154,6 +165,7 @@ def study(
         report: Figures, report.html and arms.rrd in the results folder.
         sobol: Sobol indices of the tolerances, which need further arms.
         samples: Rows of the Sobol sample: a power of two. Each takes an arm per group, and two.
+        details: Print every setting, and where the differences between arms come from.
 
     Examples:
         pickenv study scripts/tolerance_study.toml --quick --out runs/study
@@ -185,15 +197,20 @@ def study(
             (json_file, summary),
             (out if report else None, partial(pickenv.experiments.write_outputs, sobol_samples=sobol_samples)),
         ]
-        deliver(saves, lambda: _print(settings, summary))
+        next_step = f"look at it: {out / 'report.html'}" if report else ""
+        more = "" if details else "every setting, and where the differences between arms come from"
+        deliver(saves, lambda: _print(settings, summary, details), next_step, more)
 
 
-def _print(config: pickenv.experiments.StudyConfig, summary: dict[str, Any]) -> None:
-    """The yields, what their differences come from, and where the rest stands; 80 characters wide."""
+def _print(config: pickenv.experiments.StudyConfig, summary: dict[str, Any], details: bool) -> None:
+    """The verdict, and the yields, the highest first; with details all, and what their differences come from."""
     from pickenv.experiments.study_findings import study_verdict
     from pickenv.inspect.runs.number_words import between
 
-    rows = summary["yield"]
+    verdict = study_verdict(config, summary["yield"])
+    print_verdict(f"{verdict.headline}.")
+    print(fill(verdict.text, screen_width(WIDTH)))
+    rows = summary["yield"] if details else sorted(summary["yield"], key=lambda row: -row["yield"])
     errors = {
         (row["setting"], row["probability"]): row["value"]
         for row in summary["quantiles_mm"]
@@ -226,11 +243,12 @@ def _print(config: pickenv.experiments.StudyConfig, summary: dict[str, Any]) -> 
         "and what 95 % of arms stay below"
     )
     lines = zip(*(cells[name] for name in heads), strict=True)
-    print_table(title, heads, lines, words=("class", "method"), caption=caption, width=TERMINAL)
-    _print_components(summary)
-    verdict = study_verdict(config, rows)
-    print(fill(f"{verdict.headline}.", TERMINAL), fill(verdict.text, TERMINAL), sep="\n")
-    print(f"{summary['executor']}: {summary['seconds']:.1f} s; table {summary['table_sha256']}")
+    print_table(
+        title, heads, lines, words=("class", "method"), caption=caption, width=TERMINAL, most=None if details else MOST
+    )
+    if details:
+        _print_components(summary)
+        print(f"{summary['executor']}: {summary['seconds']:.1f} s; table {summary['table_sha256']}")
 
 
 def _print_components(summary: dict[str, Any]) -> None:

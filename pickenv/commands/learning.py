@@ -13,8 +13,8 @@ import typer
 from typer import Option
 
 import pickenv
-from pickenv.base import InputError, require, separate
-from pickenv.commands.showing import PARAMETERS, deliver, print_table, progress_bars
+from pickenv.base import InputError, command_line, require, separate
+from pickenv.commands.showing import MOST, PARAMETERS, deliver, print_table, print_verdict, progress_bars
 
 NO_CAMERA = "--camera-noise changes nothing without a camera; give --feedback camera and a policy that uses it"
 
@@ -154,6 +154,7 @@ def evaluate(
     figures: Path | None = None,
     cache: Path | None = None,
     workers: Annotated[int | None, Option(min=1)] = None,
+    details: Annotated[bool, Option("--details")] = False,
     out: Path | None = None,
 ) -> None:
     """Compare policies, raw and calibrated, open loop and with a camera, on the same arms and fruit.
@@ -180,6 +181,7 @@ def evaluate(
         figures: Folder for the figures.
         cache: Folder that keeps the arms' calibrations.
         workers: Processes; one per core if left out.
+        details: Print medians, success by gripper, cycle times, and what each compensation is worth as well.
         out: Run folder for `pickenv figures` and `pickenv report`.
 
     Examples:
@@ -235,16 +237,31 @@ def evaluate(
             (out, lambda folder: tables.write_evaluation(settings, rows, folder)),
             (figures, lambda folder: pickenv.inspect.write_drawings(tables.evaluation_drawings(rows), folder)),
         ],
-        lambda: _print(**content),
+        lambda: _print(**content, details=details),
+        "see the arms one by one: the same command with --out RUN, then pickenv report RUN"
+        if out is None
+        else f"see the arms one by one: {command_line('pickenv', 'report', out)}",
+        "" if details else "medians, success by gripper, and what each compensation is worth",
     )
 
 
-def _print(rows: Sequence[dict[str, Any]], comparisons: Sequence[dict[str, Any]]) -> None:
-    """Print the rows, and what each compensation is worth."""
-    from pickenv.experiments.policy_tables import HEADS, KEYS, cells_of, gain_words
+def _print(rows: Sequence[dict[str, Any]], comparisons: Sequence[dict[str, Any]], details: bool) -> None:
+    """Print which policy ends nearest on each plant, and a table: of the errors, or with details of everything."""
+    from pickenv.experiments.policy_tables import HEADS, KEYS, cells_of, gain_words, nearest_words, pivoted
 
+    for sentence in nearest_words(rows, comparisons):
+        print_verdict(sentence)
     episodes = rows[0]["episodes"] // (rows[0]["trainings"] or 1)
     title = f"{episodes} reaches per cell on {rows[0]['arms']} arms, seed {rows[0]['seeds'][0]}"
+    if not details:
+        heads, cells = pivoted(rows)
+        missing = rows[0]["no_interval"]
+        caption = "means over arms" + (f" (no intervals: {missing})" if missing else ", 95 % intervals in brackets")
+        print_table(f"Error (mm): {title}", heads, cells, words=KEYS, caption=caption, most=MOST)
+        heads, taken = pivoted(rows, shares=True)
+        if len(cells) + len(taken) <= MOST:
+            print_table("Fruit taken (%)", heads, taken, words=KEYS)
+        return
     caption = "mean, median and 95th percentile are over arms; 95 % intervals over arms, and over trainings if several"
     print_table(title, (*KEYS, *HEADS), map(cells_of, rows), words=KEYS, caption=caption)
     for line in comparisons:

@@ -8,8 +8,16 @@ from typing import Annotated, Any
 from typer import Option
 
 import pickenv
-from pickenv.base import obey, separate, write_json, write_text
-from pickenv.commands.showing import command_of, deliver, limited, print_table, progress_bars, with_options
+from pickenv.base import command_line, obey, separate, write_json, write_text
+from pickenv.commands.showing import (
+    command_of,
+    deliver,
+    limited,
+    print_table,
+    print_verdict,
+    progress_bars,
+    with_options,
+)
 
 
 def arms(json_file: Annotated[Path | None, Option("--json")] = None) -> None:
@@ -76,7 +84,8 @@ def effects(
     machine = pickenv.load_plant(plant)
     joints = draw_reaches(machine, reaches, np.random.default_rng(seed))
     shares = effect_shares(machine, joints, running_time=3600.0 * hours, pace=Pace(dwell=dwell))
-    deliver([(json_file, shares)], shares_report(shares))
+    next_step = f"what a calibration leaves: {command_line('pickenv', 'conditions', plant)}"
+    deliver([(json_file, shares)], shares_report(shares), next_step)
 
 
 def iso9283(
@@ -155,6 +164,7 @@ def conditions(
     residual: str = "rbf",
     allow: list[str] | None = None,
     seed: Annotated[int, Option(min=0, callback=limited("seed"))] = 0,
+    details: Annotated[bool, Option("--details")] = False,
     json_file: Annotated[Path | None, Option("--json")] = None,
     out: Path | None = None,
 ) -> None:
@@ -173,6 +183,7 @@ def conditions(
         residual: What learns the rest: {residual}.
         allow: Judge the calibration in spite of this: fitted-frames, do-not-use.
         seed: Seed of everything random.
+        details: Print the errors by payload, weather and hour as well.
         json_file: Write the figures to this file.
         out: Run folder with figure and page.
 
@@ -208,8 +219,14 @@ def conditions(
     def show() -> None:
         from pickenv.inspect.reports.conditions_report import condition_tables, conditions_in_words
 
-        for title, heads, rows in condition_tables(result):
+        headline, means = conditions_in_words(result)
+        print_verdict(headline)
+        if details:
+            print(with_options(means))
+        tables = condition_tables(result)
+        for title, heads, rows in tables if details else tables[-1:]:
             print_table(title, heads, rows, words=("method",), width=WIDE)
-        print(with_options("\n".join(conditions_in_words(result))))
 
-    deliver([(json_file, result), (out, write_run)], show)
+    next_step = "draw it: the same command with --out RUN" if out is None else f"look at it: {out / REPORT}"
+    more = "" if details else "errors by payload, weather and hour"
+    deliver([(json_file, result), (out, write_run)], show, next_step, more)

@@ -2,17 +2,19 @@
 
 A command's docstring is its help (`CommandOfNames`). The library names its parameters, in backticks; commands print
 options in their place (`with_options`). Results are saved first, then printed, so that a screen that fails costs
-nothing (`deliver`).
+nothing (`deliver`). A screen has at most 25 lines of 100 characters: the verdict, the one table that matters, what was
+written, what to do next; `--details` prints the rest.
 """
 
 from __future__ import annotations
 
 import ast
+import os
 import re
 import shlex
 import sys
 import warnings
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
 from importlib import metadata
@@ -24,7 +26,16 @@ from typer import CallbackParam
 from typer.core import TyperArgument, TyperCommand, TyperOption
 from typer.models import ArgumentInfo, OptionInfo
 
-from pickenv.base import InputError, check_limit, command_line, screen_width, side_by_side, write_json, write_text
+from pickenv.base import (
+    InputError,
+    check_limit,
+    command_line,
+    folded,
+    screen_width,
+    side_by_side,
+    write_json,
+    write_text,
+)
 from pickenv.base.registry import names
 
 
@@ -39,6 +50,10 @@ def pages_address() -> str:
 
 WIDTH = 150
 """Characters of a table that goes elsewhere than to a terminal."""
+
+
+MOST = 8
+"""Rows of a table that are printed without details."""
 
 
 class CommandOfNames(TyperCommand):
@@ -181,12 +196,14 @@ Save: TypeAlias = tuple[Path | None, Callable[[Path], Path | Iterable[Path]] | s
 """A file or folder, None where it was not asked for; and its text, its content for JSON, or what writes it."""
 
 
-def deliver(saves: Iterable[Save], show: Callable[[], object] | str) -> None:
+def deliver(saves: Iterable[Save], show: Callable[[], object] | str, next_step: str = "", more: str = "") -> None:
     """Save results, then print them; where saving fails they are printed all the same, before the error is raised.
 
     Args:
         saves: The files to write, each with its content, or with what writes it and returns the paths written.
-        show: A text to print (`with_options`), or what prints the results; "wrote …" follows for every file.
+        show: A text to print, whose first line is the verdict, or what prints the results; "wrote …" follows.
+        next_step: What the reader can do next, with a command to copy.
+        more: What the command's details are, where they were not printed.
     """
     written: list[Path] = []
     try:
@@ -199,9 +216,46 @@ def deliver(saves: Iterable[Save], show: Callable[[], object] | str) -> None:
                 paths = write_text(path, content) if isinstance(content, str) else write_json(path, content)
             written += [paths] if isinstance(paths, Path) else paths
     finally:
-        print(with_options(show)) if isinstance(show, str) else show()
-        for path in written:
-            print(f"wrote {path}")
+        if isinstance(show, str):
+            first, _, rest = show.partition("\n")
+            print_verdict(first)
+            if rest:
+                print(with_options(rest))
+        else:
+            show()
+        for line in _lines_of_files(written):
+            print(line)
+    if next_step:
+        print(f"next: {next_step}")
+    if more:
+        print(f"more: --details prints {more}")
+
+
+FILES_OF_A_LINE = 4
+"""So many files of one folder have a line each; of more, one line names the folder and the first."""
+
+
+def _lines_of_files(paths: Sequence[Path]) -> Iterator[str]:
+    """Lines on the files that were written, the nearest and the pages first where a folder has many."""
+    if len(paths) <= FILES_OF_A_LINE:
+        yield from (f"wrote {path}" for path in paths)
+        return
+    folder = Path(os.path.commonpath([path.parent for path in paths]))
+    names = sorted(
+        (path.relative_to(folder) for path in paths), key=lambda name: (len(name.parts), name.suffix != ".html")
+    )
+    first, rest = names[:FILES_OF_A_LINE], len(names) - FILES_OF_A_LINE
+    yield f"wrote {folder}: {', '.join(map(str, first))} and {rest} more"
+
+
+def print_verdict(text: str) -> None:
+    """Print what a command comes to in one sentence, in bold on a terminal, folded to its width."""
+    from rich.console import Console
+
+    width = screen_width()
+    Console(width=width, soft_wrap=False).print(
+        "\n".join(folded(with_options(text), width)), style="bold", markup=False, highlight=False
+    )
 
 
 @contextmanager
@@ -244,8 +298,9 @@ def print_table(
     words: Collection[str],
     caption: str = "",
     width: int = WIDTH,
+    most: int | None = None,
 ) -> None:
-    """Print a table with lines around it; one wider than the terminal (or COLUMNS) in several, one below another.
+    """Print a table; one wider than the terminal (or COLUMNS) in several, one below another.
 
     Args:
         title: Above it.
@@ -254,12 +309,15 @@ def print_table(
         words: Names of the columns that hold words; the others are set to the right.
         caption: Below it.
         width: Characters of a line, where they go elsewhere than to a terminal.
+        most: Rows printed; of more it is said how many there are. All if left out.
     """
+    from rich import box
     from rich.console import Console
     from rich.markup import escape  # else a unit in brackets is taken for a style, and swallowed
     from rich.table import Table
 
     names, lines, room = list(heads), [list(row) for row in rows], screen_width(width)
+    left_out, lines = lines[len(lines) if most is None else most :], lines[:most]
     columns = [(name, [row[i] for row in lines]) for i, name in enumerate(names)]
     widest = [max(map(len, (*name.split("\n"), *cells))) for name, cells in columns]
     least = [  # heads and words may be broken at spaces, numbers may not
@@ -272,8 +330,9 @@ def print_table(
     leading = next((i for i, name in enumerate(names) if name not in words), len(names))
     parts = side_by_side(sizes, leading, room - 1)
     console = Console(width=room)
-    for number, part in enumerate(parts):
-        table = Table(title=escape(title) if number == 0 else None)
+    console.print(escape(title), style="italic", highlight=False)
+    for part in parts:
+        table = Table(box=box.SIMPLE_HEAD, show_edge=False)
         spare = room - 1 - sum(least[i] + 3 for i in part)
         for i in part:
             size = least[i] + max(0, min(spare, widest[i] - least[i]))
@@ -282,5 +341,7 @@ def print_table(
         for row in lines:
             table.add_row(*(escape(row[i]) for i in part))
         console.print(table)
+    if left_out:
+        console.print(f" … and {len(left_out)} rows more: --details", style="italic", highlight=False)
     if caption:
         console.print(escape(caption), style="italic", highlight=False)

@@ -149,6 +149,47 @@ def cells_of(row: Mapping[str, Any]) -> list[str]:
     ]
 
 
+def nearest_words(rows: Sequence[Mapping[str, Any]], comparisons: Sequence[Mapping[str, Any]]) -> list[str]:
+    """A sentence for each plant: which policy ends nearest, and by how much nearer than the same on the raw arm.
+
+    The oracle, which knows the true arm, is passed over.
+
+    Args:
+        rows: Those of `evaluation_rows`.
+        comparisons: Those of `compensations_compared`.
+    """
+    sentences = []
+    for plant in dict.fromkeys(row["plant"] for row in rows):
+        mine = [row for row in rows if row["plant"] == plant]
+        best = min([row for row in mine if row["policy"] != "oracle"] or mine, key=lambda row: float(row["mean_mm"]))
+        error = with_interval(best["mean_mm"], best["ci95"], 2, unit=" mm")
+        text = f"{plant}: {best['policy']} with {best['compensation']} ends nearest, {error} from the fruit"
+        for line in comparisons:
+            alike = all(line[name] == best[name] for name in ("policy", "feedback", "plant"))
+            if alike and line["from"] == "raw" and line["to"] == best["compensation"]:
+                text += f"; {with_interval(line['difference_mm'], line['ci95'], 2, sign='+', unit=' mm')} against raw"
+        sentences.append(text)
+    return sentences
+
+
+def pivoted(rows: Sequence[Mapping[str, Any]], shares: bool = False) -> tuple[list[str], list[list[str]]]:
+    """Heads and cells of a table with a column for each compensation.
+
+    Args:
+        rows: Those of `evaluation_rows`.
+        shares: The shares of fruit taken, in percent, with a line for each gripper; if not, mean errors in mm.
+    """
+    keys = ["policy", "feedback", "plant", *(["gripper"] if shares else [])]
+    columns = list(dict.fromkeys(row["compensation"] for row in rows))
+    lines: dict[tuple[str, ...], dict[str, str]] = {}
+    for row in rows:
+        share = with_interval(row["success_rate"], row["success_ci95"], 1, 100.0)
+        cell = share if shares else with_interval(row["mean_mm"], row["ci95"], 2)
+        lines.setdefault(tuple(row[key] for key in keys), {})[row["compensation"]] = cell
+    cells = [[*key, *(line.get(column, "") for column in columns)] for key, line in lines.items()]
+    return [*keys, *columns], cells
+
+
 def gain_words(line: Mapping[str, Any]) -> tuple[str, str, str]:
     """A comparison's difference, its interval, and whether it is significant."""
     ends = interval_words(line["ci95"], 3, sign="+") or f"none: {line['no_interval']}"

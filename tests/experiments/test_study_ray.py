@@ -15,7 +15,7 @@ from unittest import mock
 import pytest
 
 from pickenv.base import InputError
-from pickenv.experiments import engine, load_study, read_rows, run_study
+from pickenv.experiments import executors, load_study, read_rows, run_study
 
 ROOT = Path(__file__).parents[2]
 ENVIRONMENT = {name: value for name, value in os.environ.items() if name != "RAY_ADDRESS"} | {"PYTHONPATH": str(ROOT)}
@@ -190,7 +190,7 @@ def joined(monkeypatch):
         for name, module in (("ray", ray), ("ray.util", ray.util), ("ray.util.joblib", ray.util.joblib)):
             monkeypatch.setitem(sys.modules, name, module)
         with mock.patch.dict(os.environ, ENVIRONMENT | environment, clear=True):
-            engine._joined_ray(2)
+            executors._joined_ray(2)
         return ray
 
     return start
@@ -221,8 +221,8 @@ def test_a_cluster_that_is_already_there_is_taken_as_it_is(joined, address):
 
 
 def test_a_slow_start_is_tried_again_and_a_cluster_that_refuses_is_not(joined, address):
-    assert joined(Listening(engine.STARTS - 1)).starts == engine.STARTS
-    for failures, environment, starts in ((engine.STARTS, {}, engine.STARTS), (1, {"RAY_ADDRESS": address}, 1)):
+    assert joined(Listening(executors.STARTS - 1)).starts == executors.STARTS
+    for failures, environment, starts in ((executors.STARTS, {}, executors.STARTS), (1, {"RAY_ADDRESS": address}, 1)):
         ray = Listening(failures)
         with pytest.raises(InputError, match=r"cannot be used at .*: The current node timed out during startup;"):
             joined(ray, **environment)

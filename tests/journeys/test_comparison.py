@@ -21,7 +21,7 @@ def test_the_page_told_from_an_empty_folder_ends_with_a_calibrated_policy_far_ne
     assert 1.5 < raw["mean_mm"] < 2.6 and calibrated["mean_mm"] < 0.4 * raw["mean_mm"]
     (line,) = compared["differences"]
     assert line["ci95_mm"][1] < 0.0 and line["significant"]
-    table, tables = said[1], re.compile(r"raw +│ +([\d.]+) ")
+    table, tables = said[1], re.compile(r"^ *raw +([\d.]+) ", re.MULTILINE)
     assert float(tables.search(table)[1]) == round(raw["mean_mm"], 3)
     assert compared["explanation"] in " ".join(table.split())
     ppo = json.loads((tmp_path / "ppo.json").read_text(encoding="utf-8"))

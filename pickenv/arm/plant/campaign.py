@@ -337,13 +337,14 @@ def shares_report(shares: dict[str, Any]) -> str:
         figures = f"{share['mean']:13.3f}{share['varying']:10.3f}{share['p95']:9.3f}{share['max']:9.3f}"
         return f"{name.replace('_', ' '):<20}{figures}{left:17.3f}"
 
+    largest = max(shares["alone"], key=lambda name: float(shares["alone"][name]["mean"]))
     lines = [
-        f"Tip error of plant {shares['plant']} in mm: {shares['reaches']} reaches, {shares['dwell']:g} s after "
-        f"arrival, {shares['running_hours']:g} h after start",
+        f"{shares['plant']} ends {shares['all']['mean']:.2f} mm from where it is sent; {largest.replace('_', ' ')} "
+        f"alone would make {shares['alone'][largest]['mean']:.2f} mm",
+        f"Tip error in mm: {shares['reaches']} reaches, {shares['dwell']:g} s after arrival, "
+        f"{shares['running_hours']:g} h after start",
         head,
-        "-" * len(head),
         *(row(name, share, shares["without"][name]["mean"]) for name, share in shares["alone"].items()),
-        "-" * len(head),
         row("all", shares["all"], 0.0),
         "alone: the only effect that is on; without: what all the others leave",
         f"sum of the means {shares['sum_of_means']:.3f}, root of the sum of squares {shares['root_sum_square']:.3f}",

@@ -82,7 +82,7 @@ def test_an_inclinometer_says_nothing_of_positions(arm: Arm, tmp_path: Path) -> 
     _, data = start_and_truth("tilt of two", arm.nominal, 80, np.random.default_rng(4))
     result = calibrate(arm, data, choices=PLAIN)
     assert result.base_frame is not None and result.as_dict()["base_frame"]["mean_ci95_mm"] is None
-    assert "nor where its tool is" in str(result)
+    assert "nor where its tool is" in result.report()
     assert result.uncertainty.position_repeat == 0.0
     assert result.uncertainty.attitude_repeat == pytest.approx(np.sqrt(np.mean(result.errors["geometric"] ** 2)))
     page = result.write_page(tmp_path / "tilt.html").read_text(encoding="utf-8")

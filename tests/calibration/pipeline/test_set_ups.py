@@ -160,7 +160,7 @@ def test_the_command_prints_set_ups_with_their_files_and_keeps_them(ur5: Arm, tr
     for name, more in (("alone", files), ("flagged", [*files[:2], "--stations", "base"])):
         saved, figures = tmp_path / f"{name}.npz", tmp_path / f"{name}.json"
         command = ["calibrate", *more, "--arm", "ur5", "--terms", "none", "--residual", "none", "--out", str(saved)]
-        output = CliRunner().invoke(app, [*command, "--json", str(figures)])
+        output = CliRunner().invoke(app, [*command, "--details", "--json", str(figures)])
         assert output.exit_code == 0, output.output
         runs[name] = json.loads(figures.read_text(encoding="utf-8"))
         assert ("as the rows tell" in output.output) == (name == "alone") and files[1] in output.output

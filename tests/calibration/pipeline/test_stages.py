@@ -85,7 +85,7 @@ def test_poses_of_its_own_teach_the_named_network_as_in_the_paper(dynamic, sets)
 
 
 def test_a_result_is_used_saved_exported_and_shown(dynamic, result, tmp_path):
-    assert str(result) == result.report() and "verdict" in str(result)
+    assert str(result) == result.summary() and "verdict" in str(result)
     joints = random_joints(dynamic.geometry, 1, np.random.default_rng(1))[0]
     saved = Calibration.load(result.save(tmp_path / "arm"), dynamic.arm, "17")
     np.testing.assert_array_equal(result.compensator()(joints), saved.compensator()(joints))

@@ -174,7 +174,7 @@ def test_the_command_reads_torques_and_prints_stiffnesses(data, tmp_path):
         f'[joints]\ncolumns = {quoted[0]}\nunit = "deg"\n[position]\ncolumns = {quoted[1]}\nunit = "mm"\n'
         f'std_mm = {1e3 * NOISE}\n[conditions.torques]\ncolumns = {quoted[2]}\nunit = "N*mm"\n'
     )
-    options = ["--terms", "compliance", "--residual", "none", "--columns", str(tmp_path / "columns.toml")]
+    options = ["--details", "--terms", "compliance", "--residual", "none", "--columns", str(tmp_path / "columns.toml")]
     options += ["--json", str(tmp_path / "figures.json"), "--report", str(tmp_path / "page.html")]
     ran = CliRunner().invoke(app, ["calibrate", str(table), "--arm", "ur10", *options])
     assert ran.exit_code == 0, ran.output
