@@ -48,12 +48,12 @@ def places(plant: Plant) -> Array:
 
 def errors(plant: Plant, joints: Array) -> dict[str, Array]:
     """True minus wanted tool positions ``(F, 3)``, m, behind each method's calibration."""
-    wanted = forward(plant.arm.nominal, joints)
-    found = {}
+    wanted, found = forward(plant.arm.nominal, joints), {}
     for method in METHODS:
-        (send,) = compensators(plant, method, PLAN) or [None]
-        found[policy_label(method)] = pose_error(wanted, plant.tool_pose(joints if send is None else send(joints)))
-    return {label: error[:, :3] for label, error in found.items()}
+        senders = compensators(plant, method, PLAN)
+        sent = joints if senders is None else senders[0](joints)
+        found[policy_label(method)] = pose_error(wanted, plant.tool_pose(sent))[:, :3]
+    return found
 
 
 def field(plant: Plant, joints: Array) -> dict[str, Any]:
@@ -74,12 +74,12 @@ def field(plant: Plant, joints: Array) -> dict[str, Any]:
     }
 
 
-def whole(values: Array) -> list[Any]:
-    """Rounded to whole numbers."""
+def whole(values: Array) -> Any:
+    """Rounded to whole numbers, as lists."""
     return np.rint(values).astype(int).tolist()
 
 
-def drawn(plant: Plant, joints: Array) -> list[Any]:
+def drawn(plant: Plant, joints: Array) -> Any:
     """The nominal arm at each place, as corners of a line ``(F, K, 3)``, mm: base first, tool last."""
     points = nominal_points(plant.arm.nominal, joints)
     return whole(1e3 * points[:, [*drawn_parts(points), -1]])
@@ -87,16 +87,14 @@ def drawn(plant: Plant, joints: Array) -> list[Any]:
 
 def main(out: Path = FIELDS) -> None:
     """Make all fields, and write them."""
-    plants = {name: load_plant(name) for name in shipped_plants()}
-    arms = {plant.arm.name: plant for plant in plants.values()}
-    joints = {name: places(plant) for name, plant in arms.items()}
+    plants = [load_plant(name) for name in shipped_plants()]
+    joints = {plant.arm.name: places(plant) for plant in plants}
     content = {
         "seed": PLAN.seed,
-        "identification_poses": PLAN.identification_poses,
-        "residual_poses": PLAN.residual_poses,
+        "poses": [PLAN.identification_poses, PLAN.residual_poses],
         "colours": viridis(np.linspace(0.0, 1.0, 17)).tolist(),
-        "arms": {name: drawn(plant, joints[name]) for name, plant in arms.items()},
-        "plants": [field(plant, joints[plant.arm.name]) for plant in plants.values()],
+        "arms": {plant.arm.name: drawn(plant, joints[plant.arm.name]) for plant in plants},
+        "plants": [field(plant, joints[plant.arm.name]) for plant in plants],
     }
     write_text(out, ASSIGNED + json.dumps(content, separators=(",", ":")) + ";\n")
 

@@ -21,14 +21,12 @@ from measuring import ROOT
 BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 BROWSER = ("make docs", "make test-browser", "python .ci/docs_screenshots.py runs/browser/screenshots")
 COMMANDS: dict[str, Sequence[str]] = {
-    "comparing-policies-*.png": BROWSER,
+    **dict.fromkeys(("comparing-policies-*.png", "explorer-*.webp", "inspection-*.webp"), BROWSER),
     "conditions-orchard.png": (
         "pickenv conditions orchard --out runs/conditions",
         "cp runs/conditions/figures/error_by_condition.png docs/images/conditions-orchard.png",
     ),
-    "explorer-*.webp": BROWSER,
     "fetch-reach.png": ("python scripts/fetch_reach.py", "cp runs/fetch_reach/success.png docs/images/fetch-reach.png"),
-    "inspection-*.webp": BROWSER,
     "study-grades.png": ("python scripts/studies/tolerance_docs.py",),
 }
 """Shell lines by picture, where neither a study nor a card leaves a file of the picture's name."""
@@ -47,12 +45,12 @@ def cards() -> dict[str, list[str]]:
 
 def studies() -> dict[str, list[str]]:
     """The shell line that draws each study's pictures, by picture."""
-    found = {}
+    found: dict[str, list[str]] = {}
     for path in sorted((ROOT / "scripts/studies").glob("*.toml")):
         table = tomllib.loads(path.read_text(encoding="utf-8"))
         names = [*table.get("figures", ()), *(each.get("figure") for each in table.get("estimate", ()))]
-        command = f"pickenv experiment scripts/studies/{path.name} --figures docs/images"
-        found |= {f"{name}.png": [command] for name in names if name}
+        line = f"pickenv experiment scripts/studies/{path.name} --figures docs/images"
+        found |= {f"{name}.png": [line] for name in names if name}
     return found
 
 
@@ -67,9 +65,8 @@ def lines_of(picture: str) -> Sequence[str]:
 def main(names: list[str]) -> None:
     """Make pictures."""
     path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
-    for name in names:
-        for line in lines_of(name):
-            subprocess.run(line, shell=True, check=True, cwd=ROOT, env=os.environ | {"PATH": path, "MPLBACKEND": "Agg"})
+    for line in (line for name in names for line in lines_of(name)):
+        subprocess.run(line, shell=True, check=True, cwd=ROOT, env=os.environ | {"PATH": path, "MPLBACKEND": "Agg"})
 
 
 if __name__ == "__main__":

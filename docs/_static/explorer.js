@@ -1,7 +1,7 @@
 // Turns the error fields of explorer-fields.js in place of the still picture of docs/explorer.md. Needs no library.
 "use strict";
 (() => {
-  const { arms, plants, colours, seed, identification_poses, residual_poses } = window.explorerFields;
+  const { arms, plants, colours, seed, poses } = window.explorerFields;
   const host = document.getElementById("explorer");
   const option = ({ plant }) => `<option${plant === "qiao2026" ? " selected" : ""}>${plant}</option>`;
   const button = ({ label }) => `<button type="button">${label}</button>`;
@@ -43,15 +43,14 @@
     find(".scale span:last-child").textContent = `${to.top.toFixed(2)} mm`;
     said.innerHTML = `<b>${plant.plant}, ${label}</b>: mean <b>${mean_mm.toFixed(2)} mm</b>, largest
       <b>${largest_mm.toFixed(2)} mm</b> at ${errors_um.length} places. Arrows are ${Number(to.gain.toPrecision(2))} times
-      too long. Simulated; ${poses(label)}; seed ${seed}.`;
+      too long. Simulated; ${made(label)}; seed ${seed}.`;
     place(slider.value - 1);
     morph(from && from.length === to.field.length ? from : to.field, to.field);
   }
 
-  function poses(label) {
+  function made(label) {
     if (label === "raw") return "not calibrated";
-    const learnt = label.includes("+") ? ` and ${residual_poses}` : "";
-    return `calibrated from ${identification_poses}${learnt} poses`;
+    return `calibrated from ${poses[0]} poses${label.includes("+") ? `, the rest learnt from ${poses[1]}` : ""}`;
   }
 
   // Arrows shrink and grow from one stage to the next, unless the reader wants no motion.
