@@ -59,7 +59,7 @@ def lines_of(picture: str) -> Sequence[str]:
     for name, lines in (COMMANDS | studies()).items():
         if fnmatch(picture, name):
             return lines
-    return [*(f"cd runs && {line}" for line in cards()[picture]), f"cp runs/{picture} docs/images"]
+    return [*(f"mkdir -p runs && cd runs && {line}" for line in cards()[picture]), f"cp runs/{picture} docs/images"]
 
 
 def main(names: list[str]) -> None:
