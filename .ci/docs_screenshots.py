@@ -2,8 +2,8 @@
 
     python .ci/docs_screenshots.py runs/browser/screenshots
 
-Writes docs/images/inspection-*.webp for every tab of the recording and for both reports, light and dark, and
-docs/images/comparing-policies-*.png.
+Writes docs/images/inspection-*.webp for every tab of the recording and for both reports, light and dark,
+docs/images/comparing-policies-*.png, and docs/images/explorer-light.webp.
 """
 
 from __future__ import annotations
@@ -41,6 +41,8 @@ def name_of(source: Path) -> str | None:
     kind, _, rest = source.stem.partition("-")
     if kind == "compared":
         return f"comparing-policies-{rest}.png"
+    if kind == "explorer":
+        return f"explorer-{rest}.webp"
     if kind not in ("web", "report", "calibration") or rest.endswith(LEFT_OUT):
         return None
     theme, _, tab = rest.partition("-")

@@ -1,0 +1,73 @@
+"""Make pictures of docs/images again: each by the lines of its card in docs/gallery.md, or by a command named here.
+
+Run: python scripts/pictures.py gallery-pick.webp mdh.svg
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shlex
+import subprocess
+import sys
+import tomllib
+from collections.abc import Sequence
+from fnmatch import fnmatch
+from pathlib import Path
+
+import typer
+from measuring import ROOT
+
+BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
+BROWSER = ("make docs", "make test-browser", "python .ci/docs_screenshots.py runs/browser/screenshots")
+COMMANDS: dict[str, Sequence[str]] = {
+    **dict.fromkeys(("comparing-policies-*.png", "explorer-*.webp", "inspection-*.webp"), BROWSER),
+    "conditions-orchard.png": (
+        "pickenv conditions orchard --out runs/conditions",
+        "cp runs/conditions/figures/error_by_condition.png docs/images/conditions-orchard.png",
+    ),
+    "fetch-reach.png": ("python scripts/fetch_reach.py", "cp runs/fetch_reach/success.png docs/images/fetch-reach.png"),
+    "study-grades.png": ("python scripts/studies/tolerance_docs.py",),
+}
+"""Shell lines by picture, where neither a study nor a card leaves a file of the picture's name."""
+
+
+def cards() -> dict[str, list[str]]:
+    """Shell lines of each of the gallery's cards, by its picture; a program becomes an argument of Python."""
+    found: dict[str, list[str]] = {}
+    for card in (ROOT / "docs/gallery.md").read_text(encoding="utf-8").split("\n## ")[1:]:
+        (picture,) = re.findall(r"\(images/([^)]+)\)", card)
+        found[picture] = []
+        for language, text in BLOCK.findall(card):
+            found[picture] += [f"python -c {shlex.quote(text)}"] if language == "python" else text.splitlines()
+    return found
+
+
+def studies() -> dict[str, list[str]]:
+    """The shell line that draws each study's pictures, by picture."""
+    found: dict[str, list[str]] = {}
+    for path in sorted((ROOT / "scripts/studies").glob("*.toml")):
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        names = [*table.get("figures", ()), *(each.get("figure") for each in table.get("estimate", ()))]
+        line = f"pickenv experiment scripts/studies/{path.name} --figures docs/images"
+        found |= {f"{name}.png": [line] for name in names if name}
+    return found
+
+
+def lines_of(picture: str) -> Sequence[str]:
+    """Shell lines that make a picture, run in the repository."""
+    for name, lines in (COMMANDS | studies()).items():
+        if fnmatch(picture, name):
+            return lines
+    return [*(f"mkdir -p runs && cd runs && {line}" for line in cards()[picture]), f"cp runs/{picture} docs/images"]
+
+
+def main(names: list[str]) -> None:
+    """Make pictures."""
+    path = f"{Path(sys.executable).parent}{os.pathsep}{os.environ['PATH']}"
+    for line in (line for name in names for line in lines_of(name)):
+        subprocess.run(line, shell=True, check=True, cwd=ROOT, env=os.environ | {"PATH": path, "MPLBACKEND": "Agg"})
+
+
+if __name__ == "__main__":
+    typer.run(main)
