@@ -98,6 +98,7 @@ lint: $(DEVELOPMENT)
 	$(BIN)/ruff format --check
 	$(BIN)/mypy
 	$(BIN)/codespell
+	$(BIN)/python scripts/words.py
 	$(BIN)/zizmor --offline --quiet .github
 
 format: $(DEVELOPMENT)

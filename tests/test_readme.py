@@ -18,18 +18,6 @@ README = (ROOT / "README.md").read_text(encoding="utf-8")
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 RUN = ("README.md", "docs/commands.md")
 """Pages whose blocks are run, one after the other in one folder; other pages have tests of their own."""
-LONG_WINDED = (
-    "changelog",
-    "findings",
-    "tolerance-studies",
-)
-"""Pages of results, of which some sentences are longer, and one that is made of CHANGELOG."""
-PLAIN = (
-    *("README.md", "CONTRIBUTING.md", "SECURITY.md"),
-    *(f"docs/{page.name}" for page in sorted((ROOT / "docs").glob("*.md")) if page.stem not in LONG_WINDED),
-    *(f"docs/tutorials/{page.name}" for page in sorted((ROOT / "docs/tutorials").glob("*.md"))),
-)
-MOST_WORDS = 35
 LINK = re.compile(r"\]\(([^)\s]+)\)")
 
 ELSEWHERE = {
@@ -130,27 +118,6 @@ def test_the_home_page_says_what_the_readme_says() -> None:
     assert len(shown) == 3 and set(shown) <= set(readme)
     rows = [line for line in home.splitlines() if line.startswith("| ")]
     assert len(rows) == 4 and set(rows) <= set(readme)
-
-
-def sentences(text: str) -> Iterator[str]:
-    """Sentences of a page's prose: no code, tables, pictures or addresses."""
-    text = re.sub(r"^```.*?^```$|<!--.*?-->|^\|.*?$|^#.*?$|!\[[^\]]*\]\([^)]*\)", "\n\n", text, flags=re.M | re.S)
-    text = re.sub(r"\]\([^)]*\)", "]", text)
-    for paragraph in re.split(r"\n\s*\n|^- ", text, flags=re.M):
-        yield from re.split(r"(?<=[.!?])[*_]*\s+", paragraph.strip())
-
-
-@pytest.mark.parametrize("name", PLAIN)
-def test_no_sentence_is_long(name: str) -> None:
-    found = [each for each in sentences(page(name)) if each]
-    assert found
-    assert [each for each in found if len(each.split()) > MOST_WORDS] == []
-
-
-def test_the_measure_of_sentences_sees_a_long_one() -> None:
-    long = "word " * (MOST_WORDS + 1) + "end."
-    seen = list(sentences(f"# Head\n\nShort one. {long} Short.\n\n```sh\n{long}\n```\n| {long} |\n"))
-    assert [len(each.split()) > MOST_WORDS for each in seen if each] == [False, True, False]
 
 
 @pytest.mark.slow

@@ -259,8 +259,8 @@ PAGE_TEXT = f"""# Would the tests notice?
 
 This page says which share of small changes to the code the tests notice.
 
-One operator, number, condition or option is changed in a function that is drawn at random, every function of the
-package as likely as any other. {{counts}} make no difference; of the other {{counted}} the tests notice {{killed}},
+One operator, number, condition or option is changed in a function that is drawn at random. Every function of the
+package is as likely as any other. {{counts}} make no difference; of the other {{counted}} the tests notice {{killed}},
 **{{share}}
 
 A change is tried against the tests that name the function, its module or its room, as many as take {BUDGET:.0f} s.
