@@ -188,7 +188,10 @@ class Table:
         raise InputError(f"{self.where}: row {line}, column '{shortened(name)}' {predicate}; correct or remove the row")
 
     def value(self, expression: str) -> Array:
-        """Values ``(N,)`` of a column or of an expression of columns with + - * / and numbers; `odd names` in backticks."""
+        """Values ``(N,)`` of a column, or of an expression of columns with + - * / and numbers.
+
+        Odd column names stand in backticks in an expression.
+        """
         if expression in self.header:
             return self.column(expression)
         tree, quoted = expression_tree(expression)
