@@ -50,7 +50,7 @@ from pickenv.calibration.pipeline.calibration import Calibration
 NEAR, TURNED = 1e-4, 2e-4
 """Largest distance, m, and angle, rad, between two axes that count as the same; a file's last digits cause as much."""
 LEAST_SHARE = 1e-3
-"""Share of `NEAR` and `TURNED` below which two relations of the chains fit equally well."""
+"""Share of `NEAR` and `TURNED` below which two relations fit equally well: a tenth of a micrometre."""
 
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 POSES = 12
@@ -234,7 +234,7 @@ def _laid(mine: list[_Axis], theirs: list[_Axis]) -> Pose:
 
 
 def _value(last: _Axis, here: _Axis, wanted: _Axis) -> float:
-    """The value of the joint on axis ``last`` that moves axis ``here`` onto ``wanted``; 0 if the axes do not tell it."""
+    """The value of the joint on axis ``last`` that moves axis ``here`` onto ``wanted``; 0 if the axes leave it open."""
     if last.slides:
         if wanted.slides:
             return 0.0
