@@ -432,7 +432,7 @@ def _parameters(geometry: Geometry) -> dict[str, float]:
 
 
 def _table_rows(geometry: Geometry) -> Iterator[tuple[str, int, str, str]]:
-    """Table, row number, joint and parameter of each row to write; parameters have their names in the modified table."""
+    """Table, row number, joint and parameter of each row to write; parameters are named as in the modified table."""
     for table, shift in (("modified", 0), ("standard", 1)):
         for i, joint in enumerate(geometry.link_names):
             for kind in LINK_PARAMETERS:
