@@ -117,7 +117,7 @@ def unit_of(name: str, geometric: tuple[str, ...]) -> tuple[str, float]:
 
 
 def unknowns_in(unit: str, unknowns: Mapping[str, float]) -> dict[str, float]:
-    """The measurements' own unknowns that screens show in this unit, converted to it; numbers of a lens are left out."""
+    """The measurements' own unknowns that screens show in ``unit``, converted to it, without the numbers of a lens."""
     units = {name: unit_of(name, ()) for name in unknowns if name not in LENS_NAMES}
     return {name: unknowns[name] * scale for name, (its_unit, scale) in units.items() if its_unit == unit}
 
