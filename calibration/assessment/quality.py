@@ -250,7 +250,7 @@ class Workspace:
 
     @property
     def reservation(self) -> str | None:
-        """A sentence that says why not to rely on the calibration in the declared workspace; None if there is no reason."""
+        """A sentence on why not to rely on the calibration in the declared workspace; None if nothing is against it."""
         over = self.declared
         if over.calibrated < HARDLY * self.remains:
             return None
