@@ -132,7 +132,7 @@ def travel_seconds(joints: Array, speed: Array) -> float:
 
 
 def short_tour(joints: Array, speed: Array) -> NDArray[np.int64]:
-    """An order of the poses ``(N, n)`` with short travel: the best of nearest-neighbour ways, each improved by 2-opt."""
+    """An order of the poses ``(N, n)`` with short travel: the best of several nearest-neighbour ways after 2-opt."""
     cost = move_seconds(joints, speed)
     ways = [_two_opt(_nearest_neighbours(cost, start), cost) for start in range(min(len(joints), 10))]
     return min(ways, key=lambda way: float(cost[way[:-1], way[1:]].sum()))
@@ -148,7 +148,7 @@ def _nearest_neighbours(cost: Array, start: int) -> NDArray[np.int64]:
 
 
 def _two_opt(way: NDArray[np.int64], cost: Array) -> NDArray[np.int64]:
-    """A way improved by reversing the stretch that saves the most time, until none does; the ends of the way are free."""
+    """The way improved: the stretch whose reversal saves the most time is reversed, until none does; ends are free."""
     count = len(way)
     if count < 3:
         return way
@@ -262,7 +262,7 @@ class PosePlan:
         return (*self.design.names, *self.design.model.names)
 
     def as_dict(self) -> dict[str, Any]:
-        """The plan's figures for JSON; condition and O1 ratio at the top level are those of the arm's own parameters."""
+        """The plan's figures for JSON; condition and O1 ratio at the top level are for the arm's own parameters."""
         figures: dict[str, Any] = {
             "poses": len(self.joints),
             "first_rows": self.first,
