@@ -109,7 +109,7 @@ class PoseUncertainty:
     def within95(
         self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None
     ) -> tuple[Array | None, Array | None]:
-        """Bounds that 95 of 100 errors of position ``(...)``, m, and attitude ``(...)``, rad, keep at joints ``(..., n)``.
+        """Bounds of 95 of 100 errors of position ``(...)``, m, and attitude ``(...)``, rad, at joints ``(..., n)``.
 
         A bound is None if there were too few held-out errors to find it.
         """
@@ -227,7 +227,7 @@ def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None
 
 
 def _quantile(ratio: Array) -> float:
-    """The smallest of the ratios below which lie 95 of 100 of all ratios and one more."""
+    """The smallest ratio that is no smaller than 95 of 100 of all ratios, counting one more than there are."""
     rank = int(np.ceil(SHARE * (len(ratio) + 1)))
     return float(np.sort(ratio)[min(rank, len(ratio)) - 1])
 

@@ -126,7 +126,7 @@ def _misses(first: First, joints: Array) -> Array:
 
 
 def _short_of(first: First, joints: Array) -> Array:
-    """Distance ``(N, k)``, m, of the tool point from where it could be read: a place, or the range of first readings."""
+    """Distance ``(N, k)``, m, of the tool point from where it could be read: a place, or the first readings' range."""
     data, misses = first[0], _misses(first, joints)
     if not isinstance(data, DistanceObservations):
         return misses
