@@ -94,7 +94,7 @@ class Result:
 
     @property
     def has_nominal(self) -> bool:
-        """Whether an arm is calibrated, which has a nominal model; false for finished poses, where only frames are."""
+        """Whether an arm with a nominal model is calibrated; false for finished poses, where only frames are fitted."""
         return self.arm.name != CARRIER
 
     @property

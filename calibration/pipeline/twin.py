@@ -3,7 +3,7 @@
 Geometry and terms come with their covariance; parameters that were dropped lie anywhere in their tolerance. Errors that
 no term describes are a Gaussian process. It is the calibration's own if it learnt one, else it is fitted to the errors
 that geometry and terms leave of the rows, and stands in for the posterior that networks do not have. Errors that are no
-smooth function of the joints are scatter: the instrument's share is subtracted, and the rest is the arm's own. SI units.
+smooth function of the joints are scatter: the instrument's share is subtracted, the rest is the arm's own. SI units.
 """
 
 from __future__ import annotations
@@ -322,7 +322,7 @@ def _field(frequency: Array, mean: Array, offset: Array, inputs: JointInputs, tu
         mean: Mean weights of these waves.
         offset: Constant part of each output.
         inputs: How joints become the process's inputs.
-        turn: Rotation matrix for the axes of the outputs.
+        turn: Rotation matrix from the frame in which the residual was learnt into the arm's own.
     """
     joints = len(inputs.periodic) + int(inputs.periodic.sum())  # conditions come after them, and stay at their mean
     scaled = frequency[:, :joints] / inputs.std[:joints, None]

@@ -122,7 +122,7 @@ def refuse_far(table: Table, description: DescriptionFile) -> None:
 
 
 def refuse_origin(table: Table, description: DescriptionFile) -> None:
-    """Refuse rows at exactly 0, 0, 0, which trackers write when they have lost the reflector; all rows there pass."""
+    """Refuse rows at exactly 0, 0, 0, which trackers write for a lost reflector, unless all rows are there."""
     zero = (table.values(description.columns) == 0).all(axis=1)
     if zero.any() and not zero.all():
         raise InputError(
