@@ -207,7 +207,7 @@ class Board:
 
     @property
     def corners(self) -> Array:
-        """Places of the corners ``(K, 3)``, m: those between squares, row by row, or the four of each tag, clockwise."""
+        """Places of the corners ``(K, 3)``, m: between squares, row by row, or the four of each tag, clockwise."""
         if self.kind != "apriltags":
             x, y = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
             return self.square * np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1).astype(float)
@@ -407,13 +407,13 @@ def corner_std(picture: Grey, corners: Array, least: float, half: int = WINDOW) 
 
 
 def picture_noise(grey: Array) -> float:
-    """Standard deviation of a picture's noise in grey values (Immerkaer 1996), by a median so that edges do not count."""
+    """Standard deviation of a picture's noise in grey values (Immerkaer 1996); a median keeps edges from counting."""
     twice = np.diff(np.diff(grey, 2, axis=0), 2, axis=1)
     return max(float(np.median(np.abs(twice))) / 0.6745 / 6.0, 0.3)  # no less than rounding to whole grey values
 
 
 def _found(board: Board, picture: Grey) -> tuple[NDArray[np.int64], Array]:
-    """The numbers ``(N,)`` of the corners found in a picture, and their places ``(N, 2)``, px; empty if none is found."""
+    """Numbers ``(N,)`` of the corners found in a picture, and their places ``(N, 2)``, px; empty if none is found."""
     cv2 = opencv()
     none = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
     if board.kind == "chessboard":
