@@ -268,7 +268,7 @@ def said_of_conditions(model: ArmModel, learnt: bool, data: Observations) -> Sai
 
 
 PART_OFF = 8.0
-"""Distance of a link from its drawing, in standard deviations of its tolerance class, beyond which it is not of it.
+"""Distance of a link from its drawing, in standard deviations of the tolerance class, beyond which the class is wrong.
 
 Eight measured series of six arms keep below 6.1; a UR5e's rows given as a UR5's have 20.
 """

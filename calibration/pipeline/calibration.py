@@ -204,8 +204,8 @@ def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None
         blocks: The block of each error ``(R,)``; if None, contiguous tenths of the poses.
 
     Returns:
-        "factor", and "covered": the share of errors that keep the bound found without their own block. None if there
-        are too few errors or blocks.
+        The entries "factor" and "covered"; the latter is the share of errors that keep the bound found without their
+        own block. None if there are too few errors or blocks.
     """
     count = len(squares)
     if count < 2 * BLOCKS:

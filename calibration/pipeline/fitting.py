@@ -309,7 +309,7 @@ def held_out_elsewhere(
         count: Number of rows from which these frames are found.
 
     Returns:
-        The errors, and the indices of the rows to which they belong: all but those from which frames were found.
+        The errors, and the indices of the rows to which they belong, which are all but those used to find the frames.
 
     Raises:
         InputError: If there are too few rows.

@@ -280,7 +280,7 @@ def _scaled(first: First, data: Observations, model: ErrorModel, scale: Array) -
 
 
 def _by_pose(first: First, data: Observations, model: ErrorModel, scale: Array) -> Array:
-    """The whitened, scaled Jacobian of each pose by itself ``(N, r, own + P)``, without equations of no row.
+    """The whitened, scaled Jacobian of each pose by itself ``(N, r, own + P)``, with measured rows' equations alone.
 
     At most r = 6 + own: a pose has six components, and the instrument has its own unknowns, so more equations (a
     board's corners) tell no more directions. They are replaced by 6 + own equations that tell the same.

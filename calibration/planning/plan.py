@@ -148,7 +148,7 @@ def _nearest_neighbours(cost: Array, start: int) -> NDArray[np.int64]:
 
 
 def _two_opt(way: NDArray[np.int64], cost: Array) -> NDArray[np.int64]:
-    """The way improved: the stretch whose reversal saves the most time is reversed, until none does; ends are free."""
+    """Shorten a way by reversing the stretch whose reversal saves the most time, until none does; its ends are free."""
     count = len(way)
     if count < 3:
         return way
@@ -218,8 +218,8 @@ class PosePlan:
         criterion: "d-optimal" or "test-poses".
         travel_seconds: Time of the moves in measuring order, joints moving together at the arm's speeds, s.
         random_travel_seconds: Time of the moves in random order, mean of 20 orders, s.
-        predicted_error: RMS position error to expect from the parameters' uncertainty, m; None if there are neither
-            test poses nor priors.
+        predicted_error: RMS position error to expect from the parameters' uncertainty, m; None if there are no test
+            poses, priors or first rows.
         random_predicted_error: The error to expect from as many poses drawn at random, median of 20 sets, m; or None.
         where: Where these errors are taken, in words.
         passes: Rounds of exchange.

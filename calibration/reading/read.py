@@ -143,10 +143,10 @@ def read_observations(
 
 
 def _frames(tables: list[Table]) -> Frames:
-    """Whether files in our own format say that base and tool are "known" or "fitted"; "fitted" if they say nothing.
+    """The word "known" or "fitted" that files in our own format have for base and tool; "fitted" if they have none.
 
     Raises:
-        InputError: If the rows do not all say the same.
+        InputError: If a row has another word, or if the rows do not all have the same one.
     """
     places_of: dict[str, str] = {}
     for table in tables:
