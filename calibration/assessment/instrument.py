@@ -1,7 +1,7 @@
-"""The verdict on the instruments: numbers of theirs that the rows contradict, and lengths that nobody measured.
+"""The verdict on the instruments: stated numbers that the measured rows contradict, and lengths that nobody measured.
 
-A wire whose zero is off by millimetres leaves small misses all the same, for anchor and links take it up; the arm is
-then wrong where nobody looks. So what is said to be known is tried as an unknown once the arm is fitted.
+A wire whose zero is off by millimetres still leaves small misses, because the anchor and the links absorb it; the arm
+is then wrong where nobody looks. So a number that is said to be known is tried as an unknown once the arm is fitted.
 """
 
 from __future__ import annotations
@@ -33,25 +33,29 @@ from pickenv.calibration.model.prior import ANGLES, FRAMES, LENGTHS, TERMS, ZERO
 # interval follows from an assumption that is printed with it. SI units.
 
 DRAWS = 400
-"""Bases and tools drawn."""
+"""Number of bases and tools that are drawn."""
 
 SCALES = (0.2, 1.0)
-"""Distances of base and tool from where the controller has them, one standard deviation per axis, in units of 1 mm
-and 1 mrad: nobody knows it better, so every size between counts alike (on a logarithmic scale)."""
+"""Least and largest assumed distance of base and tool from where the controller has them.
+
+It is one standard deviation per axis, in units of 1 mm and 1 mrad. Nobody knows it better, so every size between counts
+alike (on a logarithmic scale).
+"""
 
 NEAR = 0.05
-"""A fitted base and tool that move the tool by less than this, m, suggest an instrument registered to the base."""
+"""If fitted base and tool move the tool by less than this, m, the instrument is probably registered to the base."""
 
 
 @dataclass(frozen=True)
 class BaseFrameError:
-    """Mean position error in the robot's own base frame, over the poses judged.
+    """Interval of the mean position error in the robot's own base frame, over the judged poses.
 
     Attributes:
-        low: Lower end of its 95 % interval, m; NaN where no position was measured.
-        high: Upper end, m.
-        moved: Mean distance, over the same poses, between the nominal tool with the fitted base and tool and with the
-            controller's own, m. Small where the instrument was registered to the base; then it is the error itself.
+        low: Lower end of the 95 % interval, m; NaN if no position was measured.
+        high: Upper end of the 95 % interval, m.
+        moved: Mean distance over these poses, m, by which the fitted base and tool move the nominal arm's tool from
+            where the controller's own put it. Small if the instrument was registered to the base; then it is the error
+            itself.
         tracked: Whether the instrument states positions in its own frame, which may be the base's.
     """
 
@@ -61,7 +65,7 @@ class BaseFrameError:
     tracked: bool
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON and a calibration's record."""
+        """The interval and its assumptions for JSON and a calibration's record, mm and mrad."""
         return {
             "mean_ci95_mm": None if np.isnan(self.low) else [self.low * 1e3, self.high * 1e3],
             "assumed_std_mm": [scale * LENGTH_TOLERANCE * 1e3 for scale in SCALES],
@@ -79,7 +83,7 @@ class BaseFrameError:
         )
 
     def sentences(self) -> str:
-        """All that is known of it, and on what assumption the interval rests."""
+        """The interval and its assumptions in words."""
         unseen = "base and tool were fitted, so the instrument cannot tell where the robot's base stands"
         if np.isnan(self.low):
             return f"{unseen}, nor where its tool is, for it sees directions and no positions"
@@ -99,13 +103,13 @@ class BaseFrameError:
 def base_frame_error(
     nominal: Geometry, fitted: Geometry, joints: ArrayLike, left: Array, tracked: bool = True
 ) -> BaseFrameError:
-    """The interval of the mean error in the robot's own base frame; the same every time.
+    """The interval of the mean error in the robot's own base frame; equal inputs always give the same one.
 
     Args:
         nominal: The arm as its controller has it.
-        fitted: The same with the fitted base and tool.
-        joints: Poses ``(N, n)``.
-        left: What the calibration leaves at them in the instrument's frame ``(N, 3 or more)``, m.
+        fitted: The nominal arm with the fitted base and tool.
+        joints: Joints of the judged poses ``(N, n)``, rad or m.
+        left: Errors that the calibration leaves at these poses in the instrument's frame ``(N, 3 or more)``, m.
         tracked: Whether the instrument states positions in its own frame.
     """
     joints = np.asarray(joints, dtype=float)
@@ -121,17 +125,23 @@ def base_frame_error(
 
 
 CONTRADICTED = 5.0
-"""A number that lies so many standard deviations from what is said of it is wrong, or something else is."""
+"""Number of standard deviations from its stated value beyond which a fitted number contradicts the statement."""
 
 MATTERS = 0.03
-"""It matters where the rows are missed by so much less without it."""
+"""Share by which the misses must shrink without the stated number for a contradiction to matter."""
 
 LENS_MATTERS = 0.2
-"""A lens has nine numbers, which take up some of anything; it is in doubt where pixels are missed by so much less."""
+"""Share by which a fitted lens must shrink the misses in pixels for the stated lens to be in doubt.
+
+A lens has nine numbers, which always absorb some of the misses.
+"""
 
 
 def with_zeros_fitted(data: Observations) -> Iterator[tuple[str, DistanceObservations, Observations]]:
-    """Each wire's zero that is said to be known: its name as an unknown, the wire, and the data with it unknown."""
+    """For each wire whose zero is said to be known: the zero's name as an unknown, the wire, and the data to fit it.
+
+    In that data, this one zero is unknown.
+    """
     if (
         isinstance(data, DistanceObservations)
         and data.zero_std == data.scale_std == 0.0
@@ -146,12 +156,12 @@ def with_zeros_fitted(data: Observations) -> Iterator[tuple[str, DistanceObserva
 
 
 def said_of_instruments(model: ErrorModel, found: Identification, data: Observations) -> Said:
-    """Findings on the instruments, by weight.
+    """Findings on the instruments, each with its weight.
 
     Args:
-        model: What was identified, without further terms.
+        model: The error model that was identified, without further terms.
         found: The identification.
-        data: What it was made from.
+        data: The data that it was made from.
     """
     for name, wire, free in with_zeros_fitted(data):
         freed = identify(model, found.arm_model, [free])
@@ -194,11 +204,14 @@ def said_of_instruments(model: ErrorModel, found: Identification, data: Observat
 
 
 def set_ups_of(found: Identification, data: Observations) -> list[dict[str, Any]]:
-    """Each set-up of several files: number, files, rows, and its own frames with how far from the first's, mm and deg.
+    """For each set-up its number, its files, its count of rows, and the frames of its own.
+
+    Each such frame (base or tool) comes with its distance, mm and deg, from that of the identified arm, which is the
+    first set-up's. Empty if there is only one file.
 
     Args:
         found: The identification.
-        data: What it was made from.
+        data: The data that it was made from.
     """
     rows: list[dict[str, Any]] = []
     for station in data.stations or (measurements.InstrumentStation(data),):
@@ -217,11 +230,11 @@ def set_ups_of(found: Identification, data: Observations) -> list[dict[str, Any]
 
 
 def set_up_block(set_ups: Sequence[Mapping[str, Any]], asked: str | None) -> Block:
-    """The set-ups for screens.
+    """The set-ups as a table for screens.
 
     Args:
-        set_ups: What `set_ups_of` says.
-        asked: What each file was said to have of its own; None where the rows told it.
+        set_ups: The set-ups as `set_ups_of` gives them.
+        asked: The frames that the caller said each file has of its own; None if the rows told it.
     """
     rows = []
     for set_up in set_ups:
@@ -236,12 +249,12 @@ def set_up_block(set_ups: Sequence[Mapping[str, Any]], asked: str | None) -> Blo
 
 
 def said_of_conditions(model: ArmModel, learnt: bool, data: Observations) -> Said:
-    """A note on payloads, temperatures and torques that were recorded and change nothing that the model predicts.
+    """A note if payloads, temperatures or torques were recorded but change nothing that the model predicts.
 
     Args:
         model: The calibrated arm.
         learnt: Whether a learnt residual takes payload and temperature.
-        data: Rows that it was fitted to.
+        data: The rows that the arm was fitted to.
     """
     recorded = {name: values for name, values in vars(data.conditions).items() if values is not None and len(values)}
     before = model.pose(data.joints, data.conditions) if recorded else None
@@ -264,30 +277,38 @@ def said_of_conditions(model: ArmModel, learnt: bool, data: Observations) -> Sai
 
 
 PART_OFF = 8.0
-"""A link farther from its drawing than so many standard deviations of its class is none of that class. Eight measured
-series of six arms keep below 6.1; a UR5e's rows given as a UR5's have 20."""
+"""Distance of a link from its drawing, in standard deviations of the tolerance class, beyond which the class is wrong.
+
+Eight measured series of six arms keep below 6.1; a UR5e's rows given as a UR5's have 20.
+"""
 
 FRAME_OFF = 1e-5
-"""A frame that is said to be known is off where parts of the class would move the whole arm so far this rarely."""
+"""Chance below which a frame that is said to be known counts as wrong.
+
+It is the chance that parts of the tolerance class move the whole arm as far as the rows say.
+"""
 
 ZEROS_OFF = 10.0
-"""Joints' zeros are set in the field, and may be off by so many times what parts are."""
+"""Factor by which joints' zeros, which are set in the field, may be farther off than parts."""
 
 SURE_BY = 2.0
-"""A link is surely so far where that many of its own standard deviations are taken off."""
+"""Number of its own standard deviations that are taken off a link's change to have what is sure of it."""
 
 ONE_STEP = 0.5
-"""One step at a joint's angle may explain this share of what remains: eight measured series keep below 0.16."""
+"""Largest share of the remaining squares that one step at a joint's value may explain without a caution.
+
+Eight measured series keep below 0.16.
+"""
 
 STEPS = np.linspace(0.1, 0.9, 17)
-"""Quantiles of a joint at which a step is looked for."""
+"""Quantiles of a joint's values at which a step is looked for."""
 
 POSES = 200
-"""Joint vectors over which the arm is moved as a whole."""
+"""Number of random joint vectors over which a motion of the arm as a whole is judged."""
 
 
 def said_against(found: Identification, data: Observations) -> Said:
-    """Cautions on the statements that the rows contradict.
+    """Cautions on statements made before measuring (drawing, frames) that the rows contradict.
 
     Args:
         found: The identification of the geometry.
@@ -318,7 +339,7 @@ def _link(found: Identification, prior: PriorModel) -> Iterator[str]:
 
 
 def _frame(found: Identification, prior: PriorModel, which: str) -> Iterator[str]:
-    """A caution where the arm was moved as a whole, by base or tool, more than arms of the class are."""
+    """A caution if the fit moved the arm as a whole, by ``which`` (base or tool), more than its tolerances allow."""
     geometry, links = found.geometry, prior.group != TERMS
     columns = prior.parameters.columns[links]
     joints = measurements.random_joints(geometry, POSES, np.random.default_rng(0))
@@ -336,7 +357,7 @@ def _frame(found: Identification, prior: PriorModel, which: str) -> Iterator[str
 
 
 def _region(found: Identification, data: Observations) -> Iterator[str]:
-    """Whether one step at a joint's angle explains most of what remains."""
+    """A caution if one step at a joint's value explains most of what remains."""
     if len(data.joints) < len(STEPS) or data.poses is None:
         return
     misses = data.misses(found.arm_model, unknowns_of(found, data))
@@ -352,7 +373,7 @@ def _region(found: Identification, data: Observations) -> Iterator[str]:
 
 
 def _step(values: Array, misses: Array) -> tuple[float, float, float]:
-    """Largest share of the misses' squares that one step explains, where it is, and its size, m."""
+    """Largest share of the misses' squares that one step explains, the joint's value at the step, and its size, m."""
     best = (0.0, 0.0, 0.0)
     for at in np.quantile(values, STEPS).tolist():
         above = values > at

@@ -16,12 +16,15 @@ from pickenv.arm import Array
 from pickenv.base import Ends, mean_interval, statistic_interval
 
 LEAST_ROWS = 20
-"""Fewest single errors for an interval of their mean: with ten, errors as arms leave them are covered in 92 %."""
+"""Fewest single errors for an interval of their mean: with ten, such errors of arms are covered in only 92 %."""
 
 MOST_APART = 0.4
-"""Standard deviation, between blocks, of the logarithm of the root mean square, above which one block outweighs the
-others: then ten of them bound no root mean square (covered in less than 93 %). What calibrations of measured robots
-leave differs by 0.03 to 0.23."""
+"""Largest spread between blocks for which an interval of the root mean square is given.
+
+It is the standard deviation of the logarithm of the blocks' root mean squares. Above it one block outweighs the others,
+and ten blocks do not bound the root mean square (covered in less than 93 %). The errors that calibrations of measured
+robots leave differ by 0.03 to 0.23.
+"""
 
 
 @dataclass(frozen=True)
@@ -30,14 +33,15 @@ class ErrorStatistics:
 
     Attributes:
         mean: Mean norm.
-        mean_ci95: 95 % interval of the mean, over errors or over blocks of them; None where there are too few.
+        mean_ci95: 95 % interval of the mean, from single errors or from blocks of them; None if there are too few.
         rms: Root mean square of the norm.
-        rms_ci95: 95 % interval of the root mean square between blocks; None where rows are no blocks.
+        rms_ci95: 95 % interval of the root mean square, from blocks; None without blocks, with too few, or if they
+            differ too much.
         std: Standard deviation of the norm.
-        p95: 95th percentile.
-        max: Largest.
-        axis_rms: RMS of each component.
-        count: N.
+        p95: 95th percentile of the norm.
+        max: Largest norm.
+        axis_rms: Root mean square of each component.
+        count: Number of errors N.
     """
 
     mean: float
@@ -51,7 +55,7 @@ class ErrorStatistics:
     count: int
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """The statistics by name, for JSON."""
         return asdict(self)
 
 
@@ -60,8 +64,8 @@ def error_statistics(errors: ArrayLike, blocks: ArrayLike | None = None) -> Erro
 
     Args:
         errors: The errors.
-        blocks: Number of the block that each error belongs to ``(N,)``, where errors of one block are alike; then the
-            interval is one between blocks.
+        blocks: Number of the block that each error belongs to ``(N,)``, if errors of one block are alike; the
+            intervals then come from the differences between blocks.
 
     Raises:
         ValueError: If there are no errors or some are not finite.
@@ -85,15 +89,15 @@ def error_statistics(errors: ArrayLike, blocks: ArrayLike | None = None) -> Erro
 
 
 def block_interval(values: ArrayLike, blocks: ArrayLike, *, rms: bool = False) -> Ends | None:
-    """95 % interval of the mean of values ``(N,)``, between blocks ``(N,)``; None with fewer than ten of them.
+    """95 % interval of the mean of values, from differences between blocks; None with fewer than ten blocks.
 
-    Neighbouring blocks may be alike: of blocks of equal size it is `ordered_interval` of their means.
+    Neighbouring blocks may be alike: for blocks of equal size it is the `ordered_interval` of their means.
 
     Args:
-        values: The values.
-        blocks: The block of each.
-        rms: For the root mean square instead; its logarithm is less skewed, so the interval is that of the logarithm.
-            None where blocks differ by more than `MOST_APART`.
+        values: The values ``(N,)``.
+        blocks: The block of each value ``(N,)``.
+        rms: Whether to give the interval of the root mean square instead of the mean. It is taken of its logarithm,
+            which is less skewed, and is None if blocks differ by more than `MOST_APART`.
     """
     which = np.unique(np.asarray(blocks), return_inverse=True)[1]
     summed = np.asarray(values, dtype=float) ** (2 if rms else 1)
@@ -107,7 +111,10 @@ def block_interval(values: ArrayLike, blocks: ArrayLike, *, rms: bool = False) -
 
 
 def held_out_r2(truth: ArrayLike, predicted: ArrayLike) -> Array:
-    """Coefficient of determination of each column on held-out rows ``(N, k)``; 1 is perfect, 0 is the mean."""
+    """Coefficient of determination ``(k,)`` of each column of held-out rows ``(N, k)``.
+
+    1 is a perfect prediction; 0 is as good as the mean of the true values.
+    """
     truth, predicted = np.asarray(truth, dtype=float), np.asarray(predicted, dtype=float)
     unexplained = np.sum((truth - predicted) ** 2, axis=0)
     return np.asarray(1.0 - unexplained / np.sum((truth - truth.mean(axis=0)) ** 2, axis=0))

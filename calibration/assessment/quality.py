@@ -1,4 +1,4 @@
-"""Is this calibration good? Verdict first, then what it rests on: errors per degree of freedom, rank, condition, chi^2.
+"""Is this calibration good? The verdict, and what it rests on: errors per degree of freedom, rank, condition, chi^2.
 
 The chi^2 test asks whether the model is complete for the stated noise (s^2 = r^T W r / (N - p) against 1). Units: mm
 and degrees on screens, SI inside.
@@ -28,32 +28,32 @@ from pickenv.calibration.model.observations import MISS_UNITS, Rows, equally_spa
 from pickenv.calibration.model.prior import FRAMES
 
 CORRELATED = 0.9
-"""Parameters whose estimates correlate more than this are hard to tell apart."""
+"""Correlation of two parameters' estimates above which they are hard to tell apart."""
 
 OPTIMISTIC = 1.5
-"""Held-out errors above this many times the training errors: the fit does not carry over."""
+"""Ratio of held-out errors to training errors above which the fit does not carry over to other poses."""
 
 SMALL_SHARE = 0.01
-"""Part of a combination that a reader need not see."""
+"""Coefficient in a combination of parameters below which a reader need not see it."""
 
 SIGNIFICANCE = 0.05
 """Level of the chi^2 test."""
 
 SAME = 1e-9
-"""Gains are all equal where they vary by no more than this part of the largest: by roundings."""
+"""Variation of gains, as a share of the largest, up to which they count as equal: only rounding makes them differ."""
 
 ALIKE = 1.2
-"""Errors that differ by less than this factor are alike."""
+"""Ratio of two errors below which they count as alike."""
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 MANY_NOISES = 20.0
-"""Residuals above this many times the stated noise show that something else than noise is at work."""
+"""Ratio of residuals to the stated noise above which something else than noise must be at work."""
 
 NOT_CONVERGED = "the identification did not converge, so its parameters mean nothing"
 
 ENOUGH, SEVERAL = 3, 10
-"""Fewer held-out rows than the first judge nothing, and fewer than the second contradict nothing."""
+"""Least numbers of held-out rows that can judge a calibration, and that can contradict what all rows together say."""
 
 Grade = Literal["good", "with care", "do not use"]
 
@@ -66,8 +66,8 @@ class Completeness:
         chi_square: Sum of squared residuals in stated standard uncertainties.
         degrees_of_freedom: Equations minus parameters.
         p_value: Chance of a chi^2 this large if the model were complete and the noise as stated.
-        p_small: Chance of a chi^2 this small.
-        noise: What the noise is called: stated, or assumed where the files state none.
+        p_small: Chance of a chi^2 this small if the model were complete and the noise as stated.
+        noise: Name of the noise in sentences: stated, or assumed if the files state none.
     """
 
     chi_square: float
@@ -83,7 +83,7 @@ class Completeness:
 
     @property
     def complete(self) -> bool:
-        """Whether nothing beyond the stated noise is left."""
+        """Whether the residuals are no larger than the stated noise explains, at the level `SIGNIFICANCE`."""
         return self.p_value >= SIGNIFICANCE
 
     def sentence(self) -> str:
@@ -118,9 +118,9 @@ def correlated_pairs(found: Identification, limit: float = CORRELATED) -> tuple[
 
 
 def base_combinations(found: Identifiability) -> dict[str, str]:
-    """The combination that each kept parameter stands for: its own deviation and those of dropped ones that it absorbs.
+    """For each kept parameter, the combination that it stands for: itself plus the dropped parameters that it absorbs.
 
-    Coefficients between lengths and angles are in mm/deg or deg/mm; shares below `SMALL_SHARE` are left out.
+    Coefficients between lengths and angles are in mm/deg or deg/mm; others below `SMALL_SHARE` are left out.
     """
     texts = {name: name for name in found.kept_names}
     for dropped, absorbed in found.dropped.items():
@@ -141,14 +141,15 @@ def _coefficient(share: float, kept: str, dropped: str) -> str:
 
 
 def axis_errors(errors: Array, unit: str = "mm") -> dict[str, tuple[float, float, float, float]]:
-    """Statistics of pose errors ``(N, 6)``, position errors ``(N, 3)`` or lengths' ``(N, 1)`` per degree of freedom.
+    """Statistics of errors for each degree of freedom.
 
     Args:
-        errors: m and rad.
-        unit: "deg" where they are misses of directions ``(N, 1 to 3)``, rad.
+        errors: Errors of poses ``(N, 6)``, m and rad, of positions ``(N, 3)`` or of lengths ``(N, 1)``, m.
+        unit: "deg" if ``errors`` are misses of directions ``(N, 1 to 3)``, rad.
 
     Returns:
-        By axis with its unit, as "x (mm)": signed mean (bias), standard deviation, root mean square and largest size.
+        Signed mean (bias), standard deviation, root mean square and largest size, by the name of the axis with its
+        unit, such as "x (mm)".
     """
     axes: tuple[str, ...] = AXES if errors.shape[1] > 1 else ("length",)
     if unit == "deg":
@@ -170,19 +171,19 @@ def axis_errors(errors: Array, unit: str = "mm") -> dict[str, tuple[float, float
 
 
 POSES = 400
-"""Poses at most that stand for a region."""
+"""Largest number of poses that stand for a region."""
 
 DRAWS = 400
-"""Arms drawn from the posterior."""
+"""Number of arms that are drawn from the posterior."""
 
 SURE = 0.95
-"""So many of these arms must be nearer to the calibration than to the drawing, for a gain to be certain."""
+"""Share of these arms that must be nearer to the calibration than to the drawing for a gain to be certain."""
 
 HARDLY = 0.5
-"""Errors of geometry below this share of what one reach errs by hardly matter, told or not."""
+"""Geometry's share of the error of one reach below which it hardly matters, whether the rows tell it or not."""
 
 LITTLE = 0.2
-"""A posterior that is narrower than the prior by less than this share tells nothing new there."""
+"""Share by which the posterior must be narrower than the prior; with less, the rows tell nothing new there."""
 
 
 @dataclass(frozen=True)
@@ -190,13 +191,13 @@ class RegionError:
     """Expected errors of an arm over one region, RMS of the tool's position, m.
 
     Attributes:
-        region: Its name.
-        calibrated: Of the calibrated arm.
-        calibrated_ends: 95 % interval over arms that the rows allow.
-        nominal: Of the arm as drawn.
-        nominal_ends: Likewise.
-        expected: What arms of the tolerance class err by there before anything was measured.
-        better: Share of the arms that are nearer to the calibration than to the drawing.
+        region: Name of the region.
+        calibrated: Expected error of the calibrated arm.
+        calibrated_ends: 95 % interval of the calibrated arm's error, over arms that the rows allow.
+        nominal: Expected error of the arm as drawn.
+        nominal_ends: 95 % interval of the drawn arm's error, over arms that the rows allow.
+        expected: Expected error of arms of the tolerance class before anything was measured.
+        better: Share of the arms that the rows allow that are nearer to the calibration than to the drawing.
     """
 
     region: str
@@ -209,7 +210,7 @@ class RegionError:
 
     @property
     def narrowed(self) -> float:
-        """The share by which less is expected than before measuring, 0 to 1."""
+        """Share by which the expected error is smaller than before measuring, 0 to 1."""
         return float(np.clip(1.0 - self.calibrated / max(self.expected, 1e-300), 0.0, 1.0))
 
     @property
@@ -218,7 +219,7 @@ class RegionError:
         return 1.0 - self.calibrated / max(self.nominal, 1e-300)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON and a calibration's record."""
+        """The expected errors for JSON and a calibration's record, mm."""
         mm = {"calibrated_rms_mm": self.calibrated, "nominal_rms_mm": self.nominal, "prior_rms_mm": self.expected}
         ends = {"calibrated_ci95_mm": self.calibrated_ends, "nominal_ci95_mm": self.nominal_ends}
         return {
@@ -236,10 +237,10 @@ class Workspace:
     """Expected errors where rows were measured, and where the arm will work.
 
     Attributes:
-        measured: At the rows' own joints.
-        declared: Over the declared workspace.
+        measured: Expected errors at the joints of the measured rows.
+        declared: Expected errors over the declared workspace.
         thin: Names of joints whose measured range covers less than half of the declared one.
-        remains: RMS error on held-out rows, m: what one reach errs by, whatever geometry says.
+        remains: RMS error on held-out rows, m: the error of one reach, which geometry is only a part of.
     """
 
     measured: RegionError
@@ -249,7 +250,7 @@ class Workspace:
 
     @property
     def reservation(self) -> str | None:
-        """A sentence against using the calibration there; None where nothing stands against it."""
+        """A sentence on why not to rely on the calibration in the declared workspace; None if nothing is against it."""
         over = self.declared
         if over.calibrated < HARDLY * self.remains:
             return None
@@ -270,7 +271,7 @@ class Workspace:
         return None
 
     def block(self) -> Block:
-        """For screens."""
+        """The expected errors as a table for screens."""
         rows = []
         for region in (self.measured, self.declared):
             sizes = (
@@ -283,7 +284,7 @@ class Workspace:
         return Block("Expected errors of the tool", heads, tuple(rows), note)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON and a calibration's record."""
+        """Both regions' expected errors and the reservation, for JSON and a calibration's record."""
         return {
             "measured": self.measured.as_dict(),
             "declared": self.declared.as_dict(),
@@ -299,14 +300,16 @@ def workspace_error(
     region: str = "the joint limits",
     remains: float = 0.0,
 ) -> Workspace | None:
-    """Expected errors over the rows' joints and over a workspace; the same every time.
+    """Expected errors at the measured joints and over a workspace; None if the parameters have no priors.
+
+    Equal inputs always give the same result.
 
     Args:
-        solution: The fit, whose parameters have priors; else None is returned, for then the rows alone speak.
-        nominal: The drawing, with base and tool as aligned where they were fitted.
-        rows: Joints measured ``(N, n)``, rad or m.
-        joints: Joints of the workspace ``(M, n)``.
-        region: What the workspace is called.
+        solution: The fit, whose parameters have priors.
+        nominal: The drawing, with base and tool aligned to the rows if they were fitted.
+        rows: Measured joints ``(N, n)``, rad or m.
+        joints: Joints of the workspace ``(M, n)``, rad or m.
+        region: Name of the workspace.
         remains: RMS error on held-out rows, m.
     """
     if solution.prior is None or not solution.prior.proper:
@@ -326,7 +329,7 @@ def workspace_error(
 
 
 def _region(region: str, solution: Identification, nominal: Geometry, joints: Array) -> RegionError:
-    """Expected errors over joints ``(M, n)``; terms stay out, for they stand on conditions that nobody knows there."""
+    """Expected errors over joints ``(M, n)``, without terms: the conditions that they depend on are unknown there."""
     prior, bare = solution.prior, ArmModel.of(solution.geometry)
     assert prior is not None
     names = solution.identifiability.kept_names
@@ -371,12 +374,12 @@ class Quality:
 
     Attributes:
         grade: The verdict.
-        reason: The one thing that it rests on most, in one clause.
-        findings: All that a reader must know, the gravest first: "fail" (do not use it), "caution" (know this before
-            use) or "note", and a sentence.
-        observability: Indices of the kept geometric parameters on the training poses, by name.
+        reason: The main reason for the grade, in one clause.
+        findings: Everything that a reader must know, the gravest first, each as a weight and a sentence. The weight is
+            "fail" (do not use it), "caution" (know this before use) or "note".
+        observability: Observability indices of the kept geometric parameters on the training poses, by name.
         completeness: The chi^2 test.
-        pairs: Correlated parameters.
+        pairs: Pairs of correlated parameters, with their correlation.
         workspace: Expected errors where rows were measured and where the arm will work; None without priors.
     """
 
@@ -390,7 +393,7 @@ class Quality:
 
     @property
     def others(self) -> tuple[tuple[Weight, str], ...]:
-        """The findings that the reason does not say already."""
+        """The findings other than the one that is the reason."""
         return tuple((weight, text) for weight, text in self.findings if text != self.reason)
 
     def verdict(self) -> str:
@@ -398,7 +401,7 @@ class Quality:
         return f"{self.grade}: {self.reason}"
 
     def as_dict(self) -> dict[str, Any]:
-        """The verdict for JSON, and for a calibration's record."""
+        """Grade, reason and findings for JSON and a calibration's record."""
         findings = [{"weight": weight, "text": text} for weight, text in self.findings]
         return {"grade": self.grade, "reason": self.reason, "findings": findings}
 
@@ -422,21 +425,20 @@ def grade_quality(
 
     Args:
         found: The identification.
-        trained: Errors left on the rows it was fitted to, without a learnt residual, ``(N, 6)``, ``(N, 3)`` or
-            ``(N, 1)``, m and rad.
+        trained: Errors left on the fitted rows, without a learnt residual, ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and
+            rad.
         before: Held-out errors of the nominal arm with base and tool fitted (unless known), ``(M, 6)`` or narrower;
-            None where nothing of an arm is calibrated (finished poses).
-        after: Held-out errors of the calibrated arm.
+            None if no arm is calibrated (finished poses).
+        after: Held-out errors of the calibrated arm, in the form of ``before``.
         workspace: Expected errors where the arm will work.
-        geometric: The identification without further terms, whose parameters' condition is stated; ``found`` if there
-            are none.
-        parametric: Held-out errors without a learnt residual, which are set against ``trained``; ``after`` if there is
-            none.
-        noise: What the instrument's noise is called.
-        blocks: The block, or row, of each held-out error ``(M,)``, where errors of one are alike.
-        said: What else a reader must know, by weight.
-        unit: What errors are shown in: "mm", or "deg" where they are angles, rad.
-        rows: How many rows were held out and what they are called; one for each error when left out.
+        geometric: The identification without further terms, whose parameters' condition is stated; ``found`` if left
+            out.
+        parametric: Held-out errors without a learnt residual, to be compared with ``trained``; ``after`` if left out.
+        noise: Name of the instrument's noise in sentences.
+        blocks: The block or row of each held-out error ``(M,)``, if errors within one are alike.
+        said: Further findings, each a weight and a sentence.
+        unit: The unit in which errors are shown: "mm", or "deg" if they are angles, rad.
+        rows: Number of held-out rows, and what they are called; if left out, "rows", one for each error.
     """
     count, called = rows or (len(after), "rows")
     bare = geometric or found
@@ -504,13 +506,13 @@ def no_gain(
     """Reasons why held-out rows do not show that the calibrated arm is better than the nominal one.
 
     Args:
-        before: Errors of the nominal arm ``(M, 3 or more)``, m or rad; None where there is none.
-        after: Errors of the calibrated arm.
-        blocks: The block, or row, of each error.
-        unit: What they are shown in.
-        count: How many rows were held out.
-        called: What they are called.
-        because: The cause, as the sentence goes on.
+        before: Errors of the nominal arm ``(M, 3 or more)``, m or rad; None if no arm is calibrated.
+        after: Errors of the calibrated arm ``(M, 3 or more)``, m or rad.
+        blocks: The block or row of each error ``(M,)``, if errors within one are alike.
+        unit: The unit in which errors are shown, "mm" or "deg".
+        count: Number of held-out rows.
+        called: What these rows are called, in the plural.
+        because: The cause, to be added to the sentence; may be empty.
     """
     if count < ENOUGH:
         few = f"1 {called[:-1]} was" if count == 1 else f"{count} {called} were"
@@ -527,18 +529,21 @@ def no_gain(
 
 
 def _undecided(before: Array, after: Array, blocks: Rows | None) -> bool:
-    """Whether held-out rows do not show that the calibrated arm is the better one."""
+    """Whether held-out rows leave open which arm is better: true unless the calibrated arm is significantly better."""
     return _rms(after, "mm") >= _rms(before, "mm") or _chance(before, after, blocks) > SIGNIFICANCE
 
 
 def _told(before: Array, after: Array, workspace: Workspace | None, blocks: Rows | None, count: int) -> bool:
-    """Whether all rows together say so at the poses measured, and several held out do not contradict it."""
+    """Whether all rows together say that the calibrated arm is better at the measured poses, uncontradicted.
+
+    At least `SEVERAL` rows must be held out, and they must not show the contrary.
+    """
     sure = workspace is not None and workspace.measured.better >= SURE and count >= SEVERAL
     return sure and _chance(after, before, blocks) > SIGNIFICANCE
 
 
 def _cause(found: Identification, before: Array, after: Array, unlearnt: Array, unit: str) -> str:
-    """The reason why a calibration gains nothing, and what to do."""
+    """The likely reason why a calibration gains nothing, and what to do about it."""
     was, now, plain = (_rms(errors, unit) for errors in (before, after, unlearnt))
     if found.arm_model.terms and plain > was:
         return "the further terms do not carry over to rows held out; give `terms='none'`"
@@ -552,7 +557,10 @@ def _cause(found: Identification, before: Array, after: Array, unlearnt: Array, 
 
 
 def _chance(before: Array, after: Array, blocks: Rows | None) -> float:
-    """Chance of a gain this large if the calibration changed nothing: one-sided paired t test by pose, or by block."""
+    """Chance of a gain from ``before`` to ``after`` as large as this if nothing changed.
+
+    It is that of a one-sided paired t test over poses, or over blocks if they are given.
+    """
     gain = np.linalg.norm(before[:, :3], axis=1) - np.linalg.norm(after[:, :3], axis=1)
     if blocks is not None:
         which = np.unique(blocks, return_inverse=True)[1]

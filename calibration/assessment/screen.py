@@ -1,4 +1,4 @@
-"""Results on screens: four significant digits, units, and tables of text that terminal and page share."""
+"""Results as screens show them: four significant digits, units, and tables of text that terminal and page share."""
 
 from __future__ import annotations
 
@@ -20,11 +20,14 @@ from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import LENS_NAMES
 
 NARROW = 10
-"""Characters that a column of words has at least."""
+"""Least width in characters of a column of words."""
 
 LENGTHS_OF_KINDS = ("reflector", "anchor", "socket", "point", "tip", "edge", "plane_offset", "zero")
 NUMBERS_OF_KINDS = ("scale", "normal", "along", "axis", "down")
-"""Beginnings of the names of measurements' own unknowns: lengths, and numbers without a unit (directions, scales)."""
+"""Beginnings of the names of measurements' own unknowns that are numbers without a unit: directions and scales.
+
+`LENGTHS_OF_KINDS` has the beginnings of those that are lengths.
+"""
 
 
 def figure(value: float | None) -> str:
@@ -43,7 +46,7 @@ def error_cells(errors: ErrorStatistics) -> tuple[str, ...]:
 
 
 def is_number(cell: str) -> bool:
-    """Whether a table's cell is a number, which stands to the right."""
+    """Whether a table's cell is a number, and so is aligned to the right."""
     return cell[:1] in tuple("+-0123456789")
 
 
@@ -52,11 +55,11 @@ class Block:
     """A titled table of text, as terminal and page show it.
 
     Attributes:
-        title: What it is about.
+        title: The table's title.
         header: Column titles with units; empty for plain lines.
-        rows: Cells.
-        note: What a reader must know of it, or empty.
-        key: What programs call it by.
+        rows: The cells of each row.
+        note: What a reader must know about the table, or empty.
+        key: The table's name in programs.
     """
 
     title: str
@@ -66,7 +69,10 @@ class Block:
     key: str = ""
 
     def text(self) -> str:
-        """For the terminal, whose lines it fits: heads and words are broken, and what is still too wide is parted."""
+        """The table as text for the terminal.
+
+        To fit the terminal's width, heads and words are broken over lines; a table still too wide is split in several.
+        """
         width = screen_width()
         return "\n".join(folded(self.title + (f": {self.note}" if self.note else ""), width) + self._lines(width))
 
@@ -91,12 +97,12 @@ class Block:
 
 
 def over(sizes: Sequence[int], width: int) -> int:
-    """By how many characters columns of these sizes, each with two before it, are wider than a line."""
+    """Number of characters by which columns of these sizes, each after two spaces, are wider than a line."""
     return sum(sizes) + 2 * len(sizes) - width
 
 
 def unit_of(name: str, geometric: tuple[str, ...]) -> tuple[str, float]:
-    """Unit of a parameter on screens, and the factor from SI; coefficients of effects stay in SI."""
+    """Unit in which screens show a parameter, and the factor to it from SI; coefficients of effects stay in SI."""
     if name in geometric or name.startswith(("base", "tool")):
         return screen_unit(not is_angle(name))
     if name.startswith(LENGTHS_OF_KINDS):
@@ -109,7 +115,7 @@ def unit_of(name: str, geometric: tuple[str, ...]) -> tuple[str, float]:
 
 
 def unknowns_in(unit: str, unknowns: Mapping[str, float]) -> dict[str, float]:
-    """Those of the measurements' own unknowns that have this unit on screens, in it; no numbers of a lens."""
+    """The measurements' own unknowns that screens show in ``unit``, converted to it, without the numbers of a lens."""
     units = {name: unit_of(name, ()) for name in unknowns if name not in LENS_NAMES}
     return {name: unknowns[name] * scale for name, (its_unit, scale) in units.items() if its_unit == unit}
 
@@ -121,11 +127,11 @@ OWN = (
     "they belong to this unit and this session: another robot of the same model, or this one after a repair or in "
     "another set-up, needs its own"
 )
-"""A warning: on a measured arm those of one session made another session worse."""
+"""A warning about harmonics: on a measured arm, the harmonics of one session made another session worse."""
 
 
 def harmonic_rows(found: Identification) -> list[dict[str, Any]]:
-    """The identified harmonics for JSON, the largest first; amplitudes in degrees or mm, 1 sigma beside."""
+    """The identified harmonics for JSON, the largest first; orders and amplitudes (deg or mm) come with 1 sigma."""
     geometry, rows = found.geometry, []
     for joint, order, order_std, amplitude, amplitude_std in harmonics_of(found):
         unit, scale = screen_unit(geometry.prismatic[joint])
@@ -144,7 +150,7 @@ def harmonic_rows(found: Identification) -> list[dict[str, Any]]:
 
 
 def harmonic_block(rows: Sequence[Mapping[str, Any]]) -> Block:
-    """`harmonic_rows` as a table."""
+    """The rows of `harmonic_rows` as a table."""
     header = ("joint", "order (cycles per turn)", "± 1 sigma", "amplitude", "± 1 sigma", "unit")
     cells = []
     for row in rows:
@@ -158,7 +164,7 @@ def harmonic_block(rows: Sequence[Mapping[str, Any]]) -> Block:
 
 
 TOLD = 2.0
-"""A compliance below so many of its standard uncertainties gives no stiffness, only what it is at least."""
+"""Number of its standard uncertainties above which a compliance gives a stiffness, and not only a lower bound of it."""
 
 NOTE = (
     "from torques; where none are known, as at a target, those of the arm's own weight are taken, which were fitted to "
@@ -167,11 +173,13 @@ NOTE = (
 
 
 def stiffness_rows(found: Identification, data: Observations) -> list[dict[str, Any]]:
-    """The identified stiffnesses for JSON, joint by joint; N*m/rad and N*m, or N/m and N, 1 sigma beside.
+    """The identified stiffnesses for JSON, joint by joint, with 1 sigma and, if torques were measured, their RMS.
+
+    Stiffnesses and torques are in N*m/rad and N*m for revolute joints, in N/m and N for prismatic ones.
 
     Args:
         found: The identification.
-        data: The rows it was fitted to.
+        data: The rows that it was fitted to.
     """
     model, rows = found.arm_model, []
     geometry = model.geometry
@@ -202,7 +210,7 @@ def stiffness_rows(found: Identification, data: Observations) -> list[dict[str, 
 
 
 def stiffness_block(rows: Sequence[Mapping[str, Any]]) -> Block:
-    """`stiffness_rows` as a table."""
+    """The rows of `stiffness_rows` as a table."""
     header = ("joint", "stiffness", "± 1 sigma", "unit", "torques, RMS", "of these left")
     cells = []
     for row in rows:

@@ -1,7 +1,7 @@
-"""Printed boards: which there are, where their corners lie, how they look, and their page at true scale.
+"""Printed boards: their kinds, the places of their corners, their pictures, and a page to print at true scale.
 
-A board is a TOML table. Corners lie in the board's plane z = 0, x along its columns and y along its rows, from the
-upper left, in m, as OpenCV numbers them. Only what finds or draws markers needs OpenCV (extra ``pickenv[camera]``).
+A board is a TOML table. Its corners lie in the plane z = 0 and are numbered as in OpenCV; from the upper left, x counts
+along the columns and y along the rows, m. Only finding or drawing markers needs OpenCV (extra ``pickenv[camera]``).
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ from pickenv.calibration.model.pixels import Lens
 MATRIX = ("camera_matrix", "cameraMatrix", "K")
 DISTORTION = ("distortion_coefficients", "distCoeffs", "D")
 MODELS = ("plumb_bob", "opencv5")
-"""Names of the distortion of `pickenv.calibration.model.pixels` in ROS."""
+"""Names in ROS of the distortion model that `pickenv.calibration.model.pixels` has."""
 COEFFICIENTS = 5
 
 
@@ -46,7 +46,7 @@ def read_lens(path: str | Path) -> Lens:
     """Read a lens from a ROS camera_info file or an OpenCV file (.yaml, .yml).
 
     Raises:
-        InputError: If the file is missing, is neither, or has another kind of distortion.
+        InputError: If the file is missing, is of neither kind, or has another kind of distortion.
     """
     path = Path(path)
     if not is_file(path):
@@ -75,7 +75,7 @@ def read_lens(path: str | Path) -> Lens:
 
 
 def write_lens(lens: Lens, path: str | Path) -> Path:
-    """Write a lens as ROS camera_info YAML, whole or not at all; all digits are kept."""
+    """Write a lens as ROS camera_info YAML with all digits; the file is written whole or not at all."""
     import yaml
 
     fx, fy, cx, cy, *distortion = (float(value) for value in lens.values)
@@ -96,11 +96,11 @@ def write_lens(lens: Lens, path: str | Path) -> Path:
 
 
 def _content(text: str, path: Path) -> Any:
-    """Content of a YAML text, OpenCV's matrices among it."""
+    """Content of a YAML text, which may contain OpenCV's matrices."""
     import yaml  # late: a camera file is read once
 
     class Loader(yaml.SafeLoader):
-        """A safe loader, with one harmless tag more."""
+        """A safe YAML loader that also knows the tag of OpenCV's matrices."""
 
     def matrix(loader: yaml.SafeLoader, node: yaml.MappingNode) -> Any:
         return loader.construct_mapping(node, deep=True)
@@ -115,7 +115,7 @@ def _content(text: str, path: Path) -> Any:
 
 
 def _numbers(path: Path, found: dict[str, Any], names: tuple[str, ...]) -> Array:
-    """The numbers of a matrix under one of its names."""
+    """The numbers of a matrix, flat, found under the first of ``names`` that the file has."""
     entry = next((found[name] for name in names if name in found), None)
     values = entry.get("data") if isinstance(entry, dict) else entry
     try:
@@ -147,16 +147,16 @@ DICTIONARIES: Mapping[str, str] = MappingProxyType(
         "apriltag_36h11": "DICT_APRILTAG_36h11",
     }
 )
-"""Markers by name, and OpenCV's name for them."""
+"""Dictionaries of markers by name, and OpenCV's name for each."""
 
 SHIPPED = Path(__file__).parent / "shipped_boards"
 
 PIXELS_PER_SQUARE = 120
-"""Of a board's picture; its page is drawn from it without smoothing, so that edges stay where they are."""
+"""Pixels per square in a board's picture; the page is drawn from it without smoothing, so edges stay in place."""
 
 
 def one_of(names: Iterable[str]) -> Check:
-    """A check that a value is among these."""
+    """A check that a value is one of ``names``."""
     allowed = tuple(names)
     return Check(allowed.__contains__, f"one of {', '.join(allowed)}")
 
@@ -170,13 +170,14 @@ class Board:
 
     Attributes:
         kind: One of `KINDS_OF_BOARD`.
-        columns: Squares, or tags, along x.
-        rows: Along y.
-        square: Side of a square, or of a tag, m.
+        columns: Number of squares or tags along x.
+        rows: Number of squares or tags along y.
+        square: Side of a square or of a tag, m.
         marker: Side of a ChArUco board's markers, m.
-        gap: Between two tags, m.
-        dictionary: Which markers, a key of `DICTIONARIES`.
-        legacy: ChArUco boards of OpenCV before 4.6, which begin with another colour where rows are even.
+        gap: Gap between two tags, m.
+        dictionary: Dictionary of the markers, a key of `DICTIONARIES`.
+        legacy: Whether a ChArUco board is of OpenCV before 4.6; such boards begin with the other colour if the number
+            of rows is even.
     """
 
     _: KW_ONLY
@@ -206,7 +207,7 @@ class Board:
 
     @property
     def corners(self) -> Array:
-        """Places of the corners ``(K, 3)``, m: between squares, row by row; or four of each tag, clockwise."""
+        """Places of the corners ``(K, 3)``, m: between squares, row by row, or the four of each tag, clockwise."""
         if self.kind != "apriltags":
             x, y = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
             return self.square * np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1).astype(float)
@@ -219,7 +220,7 @@ class Board:
 
     @property
     def title(self) -> str:
-        """The board in words."""
+        """The board in words: kind, size, markers, gaps and dictionary."""
         marker = f", markers {1e3 * self.marker:g} mm" if self.marker else ""
         gap = f", gaps {1e3 * self.gap:g} mm" if self.gap else ""
         names = f", {self.dictionary}" if self.dictionary else ""
@@ -227,7 +228,7 @@ class Board:
 
     @property
     def size(self) -> tuple[float, float]:
-        """Width and height of what is printed, m."""
+        """Width and height of the printed board, m, without a margin."""
         step = self.square + (self.gap or 0.0)
         return self.columns * step - (self.gap or 0.0), self.rows * step - (self.gap or 0.0)
 
@@ -236,13 +237,13 @@ def load_board(name: str | Path) -> Board:
     """Read a board by name (a shipped one) or from a TOML file with a table [board].
 
     Raises:
-        InputError: If it is unknown or malformed; the message names the file and key.
+        InputError: If the board is unknown or malformed; the message names the file and key.
     """
     return read_toml(Board, file_named("board", name, SHIPPED), section="board")
 
 
 def opencv() -> Any:
-    """OpenCV, or a sentence that says how to get it."""
+    """The module of OpenCV; if it is missing, the error says how to get it."""
     require("cv2")
     import cv2
 
@@ -250,7 +251,11 @@ def opencv() -> Any:
 
 
 def opencv_board(board: Board) -> Any:
-    """OpenCV's board of markers; not for plain chessboards."""
+    """The board as an object of OpenCV, for boards with markers and not for plain chessboards.
+
+    Raises:
+        InputError: If the dictionary has too few markers for the board.
+    """
     cv2 = opencv()
     assert board.dictionary is not None
     markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARIES[board.dictionary]))
@@ -269,7 +274,7 @@ def opencv_board(board: Board) -> Any:
 
 
 def board_picture(board: Board, pixels_per_square: int = PIXELS_PER_SQUARE) -> Grey:
-    """The board as it is printed, without a margin ``(h, w)``, black 0 and white 255."""
+    """Grey values ``(h, w)`` of the board as it is printed, without a margin; black is 0 and white 255."""
     scale = pixels_per_square / board.square
     width, height = (round(side * scale) for side in board.size)
     if board.kind == "chessboard":
@@ -280,15 +285,15 @@ def board_picture(board: Board, pixels_per_square: int = PIXELS_PER_SQUARE) -> G
 
 
 def write_board(board: Board, path: str | Path, margin: float = 0.01) -> Path:
-    """Write the board's page at true scale, with a rule to check the printer by.
+    """Write a page with the board at true scale, and with a rule by which the print can be checked.
 
     Args:
         board: The board.
         path: The file (.pdf or .svg), written whole or not at all.
-        margin: White around it, m.
+        margin: Width of the white margin around the board, m.
 
     Raises:
-        InputError: If the suffix is another or the file cannot be written.
+        InputError: If the file's name ends in neither .pdf nor .svg, or the file cannot be written.
     """
     require("matplotlib")
     from matplotlib.backends.backend_pdf import FigureCanvasPdf
@@ -325,23 +330,28 @@ def write_board(board: Board, path: str | Path, margin: float = 0.01) -> Path:
 
 
 FEW_MARKERS = 4
-"""So few markers of a board may be all that a picture shows of it."""
+"""Number of markers up to which a picture without a corner is said to show too little of the board, not another one."""
 
 WINDOW = 5
-"""px; a corner is refined, and judged, within a square of this half width."""
+"""Half width, px, of the square around a corner within which its uncertainty is judged."""
 
 LEAST_STD = MappingProxyType({"charuco": 0.05, "chessboard": 0.05, "apriltags": 0.3})
-"""px; no corner is surer, whatever its picture's noise: crossings of edges, and the outer corners of tags, which blur
-shifts (both measured on rendered pictures)."""
+"""Least standard uncertainty of a corner, px, by kind of board, whatever the picture's noise.
+
+Crossings of edges are surer than the outer corners of tags, which blur shifts (both measured on rendered pictures).
+"""
 
 
 Corners = tuple[Array, NDArray[np.bool_], Array]
-"""A board's corners in one picture: places ``(K, 2)``, px, nothing where a corner was not found; whether each was found
-``(K,)``; standard uncertainty of each coordinate ``(K,)``, px, 1 where not found."""
+"""A board's corners in one picture: places, mask and standard uncertainties.
+
+Places ``(K, 2)`` are in px, 0 for a corner that was not found; the mask ``(K,)`` says which corners were found; the
+standard uncertainty of each coordinate ``(K,)`` is in px, 1 for a corner that was not found.
+"""
 
 
 def find_corners(board: Board, picture: Grey, where: str) -> Corners:
-    """Find the board's corners.
+    """Find the board's corners in a picture.
 
     Args:
         board: The board.
@@ -349,7 +359,7 @@ def find_corners(board: Board, picture: Grey, where: str) -> Corners:
         where: The picture's name, for messages.
 
     Raises:
-        InputError: If no corner is found; the message says what was seen instead.
+        InputError: If no corner is found; the message says what the picture shows instead.
     """
     numbers, places = _found(board, picture)
     if not len(numbers):
@@ -358,7 +368,14 @@ def find_corners(board: Board, picture: Grey, where: str) -> Corners:
 
 
 def corners_at(board: Board, numbers: ArrayLike, places: ArrayLike, std: ArrayLike) -> Corners:
-    """Corners of these numbers ``(N,)`` at places ``(N, 2)``, px, in a picture that shows no other of the board's."""
+    """The board's corners in a picture that shows only some of them.
+
+    Args:
+        board: The board.
+        numbers: Numbers of the corners that the picture shows ``(N,)``, from 0.
+        places: Their places in the picture ``(N, 2)``, px.
+        std: Standard uncertainty of each, px: ``(N,)`` or one for all.
+    """
     count = len(board.corners)
     pixels, seen, stds = np.zeros((count, 2)), np.zeros(count, dtype=bool), np.ones(count)
     numbers = np.asarray(numbers, dtype=np.int64)
@@ -367,9 +384,16 @@ def corners_at(board: Board, numbers: ArrayLike, places: ArrayLike, std: ArrayLi
 
 
 def corner_std(picture: Grey, corners: Array, least: float, half: int = WINDOW) -> Array:
-    """Standard uncertainty of corners ``(N, 2)`` along their worse direction ``(N,)``, px.
+    """Standard uncertainty ``(N,)``, px, of corners along their worse direction.
 
-    Where the picture's noise of standard deviation s meets gradients g, the covariance is s^2 (sum g g^T)^-1.
+    With noise of standard deviation s in the picture and gradients g around a corner, its covariance is
+    s^2 (sum g g^T)^-1; ``least`` is added in squares.
+
+    Args:
+        picture: Grey values ``(h, w)``.
+        corners: Places of the corners ``(N, 2)``, px.
+        least: Least standard uncertainty, px.
+        half: Half width of the square around a corner whose gradients count, px.
     """
     grey = picture.astype(float)
     down, across = np.gradient(grey)
@@ -383,13 +407,13 @@ def corner_std(picture: Grey, corners: Array, least: float, half: int = WINDOW) 
 
 
 def picture_noise(grey: Array) -> float:
-    """Standard deviation of a picture's noise in grey values (Immerkaer 1996), robustly: edges do not count."""
+    """Standard deviation of a picture's noise in grey values (Immerkaer 1996); a median keeps edges from counting."""
     twice = np.diff(np.diff(grey, 2, axis=0), 2, axis=1)
     return max(float(np.median(np.abs(twice))) / 0.6745 / 6.0, 0.3)  # no less than rounding to whole grey values
 
 
 def _found(board: Board, picture: Grey) -> tuple[NDArray[np.int64], Array]:
-    """Numbers of the corners found and their places, px."""
+    """Numbers ``(N,)`` of the corners found in a picture, and their places ``(N, 2)``, px; empty if none is found."""
     cv2 = opencv()
     none = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
     if board.kind == "chessboard":
@@ -410,7 +434,10 @@ def _found(board: Board, picture: Grey) -> tuple[NDArray[np.int64], Array]:
 
 
 def _upright(picture: Grey, places: Array, inner: tuple[int, int]) -> Array:
-    """A chessboard's corners from its black outer square on; found from the other end, that square is white."""
+    """A chessboard's corners ``(K, 2)`` in the order that begins at its black outer square.
+
+    If that square is white, OpenCV found them from the other end, and their order is reversed.
+    """
     grid = places.reshape(inner[1], inner[0], 2).astype(float)
     right, down = grid[0, 1] - grid[0, 0], grid[1, 0] - grid[0, 0]
     # The outer square, and the one beside it, which has the other colour.
@@ -424,7 +451,7 @@ def _grey_at(picture: Grey, place: Array) -> float:
 
 
 def _markers(board: Board, picture: Grey) -> tuple[list[Any], list[int]]:
-    """Corners and numbers of all markers of the board's dictionary."""
+    """Corners and numbers of all markers in a picture that are of the board's dictionary."""
     cv2 = opencv()
     how = cv2.aruco.DetectorParameters()
     how.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX

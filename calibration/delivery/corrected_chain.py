@@ -1,11 +1,12 @@
-"""Places of the joints of a file's chain once its arm is calibrated; joints read and links are shaped as before.
+"""Corrected places of the joints in a robot's own file; joint readings and the shapes of links stay as before.
 
-N_i and C_i are link frames of the table before and after calibration, D_i the frame of the file's joint i, all where
-the file's joints are zero. K_i = N_i^-1 D_i is constant. The corrected joint stands at C_i K_i, and its origin is that
-in the corrected frame before it. The chain begins at the robot's own base: where an instrument stood is no part of it.
-Where the next axis is parallel, no pose tells where along its axis a link stands, and a fit puts it anywhere; then it
-stays where the file draws it, as Universal Robots' own calibration has it (ur_calibration, correctAxis). What moves the
-tool along or about the last axis is the joint's as well, and is given to the joint. Metres and radians.
+N_i and C_i are the link frames of the arm's table before and after calibration, and D_i is the frame of the file's
+joint i, all where the file's joints are zero. K_i = N_i^-1 D_i is constant. The corrected joint stands at C_i K_i; its
+origin is that pose relative to the corrected frame before it. The chain begins at the robot's own base: where an
+instrument stood is no part of it. If the next axis is parallel, no measurement tells where along its axis a link
+stands, and a fit may put it anywhere; the link then stays where the file draws it, as in Universal Robots' own
+calibration (ur_calibration, correctAxis). The last joint can also move the tool along or about its own axis, so that
+part of the tool's correction is given to the joint. Metres and radians.
 """
 
 from __future__ import annotations
@@ -47,18 +48,21 @@ from pickenv.calibration.pipeline.calibration import Calibration
 
 
 NEAR, TURNED = 1e-4, 2e-4
-"""m and rad; how far axes may lie apart that are the same: what a file's last digits leave."""
+"""Largest distance, m, and angle, rad, between two axes that count as the same; a file's last digits cause as much."""
 LEAST_SHARE = 1e-3
-"""Of those; what leaves no choice between two readings: a tenth of a micrometre."""
+"""Share of `NEAR` and `TURNED` below which two relations fit equally well: a tenth of a micrometre."""
 
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 POSES = 12
-"""Poses at which the frames of file and table are compared."""
+"""Number of poses at which the frames of file and table are compared."""
 
 
 SameChain = tuple[Pose, Array, Array]
-"""The relation of an arm's table to a file of the same chain: pose of the table's world frame in the file's root; 1 or
--1 for each joint (n,); and the table's joint values where the file's are zero (n,), rad or m."""
+"""The relation of an arm's table to a file of the same chain, as root, sign and zero.
+
+They are the pose of the table's world frame in the file's root; 1 or -1 for each joint (n,); and the table's joint
+values where the file's are zero (n,), rad or m.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +80,7 @@ class _Axis:
         return _Axis(by.position + by.rotation @ self.point, by.rotation @ self.direction, self.slides)
 
     def apart(self, other: _Axis) -> tuple[float, float]:
-        """Distance, m (0 of slides), and angle, rad, to another axis."""
+        """Distance, m (0 if this joint slides), and angle, rad, from this axis to another."""
         turned = math.atan2(np.linalg.norm(np.cross(self.direction, other.direction)), self.direction @ other.direction)
         return (0.0 if self.slides else float(np.linalg.norm(_across(self.point - other.point, other)))), turned
 
@@ -91,16 +95,16 @@ def link_frames(geometry: Geometry, joints: Array) -> list[Pose]:
 
 
 def same_chain(arm: Geometry, file: Geometry, name: str, arm_name: str) -> SameChain:
-    """The relation of ``file`` to ``arm``, which is the same chain.
+    """The relation of the arm's table to the chain of a file that must describe the same arm.
 
     Args:
         arm: The arm as it was before its calibration.
         file: The chain of the file, root to tip.
-        name: What messages call the file.
-        arm_name: What they call the arm.
+        name: Name of the file, for messages.
+        arm_name: Name of the arm, for messages.
 
     Raises:
-        InputError: If it is another arm; says from which joint on.
+        InputError: If the file describes another arm; the message says from which joint on.
     """
     if arm.coupling != file.coupling or arm.slides != file.slides:
         kinds = ["".join("P" if slides else "R" for slides in chain.slides) for chain in (file, arm)]
@@ -134,12 +138,18 @@ def _axes(geometry: Geometry) -> list[_Axis]:
 def _fits(
     arm: Geometry, mine: list[_Axis], theirs: list[_Axis], worst: dict[int, tuple[float, float]]
 ) -> Iterator[SameChain]:
-    """Roots, signs and zeros with which the axes agree, the plainest first; ``worst`` learns where others part."""
+    """Relations (root, signs, zeros) under which all axes of both chains agree, the plainest first.
+
+    ``worst`` is filled with the smallest distance and angle by which each joint's axes missed in attempts that failed.
+    """
     n, free = len(mine), arm.coupling is None
     signs = (1.0, -1.0) if free else (1.0,)
 
     def further(i: int, by: Pose, sign: list[float], zero: list[float]) -> Iterator[tuple[list[float], list[float]]]:
-        """With axes 0 to i - 1 agreed, and the motion ``by`` of what stands on the last of them, the ways on."""
+        """Signs and zeros with which axes i and later agree too, once axes 0 to i - 1 do.
+
+        ``by`` is the motion that has been given so far to everything behind axis i - 1.
+        """
         if i == n:
             yield sign, [*zero, 0.0]
             return
@@ -162,10 +172,12 @@ def _fits(
 
 
 def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose]:
-    """Roots with which the first axes agree: as the frames are, then all axes laid upon all, then first upon first.
+    """Candidate roots, which bring the first axes of both chains together.
 
-    About the first axis the second then says where; along it the first axis that is not parallel. Of an arm that begins
-    with a slide joints read alike.
+    In turn: the frames as they are, the best fit of all axes to all axes, and the first axis laid upon the first. The
+    last of these is free to shift along the axis and to turn about it: the first later axis that is not parallel fixes
+    the shift, the second axis the turn. If the arm begins with a slide, only the first two are tried, in which joints
+    read alike.
     """
     target = theirs[0].turned(turn)
     if mine[0].same(target):
@@ -185,9 +197,10 @@ def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose
 
 
 def _height(axes: list[_Axis]) -> float:
-    """The place on the first axis, from its point, where the chain leaves it; 0 if it does not, or if a slide does.
+    """The place along the first axis, m from its point, where the chain leaves it.
 
-    It leaves at the common normal of the last axis that is parallel to it and the next one, whatever the joints read.
+    It is where the common normal of two axes stands: the last one parallel to the first axis, and the next one. This
+    does not depend on the joints' values. 0 if all axes are parallel, or if a slide comes before.
     """
     first = axes[0]
     for last, following in itertools.pairwise(axes):
@@ -203,7 +216,7 @@ def _height(axes: list[_Axis]) -> float:
 
 
 def _laid(mine: list[_Axis], theirs: list[_Axis]) -> Pose:
-    """The root with which axes agree best where joints read alike: directions first, then places, least squares."""
+    """The root with which the axes agree best in least squares if joints read alike: directions first, then places."""
     with warnings.catch_warnings():  # parallel axes leave it open; another root is tried then
         warnings.filterwarnings("ignore", message="Optimal rotation is not uniquely")
         turn = Rotation.align_vectors([axis.direction for axis in theirs], [axis.direction for axis in mine])[0]
@@ -221,7 +234,7 @@ def _laid(mine: list[_Axis], theirs: list[_Axis]) -> Pose:
 
 
 def _value(last: _Axis, here: _Axis, wanted: _Axis) -> float:
-    """The value of the joint of ``last`` that brings ``here`` to ``wanted``; 0 where it cannot tell."""
+    """The value of the joint on axis ``last`` that moves axis ``here`` onto ``wanted``; 0 if the axes leave it open."""
     if last.slides:
         if wanted.slides:
             return 0.0
@@ -236,12 +249,12 @@ def _value(last: _Axis, here: _Axis, wanted: _Axis) -> float:
 
 
 def _across(vector: Array, axis: _Axis) -> Array:
-    """The part of a vector across an axis."""
+    """The part of a vector that is perpendicular to an axis."""
     return np.asarray(vector - axis.direction * (axis.direction @ vector))
 
 
 def _along(axis: _Axis, value: float) -> Pose:
-    """The motion of a joint by ``value``."""
+    """The motion of what stands on a joint's axis when the joint moves by ``value``, rad or m."""
     if axis.slides:
         return Pose(value * axis.direction, np.eye(3))
     turn = Rotation.from_rotvec(value * axis.direction).as_matrix()
@@ -249,9 +262,10 @@ def _along(axis: _Axis, value: float) -> Pose:
 
 
 def frames_apart(arm: Geometry, file: Geometry, root: Pose, sign: Array, zero: Array) -> tuple[float, float]:
-    """How far the frames of both lie apart at most, once laid upon one another at one pose.
+    """Largest distance, m, and angle, rad, between the link frames of table and file over several poses.
 
-    It is the change of K_i = N_i^-1 G^-1 U_i over poses, m and rad, N_i of the table and U_i of the file.
+    The frames are laid upon one another at the first pose. The result is the largest change from there, over poses, of
+    K_i = N_i^-1 G^-1 U_i, where N_i is a link frame of the table, U_i one of the file and G the root.
     """
     fractions = np.mod(GOLDEN * np.arange(1, POSES * file.joints + 1).reshape(POSES, -1), 1.0) - 0.5
     joints = np.where(file.prismatic, 1.0, np.pi) * np.vstack([np.zeros(file.joints), fractions])
@@ -265,7 +279,7 @@ def frames_apart(arm: Geometry, file: Geometry, root: Pose, sign: Array, zero: A
 
 Z = np.array([0.0, 0.0, 1.0])
 PARALLEL = 1e-3
-"""Axes count as parallel below this sine of the angle between them, digits that a file cut included."""
+"""Largest sine of the angle between two axes that count as parallel; a file's rounding is allowed for."""
 
 
 def corrected_chain(
@@ -275,9 +289,9 @@ def corrected_chain(
 
     Args:
         nominal: The arm as it was before its calibration.
-        identified: The calibrated arm, with the base as it was where an instrument's frame was fitted.
-        joints: Of the file.
-        same: How the file tells of ``nominal``.
+        identified: The calibrated arm in its own base: if an instrument's frame was fitted, the base is as before.
+        joints: The joints of the file.
+        same: The relation of ``nominal`` to the file.
     """
     root, sign, zero = same
     before, after = ([behind(root, pose) for pose in link_frames(geometry, zero)] for geometry in (nominal, identified))
@@ -314,14 +328,17 @@ def _slid_along(moved: Pose, joint: ChainJoint) -> Pose:
 
 
 def _slips(before: Sequence[Pose], link: int, joint: ChainJoint) -> bool:
-    """Whether a link may stand anywhere along its axis: it turns, and the next axis is parallel."""
+    """Whether a link may stand anywhere along its axis: true if its joint turns and the next axis is parallel."""
     if joint.slides or link + 1 == len(before):
         return False
     return bool(np.linalg.norm(np.cross(before[link].rotation[:, 2], before[link + 1].rotation[:, 2])) < PARALLEL)
 
 
 def links_moved(joints: Sequence[ChainJoint]) -> list[int | None]:
-    """The arm's link that each of a file's joints moves: slides in a row that one joint moves are one link."""
+    """Index of the arm's link that each of a file's joints moves; None for a joint that does not move.
+
+    Successive slides that the same joint drives count as one link.
+    """
     links: list[int | None] = []
     row: dict[str, int] = {}
     count = 0
@@ -338,7 +355,7 @@ def links_moved(joints: Sequence[ChainJoint]) -> list[int | None]:
 
 
 def _laid_upon(laid: Pose, joint: ChainJoint, sign: float) -> Pose:
-    """The pose of a file's joint in its link's frame, with the axis exactly on z; digits that the file cut go here."""
+    """The pose of a file's joint in its link's frame, put exactly on the z axis: this removes the file's rounding."""
     axis = laid.rotation @ joint.axis
     turn = Rotation.align_vectors(sign * Z[None], axis[None])[0].as_matrix()
     position = laid.position if joint.slides else Z * laid.position[2]
@@ -352,7 +369,7 @@ def _laid_upon(laid: Pose, joint: ChainJoint, sign: float) -> Pose:
 
 
 NOTHING = 1e-12
-"""m and rad; an origin that moves by less keeps its text."""
+"""Change of an origin, m or rad, up to which its text in the file is kept."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -360,12 +377,13 @@ class Correction:
     """New places of a file's joints and tool.
 
     Attributes:
-        origins: New origin of each of the file's joints, told as `ChainJoint.origin` is.
+        origins: New origin of each of the file's joints, in the frame of `ChainJoint.origin`.
         root: Pose of the arm's base frame in the file's root.
-        hand: Pose of the calibrated tool in the tip, with the old mount of the tip.
-        mount: New pose of the tip in the last joint's frame; None where it stays.
-        frame: Pose in the tip of a new frame that is the calibrated tool; None where the tip is, or the file keeps it.
-        notes: What the file holds, and what it does not, a sentence each.
+        hand: Pose of the calibrated tool in the tip's frame, if the tip's mount stays as it was.
+        mount: New pose of the tip in the last joint's frame; None if it stays as it was.
+        frame: Pose in the tip's frame of a new frame for the calibrated tool; None if no such frame is needed or can
+            be written.
+        notes: Sentences on what the file holds of the calibration and what it does not.
     """
 
     origins: list[Pose]
@@ -377,16 +395,16 @@ class Correction:
 
 
 def correction(calibration: Calibration, own: JointRow, path: Path, frame: str = "") -> Correction:
-    """The places of the joints of a robot's own file after calibration.
+    """The corrected places of the joints and the tool in a robot's own file.
 
-    A link that a joint moves has its frame on that joint's axis. Where such a link is the tip, what of the tool lies
-    beside the axis is a frame of its own, fixed to the tip.
+    A link that a joint moves has its frame on that joint's axis. If the tip is such a link, and the calibrated tool
+    lies beside the axis, the tool becomes a frame of its own that is fixed to the tip.
 
     Args:
         calibration: The calibration.
         own: The file's joints.
         path: The file, for messages.
-        frame: What a new frame behind the tip would be called; empty where the format has none.
+        frame: Name of a new frame behind the tip; empty if the format has no such frames.
 
     Raises:
         InputError: If the file is of another arm.
@@ -433,38 +451,38 @@ def correction(calibration: Calibration, own: JointRow, path: Path, frame: str =
 
 
 def own_origin(own: Pose, whole: Pose, corrected: Pose) -> Pose:
-    """The corrected pose of one element, before which others may be fixed that stay.
+    """The new pose to write in an element, if fixed elements before it in the file keep theirs.
 
     Args:
-        own: Pose that the element gives now.
-        whole: Pose that it gives with those fixed before it, since the joint before.
-        corrected: What this one becomes.
+        own: The pose that the element itself has now.
+        whole: The pose that it and the fixed elements before it, back to the joint before, have together now.
+        corrected: The pose that they are to have together.
     """
     return behind(behind(own, inverse_pose(whole)), corrected)
 
 
 def is_moved(old: Pose, new: Pose) -> tuple[bool, bool]:
-    """Whether position and rotation differ by more than their last digits."""
+    """Whether the positions of two poses, and whether their rotations, differ by more than the last digits."""
     position, turn = apart(old, new)
     return position > NOTHING, turn > NOTHING
 
 
 def changed(old: Pose, new: Pose, place: str, attitude: str, words: Callable[[Pose], str]) -> dict[str, str]:
-    """New texts of the two attributes that tell a pose; of what does not change there is none.
+    """New texts of the attributes that hold a pose's position and attitude; one that does not change is left out.
 
     Args:
-        old: The pose told now.
-        new: The pose to tell.
+        old: The pose in the file.
+        new: The pose to write.
         place: Name of the position's attribute.
-        attitude: Name of the attitude's.
-        words: Writes the attitude.
+        attitude: Name of the attitude's attribute.
+        words: Function that writes a pose's attitude as text.
     """
     shifted, turned = is_moved(old, new)
     return ({place: numbers_text(new.position)} if shifted else {}) | ({attitude: words(new)} if turned else {})
 
 
 def _notes(calibration: Calibration, own: JointRow, origins: list[Pose], same: SameChain) -> list[str]:
-    """Sentences on how far the file's joints move, and how they read."""
+    """Sentences on how far the file's joint origins move, and on joints that read otherwise than in the arm's table."""
     moves = {
         joint.name: apart(joint.origin, new)
         for joint, new in zip(own.joints, origins, strict=True)
@@ -493,10 +511,10 @@ def _notes(calibration: Calibration, own: JointRow, origins: list[Pose], same: S
 
 
 def refuse_lost_files(path: Path, out: Path, names: Sequence[str]) -> None:
-    """Refuse where a file names others beside it that are not there, or would not be found from the new file's place.
+    """Refuse a robot's file if files that it names by relative paths are missing, or lost from the new file's folder.
 
     Raises:
-        InputError: Names the file and what to do.
+        InputError: If such a file would not be found; the message names it and what to do.
     """
     for name in names:
         if not name or "://" in name or Path(name).is_absolute():

@@ -1,4 +1,4 @@
-"""Documents that hold a corrected arm: bytes, and what they do not hold of a calibration; XML edited as text."""
+"""Documents that hold a corrected arm, with notes on what of the calibration they leave out; edits of XML as text."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ class Document:
     """A file to be written.
 
     Attributes:
-        data: Its bytes.
-        notes: What it holds of a calibration, and what it does not, a sentence each.
-        beside: Bytes of files that are written with it.
-        path: Where it was written; empty before.
+        data: Content of the file.
+        notes: Sentences on what the file holds of a calibration and what it does not.
+        beside: Path and content of further files that are written with it.
+        path: Where the file was written; empty before.
     """
 
     data: bytes
@@ -36,16 +36,16 @@ class Document:
 
 @dataclass(frozen=True, eq=False)
 class Order:
-    """An order to an exporter, beside the calibration.
+    """What an exporter is to write: everything that it is given besides the calibration.
 
     Attributes:
         out: The file to write.
         onto: The robot's own file, in which only what the calibration corrects is changed; None for a new file.
-        tip: The link named behind it.
-        arm: The arm, where it was given.
+        tip: The tip's link, if it was named behind ``onto``; else None.
+        arm: The arm, if it was given.
         counts_per_turn: Encoder counts per turn, for tables of offsets.
-        sample: Arms that the data allow, written beside a new MJCF.
-        seed: Of the sample.
+        sample: Number of arms that the data allow, written beside a new MJCF.
+        seed: Seed of the sample.
     """
 
     out: Path
@@ -57,10 +57,12 @@ class Order:
     seed: int = 0
 
     def arm_of(self, calibration: Calibration) -> Arm:
-        """The calibration's arm, whose joint speeds no calibration holds; a shipped one is found by its name.
+        """The calibration's arm with its joint speeds, which a calibration does not hold.
+
+        It is the arm that was given, or else the shipped arm of that name.
 
         Raises:
-            InputError: If it is no shipped arm and none was given, or another one was.
+            InputError: If no arm was given and it is no shipped one, or if another arm was given.
         """
         arm = self.arm
         if arm is None and calibration.arm_name in shipped_arms():
@@ -73,7 +75,7 @@ class Order:
 
 
 def provenance(calibration: Calibration) -> tuple[str, ...]:
-    """The origin of a corrected arm, one fact per line."""
+    """Lines that say where a corrected arm comes from: arm, data, identified parameters and versions."""
     record = calibration.record
     lines = [
         f"Arm '{calibration.arm_name}' as calibrated by pickenv; do not edit, calibrate again.",
@@ -90,7 +92,10 @@ def provenance(calibration: Calibration) -> tuple[str, ...]:
 
 
 def left_out(calibration: Calibration, words: str = "not in the file, because no geometry can hold it") -> list[str]:
-    """Parts of a calibration that files of rigid links cannot hold, terms and residual, named behind ``words``."""
+    """A sentence, behind ``words``, that names the terms and the residual, which files of rigid links cannot hold.
+
+    The list is empty if the calibration has neither.
+    """
     names = [type(term).__name__ for term in calibration.model.terms]
     if calibration.learnt is not None:
         names.append(f"learnt residual '{calibration.learnt.kind}'")
@@ -98,7 +103,7 @@ def left_out(calibration: Calibration, words: str = "not in the file, because no
 
 
 def xml_comment(lines: Iterable[str]) -> list[str]:
-    """Lines of a comment in XML."""
+    """The lines of an XML comment that holds ``lines``."""
     return ["<!--", *(one_line(line).replace("--", "- -") for line in lines), "-->"]
 
 
@@ -107,20 +112,20 @@ def xml_comment(lines: Iterable[str]) -> list[str]:
 
 
 TO_TAG_END = re.compile(rb"""(?:[^>"']|"[^"]*"|'[^']*')*>""")
-"""To the ``>`` of a tag; one within quotes is none."""
+"""Matches up to the ``>`` that ends a tag, past any ``>`` within quotes."""
 ATTRIBUTE = re.compile(rb"""\s+([^\s=/>]+)\s*=\s*("[^"]*"|'[^']*')""")
 
 
 @dataclass(frozen=True)
 class StartTag:
-    """The start of an element in a text.
+    """The start tag of an element in an XML text.
 
     Attributes:
-        name: Of the element.
-        attributes: By name.
-        start: First byte, its ``<``.
-        end: The byte after its ``>``.
-        parent: Place of the element around it in `start_tags`; None for the root.
+        name: Name of the element.
+        attributes: Values of its attributes by name.
+        start: Place in the text of the tag's first byte, its ``<``.
+        end: Place of the byte after its ``>``.
+        parent: Index in `start_tags` of the element around it; None for the root.
     """
 
     name: str
@@ -130,19 +135,19 @@ class StartTag:
     parent: int | None
 
     def is_named(self, kind: str, name: str) -> bool:
-        """Whether it is an element of this kind with this ``name``."""
+        """Whether the element is of this kind and its attribute ``name`` has this value."""
         return self.name == kind and self.attributes.get("name") == name
 
 
 Edit = tuple[int, int, bytes]
-"""Bytes from the first to the second place are replaced by the third."""
+"""A change of a text: start and end of the bytes that are replaced, and the bytes that replace them."""
 
 
 def start_tags(data: bytes) -> list[StartTag]:
-    """Every element of an XML text in UTF-8, in its order.
+    """The start tag of every element of an XML text in UTF-8, in the text's order.
 
     Raises:
-        xml.parsers.expat.ExpatError: If it is no XML.
+        xml.parsers.expat.ExpatError: If the text is no XML.
     """
     tags: list[StartTag] = []
     around: list[int] = []
@@ -162,7 +167,10 @@ def start_tags(data: bytes) -> list[StartTag]:
 
 
 def attribute_spans(data: bytes, tag: StartTag) -> tuple[dict[str, tuple[int, int, int]], int]:
-    """Starts of each attribute of a tag and of its value, and the value's end; and the end of the last one."""
+    """Places in the text of a tag's attributes, and the place after the last attribute.
+
+    The places of an attribute, by its name, are its start and the start and end of its value within the quotes.
+    """
     after = tag.start + 1 + len(tag.name.encode())
     spans: dict[str, tuple[int, int, int]] = {}
     while (match := ATTRIBUTE.match(data, after)) is not None:
@@ -172,7 +180,7 @@ def attribute_spans(data: bytes, tag: StartTag) -> tuple[dict[str, tuple[int, in
 
 
 def attribute_edits(data: bytes, tag: StartTag, values: Mapping[str, str]) -> list[Edit]:
-    """Edits that give attributes of a tag new values; one that it lacks is added behind its others."""
+    """Edits that give attributes of a tag new values; attributes that the tag lacks are added behind its others."""
     spans, after = attribute_spans(data, tag)
     new = "".join(f' {name}="{value}"' for name, value in values.items() if name not in spans)
     edits = [(*spans[name][1:], value.encode()) for name, value in values.items() if name in spans]
@@ -180,20 +188,20 @@ def attribute_edits(data: bytes, tag: StartTag, values: Mapping[str, str]) -> li
 
 
 def inserted_first(data: bytes, tag: StartTag, element: str) -> Edit:
-    """An edit that puts an element right behind a start tag, on a line as the next one has it."""
+    """An edit that puts an element right behind a start tag, with the line break and indent of what follows there."""
     after = data[tag.end :]
     return tag.end, tag.end, after[: len(after) - len(after.lstrip())] + element.encode()
 
 
 def inserted_before(data: bytes, tag: StartTag, *elements: str) -> Edit:
-    """An edit that puts elements before a start tag, on lines as its own."""
+    """An edit that puts elements before a start tag, each on a line with the tag's indent."""
     before = data[: tag.start]
     gap = before[len(before.rstrip()) :]
     return tag.start, tag.start, b"".join(element.encode() + gap for element in elements)
 
 
 def edited(data: bytes, edits: Iterable[Edit]) -> bytes:
-    """The text with all its edits."""
+    """The text after all edits."""
     parts, after = [], 0
     for start, end, new in sorted(edits, key=itemgetter(0)):
         parts += [data[after:start], new]

@@ -1,6 +1,6 @@
-"""Handing a calibration over: one function, one kind of file each.
+"""Handing a calibration over: `export` writes it as one kind of file.
 
-What a file cannot hold of a calibration is told with it (`Document.notes`).
+What the file cannot hold of the calibration is said in `Document.notes`.
 """
 
 from __future__ import annotations
@@ -24,18 +24,18 @@ from pickenv.calibration.residuals.residual_models import LearntResidual
 # The learnt residual as ONNX, for programs without pickenv; needs the extra ``export``.
 
 OPSET = 17
-"""ONNX operator set written; read by every onnxruntime since 2022."""
+"""Version of the ONNX operator set that is written; every onnxruntime since 2022 reads it."""
 
 
 @register("exporter", "onnx")
 def onnx_document(calibration: Calibration, _: Order) -> Document:
     """The learnt network as ONNX: input ``joints`` (N, n) in rad and m, output ``residual`` (N, 6 or 3).
 
-    Conditions, if it was learnt with any, are a second input ``conditions`` (N, c). Double precision, so that it equals
-    `LearntResidual.predict`.
+    If the network was learnt with conditions, they are a second input ``conditions`` (N, c). The network is in double
+    precision, so that it equals `LearntResidual.predict`.
 
     Raises:
-        InputError: If there is no network, it is of a kind without ONNX form, or the package ``onnx`` is missing.
+        InputError: If there is no learnt residual, its kind has no ONNX form, or the package ``onnx`` is missing.
     """
     learnt = calibration.learnt
     if learnt is None:
@@ -51,7 +51,14 @@ def onnx_document(calibration: Calibration, _: Order) -> Document:
 
 
 def _onnx_model(learnt: LearntResidual, network: Bpnn, geometry: Geometry, words: tuple[str, ...]) -> Any:
-    """Joints to inputs (sine and cosine where they turn far), both standardisations, then the layers."""
+    """The ONNX model of a network: joints to inputs (sine and cosine of those that turn far), two scalings, the layers.
+
+    Args:
+        learnt: The learnt residual; its inputs bring the first standardisation.
+        network: Its network, with the second standardisation and the layers.
+        geometry: The arm.
+        words: Lines of the model's documentation.
+    """
     from onnx import TensorProto, helper, numpy_helper
 
     constants: list[Any] = []
@@ -105,7 +112,7 @@ def _onnx_model(learnt: LearntResidual, network: Bpnn, geometry: Geometry, words
 
 
 BY_ENDING = {".toml": "toml", ".urdf": "urdf", ".xml": "mjcf", ".onnx": "onnx"}
-"""Kinds that a new file's name tells."""
+"""Kind of a new file by its name's ending."""
 
 BY_OWN_ENDING = {
     ".urdf": "urdf",
@@ -114,7 +121,7 @@ BY_OWN_ENDING = {
     ".yml": "kinematics-yaml",
     ".json": "lerobot",
 }
-"""Kinds that the name of the robot's own file tells."""
+"""Kind of file to write by the ending of the robot's own file."""
 
 
 def export(
@@ -133,13 +140,13 @@ def export(
     Args:
         calibration: The calibration.
         out: The file to write.
-        kind: A registered exporter; told by the name of ``onto`` or ``out`` where left out.
+        kind: Name of a registered exporter; if left out, it follows from the name of ``onto`` or else of ``out``.
         onto: The robot's own file (URDF, kinematics YAML, LeRobot's JSON, a description with ros2_control), in which
-            only what the calibration corrects is changed; of "robot.urdf#link" the link is the tip.
-        arm: The arm, whose speeds a new arm file or URDF tells; found by its name where it is a shipped one.
+            only what the calibration corrects is changed; in "robot.urdf#link" the link is the tip.
+        arm: The arm, for the joint speeds of a new arm file or URDF; a shipped one is found by its name.
         counts_per_turn: Encoder counts per turn, for tables of offsets.
-        sample: Arms that the data allow, written beside a new MJCF.
-        seed: Of the sample.
+        sample: Number of arms that the data allow, written beside a new MJCF.
+        seed: Seed of the sample.
 
     Raises:
         InputError: If the kind is unknown, cannot hold the calibration, or the robot's own file is another arm's.
@@ -166,7 +173,7 @@ def export(
 
 
 def _robot_file(onto: str | Path | None) -> tuple[Path | None, str | None]:
-    """The robot's own file and the link named behind it."""
+    """The robot's own file, and the link named behind its "#"; None for what is not given."""
     if onto is None:
         return None, None
     path, mark, tip = str(onto).rpartition("#")

@@ -1,10 +1,10 @@
 """The part of a calibration that joint offsets can hold, and what they leave out.
 
-Controllers and servos often take one number per joint: what its reading is off by. The offsets that bring the nominal
-arm nearest to the calibrated one, over the region where it was measured, are found by least squares: pose differences
-in m and rad weigh alike, and where positions alone were measured, positions alone count. What offsets cannot do is
-stated in mm. With fitted base and tool, what a base or tool can do as well is left to them (of a turning first joint,
-all of it), as these data cannot tell them apart. SI units.
+Controllers and servos often take one number per joint: the error of its reading. Least squares finds the offsets that
+bring the nominal arm nearest to the calibrated one over the region where it was measured. Pose differences in m and rad
+weigh alike; if only positions were measured, only positions count. What offsets cannot correct is stated in mm. If base
+and tool were fitted, the data cannot tell some offsets from a shift of base or tool; that part is left to base and tool
+(for a revolute first joint, the whole offset). SI units.
 """
 
 from __future__ import annotations
@@ -34,30 +34,30 @@ from pickenv.calibration.model.measurements import screen_unit
 from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
 
 STEPS = 6
-"""Gauss-Newton steps; offsets of a few degrees need three."""
+"""Number of Gauss-Newton steps; offsets of a few degrees need three."""
 
 LOST = 1e-6
-"""Offsets whose effect is this much smaller than the largest are not told by any pose."""
+"""Effect of an offset, as a share of the largest one's, below which no pose tells the offset."""
 
 SPREAD = 256
-"""Poses compared where none are given."""
+"""Number of poses that are compared if none are given."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointOffsets:
-    """Offsets of the joints' readings: the arm stands at reading plus offset.
+    """Offsets of the joints' readings: a joint stands at its reading plus its offset.
 
     Attributes:
-        names: Of the joints.
-        slides: Whether each slides.
-        offsets: rad or m (n,).
-        told: Whether the data tell the offset; else it is zero (n,).
-        deviation: Standard deviations of the offsets (n,), NaN where the calibration knows none.
+        names: Names of the joints.
+        slides: Whether each joint slides.
+        offsets: Offsets (n,), rad or m.
+        told: Whether the data tell each offset (n,); an offset that they do not tell is zero.
+        deviation: Standard deviations of the offsets (n,), rad or m; NaN if the calibration knows none.
         without: Mean position difference between nominal and calibrated arm over the poses, m.
-        left: The same with the offsets, m: what a file of offsets leaves out.
-        left_turn: Mean attitude difference that they leave, rad; None where only positions were measured.
-        poses: Poses compared.
-        region: Which poses they are, for people.
+        left: Mean position difference that remains with the offsets, m: what a file of offsets leaves out.
+        left_turn: Mean attitude difference that remains with the offsets, rad; None if only positions were measured.
+        poses: Number of poses compared.
+        region: What these poses are, in words.
     """
 
     names: tuple[str, ...]
@@ -72,7 +72,7 @@ class JointOffsets:
     region: str
 
     def note(self) -> str:
-        """A sentence on what offsets do and leave out."""
+        """A sentence on how much the offsets correct and what they leave out."""
         turn = "" if self.left_turn is None else f" and {np.degrees(self.left_turn):.3g} deg"
         free = np.array(self.names)[~self.told]
         untold = f"; of {', '.join(free)} these data tell none" if len(free) else ""
@@ -84,15 +84,15 @@ class JointOffsets:
 
 
 def joint_offsets(calibration: Calibration, joints: Array | None = None) -> JointOffsets:
-    """The joint offsets nearest to a calibration.
+    """The joint offsets that bring the nominal arm nearest to a calibration.
 
     Args:
-        calibration: Of any arm.
-        joints: Poses to be near at ``(N, n)``; when left out, poses that fill the joint ranges measured, or the joint
-            limits where the calibration keeps no ranges.
+        calibration: A calibration of any arm.
+        joints: Joint values ``(N, n)``, rad or m, at which the arms are compared; if left out, poses that fill the
+            measured joint ranges, or the joint limits if the calibration keeps no ranges.
 
     Raises:
-        InputError: If its terms need payloads, temperatures or torques, which no offset depends on.
+        InputError: If the calibration's terms need payloads, temperatures or torques, which offsets cannot follow.
     """
     region = "poses given"
     if joints is None:
@@ -134,9 +134,17 @@ def joint_offsets(calibration: Calibration, joints: Array | None = None) -> Join
 
 
 def _way(nominal: Geometry, joints: Array, rows: slice, columns: NDArray[np.int64]) -> tuple[Array, Array, Array]:
-    """The matrix from pose differences to offsets; effects on these of offsets, and of frames (columns).
+    """Linear maps between pose differences, joint offsets and changes of base and tool.
 
-    What frames can do as well is theirs.
+    Args:
+        nominal: The geometry.
+        joints: Joint values ``(N, n)``, rad or m.
+        rows: The components of a pose difference that count.
+        columns: The parameters of base and tool that were fitted.
+
+    Returns:
+        The matrix from pose differences to the offsets that correct them, without what base and tool can correct as
+        well; the effect of offsets on poses; and the effect of the base's and tool's parameters on poses.
     """
     count = len(joints) * rows.stop
     effect = joint_jacobian(nominal, joints)[:, rows].reshape(count, -1)
@@ -152,7 +160,7 @@ def _way(nominal: Geometry, joints: Array, rows: slice, columns: NDArray[np.int6
 
 
 def _deviation(calibration: Calibration, joints: Array, rows: slice, columns: NDArray[np.int64]) -> Array:
-    """Standard deviations of the offsets, from those of the identified parameters."""
+    """Standard deviations of the offsets (n,), from the covariance of the identified parameters; NaN if unknown."""
     sure = uncertainty_from(calibration.record)
     if sure is None:
         return np.full(calibration.arm.joints, np.nan)
@@ -167,7 +175,10 @@ def _deviation(calibration: Calibration, joints: Array, rows: slice, columns: ND
 
 
 def _filling(calibration: Calibration) -> tuple[Array, str]:
-    """Poses that fill what was measured evenly, always the same ones, and what they fill."""
+    """Joint values that fill the measured joint ranges (or else the limits) evenly, and what they are, in words.
+
+    A calibration always gives the same ones.
+    """
     arm, ranges = calibration.arm, calibration.record.get("joint_ranges")
     low, high = (arm.lower, arm.upper) if ranges is None else np.array(ranges, dtype=float)
     half = (high - low) / 2
@@ -186,16 +197,16 @@ def _filling(calibration: Calibration) -> tuple[Array, str]:
 
 
 COUNTS = 4095
-"""Counts that LeRobot takes for a turn of an STS3215: its resolution less one."""
+"""Number of counts that LeRobot takes for a turn of an STS3215 servo: its resolution less one."""
 
 LARGEST_HOMING = 2047
-"""The servo keeps a sign and eleven bits."""
+"""Largest homing offset, in counts: the servo keeps a sign and eleven bits."""
 
 FIELDS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
 
 
 def _lerobot_motors(path: Path) -> dict[str, dict[str, int]]:
-    """The motors of a LeRobot calibration file, by name: what `FIELDS` says, in counts."""
+    """The motors of a LeRobot calibration file by name, each with the whole numbers of `FIELDS`."""
     text = read_text(path, "a LeRobot calibration (.json)")
     motors: Any = parsed(lambda: json.loads(text), path, "JSON")
     if isinstance(motors, dict) and isinstance(motors.get("homing_offset"), list):
@@ -217,10 +228,11 @@ def _lerobot_motors(path: Path) -> dict[str, dict[str, int]]:
 
 @register("exporter", "lerobot")
 def lerobot_document(calibration: Calibration, order: document.Order) -> document.Document:
-    """A LeRobot calibration with corrected homing offsets; nothing else in it changes.
+    """The robot's own LeRobot calibration with corrected homing offsets; nothing else in it changes.
 
     Raises:
-        InputError: If there is none, a joint has no motor of its name, or cannot be moved as far.
+        InputError: If no such file is given or it is unusable, a joint has no motor of its name, slides or has
+            drive_mode 1, or needs a larger homing offset than the servo keeps.
     """
     path = order.onto
     if path is None:
@@ -275,9 +287,9 @@ TABLE_FORMAT = "pickenv joint offsets 1"
 
 @register("exporter", "offsets")
 def offset_table(calibration: Calibration, order: document.Order) -> document.Document:
-    """The offsets as CSV, or as JSON where the file ends so: numbers to add to each joint's reading.
+    """The offsets, to be added to each joint's reading, as CSV, or as JSON if the file's name ends in .json.
 
-    Encoder counts per turn of a joint give turning joints a column of whole counts.
+    If encoder counts per turn are given, revolute joints also have their offset in whole counts.
     """
     rows: list[dict[str, Any]] = []
     shift = joint_offsets(calibration)
@@ -298,7 +310,7 @@ def offset_table(calibration: Calibration, order: document.Order) -> document.Do
 def _table(
     rows: list[dict[str, Any]], out: Path, form: str, calibration: Calibration, notes: tuple[str, ...]
 ) -> document.Document:
-    """Rows as CSV with comment lines above, or as JSON where ``out`` ends so; None is an empty cell."""
+    """Rows as CSV with comment lines above (None is an empty cell), or as JSON if ``out`` ends in .json."""
     words = (*document.provenance(calibration), *notes)
     if out.suffix.lower() == ".json":
         content = {"format": form, "origin": list(words), "rows": rows}
@@ -313,10 +325,10 @@ def _table(
 
 @register("exporter", "ros2-control")
 def ros2_offsets(calibration: Calibration, order: document.Order) -> document.Document:
-    """The offsets as ros2_control parameters: within the robot's own description, or the joints alone, without ids.
+    """The offsets as ros2_control parameters in the robot's own description, or in a new file of the joints alone.
 
-    A joint reports raw minus offset and shall report as much more as the calibration found, so that is taken off the
-    offset that it has.
+    A joint reports its raw reading minus its parameter. Its reading is to grow by the offset that the calibration
+    found, so this offset is subtracted from the parameter that the joint has. A new file has no ids of servos.
 
     Raises:
         InputError: If the description is unusable, or a joint is not in it.
@@ -362,7 +374,7 @@ def ros2_offsets(calibration: Calibration, order: document.Order) -> document.Do
 
 
 def _param(offset: float) -> str:
-    """The parameter of a joint that had none."""
+    """The text of the parameter "offset" for a joint that has none yet, from the offset that the calibration found."""
     return f'<param name="offset">{0.0 - float(offset)!r}</param>'
 
 
@@ -376,14 +388,14 @@ def _param(offset: float) -> str:
 
 DH_TABLES_TABLE_FORMAT = "pickenv DH parameters 1"
 BEHIND = ("alpha", "a", "beta")
-"""Parameters that standard tables have a row earlier."""
+"""DH parameters that stand one row earlier in a standard table than in a modified one."""
 
 
 @register("exporter", "table")
 def dh_table(calibration: Calibration, order: document.Order) -> document.Document:
-    """The table as CSV, or as JSON where the file ends so; angles in degrees, lengths in mm.
+    """The DH parameters before and after calibration as CSV, or as JSON if the file's name ends in .json.
 
-    Standard deviations are empty where a parameter kept its nominal value.
+    Angles are in degrees, lengths in mm. A parameter that kept its nominal value has no standard deviation.
     """
     notes = [
         "parameters without a standard deviation were not identified and keep their nominal values; others absorb them",
@@ -413,14 +425,14 @@ def dh_table(calibration: Calibration, order: document.Order) -> document.Docume
 
 
 def _parameters(geometry: Geometry) -> dict[str, float]:
-    """A geometry's parameters by name, rad and m; their order is that of `parameter_names`."""
+    """A geometry's parameters by name, rad and m, in the order of `parameter_names`."""
     links = [getattr(geometry, kind) for kind in LINK_PARAMETERS]
     frames = [[*pose.position, *rotation_vector(pose.rotation)] for pose in (geometry.base, geometry.tool)]
     return dict(zip(geometry.parameter_names, np.concatenate([*links, *frames]).tolist(), strict=True))
 
 
 def _table_rows(geometry: Geometry) -> Iterator[tuple[str, int, str, str]]:
-    """Table, row, joint and parameter of each row; parameters are named as those of the modified table."""
+    """Table, row number, joint and parameter of each row to write; parameters are named as in the modified table."""
     for table, shift in (("modified", 0), ("standard", 1)):
         for i, joint in enumerate(geometry.link_names):
             for kind in LINK_PARAMETERS:

@@ -1,7 +1,7 @@
-"""A calibration onto a robot's own files, or as new ones: arm file, URDF, MJCF, kinematics YAML, transforms.
+"""Writing a calibration into a robot's own files, or as new ones: arm file, URDF, MJCF, kinematics YAML, transforms.
 
-Where the tip is the last joint's own link and the calibrated tool lies beside that joint's axis, the tool is a new link
-`TIP_calibrated` fixed to the tip; in an MJCF a site of that name.
+If the tip is the last joint's own link and the calibrated tool lies beside that joint's axis, the tool becomes a new
+link `TIP_calibrated` that is fixed to the tip; in an MJCF it is a site of that name.
 
 Written against URDF as ROS 2 has it (https://wiki.ros.org/urdf/XML, version 1.0); xacro is expanded first. Lengths in
 metres, rpy in radians about fixed axes.
@@ -48,7 +48,7 @@ NOTE = (
     "Arm '{arm}', {which}, in its own base frame. Geometry alone: no model of links holds terms and residual. Masses "
     "and inertias are those of rods, not measured."
 )
-"""Comment of a new MJCF."""
+"""Pattern of the comment in a new MJCF."""
 
 
 # The corrected arm as an arm file that `pickenv.arm.load_arm` reads, with all its digits. Parametric terms and the
@@ -57,13 +57,13 @@ NOTE = (
 
 @register("exporter", "toml")
 def toml_document(calibration: Calibration, order: document.Order) -> document.Document:
-    """The corrected arm as an arm file; base and tool are those of the calibration.
+    """The corrected arm as a new arm file, with the base and tool of the calibration.
 
-    Hayati's beta is written (``beta_deg``) only for joints that have one. Links that follow another joint are joint
-    tables with ``follows`` and ``ratio``.
+    Hayati's beta is written (``beta_deg``) only for joints where it is not zero. A link that follows another joint is
+    a joint table with ``follows`` and ``ratio``.
 
     Raises:
-        InputError: If a joint moves no link of its own kind (a rack and its pinion): only URDF has joints without one.
+        InputError: If a joint moves no link of its own kind (a rack and its pinion), which only a URDF can hold.
     """
     arm, geometry = order.arm_of(calibration), calibration.identified
     leaders = _leading_tables(geometry)
@@ -100,7 +100,10 @@ def toml_document(calibration: Calibration, order: document.Order) -> document.D
 
 
 def _leading_tables(geometry: Geometry) -> list[int]:
-    """For each joint, the link whose table is the joint's own: one that moves just as it does, or else by a ratio."""
+    """Index, for each joint, of the link whose table stands for the joint.
+
+    It is a link that moves exactly as the joint does, or else the first one of the joint's kind that moves by a ratio.
+    """
     leaders = []
     for joint, leader in enumerate(leading_links(geometry)):
         kind = [i for i, _ in geometry.links_of(joint) if geometry.slides[i] == geometry.prismatic[joint]]
@@ -118,7 +121,7 @@ def _entries(table: Mapping[str, Any]) -> list[str]:
 
 
 def _toml(value: Any) -> str:
-    """A text, which has JSON's escapes and no control characters, a number with all its digits, or a vector."""
+    """A value in TOML: a text with its escapes and no control characters, a number with all its digits, or a vector."""
     if isinstance(value, str):
         return '"' + one_line(value).replace("\\", "\\\\").replace('"', '\\"') + '"'
     if isinstance(value, np.ndarray):
@@ -131,10 +134,10 @@ def _toml(value: Any) -> str:
 
 @register("exporter", "urdf")
 def urdf_document(calibration: Calibration, order: document.Order) -> document.Document:
-    """The robot's own URDF with its joint origins where the calibration found them; without one the arm as rods.
+    """The robot's own URDF with the joint origins that the calibration found, or a new URDF of the arm as rods.
 
-    The rods lead from the robot's own base to the tool. Frames that were fitted are the instrument's and no part of the
-    robot: base and tool are then the arm's own.
+    The rods lead from the robot's own base to the tool. Fitted frames belong to the instrument and are no part of the
+    robot: base and tool are then those of the arm before calibration.
 
     Raises:
         InputError: If the robot's file is unusable, of another arm, or its meshes would be lost.
@@ -173,7 +176,20 @@ def _new_urdf(calibration: Calibration, arm: Arm) -> document.Document:
 def _behind_tip(
     data: bytes, tags: list[document.StartTag], last: str, tip: str, frame: str, pose: Pose, path: Path
 ) -> list[document.Edit]:
-    """A link that is fixed to the tip, before the tip's own joint; one that an earlier calibration wrote is moved."""
+    """Edits that add the calibrated tool as a link fixed to the tip, or move the one of an earlier calibration.
+
+    Args:
+        data: The file's text.
+        tags: Its start tags.
+        last: Name of the last joint, before which a new link is written.
+        tip: Name of the tip's link.
+        frame: Name of the tool's link.
+        pose: Pose of the tool in the tip's frame.
+        path: The file, for messages.
+
+    Raises:
+        InputError: If the file has a link of that name which is not fixed to the tip.
+    """
     joint = f"{frame}_joint"
     if any(tag.is_named("link", frame) for tag in tags):
         place = next((i for i, tag in enumerate(tags) if tag.is_named("joint", joint)), -1)
@@ -191,7 +207,7 @@ def _behind_tip(
 
 
 def _joint(tags: list[document.StartTag], name: str) -> int:
-    """Place of the joint of that name which has a child; transmissions name joints too."""
+    """Index of the joint of that name that has a child link; transmissions name joints too, but have none."""
     holders = {tag.parent for tag in tags if tag.name == "child"}
     return next(i for i, tag in enumerate(tags) if i in holders and tag.is_named("joint", name))
 
@@ -212,7 +228,7 @@ def _rpy(pose: Pose) -> str:
 
 
 def _moved(data: bytes, tags: list[document.StartTag], joint: int, new: Pose) -> list[document.Edit]:
-    """Edits that give a joint a new origin; what does not change keeps its text."""
+    """Edits that give a joint a new origin; position or attitude keeps its text if it does not change."""
     values, tag = changed(_origin(tags, joint), new, "xyz", "rpy", _rpy), _origin_tag(tags, joint)
     if tag is not None or not values:
         return [] if tag is None else document.attribute_edits(data, tag, values)
@@ -227,14 +243,14 @@ def _moved(data: bytes, tags: list[document.StartTag], joint: int, new: Pose) ->
 
 @register("exporter", "mjcf")
 def mjcf_document(calibration: Calibration, order: document.Order) -> document.Document:
-    """The robot's own MJCF with its bodies where the calibration found them.
+    """The robot's own MJCF with its bodies where the calibration found them, or new MJCFs of the arm as rods.
 
-    Without one it is the identified arm as rods, and beside it ``…_nominal`` and ``…_1`` to ``…_n``, arms that the data
-    allow.
+    Without a file of the robot, the identified arm is written, beside it the nominal one (``…_nominal``) and, if a
+    sample is asked for, arms that the data allow (``…_1`` to ``…_n``).
 
     Raises:
-        InputError: If the robot's file is unusable, of another arm, its bodies stand elsewhere, or its meshes would be
-            lost.
+        InputError: If the robot's file is unusable or of another arm, if its bodies stand in an included file, or if
+            its meshes would be lost.
     """
     if order.onto is None:
         return _new_mjcf(calibration, order)
@@ -293,7 +309,10 @@ def _new_mjcf(calibration: Calibration, order: document.Order) -> document.Docum
 
 
 def mjcf_files(path: str | Path, sample: int) -> list[Path]:
-    """The files of a new MJCF, the identified arm's first; "/" or "..", which name none, as they are."""
+    """The files of new MJCFs: the identified arm's first, then the nominal one's, then those of a sample.
+
+    A path such as "/" or "..", which names no file, is returned as it is, alone.
+    """
     path = Path(path)
     if path.name in ("", ".."):
         return [path]
@@ -302,7 +321,11 @@ def mjcf_files(path: str | Path, sample: int) -> list[Path]:
 
 
 def _named(tags: list[document.StartTag], kind: str, name: str, path: Path) -> document.StartTag:
-    """The body or site of that name in the file itself."""
+    """The start tag of the body or site of that name in the file itself.
+
+    Raises:
+        InputError: If there is none; the message says whether it may stand in an included file.
+    """
     tag = next((tag for tag in tags if tag.is_named(kind, name)), None)
     if tag is not None:
         return tag
@@ -315,7 +338,7 @@ def _named(tags: list[document.StartTag], kind: str, name: str, path: Path) -> d
 
 
 def _moved_body(data: bytes, tag: document.StartTag, values: MjcfValues, new: Pose) -> list[document.Edit]:
-    """Edits that give a body a new place; what does not change keeps its text."""
+    """Edits that give a body or site a new pose; position or attitude keeps its text if it does not change."""
     texts = changed(values.pose(tag.attributes), new, "pos", "quat", _quaternion)
     orientation = next((key for key in ORIENTATIONS if key in tag.attributes), "quat")
     edits: list[document.Edit] = []
@@ -326,13 +349,13 @@ def _moved_body(data: bytes, tag: document.StartTag, values: MjcfValues, new: Po
 
 
 def _quaternion(pose: Pose) -> str:
-    """An orientation as MJCF's quat."""
+    """The text of a pose's orientation as MJCF's quat: w, x, y, z."""
     *xyz, w = Rotation.from_matrix(np.asarray(pose.rotation)).as_quat(canonical=True)
     return numbers_text([w, *xyz])
 
 
 def _files(tags: list[document.StartTag]) -> list[str]:
-    """Meshes and included files that a model names, from its own folder."""
+    """Paths of the meshes and included files that a model names, relative to its folder."""
     compiler: dict[str, str] = {}
     for tag in tags:
         if tag.name == "compiler":
@@ -358,18 +381,19 @@ def _files(tags: list[document.StartTag]) -> list[str]:
 
 LENGTHS = ("x", "y", "z")
 UR_TWISTS = (0.0, math.pi / 2, 0.0, 0.0, math.pi / 2, -math.pi / 2)
-"""alpha of a UR's modified DH table, rad: its frames are those of ur_description."""
+"""The alphas, rad, of a UR's modified DH table whose frames are those of ur_description."""
 
 
 @register("exporter", "kinematics-yaml")
 def kinematics_yaml_document(calibration: Calibration, order: document.Order) -> document.Document:
-    """The robot's own kinematics YAML with corrected origins; other lines, and its hash, stay.
+    """The robot's own kinematics YAML with corrected origins; its other lines and its hash stay.
 
-    Without one it is a whole file of a UR whose table has the maker's frames, for ur_description's
-    ``kinematics_params``.
+    Without a file of the robot it is a new one for ur_description's ``kinematics_params``, if the arm is a UR whose
+    table has the maker's frames.
 
     Raises:
-        InputError: If the robot's file is unusable or of another arm, or the table of a new one is no UR's.
+        InputError: If the robot's file is unusable or of another arm, or if a new file is wanted and the arm's table
+            has not the frames of a UR.
     """
     if order.onto is None:
         return _new_kinematics_yaml(calibration)
@@ -386,13 +410,17 @@ def kinematics_yaml_document(calibration: Calibration, order: document.Order) ->
 
 
 def _ur_values(origin: Pose) -> dict[str, float]:
-    """The numbers of a link's origin by their keys."""
+    """The numbers of a link's origin, m and rad, by their keys in the YAML."""
     values = [*origin.position, *roll_pitch_yaw(np.asarray(origin.rotation))]
     return {key: float(value) for key, value in zip(UR_KEYS, values, strict=True)}
 
 
 def _edits(data: bytes, name: str, values: dict[str, float], path: Path) -> list[document.Edit]:
-    """Edits that give a link's keys new numbers, between its name and the next link's."""
+    """Edits that give a link's keys new numbers; they are searched for between the link's name and the next link's.
+
+    Raises:
+        InputError: If the link lacks one of the keys.
+    """
     if not values:
         return []
     places = {
@@ -412,7 +440,7 @@ def _edits(data: bytes, name: str, values: dict[str, float], path: Path) -> list
 
 
 def yaml_number(value: float) -> str:
-    """A number with all its digits that YAML 1.1 takes for one: 1e-05 would be a text there."""
+    """The text of a number with all its digits that YAML 1.1 reads as a number: 1e-05 would be a text there."""
     text = repr(value)
     return text.replace("e", ".0e") if "e" in text and "." not in text else text
 
@@ -454,12 +482,13 @@ def _new_kinematics_yaml(calibration: Calibration) -> document.Document:
 
 @register("exporter", "transforms")
 def static_transforms(calibration: Calibration, order: document.Order) -> document.Document:
-    """A shell script with a line for the measurement's frame and one for the calibrated tool.
+    """A shell script that publishes two transforms in ROS 2: the measurement's frame and the calibrated tool.
 
-    Frames have the names of the robot's own URDF; without one they are those of the arm's table.
+    They are relative to the root and the tip of the robot's own URDF; without one, to the arm's base and tool frames
+    under the names base_link and tool0.
 
     Raises:
-        InputError: If the file is unusable, of another arm or has no named frames, or a name is none for ROS.
+        InputError: If the file is unusable, of another arm or without named frames, or if ROS does not allow a name.
     """
     path, names = order.onto, ("base_link", "tool0")
     measured = behind(calibration.arm.base, inverse_pose(calibration.identified.base))

@@ -84,7 +84,7 @@ class PoseUncertainty:
     def pose_covariance(self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
         """Covariance ``(..., 6, 6)`` of the tool pose, m and rad, world axes, at joints ``(..., n)``.
 
-        Attitude rows of an arm of which only positions were measured hold the parameters' part alone.
+        If only positions were measured, the attitude's part comes from the parameters' uncertainty alone.
         """
         columns = [model.parameter_names.index(name) for name in self.names]
         covariance = model.pose_covariance(columns, self.covariance, joints, conditions)
@@ -94,16 +94,16 @@ class PoseUncertainty:
     def standard(
         self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None
     ) -> tuple[Array, Array | None]:
-        """Standard uncertainties of position ``(...)``, m, and attitude ``(...)``, rad: root of the three variances.
+        """Standard uncertainties of position ``(...)``, m, and attitude ``(...)``, rad.
 
-        That of the attitude is None where only positions were measured.
+        Each is the root of the sum of its three variances. The attitude's is None if only positions were measured.
         """
         variance = np.diagonal(self.pose_covariance(model, joints, conditions), axis1=-2, axis2=-1)
         position, attitude = np.sqrt(variance[..., :3].sum(-1)), np.sqrt(variance[..., 3:].sum(-1))
         return position, None if self.attitude_repeat is None else attitude
 
     def from_parameters(self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
-        """Standard uncertainty of position ``(...)``, m, by the parameters alone: large where nobody measured."""
+        """Standard uncertainty of position ``(...)``, m, from the parameters alone: large far from measured poses."""
         return replace(self, position_repeat=0.0).standard(model, joints, conditions)[0]
 
     def within95(
@@ -111,7 +111,7 @@ class PoseUncertainty:
     ) -> tuple[Array | None, Array | None]:
         """Bounds of 95 of 100 errors of position ``(...)``, m, and attitude ``(...)``, rad, at joints ``(..., n)``.
 
-        None where too few held-out errors show it.
+        A bound is None if there were too few held-out errors to find it.
         """
         position, attitude = (
             None if size is None or name not in self.factors else self.factors[name]["factor"] * size
@@ -120,7 +120,7 @@ class PoseUncertainty:
         return position, attitude
 
     def block(self, model: ArmModel, joints: Array, conditions: Conditions) -> Block:
-        """A table of the bounds of errors at these poses, and whether held-out ones kept them."""
+        """A table of the bounds of errors at these poses, and of the share of held-out errors that kept them."""
         rows = []
         for quantity, (low, middle, high) in self.bounds(model, joints, conditions).items():
             cell = f"{figure(middle)} {QUANTITIES[quantity][0]} ({figure(low)} to {figure(high)})"
@@ -139,11 +139,14 @@ class PoseUncertainty:
         }
 
     def within95_record(self) -> dict[str, Any]:
-        """Factors and what they cover (JSON), of position and attitude; None where too few errors show it."""
+        """The factor of the bound and the share that it covers (JSON), for position and attitude.
+
+        An entry is None if there were too few held-out errors to find it.
+        """
         return {name: self.factors.get(name) for name in QUANTITIES}
 
     def as_record(self) -> dict[str, Any]:
-        """For a calibration's record (JSON)."""
+        """The uncertainty for a calibration's record (JSON)."""
         return {
             "parameters": list(self.names),
             "covariance": self.covariance.tolist(),
@@ -161,17 +164,19 @@ def pose_uncertainty(
     conditions: Conditions | None = None,
     unit: str = "mm",
 ) -> PoseUncertainty:
-    """Uncertainty from an identification and the errors that it leaves.
+    """The uncertainty of predicted poses, from an identification and the errors that it leaves.
 
     Args:
         found: The identification.
-        errors: Measured minus predicted poses, best held-out ones, ``(N, 6)`` or positions ``(N, 3)``, m and rad; their
-            RMS per coordinate is taken as u_repeat, so it includes the instrument's noise and errs on the large side.
-        joints: Where each error was found ``(N, n)``; then what holds 95 of 100 is counted.
-        blocks: The block of each error, where errors of one block are alike.
-        conditions: Payload and temperature of each, where known.
-        unit: "deg" where the errors are misses of directions ``(N, k)``, rad: of positions no more is known then than
-            what the parameters say.
+        errors: Measured minus predicted poses ``(N, 6)`` or positions ``(N, 3)``, m and rad, best of held-out rows.
+            Their RMS per coordinate is taken as u_repeat, so it includes the instrument's noise and errs on the large
+            side.
+        joints: Joints at which each error was found ``(N, n)``, rad or m; if given, bounds of 95 of 100 errors are
+            found too.
+        blocks: The block of each error ``(N,)``, if errors of one block are alike.
+        conditions: Payload and temperature of each error's row, if known.
+        unit: "deg" if the errors are misses of directions ``(N, k)``, rad; the uncertainty of positions is then the
+            parameters' alone.
     """
     positions, attitudes = (np.zeros((0, 3)), errors) if unit == "deg" else (errors[:, :3], errors[:, 3:])
     names = set(found.arm_model.parameter_names)
@@ -196,13 +201,17 @@ def pose_uncertainty(
 
 
 def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None) -> dict[str, float] | None:
-    """The factor that covers 95 of 100, and what it covers of errors that it was found without.
+    """The factor on the expected size of errors that covers 95 of 100, and its cover of errors not used to find it.
 
     Args:
-        joints: Of each error ``(R, n)``.
+        joints: Joints of each error ``(R, n)``.
         squares: Squared errors ``(R,)``.
-        variance: What the parameters' uncertainty adds to each expected square ``(R,)``.
-        blocks: The block of each error; contiguous tenths of the poses where there are none.
+        variance: The parameters' part of each expected square ``(R,)``.
+        blocks: The block of each error ``(R,)``; if None, contiguous tenths of the poses.
+
+    Returns:
+        The entries "factor" and "covered"; the latter is the share of errors that keep the bound found without their
+        own block. None if there are too few errors or blocks.
     """
     count = len(squares)
     if count < 2 * BLOCKS:
@@ -224,13 +233,13 @@ def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None
 
 
 def _quantile(ratio: Array) -> float:
-    """The smallest of them that holds 95 of 100 of these and one more."""
+    """The smallest ratio that is no smaller than 95 of 100 of all ratios, counting one more than there are."""
     rank = int(np.ceil(SHARE * (len(ratio) + 1)))
     return float(np.sort(ratio)[min(rank, len(ratio)) - 1])
 
 
 def joint_features(joints: Array, slides: tuple[bool, ...]) -> Array:
-    """Sines and cosines of joints that turn, and joints that slide as they are."""
+    """Features of joints ``(N, n)``: sines and cosines of revolute joints, then prismatic joints as they are, m."""
     straight = np.array(slides)
     turning = joints[:, ~straight]
     return np.concatenate([np.sin(turning), np.cos(turning), joints[:, straight]], axis=1)

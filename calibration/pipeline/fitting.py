@@ -1,6 +1,6 @@
-"""Fitting an arm to data of any kind: base and tool, then geometry and terms, then what remains.
+"""Fitting an arm to data of any kind: base and tool, then geometry and terms, then a model of what remains.
 
-The middle of the one way from rows to a result (`calibrate`), for whoever holds rows that need no check and no verdict.
+This is the middle part of `calibrate`, for callers whose rows need no check and who want no verdict.
 """
 
 from __future__ import annotations
@@ -40,9 +40,9 @@ class Fit:
     """A calibration together with how it was found.
 
     Attributes:
-        calibration: The result.
+        calibration: The calibration.
         identification: Evidence of the least-squares stage.
-        aligned: Evidence of the base and tool fit, where they were unknown.
+        aligned: Evidence of the base and tool fit; None if base and tool were known.
     """
 
     calibration: Calibration
@@ -74,7 +74,7 @@ def fit(
         terms: Parametric non-geometric effects to identify with the geometry.
         residual: Residual model by name: "bpnn", "rbf" or "gp".
         rng: Seeds the residual model; needed with ``residual_measurements``.
-        settings: Settings of the network "bpnn"; the paper's when left out.
+        settings: Settings of the network "bpnn"; the paper's if left out.
         progress: Called with (epochs done, epochs in all).
 
     Raises:
@@ -94,7 +94,7 @@ def fit(
 
 
 def fit_frames(arm: Arm, data: Observations, known: bool) -> Identification | None:
-    """Base, tool and the data's own unknowns, fitted without a first guess; None for poses in known frames.
+    """The fit of base, tool and the data's own unknowns without a first guess; None for poses in known frames.
 
     Raises:
         InputError: If the data do not fit the arm.
@@ -111,16 +111,16 @@ def fit_frames(arm: Arm, data: Observations, known: bool) -> Identification | No
 
 
 def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, model: PriorModel) -> Fit:
-    """Geometry and terms, from where `fit_frames` left base and tool.
+    """The fit of geometry and terms, which starts from the base and tool of `fit_frames`.
 
     Args:
         arm: The arm.
         data: The rows.
-        aligned: Evidence of the base and tool fit; None where they are known.
-        model: What is fitted, with its priors (`pickenv.calibration.model.prior.prior_model`).
+        aligned: Evidence of the base and tool fit; None if they are known.
+        model: The parameters to fit, with their priors (`pickenv.calibration.model.prior.prior_model`).
 
     Raises:
-        InputError: If there are too few rows for parameters without priors, or it does not converge.
+        InputError: If there are too few rows for parameters without priors, or the fit does not converge.
     """
     solution = solve(model, data)
     if not solution.converged:
@@ -153,15 +153,17 @@ def fit_remainder(
     settings: BpnnSettings | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Fit:
-    """The fit with a model of what it leaves (eq (17)); recorded conditions are inputs beside the joints.
+    """The fit with a learnt model of the errors that it leaves (eq (17)).
+
+    The model's inputs are the joints and the recorded conditions.
 
     Args:
         found: The fit.
-        kind: Residual model by name.
+        kind: Name of the residual model.
         data: Poses to learn from.
         rng: Seeds the model.
-        settings: The paper's network with these settings, which takes the joints as they are; else, as the other models
-            do, it takes sine and cosine of joints that turn far, and thins rows where there are very many.
+        settings: If given, the paper's network with these settings is trained, which takes the joints as they are. Else
+            every model takes sine and cosine of joints that turn far, and thins the rows if there are very many.
         progress: Called with (epochs done, epochs in all).
     """
     record = {
@@ -188,7 +190,7 @@ def fit_remainder(
 
 
 def _refuse_misfit(found: Identification, data: Observations) -> None:
-    """Refuse wires and sockets that even after the frames' fit miss by a large share of what they span."""
+    """Refuse wires, sockets and the like that still miss by a large share of their span once the frames are fitted."""
     misses = data.misses(found.arm_model, unknowns_of(found, data))
     rms = float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))
     span = data.span(forward(found.geometry, data.joints).position)
@@ -215,12 +217,12 @@ class HeldOut:
     """Errors ``(M, 6)``, ``(M, 3)`` or ``(M, 1)``, m and rad, of rows that no fit saw.
 
     Attributes:
-        errors: By model: "nominal", "geometric", then what was added; the last is what is used.
-        parametric: Of the model used, without its learnt residual.
-        used: Name of the model that each part of the rows was judged by: one, or one per block.
-        blocks: The block of each error ``(M,)``; None where rows were held out once.
-        refit: How frames were found anew for these rows, in words; empty where they are those of the fit.
-        pixels: Of pictures the geometry's errors in px too, view by view; empty for other kinds.
+        errors: Errors by model: "nominal", "geometric", then those with further parts; the last model is the one used.
+        parametric: Errors of the model used, without its learnt residual.
+        used: Name of the model by which each part of the rows was judged: one, or one per block.
+        blocks: The block of each error ``(M,)``; None if rows were held out once.
+        refit: How frames were found anew for these rows, in words; empty if they are those of the fit.
+        pixels: For pictures, the geometry's errors in px, view by view; empty for other kinds.
     """
 
     errors: dict[str, Array]
@@ -231,7 +233,7 @@ class HeldOut:
     pixels: tuple[Array, ...] = ()
 
     def text(self, rows: int, fitted: int) -> str:
-        """A sentence on the way in which these rows were held out.
+        """A sentence on how these rows were held out.
 
         Args:
             rows: Number of rows judged.
@@ -250,18 +252,18 @@ class HeldOut:
 
     @property
     def rows(self) -> str:
-        """The word for rows: "views" of pictures."""
+        """The word for rows in sentences: "views" if they are pictures, else "rows"."""
         return "views" if self.pixels else "rows"
 
     @property
     def no_interval(self) -> str:
-        """The reason why there is no interval; empty where there is one."""
+        """The reason why there is no interval; empty if there is one."""
         least, units = (LEAST_ROWS, "rows") if self.blocks is None else (LEAST, "blocks")
         return "" if self._values >= least else f"no interval: {self._values} {units} are fewer than {least}"
 
     @property
     def _values(self) -> int:
-        """The number of independent values of an interval."""
+        """Number of independent values that an interval rests on: errors, or blocks of them."""
         return len(self.parametric) if self.blocks is None else len(np.unique(self.blocks))
 
     def _reason(self) -> str:
@@ -269,11 +271,11 @@ class HeldOut:
 
 
 def held_out_of(fits: Mapping[str, Fit], test: Observations) -> HeldOut:
-    """Errors on rows held out once.
+    """Errors on rows that were held out once.
 
     Args:
-        fits: The calibration of the geometry alone and what was added to it, step by step, by name.
-        test: Rows held out.
+        fits: Calibrations by name, step by step: of the geometry alone, then each with one part more.
+        test: The held-out rows.
     """
     bare = next(iter(fits.values()))
     if test.poses is not None:
@@ -289,7 +291,7 @@ def held_out_of(fits: Mapping[str, Fit], test: Observations) -> HeldOut:
 
 
 def _step_by_step(fits: Mapping[str, Fit], nominal: Array, left: Callable[[Fit], Array]) -> HeldOut:
-    """Errors of the nominal arm and of what each step leaves."""
+    """The held-out errors of the nominal arm, as given, and of each step's calibration, which ``left`` computes."""
     used, best = list(fits.items())[-1]
     errors = {name: left(fit) for name, fit in zip((GEOMETRIC, *list(fits)[1:]), fits.values(), strict=True)}
     return HeldOut({NOMINAL: nominal, **errors}, left(without_residual(best)), (used,))
@@ -298,16 +300,16 @@ def _step_by_step(fits: Mapping[str, Fit], nominal: Array, left: Callable[[Fit],
 def held_out_elsewhere(
     fits: Mapping[str, Fit], test: Measurements, own: Sequence[str], count: int
 ) -> tuple[HeldOut, Rows]:
-    """Errors on rows of another station, whose frames are found from a few of them, for each model by itself.
+    """Errors on rows of another station, whose frames are found from a few of its rows, separately for each model.
 
     Args:
-        fits: The calibration of the geometry alone and what was added to it, step by step, by name.
+        fits: Calibrations by name, step by step: of the geometry alone, then each with one part more.
         test: Rows of the other station.
-        own: Which of "base" and "tool" it has of its own.
-        count: Rows to find them from.
+        own: Which of "base" and "tool" the station has of its own.
+        count: Number of rows from which these frames are found.
 
     Returns:
-        The errors, and the rows that they are of.
+        The errors, and the indices of the rows to which they belong, which are all but those used to find the frames.
 
     Raises:
         InputError: If there are too few rows.
@@ -325,12 +327,12 @@ def held_out_elsewhere(
 
 
 def by_station(held_out: HeldOut, train: Observations, folds: Sequence[tuple[Rows, Rows]]) -> HeldOut:
-    """Errors of all blocks of several stations in the order of the stations' rows, as the rows stand.
+    """The errors of all blocks, sorted by the station that their rows belong to.
 
     Args:
         held_out: Errors block by block.
-        train: The rows.
-        folds: For each block the rows fitted, and those held out.
+        train: The rows of all stations.
+        folds: For each block the indices of the fitted rows and of the held-out rows.
     """
     rows = np.concatenate([rows_out[train.select(rows_out).rows_of_misses] for _, rows_out in folds])
     places = np.repeat(np.arange(len(train.parts)), [len(part.joints) for part in train.parts])
@@ -341,14 +343,14 @@ def by_station(held_out: HeldOut, train: Observations, folds: Sequence[tuple[Row
 
 
 def pooled(names: Sequence[str], parts: Sequence[HeldOut]) -> HeldOut:
-    """Errors of all blocks, one after the other.
+    """The held-out errors of all blocks, one block after the other.
 
-    What is used was chosen anew without each block, so its steps may differ from block to block: the last row holds
-    the last step of each, a row between the step before a residual was learnt.
+    The model was chosen anew without each block, so its steps may differ from block to block. The last model's errors
+    are those of each block's last step; a model between has those of the last step before a residual was learnt.
 
     Args:
         names: Names of the steps of the calibration of all rows, in order.
-        parts: One per block.
+        parts: The held-out errors of each block.
     """
     added = list(names[1:])
     if not added and any(len(part.errors) > 2 for part in parts):
@@ -364,18 +366,21 @@ def pooled(names: Sequence[str], parts: Sequence[HeldOut]) -> HeldOut:
 
 
 def without_residual(fit: Fit) -> Fit:
-    """The fit without what was learnt."""
+    """The fit without its learnt residual."""
     return replace(fit, calibration=fit.calibration.without_residual())
 
 
 def what_is_left(fit: Fit, data: Observations) -> Array:
-    """A calibration's errors ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad, of stations in the first's axes."""
+    """A calibration's errors on data, ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad.
+
+    Errors of several stations are in the first station's axes.
+    """
     tracked = tracked_rows(fit.identification, data)
     return missed_by(fit.identification, data) if tracked is None else fit.calibration.errors(tracked)
 
 
 def missed_by(found: Identification, data: Observations) -> Array:
-    """The errors that an identified arm leaves of data, in the shapes and axes of `what_is_left`."""
+    """An identified arm's errors on data, in the shapes and axes of `what_is_left`."""
     tracked = tracked_rows(found, data)
     if tracked is None:
         return data.misses(found.arm_model, unknowns_of(found, data))
@@ -383,7 +388,10 @@ def missed_by(found: Identification, data: Observations) -> Array:
 
 
 def tracked_rows(found: Identification, data: Observations) -> Measurements | None:
-    """Poses or positions as they are, of stations as the first one would have measured them; None of other kinds."""
+    """The data as poses or positions, those of several stations as the first one would have measured them.
+
+    None if the data are of another kind.
+    """
     rows: Measurements | None = data.from_the_first(found.arm_model, unknowns_of(found, data))
     return rows
 
@@ -392,12 +400,12 @@ def tracked_rows(found: Identification, data: Observations) -> Measurements | No
 
 
 def pixel_figures(fit: Fit, data: PixelObservations, held_out: HeldOut) -> dict[str, Any]:
-    """Reprojection errors for JSON: of a fit of views, and of what fits left of views that they never saw.
+    """Reprojection errors for JSON: of the fit to all views, and of fits on views that they never saw.
 
     Args:
-        fit: The fit of all these views, of geometry alone.
+        fit: The fit of geometry alone to all these views.
         data: The views.
-        held_out: Errors of the views held out: each by itself, or its block where they are many.
+        held_out: Errors of held-out views; views were held out one by one, or in blocks if they are many.
     """
     solution = fit.identification
     by_view = [position_rms(view) for view in held_out.pixels]
@@ -415,7 +423,7 @@ def pixel_figures(fit: Fit, data: PixelObservations, held_out: HeldOut) -> dict[
 
 
 def pixel_block(figures: Mapping[str, Any], names: Sequence[str]) -> Block:
-    """`pixel_figures` as a table; ``names`` are the views held out."""
+    """The figures of `pixel_figures` as a table; ``names`` are the names of the held-out views."""
     by_view, ends = figures["leave_one_out_view_rms_px"], figures["leave_one_out_mean_ci95_px"]
     worst = int(np.argmax(by_view))
     between = "no interval: too few views"
@@ -432,7 +440,7 @@ def pixel_block(figures: Mapping[str, Any], names: Sequence[str]) -> Block:
 
 
 def view_names(views: PixelObservations) -> tuple[str, ...]:
-    """The views' names: their pictures', or where their corners stand in a file."""
+    """The names of views: each is that of its picture, or else the file and row where its corners begin."""
     if views.pictures is not None:
         return tuple(Path(path).name for path in views.pictures)
     return tuple(
@@ -441,7 +449,7 @@ def view_names(views: PixelObservations) -> tuple[str, ...]:
 
 
 def lens_of(fit: Fit, data: Observations) -> Lens:
-    """The lens that a fit of pictures ended at.
+    """The lens that a fit to pictures found.
 
     Raises:
         InputError: If there are no pictures.

@@ -1,4 +1,4 @@
-"""The one result of a calibration: verdict, held-out errors, what was found, what was left out.
+"""The one result of a calibration: verdict, held-out errors, parameters found, rows left out.
 
 Whatever a screen shows of a calibration is made here, once: the terminal prints `Result.summary` or all of
 `Result.report`, the page shows the same blocks, `Result.as_dict` holds the same values, and the saved calibration
@@ -42,11 +42,11 @@ CAUTIONS, CAUTION = 3, 100
 """Of cautions, a summary prints so many, each as two lines of so many characters."""
 
 SIGMAS = 2.0
-"""A parameter has moved where its change is more than so many of its standard deviations."""
+"""Number of its standard deviations by which a parameter must have changed to count as moved."""
 
 
 def has_moved(row: Mapping[str, Any]) -> bool:
-    """Whether one of `Result.parameters` changed by more than `SIGMAS` of its standard deviations."""
+    """Whether a parameter, a row of `Result.parameters`, changed by more than `SIGMAS` of its standard deviations."""
     return bool(abs(row["change"]) > SIGMAS * row["std"])
 
 
@@ -57,20 +57,20 @@ class Result:
     Attributes:
         arm: The arm.
         fit: The calibration that will be used, and its evidence.
-        geometric: The calibration of the geometry alone.
-        train: Rows it was fitted to.
-        test: Rows held out; all of them, in their blocks' order, where each block was judged without itself.
-        held_out: Errors on them.
+        geometric: The calibration of the geometry alone, and its evidence.
+        train: The rows that the calibration was fitted to.
+        test: The held-out rows; all rows, block after block, if each block was judged by a fit without it.
+        held_out: Errors on the held-out rows.
         quality: The verdict and what it rests on.
-        uncertainty: Of predicted poses.
-        base_frame: The error in the robot's own base frame; None where base and tool were known.
-        terms: How terms were chosen; None where they were not.
-        gate: The residual models' verdicts; none where none was judged.
+        uncertainty: Uncertainty of predicted poses.
+        base_frame: The error in the robot's own base frame; None if base and tool were known.
+        terms: How terms were chosen; None if they were not chosen from the rows.
+        gate: Verdicts on the residual models; empty if none was judged.
         floor: What the files say about noise (`pickenv.calibration.reading.read.NoiseFloor`); None if not from files.
-        left_out: Rows far off that were left out.
-        unit: Serial number of the robot, where it was named.
-        pixels: Reprojection errors, for JSON; None where no pictures were taken.
-        stations: What files were said to have of their own; None where the rows told it.
+        left_out: Rows that were found far off, each with whether it was kept or left out.
+        unit: Serial number of the robot; None if it was not named.
+        pixels: Reprojection errors, for JSON; None if no pictures were taken.
+        stations: The frames that the caller said each file has of its own; None if the rows told it.
     """
 
     arm: Arm
@@ -97,17 +97,17 @@ class Result:
 
     @property
     def has_nominal(self) -> bool:
-        """Whether an arm is calibrated, which has a nominal model: where poses are finished, frames alone are found."""
+        """Whether an arm with a nominal model is calibrated; false for finished poses, where only frames are fitted."""
         return self.arm.name != CARRIER
 
     @property
     def errors(self) -> Mapping[str, Array]:
-        """Held-out errors by model ``(M, 6)``, ``(M, 3)`` or ``(M, 1)``, m and rad; the last is what will be used."""
+        """Held-out errors by model ``(M, 6)``, ``(M, 3)`` or ``(M, 1)``, m and rad; the last model will be used."""
         return self.held_out.errors
 
     @property
     def miss_unit(self) -> str:
-        """The unit of held-out errors on screens: "mm", or "deg" where only directions were measured."""
+        """The unit of held-out errors on screens: "mm", or "deg" if only directions were measured."""
         return self.train.miss_unit
 
     @property
@@ -130,7 +130,7 @@ class Result:
 
     @cached_property
     def attitude(self) -> dict[str, ErrorStatistics]:
-        """Held-out attitude errors by model, deg; empty where no attitude was measured."""
+        """Held-out attitude errors by model, deg; empty if no attitude was measured."""
         wide = {name: values for name, values in self.errors.items() if values.shape[1] == 6}
         blocks = self.held_out.blocks
         return {name: error_statistics(np.degrees(values[:, 3:]), blocks) for name, values in wide.items()}
@@ -167,20 +167,20 @@ class Result:
 
     @cached_property
     def harmonics(self) -> list[dict[str, Any]]:
-        """The drives' harmonics in it, the largest first, in screens' units; empty where there are none."""
+        """The identified harmonics of the drives, the largest first, in units of screens; empty if there are none."""
         return screen.harmonic_rows(self.fit.identification)
 
     @cached_property
     def stiffnesses(self) -> list[dict[str, Any]]:
-        """The joints' stiffnesses, where torques were measured and compliance takes part; else empty."""
+        """The identified stiffnesses of the joints; empty if the calibration has no compliance term."""
         return screen.stiffness_rows(self.fit.identification, self.train)
 
     @property
     def own_mean_ci95(self) -> Ends | None:
-        """95 % interval of the arm's own mean error in the instrument's frame, mm; None where there are too few rows.
+        """95 % interval of the arm's own mean error in the instrument's frame, mm; None if there are too few rows.
 
-        The upper end is that of the held-out errors; from the lower one the instrument's noise is taken off, which a
-        held-out error contains and a reach does not.
+        The upper end is that of the held-out errors. From the lower end the instrument's noise is subtracted if poses
+        were measured: a held-out error contains this noise, a reach of the arm does not.
         """
         if self.best.mean_ci95 is None:
             return None
@@ -204,7 +204,7 @@ class Result:
         return f"{words}{low} to {high} mm (95 % interval; the lower end without the instrument's noise)"
 
     def blocks(self) -> tuple[screen.Block, ...]:
-        """The tables that both the terminal and the page show, in order, after verdict and frames."""
+        """The tables that terminal and page show after verdict and frames, in order; empty ones are left out."""
         over = self.quality.workspace
         blocks = [self._errors(), instrument.set_up_block(self.set_ups, self.stations)]
         blocks += [] if over is None else [over.block()]
@@ -235,15 +235,15 @@ class Result:
         return self.summary()
 
     def compensator(self) -> Compensator:
-        """The map from joint targets to joint commands; see `Calibration.compensator` for its options."""
+        """The compensator, which maps joint targets to joint commands; `Calibration.compensator` has its options."""
         return self.calibration.compensator()
 
     def plant(self) -> Plant:
-        """The arm as it was found, for every environment; see `pickenv.calibration.pipeline.twin.twin`."""
+        """The calibrated arm as a plant for every environment; see `pickenv.calibration.pipeline.twin.twin`."""
         return twin(self.calibration, self.arm, self.train.poses)
 
     def sample(self, n: int, seed: int, tolerances: str = "medium") -> Plant:
-        """``n`` arms that the data allow, as one plant; what was not identified is drawn from a tolerance class."""
+        """One plant of ``n`` arms that the data allow; parameters not identified are drawn from a tolerance class."""
         return draw_plants(self.plant(), load_tolerances(tolerances), n, np.random.default_rng(seed))
 
     def save(self, path: str | Path) -> Path:
@@ -251,13 +251,13 @@ class Result:
         return self.calibration.save(path)
 
     def export(self, out: str | Path, *, kind: str | None = None, onto: str | Path | None = None) -> Path:
-        """Write what a robot, a controller or another program reads; see `pickenv.calibration.export`."""
+        """Write the calibration for a robot, a controller or another program; see `pickenv.calibration.export`."""
         from pickenv.calibration.delivery.export import export
 
         return export(self.calibration, out, kind=kind, onto=onto, arm=self.arm).path
 
     def write_page(self, path: str | Path, seeds: Mapping[str, Any] | None = None) -> Path:
-        """Write the report as one HTML page; ``seeds``: what its draws came from, by name."""
+        """Write the report as one HTML page; ``seeds`` holds the seeds of its random draws by name."""
         require("jinja2", "matplotlib", "plotly")
         from pickenv.inspect import write_calibration_report
 
@@ -324,13 +324,14 @@ class Result:
 
     @cached_property
     def set_ups(self) -> list[dict[str, Any]]:
-        """The set-ups of several files, in screens' units; empty where there is one file."""
+        """The set-ups of the files, in units of screens; empty if there is only one file."""
         return instrument.set_ups_of(self.geometric.identification, self.train)
 
     def parameters(self) -> list[dict[str, Any]]:
-        """Each fitted parameter on screens' units: its change and standard deviation, and how much the rows told.
+        """Each fitted parameter in units of screens: its change, its standard deviation, and how much the rows told.
 
-        ``narrowed`` is how much narrower it is known than before measuring, 0 to 1; None where nothing was expected.
+        ``prior_std`` is its standard deviation before measuring, and ``narrowed`` the share, 0 to 1, by which it is
+        known more narrowly since; both are None if it had no prior.
         """
         solution, model = self.fit.identification, self.fit.calibration.model
         changes = ArmModel.of(self.fit.calibration.nominal, model.terms).difference(model)
@@ -349,7 +350,7 @@ class Result:
         return rows
 
     def plain_parameters(self) -> list[dict[str, Any]]:
-        """Those of `parameters` without a table of their own, as harmonics and stiffnesses have."""
+        """The rows of `parameters` except harmonics and compliances, which have tables of their own."""
         return [row for row in self.parameters() if not row["name"].startswith(("periodic", "compliance"))]
 
     def _parameters(self) -> screen.Block:
@@ -364,7 +365,7 @@ class Result:
 
     @property
     def prior_text(self) -> str:
-        """The expectation of the parameters before measuring, in words."""
+        """What was expected of the parameters before measuring, in words."""
         prior = self.geometric.identification.prior
         if prior is None or not prior.proper:
             return "nothing was expected of them beforehand"
@@ -396,7 +397,7 @@ class Result:
         return screen.Block("Evidence", (), tuple(rows), key="evidence")
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON."""
+        """The result for JSON."""
         solution = self.geometric.identification
         prior = solution.prior
         nominal, geometric, best = self.position[fitting.NOMINAL], self.position[fitting.GEOMETRIC], self.best
@@ -458,20 +459,20 @@ class Result:
 
 
 WORKSPACE_POSES, TRIALS = 400, 200_000
-"""Joint vectors that stand for a workspace, and how many are drawn at most to find those that lie in a box."""
+"""Number of joint vectors that stand for a workspace, and number that are drawn to find those within a box."""
 
 
 def workspace_joints(text: str | Path | None, geometry: Geometry) -> tuple[str, Array]:
-    """The name of a workspace, and joints ``(M, n)`` all over it; the same every time.
+    """The name of a workspace, and joints ``(M, n)``, rad or m, spread over it; equal inputs give the same ones.
 
     Args:
-        text: A file of targets (joints or tool poses in our own columns); or ranges joined by commas, of joints in deg
-            or mm (``q1=-90:90``) and of the tool's position in the controller's base frame in mm (``x=300:900``); what
-            is not named is within the joint limits. All of these when None.
+        text: A file of targets (joints or tool poses in our own columns), or ranges joined by commas: of joints in deg
+            or mm (``q1=-90:90``), and of the tool's position in the controller's base frame in mm (``x=300:900``).
+            Joints that are not named move within their limits. None for all poses within the joint limits.
         geometry: The nominal arm.
 
     Raises:
-        InputError: If a range cannot be read, or the arm reaches nothing in it.
+        InputError: If a range cannot be read, or the arm hardly reaches anything in it.
     """
     rng = np.random.default_rng(0)
     if text is None:
@@ -527,13 +528,14 @@ def assess(
     Args:
         arm: The arm.
         fit: The calibration that will be used.
-        train: Rows it was fitted to.
-        test: Rows held out.
-        fits: The calibration of the geometry alone and what was added to it, step by step, by name; the last is
-            ``fit``. When left out ``fit`` without and with its learnt residual.
-        held_out: Errors on the rows held out; what the fits leave there when left out.
-        left_out: Rows left out.
-        workspace: Where the arm will work: what that is called, and joints ``(M, n)`` all over it.
+        train: The rows that the calibration was fitted to.
+        test: The held-out rows.
+        fits: Calibrations by name, step by step: of the geometry alone, then each with one part more; the last is
+            ``fit``. If left out, ``fit`` without and with its learnt residual.
+        held_out: Errors on the held-out rows; if left out, those of ``fits``.
+        left_out: Rows that were found far off.
+        workspace: Name of the workspace where the arm will work, and joints ``(M, n)`` spread over it; if left out,
+            the joint limits.
     """
     unlearnt = fitting.without_residual(fit)
     learnt = fit.calibration.learnt

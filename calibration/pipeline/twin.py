@@ -1,9 +1,9 @@
 """A calibrated arm as a plant: its truth is what the calibration found; its arms are drawn from what the data allow.
 
-Geometry and terms come with their covariance; parameters that were dropped lie anywhere in their tolerance. What no
-term says is a Gaussian process: that of the calibration where it learnt one, else one fitted to what geometry and terms
-leave of its rows, which stands in for the posterior that networks do not have. What is no smooth function of the joints
-is scatter; of that the instrument's share is taken off, and the rest is the arm's. SI units.
+Geometry and terms come with their covariance; parameters that were dropped lie anywhere in their tolerance. Errors that
+no term describes are a Gaussian process. It is the calibration's own if it learnt one, else it is fitted to the errors
+that geometry and terms leave of the rows, and stands in for the posterior that networks do not have. Errors that are no
+smooth function of the joints are scatter: the instrument's share is subtracted, the rest is the arm's own. SI units.
 """
 
 from __future__ import annotations
@@ -35,32 +35,36 @@ from pickenv.calibration.residuals.gaussian_process import GaussianProcess, feat
 from pickenv.calibration.residuals.residual_models import JointInputs, fit_residual
 
 SMOOTH, ROUGH = 256, 8
-"""Waves of one output, cosine and sine each: of the process, and of the arm's own scatter."""
+"""Numbers of waves (cosine and sine each) of one output: for the process, and for the arm's own scatter."""
 
 ROUGH_LENGTH = 1e-2
-"""Poses farther apart than this scatter independently, rad or m."""
+"""Distance of poses, rad or m, beyond which they scatter independently."""
 
 SCATTER = "scatter"
-"""Entry of a calibration's record: what is known of the instrument's share of the scatter."""
+"""Entry of a calibration's record that holds what is known of the instrument's share of the scatter."""
 
 
 SCATTER_PARTS = ("position_std", "attitude_std", "source")
 
 Scatter = tuple[float, float, str]
-"""The instrument's share of a measurement's scatter, per coordinate of a position, m, and of an attitude, rad, and
-where that is known from, in words."""
+"""The instrument's share of a measurement's scatter, as standard deviations, and its source.
+
+They are the standard deviation of a position coordinate, m, that of an attitude coordinate, rad, and the source in
+words.
+"""
 
 ASSUMED: Scatter = (POSITION_STD, ATTITUDE_STD, "what is assumed of an instrument of which nothing is stated")
 
 
 def scatter_of(data: Measurements, repeat: float | None = None) -> Scatter:
-    """The instrument's share: from repeats of the same command where there are some, else what is stated of it.
+    """The instrument's share of the scatter of measured rows.
 
-    Repeats hold the arm's repeatability too, so they are an upper bound, and the smaller of both is taken.
+    It is the instrument's stated or assumed uncertainty, or the scatter between repeats of the same command if that is
+    smaller: repeats contain the arm's repeatability too, so they are an upper bound.
 
     Args:
         data: The rows.
-        repeat: RMS of the position's scatter between repeats, m, where the file states it.
+        repeat: RMS of the position's scatter between repeats, m, if the file states it.
     """
     stated = "stated" if data.std_stated else "assumed"
     repeated = repeated_std(data) if repeat is None else repeat / np.sqrt(3.0)
@@ -76,7 +80,7 @@ def scatter_of(data: Measurements, repeat: float | None = None) -> Scatter:
 
 
 def repeated_std(data: Measurements) -> float | None:
-    """Standard deviation of one position coordinate between rows of equal joints, m; None where there are none."""
+    """Standard deviation of one position coordinate, m, between rows of equal joints; None if no joints are equal."""
     _, group = np.unique(np.round(data.joints, 9), axis=0, return_inverse=True)
     group = group.ravel()
     counts = np.bincount(group)
@@ -96,19 +100,22 @@ def twin(
     seed: int = 0,
     geometry_only: bool = False,
 ) -> Plant:
-    """The plant of a calibrated arm: fixed it is the best guess; its arms are drawn with `draw_plants`.
+    """The plant of a calibrated arm.
+
+    As it is, the plant is the best guess of the arm; `draw_plants` draws arms that the data allow.
 
     Args:
         calibration: The calibration.
-        arm: Its arm.
-        rows: Poses or positions that it was fitted to: needed where it has no Gaussian process of its own.
+        arm: The arm that was calibrated.
+        rows: Poses or positions that the calibration was fitted to; needed if its learnt residual is no Gaussian
+            process.
         name: Name of the plant.
-        seed: Of the waves, and of the process where one is fitted.
+        seed: Seed of the waves, and of the Gaussian process if one is fitted.
         geometry_only: Whether terms and residual stay out.
 
     Raises:
-        InputError: If it is another arm's, joints move several links, it holds no covariance, or a term needs what a
-            plant does not have.
+        InputError: If the calibration is another arm's, a joint moves several links, the calibration holds no
+            covariance, rows are needed, or a term needs something that a plant does not have.
     """
     calibration.refuse_another(arm)
     if geometry_only:
@@ -164,13 +171,16 @@ def twin(
 
 
 def _root(covariance: Array) -> Array:
-    """A square root C = R R^T, of a covariance that may be singular."""
+    """The square root R, with C = R R^T, of a covariance C that may be singular."""
     values, vectors = np.linalg.eigh(covariance)
     return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]:
-    """Places of the geometry's parameters that were dropped, and what gives way when one of them is moved."""
+    """Indices of the geometry's dropped parameters, and how all parameters change as one of these is moved.
+
+    The changes are a matrix, one column per dropped parameter: it moves by 1, and those that absorbed it give way.
+    """
     parameters = calibration.identified.parameter_names
     dropped: Mapping[str, Mapping[str, float]] = calibration.record.get("dropped", {})
     lost = [name for name in dropped if name in parameters]
@@ -184,7 +194,7 @@ def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]
 
 
 def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
-    """The layout of a plant's coefficients, and the terms' coefficients as those ``(k, t)``."""
+    """The layout of a plant's coefficients, and the matrix ``(k, t)`` from the terms' coefficients to the plant's."""
     kinds: dict[str, list[Any]] = {"harmonics": [], "moments": []}
     rows: dict[str, list[Array]] = {kind: [] for kind in kinds}
     sizes = [len(term.names(geometry)) for term in terms]
@@ -210,7 +220,11 @@ def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
 def _moments(
     term: GravityTerm | ComplianceTerm, geometry: Geometry
 ) -> tuple[list[tuple[int, int, str]], Array, tuple[float, float, float]]:
-    """Moments that joints yield to, each one's size per coefficient of the term ``(k, t)``, and where up is."""
+    """The moments that joints yield to, their sizes per coefficient of the term ``(k, t)``, and the upward direction.
+
+    Raises:
+        InputError: If the term needs measured torques.
+    """
     if isinstance(term, GravityTerm):
         all_ = term.moments(geometry)
         indices = [i for i, (_, _, moment) in enumerate(all_) if moment != "p"]  # no payload is held
@@ -243,7 +257,7 @@ def _moments(
 
 
 def _missing(calibration: Calibration) -> list[str]:
-    """Sentences on the parts that stay out of the plant."""
+    """Sentences on what of the calibration stays out of the plant, and on its base frame."""
     sentences = []
     kinds = [type(term).__name__ for term in calibration.model.terms]
     if "ThermalTerm" in kinds:
@@ -256,9 +270,13 @@ def _missing(calibration: Calibration) -> list[str]:
 
 
 def _no_more_than(noise: Array, scatter: Scatter) -> Scatter:
-    """The instrument's share, which is never more than all of what the rows scatter by ``(3,)`` or ``(6,)``.
+    """The instrument's share of the scatter, limited to all the scatter of the rows.
 
-    Where positions show that the instrument is better than it is said to be, its attitudes are taken from the rows too.
+    If the positions show that the instrument is better than stated, its attitudes are limited by the rows too.
+
+    Args:
+        noise: Standard deviation of the rows' scatter in each coordinate ``(3,)`` or ``(6,)``, m and rad.
+        scatter: The instrument's share as stated or assumed.
     """
     position, attitude = (float(np.sqrt(np.mean(part**2))) if len(part) else np.inf for part in (noise[:3], noise[3:]))
     position_std, attitude_std, source = scatter
@@ -271,7 +289,13 @@ def _no_more_than(noise: Array, scatter: Scatter) -> Scatter:
 def _process(
     calibration: Calibration, rows: Measurements | None, rng: np.random.Generator
 ) -> tuple[GaussianProcess | None, JointInputs, str]:
-    """The process on what geometry and terms leave, its inputs, and where it is from; without rows it is scatter."""
+    """The Gaussian process on the errors that geometry and terms leave, its inputs, and a sentence on its origin.
+
+    The process is None if there are neither rows nor a learnt residual: these errors are then taken as scatter.
+
+    Raises:
+        InputError: If there are no rows, and the learnt residual is no Gaussian process.
+    """
     learnt = calibration.learnt
     if learnt is not None and isinstance(learnt.model, GaussianProcess):
         return learnt.model, learnt.inputs, "the residual is the calibration's own Gaussian process"
@@ -291,7 +315,15 @@ def _process(
 
 
 def _field(frequency: Array, mean: Array, offset: Array, inputs: JointInputs, turn: Array) -> ResidualField:
-    """The mean as a function of the joints, with waves for the arm's own scatter, whose weights are zero on average."""
+    """The process's mean as a function of the joints, plus waves for the arm's own scatter with mean weights of zero.
+
+    Args:
+        frequency: Frequencies of the process's waves, by output, input and wave.
+        mean: Mean weights of these waves.
+        offset: Constant part of each output.
+        inputs: How joints become the process's inputs.
+        turn: Rotation matrix from the frame in which the residual was learnt into the arm's own.
+    """
     joints = len(inputs.periodic) + int(inputs.periodic.sum())  # conditions come after them, and stay at their mean
     scaled = frequency[:, :joints] / inputs.std[:joints, None]
     outputs = len(scaled)

@@ -1,8 +1,8 @@
 """More poses like those of a first small measurement, of any kind: wires, touches, reflectors, tilts, pictures.
 
-Where the wire is anchored, the touched point lies, the camera sits and what its lens is, the first rows tell. From then
-on it is known what such an instrument would read at other joints, and whether it could read anything there at all. The
-exchange starts from what the first rows tell already. SI units.
+The first rows tell where the wire is anchored, where the touched point lies, where the camera sits and what its lens
+is. This predicts what the instrument would read at other joints, and whether it could read anything there. The exchange
+of poses starts from the information that the first rows have given already. SI units.
 """
 
 from __future__ import annotations
@@ -27,31 +27,31 @@ from pickenv.calibration.model.prior import FRAMES, PriorModel
 from pickenv.calibration.planning import plan
 
 ROUNDS = 60
-"""Rounds in which candidates are looked for at most."""
+"""Largest number of rounds in which candidates are looked for."""
 
 STEPS, NEAR = 20, 1e-6
-"""Newton steps that bring a tool point to where it must be, and how near they must end, m."""
+"""Number of Newton steps that bring a tool point to where it must be, and how near they must end, m."""
 
 STEP = 0.5
-"""Largest step of a joint in them, rad or m."""
+"""Largest change of a joint in one Newton step, rad or m."""
 
 LEAST_SEEN = 0.5
-"""Share of a board's corners that a candidate must see."""
+"""Share of a board's corners that must be in the picture at a candidate."""
 
 WARY = 3.0
-"""Corners must be predicted so many times farther inside the picture than those of the first views were off."""
+"""Margin of the picture within which no predicted corner counts, as a multiple of the first views' RMS misses."""
 
 FOCUS = 1.5
-"""A board may stand so many times farther off than in the first views, or nearer."""
+"""Factor by which a board may stand farther off, or nearer, than in the first views."""
 
 
 First = tuple[Observations, ArmModel, Array]
-"""The instrument as a first measurement tells it: its rows, the nominal arm with base and tool as these have them, and
-the instrument's own unknowns."""
+"""The instrument as a first measurement tells it: the first rows, the nominal arm with the base and tool that fit these
+rows, and the instrument's own unknowns."""
 
 
 def first_rows(arm: Arm, data: Observations) -> First:
-    """Base, tool and the instrument's own unknowns from a few rows, of which some may be gross.
+    """Base, tool and the instrument's own unknowns from a few rows, some of which may have gross errors.
 
     Raises:
         InputError: If the rows are of several kinds, too few, or do not fit the arm.
@@ -67,10 +67,10 @@ def first_rows(arm: Arm, data: Observations) -> First:
 
 
 def measurable_joints(geometry: Geometry, first: First, count: int, rng: np.random.Generator) -> Array:
-    """Joints ``(count or fewer, n)`` at which the instrument reads something, within their limits.
+    """Joints ``(count or fewer, n)``, rad or m, within their limits, at which the instrument reads something.
 
-    Half of what is tried is drawn from the joint ranges, half near what was found, from the first rows on: few poses
-    of all show a board.
+    Half of the trials are drawn from the joint ranges. The other half are drawn near joints that are known to be
+    readable, at the start those of the first rows: only few of all poses show a board.
     """
     room = geometry.upper - geometry.lower
     lower, upper = geometry.lower + plan.MARGIN * room, geometry.upper - plan.MARGIN * room
@@ -92,13 +92,13 @@ def measurable_joints(geometry: Geometry, first: First, count: int, rng: np.rand
 def measurable(
     first: First, joints: Array, geometry: Geometry, *, move: bool = True
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Joints ``(N, n)`` moved to where the instrument reads something, and which of them ended there ``(N,)``.
+    """Joints ``(N, n)`` moved to where the instrument reads something, and a mask ``(N,)`` of those that it can read.
 
     Args:
         first: The instrument.
-        joints: Where to look.
+        joints: Joints to start from ``(N, n)``, rad or m.
         geometry: The nominal arm.
-        move: Whether they may be moved; else they are judged where they are, to a millimetre.
+        move: Whether the joints may be moved; else they are judged where they are, to a millimetre.
     """
     data, _, _ = first
     if data.views is not None:
@@ -126,7 +126,7 @@ def _misses(first: First, joints: Array) -> Array:
 
 
 def _short_of(first: First, joints: Array) -> Array:
-    """Distance of the tool point from where it could be read ``(N, k)``, m: a place, or a range of readings."""
+    """Distance ``(N, k)``, m, of the tool point from where it could be read: a place, or the first readings' range."""
     data, misses = first[0], _misses(first, joints)
     if not isinstance(data, DistanceObservations):
         return misses
@@ -136,7 +136,7 @@ def _short_of(first: First, joints: Array) -> Array:
 
 
 def _shown(first: First, joints: Array) -> NDArray[np.bool_]:
-    """A mask of the views ``(N,)`` that would show enough of the board, about as far off as in the first ones."""
+    """A mask ``(N,)`` of the views that would show enough of the board, about as far off as in the first views."""
     data, model, _ = first
     views = readings_at(first, joints).views
     depth, first_depth = (part.in_camera(model)[..., 2].mean(axis=1) for part in (views, data.views))
@@ -145,7 +145,7 @@ def _shown(first: First, joints: Array) -> NDArray[np.bool_]:
 
 
 def readings_at(first: First, joints: Array) -> Observations:
-    """Rows that the instrument would read at other joints; of a board the corners that are in the picture there."""
+    """Rows that the instrument would read at other joints; for a board, the corners that would be in the picture."""
     data, *found = first
     rows = data.imagined(joints)  # not stations, which `first_rows` refuses
     if rows.views is None:
@@ -156,10 +156,10 @@ def readings_at(first: First, joints: Array) -> Observations:
 
 
 LEAST_CANDIDATES = 3
-"""Candidates for each pose planned, below which there is nothing to choose."""
+"""Least number of candidates for each planned pose; with fewer there is nothing to choose."""
 
 CHUNK = 500
-"""Candidates whose equations are held at once."""
+"""Number of candidates whose equations are computed at once."""
 
 
 @single_threaded()
@@ -178,19 +178,19 @@ def plan_like(
 ) -> plan.PosePlan:
     """Choose ``count`` further poses for an instrument that has measured a few, and order them for short travel.
 
-    Base, tool and the arm's own parameters are planned for, with the instrument's unknowns.
+    The parameters planned for are base, tool, the arm's own parameters and the instrument's unknowns.
 
     Args:
         arm: The arm, with joint limits and speeds.
         data: The first rows, of one kind.
-        count: Poses to measure.
+        count: Number of poses to measure.
         rng: Draws candidates, the order of exchanges and the random sets to compare with.
-        candidates: Poses to choose from ``(N, n)``, of which those are left out where nothing could be read; or how
-            many to look for.
-        lines: Where given candidates stand in their file ``(N,)``.
-        criterion: "d-optimal", or "test-poses" to minimise the predicted position error at ``test_joints``; when left
-            out the latter where these are given.
-        test_joints: Where accuracy matters ``(M, n)``, rad or m; the candidates when left out.
+        candidates: Joints to choose from ``(N, n)``, rad or m, of which those are left out where nothing could be read;
+            or the number of candidates to look for.
+        lines: Line in their file of each of the given candidates ``(N,)``.
+        criterion: "d-optimal", or "test-poses" to minimise the predicted position error at ``test_joints``. If left
+            out, "test-poses" if ``test_joints`` are given, else "d-optimal".
+        test_joints: Joints where accuracy matters ``(M, n)``, rad or m; the candidates if left out.
         curve: Whether to say what half, twice, four and eight times as many poses would bring.
         prior: The arm's parameters with their priors; poses are then chosen by what they add to these and to the first
             rows.
@@ -241,7 +241,10 @@ def plan_like(
 
 
 def _design(geometry: Geometry, first: First, joints: Array, prior: PriorModel | None) -> plan.Design:
-    """The design of the candidates beside first rows and priors: of all parameters, or of a base set."""
+    """The design of the candidates, given first rows and priors.
+
+    It is for all parameters if they have priors, else for a base set: parameters that can be told apart.
+    """
     data, there, unknowns = first
     count = len(unknowns)
     if prior is not None and not data.framed:
@@ -271,16 +274,16 @@ def _design(geometry: Geometry, first: First, joints: Array, prior: PriorModel |
 
 
 def _scaled(first: First, data: Observations, model: ErrorModel, scale: Array) -> Array:
-    """Whitened, scaled Jacobian ``(equations, own + P)``."""
+    """Whitened, scaled Jacobian ``(equations, own + P)`` by the instrument's own unknowns and the P of the arm."""
     by_arm, by_own = data.jacobian(*first[1:])
     return np.asarray(np.hstack([by_own, by_arm[:, model.columns]]) * scale)
 
 
 def _by_pose(first: First, data: Observations, model: ErrorModel, scale: Array) -> Array:
-    """The same of each pose by itself ``(N, r, own + P)``, without what is known beforehand; at most r = 6 + own.
+    """The whitened, scaled Jacobian of each pose by itself ``(N, r, own + P)``, with measured rows' equations alone.
 
-    A pose has six components and the instrument so many unknowns: more equations (a board's corners) tell of no more
-    directions, and are replaced by as few that tell the same.
+    At most r = 6 + own: a pose has six components, and the instrument has its own unknowns, so more equations (a
+    board's corners) tell no more directions. They are replaced by 6 + own equations that tell the same.
     """
     matrix, (row, _) = _scaled(first, data, model, scale), data.equations()
     matrix, row = matrix[row >= 0], row[row >= 0]

@@ -1,8 +1,8 @@
-"""Poses to measure: few of many candidates that tell the most about the parameters, ordered for short travel.
+"""Poses to measure: the few of many candidates that tell the most about the parameters, ordered for short travel.
 
-D-optimal sets (largest determinant of the information matrix: best O1), or the least predicted error at given test
-poses (Klimchik, Wu et al. 2012-2014: accuracy where the arm will pick). Where parameters have priors, poses are chosen
-by what they tell beyond these, and the predicted error is the one that a calibration will state. SI units.
+A set of poses is D-optimal (largest determinant of the information matrix: best O1), or has the least predicted error
+at given test poses (Klimchik, Wu et al. 2012-2014: accuracy where the arm will pick). If parameters have priors, poses
+are chosen by what they tell beyond these, and the predicted error is the one that a calibration will state. SI units.
 """
 
 from __future__ import annotations
@@ -31,10 +31,10 @@ from pickenv.calibration.model.prior import FRAMES, PriorModel
 # at once.
 
 RIDGE = 1e-9
-"""Information given to every direction from the start, as a share of one candidate's mean, so that inverses exist."""
+"""Information that every direction has from the start, so that inverses exist; a share of a mean candidate's."""
 
 MAX_PASSES = 20
-"""Rounds through the chosen poses at most; three to six are usual."""
+"""Largest number of rounds through the chosen poses; three to six are usual."""
 
 
 def exchange(
@@ -46,18 +46,18 @@ def exchange(
     *,
     known: Array | None = None,
 ) -> tuple[NDArray[np.int64], int]:
-    """Choose candidates by greedy addition, then by exchanging one after the other until none can be bettered.
+    """Choose candidates by greedy addition, then exchange them one after the other until no exchange is a gain.
 
     Args:
-        rows: What the candidates tell: weighted, scaled Jacobians ``(N, r, p)``.
-        count: How many to choose.
+        rows: Weighted, scaled Jacobians of the candidates ``(N, r, p)``.
+        count: Number of candidates to choose.
         rng: Draws the order of exchanges.
         weight: W ``(p, p)``, to minimise trace(W M^-1) of the information M; None for D-optimality.
-        most_passes: Rounds of exchange at most; without any the candidates come in the order in which they were added.
-        known: Information ``(p, p)`` that there is already, of rows measured before.
+        most_passes: Largest number of rounds of exchange; with 0 the candidates come in the order of their addition.
+        known: Information ``(p, p)`` that there is already, from priors or from rows measured before.
 
     Returns:
-        Their rows, and the number of passes.
+        Indices of the chosen candidates, and the number of rounds of exchange.
     """
     p = rows.shape[-1]
     ridge = RIDGE * float(np.sum(rows**2)) / len(rows) / p
@@ -86,9 +86,15 @@ def exchange(
 
 
 def gains(rows: Array, information: Array, weight: Array | None) -> Array:
-    """The gain of each candidate ``(N, r, p)``: log det(I + J M^-1 J^T), or the fall of trace(W M^-1).
+    """The gain ``(N,)`` of adding each candidate to the information M.
 
-    The second is trace((I + J M^-1 J^T)^-1 J M^-1 W M^-1 J^T), by Woodbury's identity.
+    Without a weight it is log det(I + J M^-1 J^T). With W it is the decrease of trace(W M^-1), which by Woodbury's
+    identity is trace((I + J M^-1 J^T)^-1 J M^-1 W M^-1 J^T).
+
+    Args:
+        rows: Jacobians J of the candidates ``(N, r, p)``.
+        information: M ``(p, p)``.
+        weight: W ``(p, p)``, or None.
     """
     values, vectors = np.linalg.eigh(information)
     root = vectors / np.sqrt(np.maximum(values, values[-1] * 1e-15))
@@ -108,7 +114,7 @@ def gains(rows: Array, information: Array, weight: Array | None) -> Array:
 
 
 def move_seconds(joints: Array, speed: Array) -> Array:
-    """Times ``(N, N)`` of the moves between poses ``(N, n)``, at joint speeds ``(n,)``.
+    """Times ``(N, N)``, s, of the moves between poses ``(N, n)``, at joint speeds ``(n,)``.
 
     Raises:
         InputError: If a speed is not above zero: a joint that stands still never arrives.
@@ -121,12 +127,12 @@ def move_seconds(joints: Array, speed: Array) -> Array:
 
 
 def travel_seconds(joints: Array, speed: Array) -> float:
-    """Time to visit the poses ``(N, n)`` in their order, from the first to the last."""
+    """Time, s, to visit the poses ``(N, n)`` in their order, from the first to the last."""
     return float(move_seconds(joints, speed).diagonal(1).sum())
 
 
 def short_tour(joints: Array, speed: Array) -> NDArray[np.int64]:
-    """An order of the poses ``(N, n)`` with short travel: the best nearest-neighbour way, bettered by 2-opt."""
+    """An order of the poses ``(N, n)`` with short travel: the best of several nearest-neighbour ways after 2-opt."""
     cost = move_seconds(joints, speed)
     ways = [_two_opt(_nearest_neighbours(cost, start), cost) for start in range(min(len(joints), 10))]
     return min(ways, key=lambda way: float(cost[way[:-1], way[1:]].sum()))
@@ -142,7 +148,7 @@ def _nearest_neighbours(cost: Array, start: int) -> NDArray[np.int64]:
 
 
 def _two_opt(way: NDArray[np.int64], cost: Array) -> NDArray[np.int64]:
-    """Reverse the stretch that saves the most time, until none does; the ends of the way are free."""
+    """Shorten a way by reversing the stretch whose reversal saves the most time, until none does; its ends are free."""
     count = len(way)
     if count < 3:
         return way
@@ -166,13 +172,13 @@ MARGIN = 0.02
 """Share of its range that a candidate joint stays away from a limit."""
 
 AT_LIMIT = 2.0 / 3.0
-"""Chance of a joint to stand at a limit, in the half of the candidates that lies on the border of the joint ranges."""
+"""Chance that a joint stands at a limit, in the half of the candidates on the border of the joint ranges."""
 
 FIELD = 300
-"""Poses drawn from the joint ranges where nobody says where accuracy matters."""
+"""Number of poses drawn from the joint ranges if nobody says where accuracy matters."""
 
 DRAWS = 20
-"""Random pose sets that a plan is compared with."""
+"""Number of random pose sets that a plan is compared with."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,13 +187,14 @@ class Design:
 
     Attributes:
         joints: Candidates ``(N, n)``, rad or m.
-        rows: Their weighted, scaled Jacobians by the parameters ``(N, r, p)``, an instrument's own unknowns first.
+        rows: Weighted, scaled Jacobians of the candidates by the parameters ``(N, r, p)``, an instrument's own unknowns
+            first.
         model: The arm's parameters, which come last among the columns.
-        weight: One over the standard uncertainty of each row ``(r,)``; none where an instrument's first rows tell it.
-        kind: "pose" (r = 6) or "position" (r = 3), or what else is measured.
-        known: Information ``(p, p)`` that there is already, of priors and of rows measured before.
+        weight: One over the standard uncertainty of each row ``(r,)``; empty if an instrument's first rows tell it.
+        kind: "pose" (r = 6), "position" (r = 3), or the kind of an instrument's rows.
+        known: Information ``(p, p)`` that there is already, from priors and from rows measured before.
         names: Names of an instrument's own unknowns.
-        framed: Whether what base and tool could take up is no error of the arm, for they are fitted.
+        framed: Whether base and tool are fitted with priors; what they can absorb then is no error of the arm.
     """
 
     joints: Array
@@ -206,23 +213,25 @@ class PosePlan:
 
     Attributes:
         joints: ``(n_poses, n)``, rad or m, in measuring order.
-        chosen: Their rows among the candidates.
+        chosen: Indices of these poses among the candidates.
         design: The candidates.
         criterion: "d-optimal" or "test-poses".
         travel_seconds: Time of the moves in measuring order, joints moving together at the arm's speeds, s.
-        random_travel_seconds: The same in random order, mean of 20, s.
-        predicted_error: RMS position error to expect from the parameters' uncertainty, m; None where nobody says where.
-        random_predicted_error: The same for drawn poses, median of 20 sets, m; or None.
-        where: Where that error is taken, in words.
+        random_travel_seconds: Time of the moves in random order, mean of 20 orders, s.
+        predicted_error: RMS position error to expect from the parameters' uncertainty, m; None if there are no test
+            poses, priors or first rows.
+        random_predicted_error: The error to expect from as many poses drawn at random, median of 20 sets, m; or None.
+        where: Where these errors are taken, in words.
         passes: Rounds of exchange.
-        model: Observability of the parameters planned for, beside that of as many poses drawn evenly from the joint
-            ranges (for JSON); None where an instrument's first rows were planned on.
-        arm: The same of the arm's own parameters, base and tool taken as known: what papers state. None where the poses
-            are too few to tell all of them without priors, too.
-        first: Rows measured already.
-        seconds: Time of the planning.
-        lines: Lines of the poses in the file that they were chosen from; None where they were drawn.
-        curve: What other numbers of poses would bring: the number, and the errors of as many planned and drawn, m.
+        model: Observability of the parameters planned for, beside that of as many poses drawn at random (for JSON);
+            None if the plan builds on an instrument's first rows.
+        arm: Observability of the arm's own parameters, with base and tool taken as known: what papers state. None if
+            the plan builds on first rows, or if the poses are too few to tell all these parameters without priors.
+        first: Number of rows measured already.
+        seconds: Time that the planning took, s.
+        lines: Lines of the poses in the file that they were chosen from; None if they were drawn.
+        curve: For other numbers of poses: the number, the error of as many planned poses, and that of as many drawn
+            ones, m.
     """
 
     joints: Array
@@ -244,7 +253,7 @@ class PosePlan:
 
     @property
     def candidates(self) -> Array:
-        """Poses that were chosen from ``(N, n)``."""
+        """The candidates ``(N, n)``, rad or m, from which the poses were chosen."""
         return self.design.joints
 
     @property
@@ -253,7 +262,7 @@ class PosePlan:
         return (*self.design.names, *self.design.model.names)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON; condition and ratio at the top are those of the arm's own parameters."""
+        """The plan's figures for JSON; condition and O1 ratio at the top level are for the arm's own parameters."""
         figures: dict[str, Any] = {
             "poses": len(self.joints),
             "first_rows": self.first,
@@ -280,7 +289,7 @@ class PosePlan:
         return figures
 
     def report(self) -> str:
-        """A short report for people."""
+        """A short report in words."""
         lines = [
             f"{len(self.joints)} of {len(self.candidates)} candidates, {self.criterion}, {self.design.kind} "
             f"measurements, {len(self.parameters)} parameters, in {self.seconds:.2f} s"
@@ -339,16 +348,16 @@ def design_of(
     position_std: float = POSITION_STD,
     attitude_std: float = ATTITUDE_STD,
 ) -> Design:
-    """The design of the candidates for the parameters: all of them where these have priors, else a base set.
+    """The design of the candidates for all parameters if these have priors, else for a base set of them.
 
     The base set is chosen by pivoted QR: within a group of parameters that cannot be told apart, the one with the
-    largest effect stays. A D-optimal set is the same for every choice; its condition number is not.
+    largest effect stays. The D-optimal poses do not depend on which one stays; their condition number does.
 
     Args:
         geometry: The nominal arm.
         model: The parameters, with or without priors.
         joints: Candidates ``(N, n)``, rad or m.
-        kind: What will be measured.
+        kind: What will be measured, "pose" or "position".
         position_std: Standard uncertainty of a position coordinate, m.
         attitude_std: Standard uncertainty of an attitude coordinate, rad.
     """
@@ -372,10 +381,10 @@ def _rows(geometry: Geometry, model: ErrorModel, weight: Array, joints: Array) -
 
 
 def criterion_of(criterion: str | None, test_joints: Array | None) -> str:
-    """The criterion, or what is usual where it is left out.
+    """The criterion; if left out, "test-poses" if there are test poses, else "d-optimal".
 
     Raises:
-        InputError: If it is unknown.
+        InputError: If the criterion is unknown.
     """
     criterion = criterion or ("d-optimal" if test_joints is None else "test-poses")
     if criterion not in CRITERIA:
@@ -400,22 +409,22 @@ def plan_poses(
 ) -> PosePlan:
     """Choose ``count`` poses to measure, and order them for short travel.
 
-    Where parameters have priors, the error to expect is that of the posterior, as `pickenv.calibrate` states it: what
-    base and tool could take up is left out where they are fitted.
+    If parameters have priors, the error to expect is that of the posterior, as `pickenv.calibrate` states it; if base
+    and tool are fitted, it leaves out what they can absorb.
 
     Args:
         arm: The arm, with joint limits and speeds.
-        model: The parameters to identify. Where they have priors (`pickenv.calibration.model.prior.prior_model`), poses
-            are chosen by what they add to these, and there may be fewer than parameters; scales that are not stated
-            count as 1.
-        count: Poses to measure.
+        model: The parameters to identify. If they have priors (`pickenv.calibration.model.prior.prior_model`), poses
+            are chosen by what they add to these, and there may be fewer poses than parameters; scales that are not
+            stated count as 1.
+        count: Number of poses to measure.
         rng: Draws candidates, the order of exchanges and the random sets to compare with.
-        candidates: Poses to choose from ``(N, n)``, rad or m, with which random sets are drawn too; or how many to draw
-            (see `candidate_joints`).
-        kind: What will be measured.
-        criterion: "d-optimal", or "test-poses" to minimise the predicted position error at ``test_joints``; when left
-            out the latter where these are given.
-        test_joints: Where accuracy matters ``(M, n)``, rad or m; with "d-optimal" only reported on.
+        candidates: Joints to choose from ``(N, n)``, rad or m, from which random sets are drawn too; or the number of
+            candidates to draw (see `candidate_joints`).
+        kind: What will be measured, "pose" or "position".
+        criterion: "d-optimal", or "test-poses" to minimise the predicted position error at ``test_joints``. If left
+            out, "test-poses" if ``test_joints`` are given, else "d-optimal".
+        test_joints: Joints where accuracy matters ``(M, n)``, rad or m; with "d-optimal" only reported on.
         position_std: Standard uncertainty of a position coordinate, m.
         attitude_std: Standard uncertainty of an attitude coordinate, rad.
         curve: Whether to say what half, twice and up to eight times as many poses would bring, at ``test_joints`` or,
@@ -445,7 +454,7 @@ def plan_poses(
 
     @cache
     def drawn(size: int) -> Array:
-        """Random sets ``(DRAWS, size, n)`` of what could have been measured instead."""
+        """Random sets ``(DRAWS, size, n)`` of poses that could have been measured instead."""
         if isinstance(candidates, int):
             return random_joints(geometry, DRAWS * size, rng).reshape(DRAWS, size, -1)
         return np.stack([joints[rng.choice(len(joints), size, replace=False)] for _ in range(DRAWS)])
@@ -487,22 +496,23 @@ def finished_plan(
     where: str,
     sizes: Sequence[int],
 ) -> PosePlan:
-    """The best poses of a design, in a short order, beside what chance and other numbers of poses would bring.
+    """The best poses of a design in an order of short travel, compared with random sets and other numbers of poses.
 
-    Where parameters have priors, poses for the most information that promise more error than chance give way to those
-    for the least error.
+    If parameters have priors, the poses of most information may promise a larger error than random ones; the poses of
+    least error are then chosen instead.
 
     Args:
         arm: The arm, with joint speeds.
-        design: What candidates tell.
-        count: Poses to measure.
+        design: The candidates.
+        count: Number of poses to measure.
         rng: Draws the order of exchanges, and orders to compare with.
-        drawn: `DRAWS` random sets of so many poses, as joints or as numbers of candidates; the same when asked again.
-        rows_at: What the poses of one such set tell ``(size, r, p)``.
+        drawn: Gives, for a number of poses, `DRAWS` random sets of as many, as joints or as indices of candidates; it
+            gives the same sets when called again.
+        rows_at: Gives the Jacobians ``(size, r, p)`` of the poses of one such set.
         criterion: See `plan_poses`.
         goal: W ``(p, p)`` of `error_weight`.
-        where: Where that error is taken, in words.
-        sizes: Other numbers of poses.
+        where: Where the error to expect is taken, in words.
+        sizes: Numbers of poses for `PosePlan.curve`.
     """
     joints, aim = design.joints, goal if criterion == "test-poses" else None
     places, passes = exchange(design.rows, count, rng, aim, known=design.known)
@@ -541,14 +551,17 @@ def finished_plan(
 
 
 def _observed(design: Design, rows: Array) -> dict[str, float]:
-    """Observability of stacked rows ``(M, r, p)``, and of what is known beforehand."""
+    """Observability of the parameters by rows ``(M, r, p)`` together with the information known beforehand."""
     stacked = np.vstack([rows.reshape(-1, rows.shape[-1]), np.sqrt(design.known)])
     values = np.linalg.svd(stacked, compute_uv=False)
     return observability(np.asarray(values, dtype=float), len(rows))
 
 
 def _against_chance(geometry: Geometry, design: Design, chosen: NDArray[np.int64], sets: Array) -> dict[str, Any]:
-    """Observability of planned poses beside that of drawn sets, of which the median by condition stands for all."""
+    """Observability of the planned poses beside that of random sets, for JSON.
+
+    The random set with the median condition number stands for all; the O1 ratio is to the mean O1 of all sets.
+    """
     rows = (_rows(geometry, design.model, design.weight, joints) for joints in sets)
     random_sets = sorted((_observed(design, part) for part in rows), key=itemgetter("condition"))
     planned, by_chance = _observed(design, design.rows[chosen]), random_sets[len(random_sets) // 2]
@@ -563,21 +576,27 @@ def _against_chance(geometry: Geometry, design: Design, chosen: NDArray[np.int64
 
 
 def _least(design: Design) -> int:
-    """Poses that give a few more equations than parameters; one where these have priors."""
+    """Least number of poses, which gives a few more equations than parameters; 1 if the parameters have priors."""
     return 1 if design.known.any() else -(-len(design.model.names) // int(design.rows.shape[1])) + 1
 
 
 def plan_sizes(count: int, least: int, most: int) -> list[int]:
-    """Half, once, twice, four and eight times as many poses, as far as the candidates go."""
+    """Numbers of poses to compare: half (or ``least``), once, twice, four and eight times ``count``, up to ``most``."""
     sizes = {max(least, count // 2), *(count * times for times in (1, 2, 4, 8))}
     return sorted(size for size in sizes if size <= most)
 
 
 def refuse_too_few(count: int, parameters: int, least: int, besides: str = "") -> None:
-    """Refuse fewer poses than the least that tell all parameters; ``besides`` names the rows measured already.
+    """Refuse a plan with too few poses to tell all parameters.
+
+    Args:
+        count: Number of poses.
+        parameters: Number of parameters.
+        least: Least number of poses.
+        besides: Words for the message on rows that are measured already; may be empty.
 
     Raises:
-        InputError: If there are fewer.
+        InputError: If there are fewer than ``least`` poses.
     """
     if count < least:
         raise InputError(
@@ -586,7 +605,10 @@ def refuse_too_few(count: int, parameters: int, least: int, besides: str = "") -
 
 
 def error_weight(geometry: Geometry, design: Design, test_joints: Array) -> Array:
-    """W ``(p, p)`` such that trace(W M^-1) is the mean squared predicted position error at the test poses, m^2."""
+    """The matrix W ``(p, p)`` for which trace(W M^-1) is the mean squared predicted position error at test poses, m^2.
+
+    M is the information on the parameters.
+    """
     place = partial(_rows, geometry, weight=np.ones(3), joints=test_joints)
     stacked = place(design.model).reshape(-1, len(design.model.names))
     if design.framed:
@@ -597,6 +619,12 @@ def error_weight(geometry: Geometry, design: Design, test_joints: Array) -> Arra
 
 
 def predicted_error(rows: Array, weight: Array, known: Array | float = 0.0) -> float:
-    """RMS position error, m, of parameters seen by ``rows`` ``(M, r, p)`` and ``known`` before; see above."""
+    """RMS position error, m, to expect from the parameters' uncertainty after measuring.
+
+    Args:
+        rows: Jacobians of the measured poses ``(M, r, p)``.
+        weight: W ``(p, p)`` of `error_weight`.
+        known: Information ``(p, p)`` that there is already.
+    """
     stacked = rows.reshape(-1, rows.shape[-1])
     return float(np.sqrt(np.trace(np.linalg.solve(stacked.T @ stacked + known, weight))))

@@ -1,7 +1,8 @@
 """The text of a measurement file as columns of numbers: CSV, or YAML with nested entries named by dotted paths.
 
-Columns may be computed from others (+ - * / and numbers; odd names in backticks). Whatever is no number is refused
-with the file, row and column named; a file with another separator, decimal sign or encoding is named as what it is.
+Columns may be computed from others (+ - * / and numbers; odd names in backticks). A cell that is no number is refused,
+and the message names the file, row and column. If a file has another separator, decimal sign or encoding than
+expected, the message says which it has.
 """
 
 from __future__ import annotations
@@ -47,24 +48,25 @@ SAME_AS = {
     "abb_quaternion": "quaternion_wxyz",
     "ur_rotation_vector": "rotation_vector",
 }
-"""Makers' names for conventions that have a general one."""
+"""Makers' names of attitude conventions, and the name in `GENERAL` of each."""
 
 CONVENTIONS = GENERAL | {maker: GENERAL[general] for maker, general in SAME_AS.items()}
-"""Attitude conventions by name: the kind of their unit, and how values (N, 3 or 4), in rad, become rotations."""
+"""Attitude conventions by name: the kind of unit ("angle" or "none"), and the function that turns values (N, 3 or 4),
+angles in rad, into rotations."""
 
 
 def columns_of(convention: str) -> int:
-    """Number of columns of a convention: 4 for quaternions, else 3."""
+    """Number of columns of an attitude convention: 4 for quaternions, else 3."""
     return 4 if CONVENTIONS[convention][0] == "none" else 3
 
 
 def rotations(convention: str, values: Array) -> Array:
-    """Rotation matrices ``(N, 3, 3)`` of values ``(N, 3 or 4)``, in rad or as quaternions."""
+    """Rotation matrices ``(N, 3, 3)`` of attitude values ``(N, 3 or 4)``: angles in rad, or quaternions."""
     return np.asarray(CONVENTIONS[convention][1](values).as_matrix())
 
 
 def convention_table(geometry: Geometry, joints: Array, position: Array, values: Array, where: str) -> str:
-    """The errors that each convention leaves after base and tool were fitted, best first, as lines of text.
+    """A text with one line per attitude convention, best first: the mean errors left once base and tool are fitted.
 
     Args:
         geometry: Nominal geometry.
@@ -90,10 +92,10 @@ def convention_table(geometry: Geometry, joints: Array, position: Array, values:
 
 
 SEPARATORS = {";": "';'", "\t": "a tab", "|": "'|'", ",": "','", " ": "a space"}
-"""Separators of columns, and their names; in the order in which a file is asked for them."""
+"""Column separators and their names in messages, in the order in which a file is searched for them."""
 
 LONGEST_EXPRESSION = 1000
-"""Characters; nobody writes a longer one, and a parser's depth ends."""
+"""Longest expression that is parsed, in characters: nobody writes a longer one, and a parser's depth is limited."""
 
 
 OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
@@ -104,16 +106,16 @@ OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
     ast.USub: operator.neg,
     ast.UAdd: operator.pos,
 }
-"""Operators in expressions of columns."""
+"""The operators allowed in expressions of columns, and the function that computes each."""
 
 
 class Table:
-    """Turns columns and expressions into numbers and names the cell at fault.
+    """The cells of a file as text; turns columns and expressions into numbers, and names a cell that is at fault.
 
     Attributes:
-        where: The file.
+        where: The file, for messages.
         header: Column names.
-        lines: Line (or entry) of each row, as messages name it.
+        lines: Line (or entry) in the file of each row, for messages.
     """
 
     def __init__(self, where: str, header: list[str], rows: list[list[str]], lines: list[int], decimal: str) -> None:
@@ -127,12 +129,12 @@ class Table:
                 )
 
     def texts(self, name: str) -> list[str]:
-        """The cells of a column; those that a short row lacks are empty."""
+        """The cells of a column as text, stripped; empty where a row is too short to have the column."""
         index = self.index(name)
         return [row[index].strip() if index < len(row) else "" for row in self.rows]
 
     def column(self, name: str) -> Array:
-        """A column of finite numbers."""
+        """A column as finite numbers ``(N,)``."""
         if name not in self.cache:
             cells = zip(self.texts(name), self.lines, strict=True)
             self.cache[name] = np.array([self._number(text, name, line) for text, line in cells])
@@ -149,11 +151,11 @@ class Table:
         return self.header.index(name)
 
     def cell(self, row: int, name: object) -> str:
-        """File, line and column, as messages name them."""
+        """File, line and column of a cell, in the words of messages."""
         return f"{self.where}: row {self.lines[row]}, column '{name}'"
 
     def fill_blanks(self, name: str) -> Array:
-        """Read empty and NaN cells of a column, which a lost reflector leaves, as zero; returns which ``(N,)``."""
+        """Mark the rows ``(N,)`` in which a column is empty or NaN, as after a lost reflector; they then read as 0."""
         texts = self.texts(name)
         blank = [text.lower() in ("", "nan", "null", "none", "na", "-") for text in texts]
         cells = zip(texts, blank, self.lines, strict=True)
@@ -161,7 +163,10 @@ class Table:
         return np.array(blank)
 
     def resolution(self, names: tuple[str, ...]) -> float:
-        """Size of the last digit that most numbers in plain columns carry; 0 where columns are computed."""
+        """Size of the last decimal digit that the numbers of the columns typically (median) have.
+
+        0 if one of the columns is computed from others.
+        """
         if any(name not in self.header for name in names):
             return 0.0
         digits = []
@@ -173,7 +178,7 @@ class Table:
         return float(10.0 ** -np.median(digits))
 
     def _number(self, text: str, name: str, line: int) -> float:
-        """The finite number that a cell spells, in the digits of any instrument."""
+        """The finite number that a cell's text spells, with this file's decimal sign."""
         grouped = self.decimal == "," and "." in text  # a point beside a decimal comma groups thousands
         value = decimal_number("" if grouped else text.replace(self.decimal, "."))
         if value is not None and np.isfinite(value):
@@ -183,7 +188,10 @@ class Table:
         raise InputError(f"{self.where}: row {line}, column '{shortened(name)}' {predicate}; correct or remove the row")
 
     def value(self, expression: str) -> Array:
-        """A column by its name, or an expression of columns with + - * / and numbers; `odd names` in backticks."""
+        """Values ``(N,)`` of a column, or of an expression of columns with + - * / and numbers.
+
+        Odd column names stand in backticks in an expression.
+        """
         if expression in self.header:
             return self.column(expression)
         tree, quoted = expression_tree(expression)
@@ -206,7 +214,7 @@ class Table:
         return values
 
     def values(self, expressions: tuple[str, ...]) -> Array:
-        """Several columns or expressions ``(N, k)``."""
+        """Values ``(N, k)`` of several columns or expressions."""
         return np.stack([self.value(expression) for expression in expressions], -1)
 
     def _evaluate(self, node: ast.AST, expression: str, quoted: list[str]) -> Any:
@@ -227,7 +235,7 @@ class Table:
 
 
 def expression_tree(expression: str) -> tuple[ast.expr | None, list[str]]:
-    """The syntax of an expression of columns, None where it has none, and the names that stand in backticks."""
+    """The syntax tree of an expression of columns (None if it cannot be parsed), and the names in its backticks."""
     quoted = re.findall(r"`([^`]+)`", expression)
     text = expression
     for i, name in enumerate(quoted):
@@ -241,10 +249,10 @@ def expression_tree(expression: str) -> tuple[ast.expr | None, list[str]]:
 
 
 def refuse_repeated(paths: Sequence[str | Path]) -> None:
-    """Refuse a list of files that names one of them twice, by whatever path.
+    """Refuse a list of files that names the same file twice, even by different paths.
 
     Raises:
-        InputError: Names the file.
+        InputError: If a file is named twice; the message says which.
     """
     marks: set[object] = set()
     for path in paths:
@@ -270,7 +278,7 @@ def read_table(
         names: Column names of a file without a header, or None.
 
     Raises:
-        InputError: If it is missing, unreadable or without rows.
+        InputError: If the file is missing, unreadable or without rows.
     """
     path = Path(path)
     text = read_text(path, "a CSV file")
@@ -290,10 +298,10 @@ def read_table(
 
 
 def csv_rows(text: str, path: str | Path, separator: str = ",") -> tuple[list[list[str]], list[int]]:
-    """The rows of a CSV text that are not blank, and the line of each.
+    """The cells of each row of a CSV text that is not blank, and each row's line number.
 
     Raises:
-        InputError: If a cell is too long or a quote is not closed; names the line.
+        InputError: If a cell is too long or a quote is not closed; the message names the line.
     """
     reader = csv.reader(io.StringIO(text, newline=""), delimiter=separator)
     rows, lines, before, unclosed = [], [], 0, text.count('"') % 2 == 1
@@ -313,7 +321,10 @@ def csv_rows(text: str, path: str | Path, separator: str = ",") -> tuple[list[li
 
 
 def _refuse_other_separator(rows: list[list[str]], path: Path, separator: str, decimal: str) -> None:
-    """A first row in one piece that holds another separator: say which, and how a description names it."""
+    """Refuse a file whose first row is a single cell that holds another separator, which later rows hold too.
+
+    The message says which separator it is, and how a column description names it.
+    """
     first = rows[0][0].strip() if len(rows[0]) == 1 else ""
     better = next((character for character in SEPARATORS if character != separator and character in first), None)
     if better is None or not any(better in cell for row in rows[1:] for cell in row):
@@ -327,7 +338,7 @@ def _refuse_other_separator(rows: list[list[str]], path: Path, separator: str, d
 
 
 def _yaml_table(path: Path, text: str) -> Table:
-    """Entries of a list or mapping, flattened: pose.x, target_joints.0."""
+    """The table of a YAML list or mapping of entries; nested values become columns such as pose.x, target_joints.0."""
     content = yaml_content(text, path)
     entries = list(content.values()) if isinstance(content, Mapping) else content
     plain = isinstance(entries, list) and all(isinstance(entry, Mapping) for entry in entries)

@@ -1,7 +1,8 @@
 """Column descriptions: a small TOML file that says how a foreign measurement file is laid out.
 
-It names separator, decimal sign, units, conventions and uncertainties; which section it has says what was measured:
-[position] (with [rotation]: poses), [reflectors], [wire], [touches] and so on. Shipped ones lie in `descriptions`.
+It names separator, decimal sign, units, conventions and uncertainties. The section that it has says what was measured:
+[position] (with [rotation]: poses), [reflectors], [wire], [touches] and so on. The shipped descriptions lie in the
+folder `descriptions`.
 """
 
 from __future__ import annotations
@@ -45,7 +46,7 @@ LOST = ("zeros", "empty")
 
 
 DOUBT = Then(lambda word, _: inf if word == FITTED else 0.0, Annotated[str, one_of((KNOWN, FITTED))])
-"""Reads known or fitted as a standard uncertainty, zero or infinite."""
+"""Reader of the word known or fitted as a standard uncertainty: zero if known, infinite if fitted."""
 
 COLUMN = Check(lambda value: isinstance(value, str), "the name of a column or an expression")
 COLUMNS = Check(
@@ -63,7 +64,7 @@ def _lost(found: Any, _context: Any) -> tuple[str, ...]:
 
 @toml_table
 class LengthsTable:
-    """[position]: expressions of x, y and z, or of lengths; their uncertainty, and columns of their repeat sigma."""
+    """[position]: columns of x, y and z, or of other lengths; their uncertainty, and columns of their repeat sigma."""
 
     _: KW_ONLY
     columns: Annotated[tuple[str, ...], COLUMNS]
@@ -74,7 +75,7 @@ class LengthsTable:
 
 @toml_table
 class ReflectorsTable(LengthsTable):
-    """[reflectors]."""
+    """[reflectors]: x, y and z of each reflector, how lost ones are marked, and their places on the tool if known."""
 
     lost: Annotated[tuple[str, ...], Then(_lost, Any)] = ()
     places: Annotated[tuple[float, ...], MM] = ()
@@ -90,7 +91,7 @@ class ReflectorsTable(LengthsTable):
 
 @toml_table
 class ContactTable:
-    """[touches] or [plane], and what all tables of contacts share: uncertainty, tool point, and column of contact."""
+    """[touches] or [plane], and the keys that all contact tables share: uncertainty, tool point, contact column."""
 
     _: KW_ONLY
     std: Annotated[float, MM.positive] = 1e-4
@@ -101,13 +102,13 @@ class ContactTable:
 
     @property
     def tip_std(self) -> float:
-        """Standard uncertainty of the tool point, m; infinite where it is to be found."""
+        """Standard uncertainty of the tool point, m; infinite if the tool point is to be fitted."""
         return inf if self.tool == FITTED else self.tool_std
 
 
 @toml_table
 class SocketsTable(ContactTable):
-    """[sockets]."""
+    """[sockets]: the column that numbers the sockets, and the spacing of a pair if known."""
 
     columns: Annotated[tuple[str, ...], Then(lambda name, _: (name,), Annotated[str, COLUMN]), Key("column")] = ()
     spacing: Annotated[float, MM.positive] | None = None
@@ -116,7 +117,7 @@ class SocketsTable(ContactTable):
 
 @toml_table
 class WireTable(ContactTable):
-    """[wire]: a draw wire to an anchor."""
+    """[wire]: the length of a draw wire to an anchor."""
 
     columns: Annotated[tuple[str, ...], COLUMNS]
     unit: Annotated[str, one_of(LENGTHS)]
@@ -127,7 +128,7 @@ class WireTable(ContactTable):
 
 @toml_table
 class DialTable(ContactTable):
-    """[dial]: a dial gauge along a fixed axis."""
+    """[dial]: the reading of a dial gauge along a fixed axis."""
 
     columns: Annotated[tuple[str, ...], COLUMNS]
     unit: Annotated[str, one_of(LENGTHS)]
@@ -137,7 +138,7 @@ class DialTable(ContactTable):
 
 @toml_table
 class BarTable(ContactTable):
-    """[bar]: a ball bar, whose length is found where it is not given."""
+    """[bar]: a ball bar; its length is fitted if it is not given."""
 
     length: Annotated[float, MM.positive] | None = None
     length_std: Annotated[float, MM.not_negative] = 0.0
@@ -145,7 +146,7 @@ class BarTable(ContactTable):
 
 @toml_table
 class RadiusTable(ContactTable):
-    """[sphere] or [edge]: what the tool point keeps from its centre or edge, found where it is not given."""
+    """[sphere] or [edge]: the radius that the tool point keeps from the centre or the edge; fitted if not given."""
 
     length: Annotated[float, MM.positive, Key("radius_mm")] | None = None
     length_std: Annotated[float, MM.not_negative, Key("radius_std_mm")] = 0.0
@@ -153,7 +154,7 @@ class RadiusTable(ContactTable):
 
 @toml_table
 class TiltTable:
-    """[tilt]: components of down along the axes of an inclinometer or accelerometer."""
+    """[tilt]: components of the downward direction along the axes of an inclinometer or accelerometer."""
 
     _: KW_ONLY
     columns: Annotated[tuple[str, ...], COLUMNS]
@@ -167,7 +168,7 @@ class TiltTable:
 
 
 def kinds() -> tuple[str, ...]:
-    """Kinds of measurement, each a section of a description: those of registered instruments, and pictures."""
+    """Kinds of measurement, each a section of a description: one per registered instrument, and pixels."""
     return (*names("instrument"), "pixels")
 
 
@@ -185,7 +186,7 @@ COUNTS: dict[str, tuple[Callable[[int], bool], str]] = {
     "sockets": (lambda n: n <= 1, "the column that numbers the sockets"),
     "pixels": (lambda n: n in (0, 2), "two columns, across and down, where corners and not pictures are given"),
 }
-"""Number of columns that each kind of section needs; one that is not here has none."""
+"""Test of the number of columns of each section, and that number in words; a section not listed here has no columns."""
 JOINT_UNIT = one_of(LENGTHS + ANGLES)
 
 
@@ -196,7 +197,7 @@ def _separates(value: Any) -> bool:
 
 @toml_table
 class JointsTable:
-    """[joints]: one unit for all, or one each."""
+    """[joints]: the columns of the joints, with one unit for all of them or one for each."""
 
     columns: Annotated[tuple[str, ...], COLUMNS]
     unit: Annotated[str, JOINT_UNIT] | None = None
@@ -237,7 +238,7 @@ class PixelsTable:
 
 @toml_table
 class LensTable:
-    """[camera]: the lens, by a file or by its numbers, and whether it is to be fitted."""
+    """[camera]: the lens, given as a file or as numbers, and whether it is to be fitted."""
 
     _: KW_ONLY
     file: Annotated[str, COLUMN] | None = None
@@ -264,7 +265,7 @@ class LensTable:
 
 @toml_table
 class RotationTable:
-    """[rotation]; a convention that is not named stays None, and is asked for when the file is read."""
+    """[rotation]: the columns of the attitude; if the convention is None, reading the measured file asks for it."""
 
     columns: Annotated[tuple[str, ...], COLUMNS]
     unit: Any = None
@@ -272,7 +273,11 @@ class RotationTable:
     std: Annotated[float, DEG.positive] = ATTITUDE_STD
 
     def checked_unit(self) -> str:
-        """The unit of angles, rad for a quaternion; columns that are no attitude, and a missing unit, are refused."""
+        """The unit of the angles, rad for a quaternion.
+
+        Raises:
+            InputError: If there are not 3 or 4 columns and no convention, or if the unit of angles is missing.
+        """
         count = len(self.columns)
         if self.convention is None and count not in (3, 4):
             raise InputError(f"[rotation] has {count} columns; give three angles or four of a quaternion")
@@ -298,7 +303,7 @@ class PosesTable:
 
 @toml_table
 class TemperatureTable:
-    """[conditions.temperature]."""
+    """[conditions.temperature]: the column, its unit, and the reference that is subtracted, in that unit."""
 
     column: Annotated[str, COLUMN]
     unit: Annotated[str, one_of(("degC", "K"))]
@@ -307,7 +312,7 @@ class TemperatureTable:
 
 @toml_table
 class PayloadTable:
-    """[conditions.payload]."""
+    """[conditions.payload]: the column, its unit, and the reference that is subtracted, in that unit."""
 
     column: Annotated[str, COLUMN]
     unit: Annotated[str, one_of(MASSES)]
@@ -316,7 +321,10 @@ class PayloadTable:
 
 @toml_table
 class TorquesTable:
-    """[conditions.torques]: one unit for all, or one each; else N*m for joints that turn, N for those that slide."""
+    """[conditions.torques]: the columns, with one unit for all or one for each.
+
+    Without a unit, torques are in N*m for revolute joints and in N for prismatic ones.
+    """
 
     columns: Annotated[tuple[str, ...], COLUMNS]
     unit: Annotated[str, one_of(TORQUES)] | None = None
@@ -324,24 +332,24 @@ class TorquesTable:
 
     @property
     def each(self) -> tuple[str, ...] | None:
-        """The unit of each column, where one is given."""
+        """The unit of each torque column; None if no unit is given."""
         return self.units if self.units or self.unit is None else (self.unit,) * len(self.columns)
 
 
 Recorded = tuple[tuple[str, ...], tuple[float, ...], float]
-"""Columns of a condition, what turns each into SI, and what is subtracted before."""
+"""Columns of a condition, the factor that turns each into SI, and the reference that is subtracted before scaling."""
 
 
 @toml_table
 class ConditionsTable:
-    """[conditions]."""
+    """[conditions]: the temperature, payload and torques that the file records, each optional."""
 
     temperature: TemperatureTable | None = None
     payload: PayloadTable | None = None
     torques: TorquesTable | None = None
 
     def recorded(self, joint_units: tuple[str, ...]) -> dict[str, Recorded]:
-        """The conditions by name; torques are in the joints' own units where none is given."""
+        """The recorded conditions by name; torques without a unit are in N for joints in mm or m, else in N*m."""
         recorded: dict[str, Recorded] = {}
         if (warmth := self.temperature) is not None:
             usual = 20.0 if warmth.unit == "degC" else 0.0
@@ -356,7 +364,7 @@ class ConditionsTable:
 
 @toml_table
 class DescriptionFile:
-    """Content of a column description: exactly one of the sections of `kinds`."""
+    """Content of a column description, with exactly one of the sections of `kinds`."""
 
     joints: JointsTable | None = None
     description: str = ""
@@ -406,7 +414,11 @@ class DescriptionFile:
             raise InputError("[conditions.torques] needs one column, and one unit, per joint")
 
     def _check_views(self) -> None:
-        """Joints or finished poses; a board and a camera where there are pictures, and nowhere else."""
+        """Refuse joints beside finished poses, or neither of them, and tables that do not fit [pixels].
+
+        [board] and [camera] are needed with [pixels]; they and [poses] belong nowhere else. [conditions] may not stand
+        beside [pixels].
+        """
         if (self.joints is None) == (self.poses is None):
             raise InputError("[joints] is missing" if self.poses is None else "[joints] and [poses] are both given")
         if self.poses is not None and self.pixels is None:
@@ -420,47 +432,47 @@ class DescriptionFile:
 
     @property
     def kind(self) -> str:
-        """Name of the section, one of `kinds`."""
+        """Name of the section that says what was measured, one of `kinds`."""
         return next(kind for kind in kinds() if getattr(self, kind, None) is not None)
 
     @property
     def measured(self) -> Any:
-        """The section of that kind, of any class."""
+        """The section that says what was measured; its class depends on the kind."""
         return getattr(self, self.kind)
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Expressions of x, y, z; of all reflectors' x, y, z; of a length or a tilt; or of the socket's number.
+        """Columns or expressions of the measured section: x, y, z (of each reflector), a length, a tilt, and so on.
 
-        None of sections that other packages read: what stands there is theirs.
+        Empty for a section that another package reads: only that package knows what it means.
         """
         return getattr(self.measured, "columns", ()) if self.kind in COUNTS else ()
 
     @property
     def unit(self) -> str:
-        """Their unit: mm or m; of a tilt deg, rad or g; empty where the section has none."""
+        """Unit of `columns`: mm or m, for a tilt deg, rad or g; empty if the section has no unit."""
         return getattr(self.measured, "unit", "")
 
     @property
     def std(self) -> float:
-        """Standard uncertainty of a coordinate, of a length, or of a ball's rest, m; of a tilt, rad."""
+        """Standard uncertainty of the readings: of a coordinate, a length or a contact in m, of a tilt in rad."""
         return getattr(self.measured, "std", None) or POSITION_STD
 
     @property
     def joint_columns(self) -> tuple[str, ...]:
-        """Expressions of the joint columns, in joint order; none beside finished poses."""
+        """Columns or expressions of the joints, in joint order; empty if finished poses stand in their place."""
         return () if self.joints is None else self.joints.columns
 
     @property
     def joint_units(self) -> tuple[str, ...]:
-        """Their units."""
+        """Units of `joint_columns`."""
         return () if self.joints is None else self.joints.each
 
 
 def description_file() -> type[DescriptionFile]:
-    """The class of a column description's content, with the sections of other packages' instruments.
+    """The class of a column description's content, including the sections of other packages' instruments.
 
-    A section's class is what the parameter ``section`` of its reader is annotated with.
+    Such a section's class is the annotation of the parameter ``section`` of its reader.
     """
     readers = {name: reader for name, reader in load_all("instrument").items() if not hasattr(DescriptionFile, name)}
     sections = [(name, get_type_hints(reader)["section"] | None, None) for name, reader in readers.items()]
@@ -476,7 +488,7 @@ def load_description(name: str | Path) -> DescriptionFile:
     """Read a column description by name (a shipped one) or from a path to a TOML file.
 
     Raises:
-        InputError: If it is unknown or malformed; the message names the file and key.
+        InputError: If the description is unknown or malformed; the message names the file and key.
     """
     path = description_path(name)
     description = read_toml(description_file(), path)
@@ -485,12 +497,16 @@ def load_description(name: str | Path) -> DescriptionFile:
 
 
 def description_path(name: str | Path) -> Path:
-    """The file of a column description by name, or by its path."""
+    """The file of a column description that is given by name or by path."""
     return file_named("column description", name, DESCRIPTIONS)
 
 
 def _refuse_repeats(description: DescriptionFile, path: Path) -> None:
-    """A column that stands for two things is a slip: one of them is lost, and the fit need not show it."""
+    """Refuse a description that gives one column for two things: a slip that the fit need not show.
+
+    Raises:
+        InputError: If a column is given twice; the message names it and both its uses.
+    """
     roles = [(f"joint {i + 1}", text) for i, text in enumerate(description.joint_columns)]
     sections = {description.kind: description.columns}
     if description.rotation is not None:
@@ -513,11 +529,11 @@ def _refuse_repeats(description: DescriptionFile, path: Path) -> None:
 
 
 OWN_CONDITIONS = ("temperature_degC", "payload_kg")
-"""Columns of our own CSV format beside joints and poses."""
+"""Columns of our own CSV format besides those of joints and poses."""
 
 
 def own_description(geometry: Geometry, header: list[str], where: str) -> DescriptionFile:
-    """The description of our own CSV format, for an arm and a file's header."""
+    """The column description of a file in our own CSV format, from the arm and the file's header."""
     expected = joint_columns(geometry.prismatic)
     joints, units = [], []
     for name in expected:

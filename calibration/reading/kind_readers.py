@@ -1,7 +1,7 @@
 """Readers of the kinds beyond poses: reflectors, wires and bars, what a tool point touches, and inclinometers.
 
-Rows that no such instrument can have read are refused, by file and line: a lost reflector, a tool that did not touch,
-a length in another unit, all touches in one pose, a direction that is none.
+Rows that the instrument cannot have read are refused, and the message names file and line: a lost reflector, a tool
+that did not touch, a length in another unit, all touches in one pose, a direction that is not of unit length.
 """
 
 from __future__ import annotations
@@ -47,15 +47,15 @@ from pickenv.calibration.reading.description import (
 
 @dataclass(frozen=True, eq=False)
 class Files:
-    """Files of one layout, and what all kinds have in common.
+    """Files of one layout with their descriptions and joints: the input of every kind's reader.
 
     Attributes:
-        tables: Their columns.
-        given: Their descriptions, one each.
-        where: How messages name these.
+        tables: The columns of each file.
+        given: The column description of each file.
+        where: Name of the description, for messages.
         geometry: The arm's nominal geometry.
         joints: Joints of all rows ``(N, n)``, rad or m.
-        source: How messages name them.
+        source: Name of the files, for messages.
         origins: File and line of each row.
     """
 
@@ -69,19 +69,19 @@ class Files:
 
     @property
     def first(self) -> DescriptionFile:
-        """The description that they share, but for units."""
+        """The first file's description; those of the other files differ from it in units at most."""
         return self.given[0]
 
     def values(self) -> Array:
-        """The readings of all rows, as described under the kind ``(N, k)``, m."""
+        """The readings of all rows ``(N, k)``, m: the columns of the section that says what was measured."""
         return np.concatenate([t.values(d.columns) * TO_SI[d.unit] for t, d in self.pairs()])
 
     def place(self, row: int) -> str:
-        """File and line of a row, as messages name it."""
+        """File and line of a row, in the words of messages."""
         return "{}: row {}".format(*self.origins.place(row))
 
     def pairs(self) -> Iterator[tuple[Table, DescriptionFile]]:
-        """Each file and its description."""
+        """Each file's table with its description."""
         return zip(self.tables, self.given, strict=True)
 
 
@@ -89,14 +89,17 @@ class Files:
 
 
 QUANTITIES = {"temperature": "temperature_K", "payload": "payload_kg", "torque": "torque_Nm"}
-"""Quantity of each recorded condition, of `pickenv.base.limits`; a temperature is counted from its reference."""
+"""Name in `pickenv.base.limits` of each recorded condition's quantity; temperatures are relative to the reference."""
 
 FARTHEST = 1e4
 """No instrument sees a tool from farther away than this, m."""
 
 
 def refuse_repeated_joints(description: DescriptionFile, where: str, joints: Array, geometry: Geometry) -> None:
-    """Two joints that read the same number in every row are one column read twice."""
+    """Refuse two joints with the same number in every row: most likely one column read twice.
+
+    Joints that never move, and files of two rows or fewer, are not checked.
+    """
     for i in range(geometry.joints):
         for j in range(i):
             if len(joints) > 2 and np.ptp(joints[:, i]) > 0 and np.array_equal(joints[:, i], joints[:, j]):
@@ -109,7 +112,7 @@ def refuse_repeated_joints(description: DescriptionFile, where: str, joints: Arr
 
 
 def refuse_far(table: Table, description: DescriptionFile) -> None:
-    """A coordinate beyond `FARTHEST` is no measurement of a tool."""
+    """Refuse a coordinate beyond `FARTHEST`: no instrument measures a tool from there."""
     values = table.values(description.columns)
     for row, column in np.argwhere(np.abs(values) * TO_SI[description.unit] > FARTHEST)[:1]:
         raise InputError(
@@ -119,7 +122,7 @@ def refuse_far(table: Table, description: DescriptionFile) -> None:
 
 
 def refuse_origin(table: Table, description: DescriptionFile) -> None:
-    """A position of exactly 0, 0, 0 is what trackers write when they have lost the reflector."""
+    """Refuse rows at exactly 0, 0, 0, which trackers write for a lost reflector, unless all rows are there."""
     zero = (table.values(description.columns) == 0).all(axis=1)
     if zero.any() and not zero.all():
         raise InputError(
@@ -129,7 +132,7 @@ def refuse_origin(table: Table, description: DescriptionFile) -> None:
 
 
 def refuse_duplicates(joints: Array, found: Observations, origins: Origins) -> None:
-    """Refuse rows that repeat another to the last digit: they count twice, and leak into what is held out."""
+    """Refuse rows that repeat another row to the last digit: they would count twice, and leak into held-out rows."""
     numbers = np.concatenate([joints, found.readings()], axis=1)
     _, first, inverse, count = np.unique(numbers, axis=0, return_index=True, return_inverse=True, return_counts=True)
     again = np.setdiff1d(np.arange(len(numbers)), first)
@@ -147,7 +150,8 @@ def read_joints(table: Table, description: DescriptionFile, where: str, geometry
     """Joints of every row ``(N, n)``, rad or m.
 
     Raises:
-        InputError: If no such arm can take them: almost always degrees read as radians, or millimetres as metres.
+        InputError: If a joint lies far beyond its limits: almost always degrees read as radians, or millimetres as
+            metres.
     """
     columns = []
     for i, scale in enumerate(joint_scales(description, where, geometry)):
@@ -170,7 +174,14 @@ def read_joints(table: Table, description: DescriptionFile, where: str, geometry
 
 
 def refuse_implausible_conditions(table: Table, name: str, values: Array, columns: tuple[str, ...]) -> None:
-    """Refuse temperatures from the reference, payloads and torques ``(N, k)``, SI, that no arm works under."""
+    """Refuse temperatures, payloads or torques under which no arm works.
+
+    Args:
+        table: The file.
+        name: The condition, one of `QUANTITIES`.
+        values: Its values ``(N, k)``, SI; temperatures relative to the reference.
+        columns: The column of each value.
+    """
     least, most, _ = LIMITS[QUANTITIES[name]]
     for row, column in np.argwhere((values < least) | (values > most))[:1]:
         place = f"{table.cell(row, columns[column])} as {QUANTITIES[name]}"
@@ -178,18 +189,21 @@ def refuse_implausible_conditions(table: Table, name: str, values: Array, column
 
 
 TURNED = float(np.radians(1.0))
-"""Touches whose joints all lie within this, rad or m, are made in one pose."""
+"""Rows whose joints all lie within this range, rad or m, count as one pose."""
 
 UNIT_LENGTH = 0.02
-"""A direction's length may differ from one by so much."""
+"""Largest difference from one that the length of a direction may have."""
 
 EXPLAINED, UNEXPLAINED = 0.2, 0.5
-"""Part of the spread of lengths that a wire's anchor leaves in the right unit at most, and in a wrong one at least."""
+"""Misfit of a wire's lengths to the best anchor, as a share of their spread.
+
+It is below the first value in the right unit, and at or above the second in a wrong one.
+"""
 
 
 @register("instrument", "reflectors")
 def _reflectors(files: Files, section: ReflectorsTable) -> ReflectorObservations:
-    """Reflector groups; a reflector counts as lost only as the description says that it is marked."""
+    """Read positions of several reflectors; one counts as lost only if it is marked as the description says."""
     first = files.first
     points, visible_parts = [], []
     for table in files.tables:
@@ -235,7 +249,7 @@ def _wire(files: Files, section: WireTable) -> DistanceObservations:
 @register("instrument", "sphere")
 @register("instrument", "bar")
 def _kept(files: Files, section: ContactTable) -> DistanceObservations:
-    """A ball bar, a sphere, an edge or a plane: one distance in all rows, known or not."""
+    """Read contacts at a ball bar, a sphere, an edge or a plane: one distance for all rows, known or to be fitted."""
     length, zero_std = 0.0, 0.0
     if isinstance(section, BarTable | RadiusTable):
         length, zero_std = (section.length, section.length_std) if section.length else (0.0, np.inf)
@@ -261,7 +275,11 @@ def _distances(files: Files, section: ContactTable, readings: Array, **more: Any
 
 
 def _contact(files: Files, section: ContactTable) -> dict[str, Any]:
-    """What every contact says of its rows; those without contact are refused."""
+    """The fields that all contact measurements share: joints, uncertainty, kind and tool point.
+
+    Raises:
+        InputError: If the contact column of a row is 0 or empty.
+    """
     for table in files.tables if section.contact is not None else ():
         table.fill_blanks(str(section.contact))
         for row in np.flatnonzero(table.column(str(section.contact)) == 0.0)[:1]:
@@ -272,13 +290,17 @@ def _contact(files: Files, section: ContactTable) -> dict[str, Any]:
 
 @register("instrument", "touches")
 def _touches(files: Files, section: ContactTable) -> SocketObservations:
-    """One place that was touched in every row."""
+    """Read touches of one single place, the same in every row."""
     return _rests(files, section, np.zeros(len(files.joints), dtype=np.int64), [], None, places=("point",))
 
 
 @register("instrument", "sockets")
 def _sockets(files: Files, section: SocketsTable) -> SocketObservations:
-    """Sockets by a column, in consecutive pairs of their numbers; or one per file, the files of a folder a pair."""
+    """Read touches of several sockets, and which two of them make a pair of known spacing.
+
+    If a column numbers the sockets, consecutive numbers make a pair. Otherwise each file holds one socket, and the two
+    files of a folder make a pair.
+    """
     names: tuple[str, ...] = ()
     if files.first.columns:
         numbers = np.concatenate([table.value(files.first.columns[0]) for table in files.tables])
@@ -316,7 +338,7 @@ def _rests(
 
 @register("instrument", "tilt")
 def _tilt(files: Files, section: TiltTable) -> TiltObservations:
-    """Components of down; angles of inclination are taken as those whose sine the component is."""
+    """Read components of the downward direction along the sensor's axes; of an inclination in deg or rad, its sine."""
     values = np.concatenate([table.values(section.columns) for table in files.tables])
     std = np.full(values.shape, section.std)
     if section.unit != "g":
@@ -339,7 +361,7 @@ def _tilt(files: Files, section: TiltTable) -> TiltObservations:
 
 
 def _refuse_one_pose(files: Files, rows: Rows) -> None:
-    """Rows in one and the same pose tell nothing of the arm."""
+    """Refuse rows of one place that were all taken in one pose: they say nothing about the arm."""
     if len(rows) > 1 and np.ptp(files.joints[rows], axis=0).max() < TURNED:
         raise InputError(
             f"{files.source}: all {len(rows)} rows of one place are in one pose, to a degree; turn the tool and move "
@@ -348,7 +370,7 @@ def _refuse_one_pose(files: Files, rows: Rows) -> None:
 
 
 def _refuse_other_unit(files: Files, data: DistanceObservations) -> None:
-    """Lengths that an anchor explains in another unit only."""
+    """Refuse lengths of a wire that fit no anchor in the stated unit, but do in the other one (m or mm)."""
 
     def left(factor: float) -> float:
         read = replace(data, length=data.length * factor, scale_std=0.0, tip_std=0.0)
@@ -375,26 +397,26 @@ def _refuse_other_unit(files: Files, data: DistanceObservations) -> None:
 
 
 STEM = "{file}"
-"""In the pattern of a picture's path: the name of the file that the view's pose stands in, without its ending."""
+"""Placeholder in the pattern of a picture's path: the name, without its ending, of the file with the view's pose."""
 
 MANY_BLIND = 0.25
-"""If more pictures than this share show no corner, something is wrong with all of them."""
+"""Share of pictures without a corner above which they are refused: something is then wrong with all of them."""
 
 DEFAULT_STD = 0.3
-"""px; of corners in a table that states none."""
+"""Standard uncertainty, px, of corners in a table if the description states none."""
 
 
 def read_views(paths: Sequence[str | Path], geometry: Geometry, file: DescriptionFile, where: str) -> PixelObservations:
     """Read views of a board.
 
     Args:
-        paths: CSV or YAML files, or one folder, whose files are found by the description's ``files``.
-        geometry: The arm's nominal geometry, for joint count and types; finished poses bring their own.
+        paths: One CSV or YAML file, or one folder, whose files are found by the description's ``files``.
+        geometry: The arm's nominal geometry, for joint count and types; not used where finished poses are given.
         file: The description, with [pixels], [board] and [camera].
-        where: How messages name it.
+        where: Name of the description, for messages.
 
     Raises:
-        InputError: Names the file, row, column or picture at fault.
+        InputError: If something is wrong; the message names the file, row, column or picture.
     """
     assert file.pixels is not None and file.board is not None and file.camera is not None
     if len(paths) != 1:
@@ -436,7 +458,7 @@ def read_views(paths: Sequence[str | Path], geometry: Geometry, file: Descriptio
 
 
 def _table(path: Path, pixels: PixelsTable, description: DescriptionFile) -> tuple[Table, Path]:
-    """The views as rows, and the folder that pictures' paths start from."""
+    """The table of the views, one row each or one per corner, and the folder that the pictures' paths start from."""
     if not path.is_dir():
         return read_table(path, description.separator, description.decimal, description.names), path.parent
     if pixels.files is None:
@@ -451,7 +473,7 @@ def _table(path: Path, pixels: PixelsTable, description: DescriptionFile) -> tup
 
 
 def _entry(file: Path) -> dict[str, str]:
-    """A small YAML file of one view's numbers, and its name as column "file"."""
+    """The entries of a YAML file that describes one view, with the file's name (no ending) added as "file"."""
     content = yaml_content(read_text(file, "a YAML file"), file)
     entry = {str(key): str(value) for key, value in content.items()} if isinstance(content, dict) else {}
     if not entry:
@@ -460,7 +482,7 @@ def _entry(file: Path) -> dict[str, str]:
 
 
 def _by_number(file: Path) -> list[tuple[int, str]]:
-    """2.yaml before 10.yaml."""
+    """A sort key by the numbers in a file's name, so that 2.yaml comes before 10.yaml."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", file.name)]
 
 
@@ -475,9 +497,12 @@ def _pictures(table: Table, pixels: PixelsTable, home: Path) -> list[Path]:
 def _found_in_pictures(
     table: Table, board: Board, pictures: Sequence[Path], camera: Lens
 ) -> tuple[list[Corners], list[str]]:
-    """The corners in each row's picture, and why there are none, empty where there are some.
+    """The corners in each row's picture, and for each picture the reason why it shows none (empty if it shows some).
 
-    A few pictures that show no corner are kept, to be listed; many mean another board.
+    A few pictures without a corner are kept, to be listed in reports.
+
+    Raises:
+        InputError: If a picture is missing or of another size than the lens, or if more than `MANY_BLIND` show none.
     """
     views, remarks, faults, sizes = [], [], [], []
     for path, line in zip(pictures, table.lines, strict=True):
@@ -512,7 +537,7 @@ def _grey(path: Path) -> Grey:
 
 
 def _found_in_table(table: Table, pixels: PixelsTable, board: Board) -> tuple[list[int], list[Corners]]:
-    """First row and corners of each view."""
+    """The first row of each view, and its corners, read from a table of corners."""
     assert pixels.view is not None and pixels.corner is not None
     views, numbers, places = table.texts(pixels.view), table.value(pixels.corner), table.values(pixels.columns)
     count, rows, corners = len(board.corners), [], []
@@ -540,7 +565,7 @@ def _lens(given: LensTable, home: Path) -> Lens:
 
 
 def _lens_std(given: LensTable) -> Array:
-    """Standard uncertainty of each number of the lens: nothing, infinite, or as stated."""
+    """Standard uncertainty of each number of the lens: 0 if fixed, infinite if free, or the stated prior."""
     if given.lens == "prior":
         return np.array([given.prior_px] * 4 + [given.prior_distortion] * 5)
     return np.full(len(LENS_NAMES), 0.0 if given.lens == "fixed" else np.inf)

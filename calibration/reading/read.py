@@ -1,7 +1,7 @@
 """Reading measured files of any kind: our own columns, or any foreign file through a description of its columns.
 
-`read_measurements` gives poses or positions; `read_observations` any kind, from one file or several, together with
-what the file itself says about noise: repeat sigma and the size of its last digit.
+`read_measurements` reads poses or positions. `read_observations` reads any kind, from one file or several, together
+with what the files themselves say about noise: repeat sigma and the size of the last digit.
 """
 
 from __future__ import annotations
@@ -45,18 +45,21 @@ from pickenv.calibration.reading.description import (
 from pickenv.calibration.reading.kind_readers import Files, read_views
 
 NoiseFloor = tuple[float | None, float | None]
-"""A file's own word on its noise, as the RMS of a position error's norm, m, None where it says nothing: from columns of
-the repeat sigma, and from the last digit of the position columns, size / sqrt(12) per coordinate."""
+"""The noise that a file itself states, twice, each as the RMS of a position error's norm, m, or None if not stated.
+
+The first is from its columns of repeat sigma, the second from the last digit of its position columns: the digit's size
+/ sqrt(12) per coordinate.
+"""
 
 
 def floor_record(floor: NoiseFloor) -> dict[str, float | None]:
-    """For JSON, in mm."""
+    """The noise floor as JSON entries "repeat" and "digits", mm, None if not stated."""
     names = ("repeat", "digits")
     return {name: None if value is None else value * 1e3 for name, value in zip(names, floor, strict=True)}
 
 
 def floor_text(floor: NoiseFloor) -> str:
-    """For people, in mm."""
+    """The noise floor in words, mm."""
     repeat, digits = floor
     parts = [] if repeat is None else [f"repeatability {repeat * 1e3:.4f} mm"]
     parts += [] if digits is None else [f"digits of the file {digits * 1e3:.2g} mm"]
@@ -140,7 +143,11 @@ def read_observations(
 
 
 def _frames(tables: list[Table]) -> Frames:
-    """The word of files of our own format on base and tool, in every row; where they say nothing, both are fitted."""
+    """The word "known" or "fitted" that files in our own format have for base and tool; "fitted" if they have none.
+
+    Raises:
+        InputError: If a row has another word, or if the rows do not all have the same one.
+    """
     places_of: dict[str, str] = {}
     for table in tables:
         if FRAMES_COLUMN not in table.header:
@@ -158,7 +165,7 @@ def _frames(tables: list[Table]) -> Frames:
 
 
 def _conditions(files: Files) -> Conditions:
-    """Payload, temperature above the reference, and torques, where every file has them."""
+    """Payload, temperature relative to the reference, and torques of all rows; only those that every file records."""
     conditions: dict[str, Array] = {}
     for name in ("temperature", "payload", "torque"):
         parts = []
@@ -176,7 +183,12 @@ def _conditions(files: Files) -> Conditions:
 
 @register("instrument", "position")
 def _poses(files: Files, _section: Any) -> Measurements:
-    """Poses or positions; unnamed attitude conventions are refused with what each would leave."""
+    """Read poses or positions.
+
+    Raises:
+        InputError: If a row cannot be right, or if [rotation] names no convention; the message then lists the errors
+            that each convention would leave.
+    """
     first, position = files.first, files.values()
     for table, description in files.pairs():
         kind_readers.refuse_far(table, description)
@@ -205,7 +217,7 @@ def _poses(files: Files, _section: Any) -> Measurements:
 
 
 def _attitudes(table: Table, described: RotationTable | None, where: str) -> Array:
-    """Attitude columns in rad, or quaternions, checked."""
+    """The checked values ``(N, 3 or 4)`` of a file's attitude columns: angles in rad, or quaternions."""
     assert described is not None
     columns, unit = described.columns, described.checked_unit()
     values = table.values(columns) * TO_SI[unit]
@@ -226,7 +238,7 @@ def _attitudes(table: Table, described: RotationTable | None, where: str) -> Arr
 
 
 def _floor(files: Files) -> NoiseFloor:
-    """Repeat sigma and quantisation, over all files."""
+    """The noise floor of all files together, from repeat sigma and from the last digit."""
     repeat, digits = [], []
     for table, description in files.pairs():
         if description.unit not in LENGTHS or not description.columns:
@@ -253,7 +265,7 @@ POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """The poses that the arm is asked for.
+    """The poses that the arm is to take.
 
     Attributes:
         joints: Nominal joint targets ``(N, n)``, rad or m; None if poses were given.
@@ -300,7 +312,7 @@ def read_targets(path: str | Path, geometry: Geometry) -> Targets:
 
 
 def joints_of(targets: Targets, geometry: Geometry) -> Array:
-    """The targets as joints ``(N, n)``: as given, or from the inverse kinematics.
+    """The targets as joints ``(N, n)``, rad or m: as given, or from the inverse kinematics.
 
     Raises:
         InputError: If a pose cannot be reached.
