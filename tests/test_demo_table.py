@@ -68,7 +68,7 @@ def summary(reaches):
 @pytest.mark.parametrize("reaches", [100, 19])
 def test_every_cell_is_the_summarys(capsys, reaches):
     told = summary(reaches)
-    _print_demo(told, [])
+    _print_demo(told)
     text = capsys.readouterr().out
     rows = {cells[0]: cells[1:] for line in text.splitlines() if len(cells := re.split(" {3,}", line.strip())) > 1}
     for key, label in (("raw", "raw"), ("ls", "LS"), ("ls_bpnn", "LS+BPNN")):

@@ -285,6 +285,9 @@ class Result:
             note = "by the fitted geometry; RMS, 95 % interval"
             blocks.append(replace(over, header=over.header[:-1], rows=rows, note=note))
         lines += [block.text() for block in blocks if block.rows]
+        for verdict in self.gate:
+            if "pip install" in verdict.reason:  # what the reader can change
+                lines += folded(f"{verdict.model}: {verdict.reason}", width)
         if self.pixels is not None:
             pictures = fitting.pixel_block(self.pixels, fitting.view_names(self.test.views))
             lines += [f"{name}: {pixels}" for name, pixels in pictures.rows[1:3]]

@@ -111,7 +111,7 @@ def test_a_demonstrations_numbers_are_the_same_everywhere(tmp_path: Path, capsys
     summary: dict[str, Any] = json.loads((tmp_path / "run/summary.json").read_text(encoding="utf-8"))
     assert summary == json.loads(json.dumps(summarise(found)))
     page = (tmp_path / "run/report.html").read_text(encoding="utf-8")
-    _print_demo(summary, [])
+    _print_demo(summary)
     lines = [re.split(" {3,}", line.strip()) for line in capsys.readouterr().out.splitlines()]
     terminal, rows = {line[0]: line[1:] for line in reversed(lines) if line}, rows_of(page)
     for key, label in (("raw", "raw"), ("ls", "LS"), ("ls_bpnn", "LS+BPNN")):
