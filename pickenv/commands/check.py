@@ -54,11 +54,20 @@ class Finding:
         return f"sound    {self.path}: {self.what}{version}{', ' if self.about else ''}{self.about}"
 
 
-def check(paths: list[Path], json_file: Annotated[Path | None, Option("--json")] = None) -> None:
+SHOWN = 20
+"""Sound files that have a line each without details."""
+
+
+def check(
+    paths: list[Path],
+    details: Annotated[bool, Option("--details")] = False,
+    json_file: Annotated[Path | None, Option("--json")] = None,
+) -> None:
     """Verify files and run folders from end to end; exit code 3 if one is damaged, edited, missing or foreign.
 
     Args:
         paths: Calibrations, policies, checkpoints, chunks, traces, or whole folders.
+        details: Print a line for every sound file, however many there are.
         json_file: Write what was found to this file.
 
     Examples:
@@ -68,10 +77,11 @@ def check(paths: list[Path], json_file: Annotated[Path | None, Option("--json")]
     More: figures-and-reports.md
     """
     separate({}, {"--json": json_file})
-    findings = []
+    findings: list[Finding] = []
     for path in paths:
         for finding in findings_of(path):
-            print(finding.line())
+            if details or finding.reason is not None or len(findings) < SHOWN:
+                print(finding.line())
             findings.append(finding)
     refused = sum(finding.reason is not None for finding in findings)
     print(f"{len(findings)} checked, {refused} refused")

@@ -20,10 +20,14 @@ from pickenv.commands.showing import (
 )
 
 
-def arms(json_file: Annotated[Path | None, Option("--json")] = None) -> None:
+def arms(
+    details: Annotated[bool, Option("--details")] = False,
+    json_file: Annotated[Path | None, Option("--json")] = None,
+) -> None:
     """List the arms that come with pickenv: name, joints (R turns, P slides), reach and where the numbers come from.
 
     Args:
+        details: Print where the numbers come from as well.
         json_file: Write the figures to this file.
 
     Examples:
@@ -40,17 +44,14 @@ def arms(json_file: Annotated[Path | None, Option("--json")] = None) -> None:
         kinds = "".join("P" if slides else "R" for slides in arm.nominal.prismatic)
         reach = round(1e3 * farthest(arm.nominal), 1)
         table.append({"name": name, "joints": kinds, "reach_mm": reach, "source": arm.source})
-    rows = [[str(cell) for cell in row.values()] for row in table]
-    deliver(
-        [(json_file, {"arms": table})],
-        lambda: print_table(
-            "arms that come with pickenv",
-            ("name", "joints", "reach (mm)", "source"),
-            rows,
-            words=("name", "joints", "source"),
-            caption="reach: the farthest that the tool gets from the arm's base",
-        ),
-    )
+    heads = ("name", "joints", "reach (mm)", "source")[: 4 if details else 3]
+    rows = [[str(cell) for cell in row.values()][: len(heads)] for row in table]
+    caption, more = "reach: the farthest that the tool gets from the arm's base", "where the numbers come from"
+
+    def show() -> None:
+        print_table("arms that come with pickenv", heads, rows, words=("name", "joints", "source"), caption=caption)
+
+    deliver([(json_file, {"arms": table})], show, more="" if details else more)
 
 
 def effects(
