@@ -27,6 +27,7 @@ COMMANDS: dict[str, Sequence[str]] = {
         "cp runs/conditions/figures/error_by_condition.png docs/images/conditions-orchard.png",
     ),
     "fetch-reach.png": ("python scripts/fetch_reach.py", "cp runs/fetch_reach/success.png docs/images/fetch-reach.png"),
+    "home-results.svg": ("cd scripts && python -c 'import pictures; pictures.draw_results()'",),
     "study-grades.png": ("python scripts/studies/tolerance_docs.py",),
 }
 """Shell lines by picture, where neither a study nor a card leaves a file of the picture's name."""
@@ -52,6 +53,30 @@ def studies() -> dict[str, list[str]]:
         line = f"pickenv experiment scripts/studies/{path.name} --figures docs/images"
         found |= {f"{name}.png": [line] for name in names if name}
     return found
+
+
+def draw_results() -> Path:
+    """Draw the home page's strip of results from its table: three arms, the error of each by model."""
+    import matplotlib.pyplot as plt
+
+    from pickenv.inspect import save_figure
+
+    home = re.sub(r"<!--.*?-->", "", (ROOT / "docs/index.md").read_text(encoding="utf-8"))
+    lines = [line.strip("| ").split(" | ") for line in home.splitlines() if line.startswith("| ")][1:]
+    figure, panels = plt.subplots(1, len(lines), figsize=(8.0, 2.0), layout="constrained", sharey=True)
+    panels[0].set_yticks([0, -1, -2], ["as drawn", "least squares", "best model"])
+    for panel, (arm, *cells) in zip(panels, lines, strict=True):
+        values = [[float(number) for number in re.findall(r"[\d.]+", cell)] for cell in cells[:3]]
+        for row, ((value, low, high), colour) in enumerate(zip(values, ("#e69f00", "#0072b2", "#009e73"), strict=True)):
+            panel.plot([low, high], [-row, -row], color=colour, lw=3)
+            panel.plot(value, -row, "o", color=colour)
+        kind = "simulated" if "simulated" in arm else "measured"
+        title = f"{arm.split(', ')[0].strip('`')}, {kind}:\n{values[0][0]:.3g} to {values[2][0]:.2g} mm"
+        panel.set(xscale="log", xlabel="error (mm)", xlim=(0.04, 15), ylim=(-2.5, 0.5))
+        panel.set_xticks([0.1, 1, 10], ["0.1", "1", "10"])
+        panel.set_xticks([], minor=True)
+        panel.set_title(title, fontsize=10)
+    return save_figure(figure, ROOT / "docs/images/home-results.svg")
 
 
 def lines_of(picture: str) -> Sequence[str]:

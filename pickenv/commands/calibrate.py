@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import sys
-from contextlib import nullcontext
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -112,7 +110,7 @@ def calibrate(
         require("jinja2", "matplotlib", "plotly")  # said now, and not after the work
     frames_moved, count = frames_and_rows(refit, refit_rows)
     choices = pickenv.Choices(**fields_among(pickenv.Choices, typed) | {"refit": frames_moved, "refit_rows": count})
-    with progress_bars() if sys.stderr.isatty() else nullcontext() as progress:
+    with progress_bars() as progress:
         result = pickenv.calibrate(
             arm,
             files,

@@ -9,10 +9,12 @@ written, what to do next; `--details` prints the rest.
 from __future__ import annotations
 
 import ast
+import math
 import os
 import re
 import shlex
 import sys
+import time
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -268,6 +270,9 @@ def progress_bars(unit: str = "") -> Iterator[Callable[[str, int, int], None]]:
     from rich import progress
     from rich.console import Console
 
+    if not sys.stderr.isatty():
+        yield progress_lines(unit)
+        return
     columns = (
         progress.TextColumn("{task.description:<20}"),
         progress.BarColumn(),
@@ -288,6 +293,28 @@ def progress_bars(unit: str = "") -> Iterator[Callable[[str, int, int], None]]:
             bars.update(task, completed=done, rate=rate)
 
         yield report
+
+
+LINE_SECONDS = 10.0
+"""Seconds between two lines on a stage, where standard error is a file and has no bars."""
+
+
+def progress_lines(unit: str = "") -> Callable[[str, int, int], None]:
+    """What prints a line to standard error as a stage begins, every `LINE_SECONDS`, and as it ends; for log files.
+
+    Args:
+        unit: What is counted, or nothing.
+    """
+    printed: dict[str, float] = {}
+
+    def report(stage: str, done: int, total: int) -> None:
+        now = time.monotonic()
+        if stage not in printed or done >= total or now - printed[stage] >= LINE_SECONDS:
+            if printed.get(stage) != math.inf:
+                print(f"{stage}: {done} of {total}{f' {unit}' * bool(unit)}", file=sys.stderr, flush=True)
+            printed[stage] = math.inf if done >= total else now
+
+    return report
 
 
 def print_table(
