@@ -20,6 +20,27 @@ from measuring import ROOT
 
 BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 BROWSER = ("make docs", "make test-browser", "python .ci/docs_screenshots.py runs/browser/screenshots")
+TABLES = {
+    "findings-camera.png": ("A camera that looks all", "error (mm)", "With a camera in every period, raw is as good"),
+    "findings-instrument.png": (
+        "A drifting machine",
+        "error behind LS (mm)",
+        "Orchard: measure in time",
+    ),
+    "findings-afar.png": ("One look from afar", "error (mm)", "From afar LS+GP pays, from near nothing does"),
+    "findings-constants.png": (
+        "What least squares",
+        "share of raw error removed (%)",
+        "The same for every constant",
+    ),
+    "findings-ground.png": (
+        "The ground decides",
+        "error of raw arms (mm)",
+        "Soft ground makes raw arms err most",
+    ),
+}
+"""Pictures of a section's first table in docs/findings.md: how its title begins, what the numbers are, the message."""
+
 COMMANDS: dict[str, Sequence[str]] = {
     **dict.fromkeys(("comparing-policies-*.png", "explorer-*.webp", "inspection-*.webp"), BROWSER),
     "conditions-orchard.png": (
@@ -27,6 +48,7 @@ COMMANDS: dict[str, Sequence[str]] = {
         "cp runs/conditions/figures/error_by_condition.png docs/images/conditions-orchard.png",
     ),
     "fetch-reach.png": ("python scripts/fetch_reach.py", "cp runs/fetch_reach/success.png docs/images/fetch-reach.png"),
+    **{name: (f"cd scripts && python -c 'import pictures; pictures.draw_table(\"{name}\")'",) for name in TABLES},
     "home-results.svg": ("cd scripts && python -c 'import pictures; pictures.draw_results()'",),
     "study-grades.png": ("python scripts/studies/tolerance_docs.py",),
 }
@@ -53,6 +75,33 @@ def studies() -> dict[str, list[str]]:
         line = f"pickenv experiment scripts/studies/{path.name} --figures docs/images"
         found |= {f"{name}.png": [line] for name in names if name}
     return found
+
+
+def draw_table(picture: str) -> Path:
+    """Draw a finding's table, whose numbers are the ledger's: a line for each row, a colour for each column."""
+    from pickenv.base import Estimate
+    from pickenv.inspect import save_figure
+    from pickenv.inspect.figures.plot_estimates import estimates_figure
+
+    start, label, message = TABLES[picture]
+    text = (ROOT / "docs/findings.md").read_text(encoding="utf-8").split(f"\n## {start}")[1].split("<!-- end of")[0]
+    table = [[cell.strip() for cell in line.strip("|").split("|")] for line in re.findall(r"^\|.*\|$", text, re.M)]
+    heads, rows = table[0], []
+    for cells in table[2:]:
+        words = [cell for cell in cells if not re.fullmatch(r"-?[\d.]+( \(.*\))?|", cell)]
+        for head, cell in zip(heads, cells, strict=True):
+            if (match := re.fullmatch(r"(-?[\d.]+) \((-?[\d.]+) to (-?[\d.]+)\)", cell)) is not None:
+                value, low, high = map(float, match.groups())
+                rows.append(
+                    {
+                        "row": ", ".join(words),
+                        "column": f"× {head}" if head[0].isdigit() else head,
+                        "estimate": Estimate(value, (low, high)),
+                    }
+                )
+    figure = estimates_figure(rows, f"{label}, mean over arms", ("row", "column"))
+    figure.suptitle(message, x=0.01, ha="left", fontsize=9.0, fontweight="bold")
+    return save_figure(figure, ROOT / "docs/images" / picture)
 
 
 def draw_results() -> Path:
