@@ -76,10 +76,10 @@ class BaseFrameError:
     def brief(self) -> str:
         """The interval in one sentence."""
         if np.isnan(self.low):
-            return "in the robot's own base frame: unknown, for only directions were measured"
+            return "the error in the robot's own base frame is unknown, for only directions were measured"
         return (
-            f"in the robot's own base frame: {self.low * 1e3:#.3g} to {self.high * 1e3:#.3g} mm on average, for base "
-            "and tool were fitted"
+            f"base and tool were fitted: in the robot's own base frame the mean error is somewhere from "
+            f"{self.low * 1e3:#.3g} to {self.high * 1e3:#.3g} mm"
         )
 
     def sentences(self) -> str:

@@ -202,7 +202,7 @@ def call(*words: object) -> str:
 def test_the_command_prints_the_numbers_that_it_writes(tmp_path: Path) -> None:
     file = tmp_path / "conditions.json"
     words = ["conditions", "orchard", "--arms", 1, "--sessions", 2, "--poses", 20, "--weather", 0, "--hours", 0]
-    said = call(*words, "--json", file)
+    said = call(*words, "--details", "--json", file)
     found = json.loads(file.read_text())
     assert list(found["sweeps"]) == ["payload", HELD_OUT] and found["growth"] == "the plant's own"
     for sweep in found["sweeps"].values():

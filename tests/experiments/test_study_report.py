@@ -138,6 +138,10 @@ def test_the_verdict_names_the_least_demanding_way_that_suffices(found):
     said = study_verdict(found.protocol.config, rows)
     assert said.tone == "good" and said.headline.startswith("IT12 (medium) and 30 poses")
     assert "99.0 %" in said.text and specified(found.protocol.config) in said.text
+    fewer = [rows_with(398), rows_with(396, poses=15, setting=1), rows_with(397, poses=60, setting=2)]
+    assert study_verdict(found.protocol.config, fewer).headline.startswith("IT9 (medium) and 15 poses")
+    noisy = [rows_with(398), rows_with(396, noise_mm=0.1, setting=1)]
+    assert "tracker of 0.1 mm" in study_verdict(found.protocol.config, noisy).headline
 
 
 def test_a_way_must_suffice_at_every_payload_and_the_headline_names_it(found):

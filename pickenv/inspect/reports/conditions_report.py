@@ -47,11 +47,10 @@ def conditions_in_words(result: Mapping[str, Any]) -> tuple[str, str]:
         figure["mean_mm"] for sweep in result["sweeps"].values() for figure in sweep["methods"][usual]
     )  # what it leaves where it was made
     means = "; ".join(f"{name} {said(figure['mean_mm'], figure['ci95_mm'], 3)} mm" for name, figure in figures.items())
-    headline = (
-        f"{usual.capitalize()}: {least:.2f} mm at its best, {figures[usual]['mean_mm']:.2f} mm over a working day"
-    )
+    headline = f"{usual}: {figures[usual]['mean_mm']:.2f} mm over a working day, {least:.2f} mm where it was made"
     if best not in ("raw", usual):
-        headline += f"; {best}: {figures[best]['mean_mm']:.2f} mm"
+        headline = f"best over a working day: {best}, {figures[best]['mean_mm']:.2f} mm; {headline}"
+    headline = headline[:1].upper() + headline[1:]
     return headline, f"In sessions that no fit has seen: {means}. Intervals are over {_over(result)}."
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from pickenv.arm import forward, load_arm
 from pickenv.calibration import ArmModel, Measurements, random_joints
-from pickenv.calibration.model.noise import RowNoise, neighbours, noise_of, stated_noise
+from pickenv.calibration.model.noise import RowNoise, counted, neighbours, noise_of, stated_noise
 
 UR5 = load_arm("ur5").nominal
 ARM = ArmModel.of(UR5)
@@ -121,3 +121,11 @@ def test_a_prior_behind_the_rows_is_not_weighed():
     noise = replace(stated_noise(measured(np.zeros((2, 6)), np.zeros((2, 3)))), scatter=np.full(12, 2.0))
     assert noise.whiten(np.ones(14)).tolist() == [0.5] * 12 + [1.0] * 2
     assert isinstance(noise, RowNoise)
+
+
+def test_a_row_far_from_others_counts_fully_and_no_row_counts_more_than_once():
+    rng = np.random.default_rng(3)
+    apart = rng.uniform(-2.0, 2.0, (30, 6))
+    cluster = apart[0] + 1e-3 * rng.normal(size=(30, 6))
+    weights = counted(np.vstack([apart[1:], cluster]))
+    assert weights.max() <= 1.0 and weights[:29].min() > 3.0 * weights[29:].max()
