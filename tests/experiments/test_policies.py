@@ -411,7 +411,7 @@ def test_the_commands_run(tmp_path):
     rows = json.loads((tmp_path / "rows.json").read_text())["rows"]
     assert {row["policy"].split("/")[-1] for row in rows} == {"scripted", "policy"} and set(rows[0]) >= KEYS
     assert {row["interval_over"] for row in rows} == {"arms", "arms, of this one training"}
-    assert "none: needs" in result.output
+    assert "no intervals: needs" in result.output
 
 
 def test_trainings_of_several_seeds_are_one_policy(tmp_path):

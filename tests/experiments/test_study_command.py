@@ -18,7 +18,16 @@ def study(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
 
 def test_a_study_prints_writes_and_sums_up(study_file, tmp_path):
     ran = study(
-        study_file(), "--executor", "serial", "--no-report", "--out", "run", "--json", "summary.json", cwd=tmp_path
+        study_file(),
+        "--details",
+        "--executor",
+        "serial",
+        "--no-report",
+        "--out",
+        "run",
+        "--json",
+        "summary.json",
+        cwd=tmp_path,
     )
     assert ran.returncode == 0, ran.stderr
     summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))
