@@ -15,7 +15,6 @@ import pickenv
 from pickenv.base import InputError, locked, require, screen_width, separate, unseen_share
 from pickenv.commands.showing import (
     MOST,
-    WIDTH,
     Save,
     deliver,
     limited,
@@ -208,8 +207,8 @@ def _print(config: pickenv.experiments.StudyConfig, summary: dict[str, Any], det
     from pickenv.inspect.runs.number_words import between
 
     verdict = study_verdict(config, summary["yield"])
-    print_verdict(f"{verdict.headline}.")
-    print(fill(verdict.text, screen_width(WIDTH)))
+    print_verdict(f"{verdict.headline}.", TERMINAL)
+    print(fill(verdict.text, screen_width(TERMINAL)))
     rows = summary["yield"] if details else sorted(summary["yield"], key=lambda row: -row["yield"])
     errors = {
         (row["setting"], row["probability"]): row["value"]

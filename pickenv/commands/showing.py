@@ -250,13 +250,13 @@ def _lines_of_files(paths: Sequence[Path]) -> Iterator[str]:
     yield f"wrote {folder}: {', '.join(map(str, first))} and {rest} more"
 
 
-def print_verdict(text: str) -> None:
-    """Print what a command comes to in one sentence, in bold on a terminal, folded to its width."""
+def print_verdict(text: str, width: int | None = None) -> None:
+    """Print what a command comes to in one sentence; in bold and folded on a terminal, elsewhere to ``width``."""
     from rich.console import Console
 
-    width = screen_width()
-    Console(width=width, soft_wrap=False).print(
-        "\n".join(folded(with_options(text), width)), style="bold", markup=False, highlight=False
+    room = screen_width() if width is None else screen_width(width)
+    Console(width=room, soft_wrap=False).print(
+        "\n".join(folded(with_options(text), room)), style="bold", markup=False, highlight=False
     )
 
 
@@ -271,7 +271,7 @@ def progress_bars(unit: str = "") -> Iterator[Callable[[str, int, int], None]]:
     from rich.console import Console
 
     if not sys.stderr.isatty():
-        yield progress_lines(unit)
+        yield progress_lines()
         return
     columns = (
         progress.TextColumn("{task.description:<20}"),
@@ -299,19 +299,15 @@ LINE_SECONDS = 10.0
 """Seconds between two lines on a stage, where standard error is a file and has no bars."""
 
 
-def progress_lines(unit: str = "") -> Callable[[str, int, int], None]:
-    """What prints a line to standard error as a stage begins, every `LINE_SECONDS`, and as it ends; for log files.
-
-    Args:
-        unit: What is counted, or nothing.
-    """
+def progress_lines() -> Callable[[str, int, int], None]:
+    """What prints a line to standard error as a stage begins, every `LINE_SECONDS`, and as it ends; for log files."""
     printed: dict[str, float] = {}
 
     def report(stage: str, done: int, total: int) -> None:
         now = time.monotonic()
         if stage not in printed or done >= total or now - printed[stage] >= LINE_SECONDS:
             if printed.get(stage) != math.inf:
-                print(f"{stage}: {done} of {total}{f' {unit}' * bool(unit)}", file=sys.stderr, flush=True)
+                print(f"{stage}: {done}/{total}", file=sys.stderr, flush=True)
             printed[stage] = math.inf if done >= total else now
 
     return report

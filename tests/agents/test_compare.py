@@ -117,6 +117,7 @@ def test_one_number_in_the_terminal_the_json_the_page_and_the_recording(
     monkeypatch.setenv("COLUMNS", "200")
     _print_comparison(found.episodes, details=True)
     terminal = capsys.readouterr().out
+    terminal += " ".join(terminal.split())
     page = html.unescape((folder / "report.html").read_text(encoding="utf-8"))
     store = RrdReader(folder / "comparison.rrd").stream().collect()
     words = next(
