@@ -46,6 +46,7 @@ DRAWN = {
         CAMERA,
         lambda seen, info, env: {"seen": seen[6:], "fruit": info["fruit_position"]},
     ),
+    "pickenv/ReachTool-v0": (CAMERA, lambda seen, info, env: {"seen": seen, "fruit": info["fruit_position"]}),
     "pickenv/ReachIdeal-v0": ({}, lambda seen, info, _: {"seen": seen[9:], "fruit": info["fruit_position"]}),
     "pickenv/Pick-v0": (
         {"fruit_size": "apple"},

@@ -40,5 +40,6 @@ hyperparams = {
     "pickenv/Reach-v0": _REACH,
     "pickenv/ReachIdeal-v0": _REACH,
     "pickenv/ReachScaled-v0": _SCALED,
+    "pickenv/ReachTool-v0": _SCALED,
     "pickenv/Pick-v0": _PICK,
 }
