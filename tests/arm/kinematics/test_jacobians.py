@@ -5,8 +5,17 @@ import math
 import numpy as np
 import pytest
 
-from pickenv.arm import chain_of, forward, frames, joint_jacobian, load_arm, parameter_jacobian, pose_error, pose_of
-from pickenv.arm.kinematics.task_space import damped_step
+from pickenv.arm import (
+    chain_of,
+    damped_step,
+    forward,
+    frames,
+    joint_jacobian,
+    load_arm,
+    parameter_jacobian,
+    pose_error,
+    pose_of,
+)
 
 STEP = 1e-5
 

@@ -8,14 +8,10 @@ import gymnasium as gym
 import numpy as np
 import pytest
 
-from pickenv.arm import forward, inverse, load_arm, load_plant, shipped_arms
+from pickenv.arm import forward, inverse, load_arm, load_plant, pose_of, shipped_arms
 from pickenv.base import InputError
 from pickenv.calibration import Compensator
-from pickenv.envs import ReachToolVectorEnv
-from pickenv.envs.reaching.batch import NumpyBatch
-from pickenv.envs.shared import simulation
-from pickenv.envs.shared.backends import FLOATS, GOAL, episode_key, stream_key
-from pickenv.envs.shared.tool_space import make_tool_task
+from pickenv.envs import ReachToolVectorEnv, ReachVectorEnv
 from tests.envs.same import assert_same
 
 NAME = "pickenv/ReachTool-v0"
@@ -67,24 +63,17 @@ def test_a_strangers_urdf_needs_nothing_else(data_folder):
 
 
 @pytest.mark.parametrize("arm", ARMS)
-def test_goals_are_poses_inside_the_limits_less_than_half_a_turn_away(arm):
-    task = make_tool_task(ARMS[arm], plant=f"ideal:{arm}")
-    geometry = task.plant.arm.nominal
+def test_goals_are_upright_poses_that_joints_inside_the_limits_have(arm):
+    env = gym.make(NAME, plant=f"ideal:{arm}", actions=ARMS[arm]).unwrapped
+    task, geometry = env.task, env.plant.arm.nominal
     low, high = map(np.array, task.box)
     assert (low > geometry.lower).all() and (high < geometry.upper).all()
-    turns = ~np.array(geometry.prismatic)
-    assert (high - low <= 0.25 * np.where(turns, math.tau, np.inf) + 1e-12).all()
+    assert (high - low <= 0.25 * np.where(geometry.prismatic, np.inf, math.tau) + 1e-12).all()
     for seed in range(8):
-        stream = stream_key(FLOATS, episode_key(FLOATS, seed, 0), GOAL)
-        drawn = (simulation.goal_attempt(FLOATS, task, stream, attempt) for attempt in range(10_000))
-        joints = np.array(next(joints for joints, fits in drawn if fits))
-        assert (joints >= low).all() and (joints <= high).all()
-        env = gym.make(NAME, plant=f"ideal:{arm}", actions=ARMS[arm])
         env.reset(seed=seed)
-        pose = forward(geometry, joints)
-        np.testing.assert_allclose(env.reset(seed=seed)[1]["fruit_position"], pose.position, atol=1e-12)
-        assert pose.rotation[2, 2] >= task.min_upright
-        assert inverse(geometry, pose, np.array(task.middle)).reached
+        assert (env.joint_target == (low + high) / 2.0).all()
+        goal = pose_of(env._state.goal)
+        assert goal.rotation[2, 2] >= task.min_upright and inverse(geometry, goal, env.joint_target).reached
 
 
 @pytest.mark.parametrize("number", range(6))
@@ -136,18 +125,21 @@ def test_it_is_the_same_alone_on_floats_and_as_machine_code(arguments):
                 assert_same({key: np.asarray(part[i]) for key, part in one.items()}, other, apart=apart)
 
 
-def test_torch_moves_the_tool_by_the_same_formula():
-    pytest.importorskip("torch")
-    from pickenv.envs.reaching.torch_batch import TorchBatch
+class Plain(ReachVectorEnv):
+    """Tool increments without scaling, which torch's tensors can have too."""
 
-    task = make_tool_task(plant="coarse:panda")
-    batches = NumpyBatch(task, 5, False, True), TorchBatch(task, 5, False, True, "cpu", "float64", False)
-    seeds, moments = np.arange(5, dtype=np.uint64), np.zeros(5, dtype=np.uint64)
-    for batch in batches:
-        batch.restart(np.arange(5), seeds, moments, None)
-    action = np.random.default_rng(0).uniform(-1.0, 1.0, (5, 6))
-    views = [batch.advance(batch.numbers_of_actions(action), moments, None) for batch in batches]
-    np.testing.assert_allclose(views[0].vectors, views[1].vectors.numpy(), atol=1e-9)
+    task_of = staticmethod(ReachToolVectorEnv.task_of)
+
+
+def test_torch_moves_the_tool_by_the_same_formula():
+    torch = pytest.importorskip("torch")
+    one = Plain(5, plant="coarse:panda", executor="numpy")
+    other = Plain(5, plant="coarse:panda", executor="torch", compiled=False)
+    for envs in (one, other):
+        envs.reset(seed=0)
+    for action in np.random.default_rng(0).uniform(-1.0, 1.0, (3, 5, 6)):
+        infos = one.step(action)[-1], other.step(torch.as_tensor(action))[-1]
+        np.testing.assert_allclose(infos[0]["joint_command"], infos[1]["joint_command"].numpy(), atol=1e-9)
 
 
 def test_a_calibration_stands_between_tool_and_drives_as_elsewhere():
