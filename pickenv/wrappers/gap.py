@@ -110,9 +110,8 @@ class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
 class GapScaling(ScaledEnv, RecordConstructorArgs):
     """Show the gap to the fruit by direction and logarithm, and take actions as shares of it, so that plain PPO learns.
 
-    `pickenv/ReachScaled-v0` is `pickenv/Reach-v0` in this wrapper, single and native. With n joints the observation is
-    `Box(float32)` of n + 7 numbers, and the size of the gap is the larger of position over 100 mm and attitude over
-    0.2 rad, at least 1e-6:
+    `pickenv/ReachScaled-v0` has the same, single and native. With n joints the observation is `Box(float32)` of n + 7
+    numbers, and the size of the gap is the larger of position over 100 mm and attitude over 0.2 rad, at least 1e-6:
 
     | Num          | Observation                                                  | Min | Max | Unit         |
     |--------------|--------------------------------------------------------------|-----|-----|--------------|
