@@ -101,7 +101,7 @@ class ReachScaledVectorEnv(ReachVectorEnv):
             raise InputError("scaled observations are made on NumPy; give executor='numpy'")
         self.scaling = scaling_of(self.task)
         self._set_spaces(self.scaling.space, self.single_action_space)
-        self.raw: Any = np.zeros((num_envs, self.scaling.inputs), dtype=np.float32)
+        self.raw: Any = np.zeros((self.num_envs, self.scaling.inputs), dtype=np.float32)
         """The latest observations, as `pickenv/Reach-v0` gives them."""
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
@@ -166,7 +166,7 @@ class ReachToolEnv(ReachScaledEnv):
     A box of joints: that of an upright pose from which the tool moves freely in every direction, as wide as
     `goal_spread` says. The arm starts in its middle, or with `start_spread` in that share of it. Wanted poses are
     drawn as joints in the box, such that the tool points upwards as in `pickenv/Reach-v0`: each can be reached, and
-    none needs a turn of more than half a circle. `reset(options=...)` as there.
+    no joint has to turn by more than half a circle. `reset(options=...)` as there.
 
     ## Episode End
 

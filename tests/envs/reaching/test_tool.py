@@ -211,6 +211,17 @@ def test_what_cannot_be_is_refused_in_one_sentence(words):
         assert len(str(refused.value).splitlines()) == 1
 
 
+def test_where_no_pose_is_upright_enough_it_is_said():
+    env = gym.make(NAME, plant="ideal:ur5e", max_tilt_deg=0.001)
+    with pytest.raises(InputError, match=r"found no pose with its tool within 0 deg .* raise max_tilt_deg"):
+        env.reset(seed=0)
+
+
+def test_the_box_may_be_all_of_the_joints_ranges():
+    task = gym.make(NAME, plant="ideal:panda", goal_spread=1.0).unwrapped.task
+    np.testing.assert_allclose(task.box, [task.lower, task.upper])
+
+
 def test_tensors_and_actions_of_joints_are_refused():
     pytest.importorskip("torch")
     with pytest.raises(InputError, match="give executor='numpy'"):
