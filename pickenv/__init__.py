@@ -20,12 +20,14 @@ __getattr__, __dir__, __all__ = _offered("pickenv", __file__)
 
 
 _REACH, _VECTOR = "pickenv.envs.reaching.reach:", "pickenv.envs.reaching.vector:"
+_SCALED = "pickenv.envs.reaching.scaled:"
 _HARVEST = "pickenv.envs.harvesting.harvest_env:"
 _ENVIRONMENTS: dict[str, tuple[str, str, int]] = {
     "Reach": (f"{_REACH}ReachEnv", f"{_VECTOR}ReachVectorEnv", 60),
     "ReachGoal": (f"{_REACH}ReachGoalEnv", f"{_VECTOR}ReachGoalVectorEnv", 60),
     "ReachIdeal": (f"{_REACH}ReachIdealEnv", f"{_VECTOR}ReachIdealVectorEnv", 60),
-    "ReachScaled": ("pickenv.wrappers.gap:scaled_reach", "pickenv.wrappers.gap:scaled_reach_vector", 60),
+    "ReachScaled": (f"{_SCALED}ReachScaledEnv", f"{_SCALED}ReachScaledVectorEnv", 60),
+    "ReachTool": (f"{_SCALED}ReachToolEnv", f"{_SCALED}ReachToolVectorEnv", 60),
     "Harvest": (f"{_HARVEST}HarvestEnv", f"{_HARVEST}HarvestVectorEnv", 600),
     "Pick": ("pickenv.envs.picking.pick:PickEnv", "pickenv.envs.picking.pick_vector:PickVectorEnv", 400),
 }

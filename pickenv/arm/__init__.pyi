@@ -66,6 +66,7 @@ from .kinematics.pose_error import (
     rotation_vector as rotation_vector,
 )
 from .kinematics.task_space import (
+    damped_step as damped_step,
     joint_jacobian as joint_jacobian,
     noncompensable_error as noncompensable_error,
     parameter_jacobian as parameter_jacobian,

@@ -2,6 +2,12 @@ from .harvesting.harvest_env import HarvestEnv as HarvestEnv, HarvestVectorEnv a
 from .picking.pick import PickEnv as PickEnv
 from .picking.pick_vector import PickVectorEnv as PickVectorEnv
 from .reaching.reach import ReachEnv as ReachEnv, ReachGoalEnv as ReachGoalEnv, ReachIdealEnv as ReachIdealEnv
+from .reaching.scaled import (
+    ReachScaledEnv as ReachScaledEnv,
+    ReachScaledVectorEnv as ReachScaledVectorEnv,
+    ReachToolEnv as ReachToolEnv,
+    ReachToolVectorEnv as ReachToolVectorEnv,
+)
 from .reaching.vector import (
     ReachGoalVectorEnv as ReachGoalVectorEnv,
     ReachIdealVectorEnv as ReachIdealVectorEnv,

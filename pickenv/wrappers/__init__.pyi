@@ -8,8 +8,6 @@ from .gap import (
     GapScalingVector as GapScalingVector,
     Scaling as Scaling,
     joined_observation as joined_observation,
-    scaled_reach as scaled_reach,
-    scaled_reach_vector as scaled_reach_vector,
 )
 from .mujoco_arm import (
     Miscalibrate as Miscalibrate,

@@ -26,7 +26,7 @@ from pickenv.base import InputError
 from pickenv.envs.shared.backends import GOAL, NUMPY, episode_key, fresh_seed, seed_word, stream_key
 from pickenv.envs.shared.native_vector import checked_seeds, final_rows
 from pickenv.envs.shared.simulation import NUMBER_KEYS, goal_attempt
-from pickenv.envs.shared.spaces import given_options
+from pickenv.envs.shared.spaces import flat_space, given_options
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Task, as_numbers, check_count, check_number
 
 SEEN_MM = 5.0
@@ -203,7 +203,8 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         RecordConstructorArgs.__init__(self, picks=picks, window=window, looks=looks, reach_mm=reach_mm)
         VectorWrapper.__init__(self, env)
         inner: Any = env.unwrapped
-        if not hasattr(inner, "batch") or env.metadata.get("torch") or getattr(inner, "goal_dict", False):
+        native = hasattr(inner, "batch") and not env.metadata.get("torch")
+        if not native or env.single_observation_space.shape != flat_space(inner.task).shape:
             raise InputError("SameArmVector works on native pickenv/Reach-v0 environments; make them with make_vec")
         task: Task = inner.task
         self.run = _Run(task, self.num_envs, picks, PickMemory(task.joints, window, reach_mm), looks)
@@ -322,7 +323,7 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         if (
             not isinstance(task, Task)
             or not hasattr(env.unwrapped, "arm")
-            or not isinstance(env.observation_space, spaces.Box)
+            or env.observation_space.shape != flat_space(task).shape
         ):
             raise InputError("SameArm works on flat reach environments; wrap a pickenv/Reach-v0 environment")
         self.run = _Run(task, 1, picks, PickMemory(task.joints, window, reach_mm), looks)

@@ -20,8 +20,9 @@ from numpy.typing import NDArray
 from pickenv.arm import Array, Geometry, joint_jacobian
 from pickenv.base import InputError
 from pickenv.envs.picking.pick_scene import CLOSE, PickSetting
+from pickenv.envs.shared.scaling import Rescaling
 from pickenv.envs.shared.task import MOST_ACTION, as_numbers
-from pickenv.wrappers.gap import Rescaling, ScaledEnv, ScaledVector
+from pickenv.wrappers.gap import ScaledEnv, ScaledVector
 
 LARGEST = 0.03
 """Length that an action of 1 adds to the tool's step in one period, m; at 10 Hz this is 0.3 m/s."""

@@ -82,6 +82,7 @@ def test_impossible_runs_end_with_one_sentence() -> None:
     for env, given, said in (
         (blind, {}, "needs a camera"),
         (gym.make("pickenv/ReachGoal-v0"), {}, "works on flat reach environments"),
+        (gym.make("pickenv/ReachTool-v0", feedback="camera"), {}, "works on flat reach environments"),
         (gym.make("pickenv/Reach-v0", feedback="camera"), {"looks": 60}, "looks is 60; give at most 59"),
         (gym.make("pickenv/Reach-v0", feedback="camera"), {"picks": 0}, "picks is 0"),
     ):
@@ -89,6 +90,8 @@ def test_impossible_runs_end_with_one_sentence() -> None:
             SameArm(env, **given)
     with pytest.raises(InputError, match="native"):
         SameArmVector(gym.make_vec("pickenv/Reach-v0", num_envs=1, vectorization_mode="sync"))
+    with pytest.raises(InputError, match="native"):
+        SameArmVector(gym.make_vec("pickenv/ReachScaled-v0", num_envs=1, feedback="camera"))
     envs = vector(2)
     envs.reset(seed=0)
     with pytest.raises(InputError, match="give 2 times 3 finite numbers"):

@@ -33,7 +33,7 @@ def test_every_file_has_parameters_for_every_environment_that_it_can_learn() -> 
     flat = {"pickenv/Reach-v0", "pickenv/ReachIdeal-v0", "pickenv/ReachScaled-v0"}
     found = {name: {env_id for each, env_id in ENTRIES if each == name} for name in FILES}
     goals, run = {*flat, "pickenv/ReachGoal-v0"}, {"pickenv/Reach-v0"}
-    picks = {*flat, "pickenv/Pick-v0"}
+    picks = {*flat, "pickenv/ReachTool-v0", "pickenv/Pick-v0"}
     assert found == {"ppo": picks, "sac": goals, "tqc": goals, "ppo_lstm": run, "ppo_history": run}
 
 

@@ -14,6 +14,7 @@ ARGUMENTS = {
     "pickenv/Reach-v0": {**EARLY, "plant": "orchard", "feedback": "camera", "camera_noise_mm": 3.0},
     "pickenv/ReachGoal-v0": EARLY,
     "pickenv/ReachScaled-v0": {**EARLY, "plant": "orchard"},
+    "pickenv/ReachTool-v0": {**EARLY, "tolerance_mm": 80.0, "plant": "orchard", "latency": 1},
     "pickenv/ReachIdeal-v0": {key: EARLY[key] for key in list(EARLY)[:3]},
     "pickenv/Pick-v0": {"arms": "per_episode", "population": 8, "camera": "perfect"},
     "pickenv/Harvest-v0": {"fruit": 1},

@@ -17,6 +17,7 @@ from stable_baselines3.common.env_checker import check_env as check_env_for_sb3
 
 import pickenv
 import pickenv.envs.reaching.reach
+import pickenv.envs.reaching.scaled
 import pickenv.wrappers.compensation
 from pickenv.base import InputError
 
@@ -46,6 +47,7 @@ DRAWN = {
         CAMERA,
         lambda seen, info, env: {"seen": seen[6:], "fruit": info["fruit_position"]},
     ),
+    "pickenv/ReachTool-v0": (CAMERA, lambda seen, info, env: {"seen": seen, "fruit": info["fruit_position"]}),
     "pickenv/ReachIdeal-v0": ({}, lambda seen, info, _: {"seen": seen[9:], "fruit": info["fruit_position"]}),
     "pickenv/Pick-v0": (
         {"fruit_size": "apple"},
@@ -324,7 +326,10 @@ def test_other_files_by_path_stand_in_it_too(name, argument, file, others, tmp_p
     assert alike(env.reset(seed=1), again.reset(seed=1))
 
 
-@pytest.mark.parametrize("module", [pickenv.envs.reaching.reach, pickenv.wrappers.compensation])
+MODULES = [pickenv.envs.reaching.reach, pickenv.envs.reaching.scaled, pickenv.wrappers.compensation]
+
+
+@pytest.mark.parametrize("module", MODULES)
 def test_examples_in_docstrings_run(module):
     result = doctest.testmod(module)
     assert result.attempted > 0 and result.failed == 0

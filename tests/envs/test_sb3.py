@@ -161,7 +161,7 @@ def remembering():
     return Sb3Vec(SameArmVector(envs, picks=5, window=2, looks=1))
 
 
-@pytest.mark.parametrize("name", ["Reach", "ReachGoal", "ReachScaled", None])
+@pytest.mark.parametrize("name", ["Reach", "ReachGoal", "ReachScaled", "ReachTool", None])
 def test_a_stream_goes_on_from_its_state(name):
     def made():
         return remembering() if name is None else make_sb3_vec(f"pickenv/{name}-v0", 4, **EARLY)

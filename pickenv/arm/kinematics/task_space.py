@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -191,3 +192,36 @@ def noncompensable_error(
     impossible = np.arange(6) >= rank[..., None]
     along = np.einsum("...ij,...i->...j", u, np.asarray(error, dtype=float) * weights) * impossible
     return np.asarray(np.einsum("...ij,...j->...i", u, along) / weights)
+
+
+def damped_step(m: ModuleType, columns: Sequence[Column], twist: Sequence[Scalar], damping: float) -> list[Scalar]:
+    """The joint motion that brings about a small motion of the tool, by damped least squares.
+
+    Near a pose from which a direction is lost, the motion in that direction gets small instead of the joints' large
+    (Wampler 1986; Nakamura and Hanafusa 1986). In components: an arm alone moves by the same bits as one of many.
+
+    Args:
+        m: ``math``, ``numpy`` or ``torch``.
+        columns: A Jacobian's columns, one per joint, each as long as ``twist``; in units in which rows compare.
+        twist: The motion wanted.
+        damping: Damping, as a share of the sum of all squares in the Jacobian.
+
+    Returns:
+        One number per joint.
+    """
+    rows = range(len(twist))
+    square = [[sum(column[i] * column[j] for column in columns) for j in range(i + 1)] for i in rows]
+    least = damping * sum(square[i][i] for i in rows) + 0.0 * twist[0]
+    factor: list[list[Scalar]] = []  # Cholesky's, of the damped square
+    for i in rows:
+        factor.append([])
+        for j in range(i):
+            known = sum(factor[i][k] * factor[j][k] for k in range(j))
+            factor[i].append((square[i][j] - known) / factor[j][j])
+        factor[i].append(m.sqrt(square[i][i] + least - sum(part * part for part in factor[i])))
+    solved = list(twist)
+    for i in rows:
+        solved[i] = (solved[i] - sum(factor[i][k] * solved[k] for k in range(i))) / factor[i][i]
+    for i in reversed(rows):
+        solved[i] = (solved[i] - sum(factor[k][i] * solved[k] for k in rows[i + 1 :])) / factor[i][i]
+    return [sum(column[i] * solved[i] for i in rows) for column in columns]

@@ -46,7 +46,7 @@ class Batch(ArmBatch, ABC):
     """
 
     def __init__(self, task: Task, count: int, goal_dict: bool, poses: bool) -> None:
-        super().__init__(task, count, task.joints)
+        super().__init__(task, count, task.moves)
         self.goal_dict, self.poses = goal_dict, poses
 
     def copied(self, out: Views) -> Views:

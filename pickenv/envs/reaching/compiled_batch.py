@@ -99,7 +99,7 @@ class CompiledBatch(NumpyBatch):
         trace = Trace()
         state = self.state_of(trace.inputs("columns", len(self.columns)))
         if part != "look":
-            state = simulation.act(TRACER, self.task, state, trace.inputs("actions", self.task.joints))
+            state = simulation.act(TRACER, self.task, state, trace.inputs("actions", self.task.moves))
         if part == "act":
             goals = self._remembered(trace, state)
         else:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -220,6 +221,9 @@ class ReachEnv(ArmEnv):
     * v0: First version.
     """
 
+    task_of: Callable[..., Task] = staticmethod(make_task)
+    """Makes the task of the arguments."""
+
     def __init__(
         self,
         *,
@@ -230,7 +234,7 @@ class ReachEnv(ArmEnv):
         **arguments: Any,
     ) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
-        super().__init__(make_task(**on_ladder("Reach", difficulty, split, arguments)), render_mode, executor)
+        super().__init__(self.task_of(**on_ladder("Reach", difficulty, split, arguments)), render_mode, executor)
         self.observation_space: spaces.Space[Any] = flat_space(self.task)
         self.action_space: Any = action_space(self.task)
         self._stream: int | None = None
@@ -266,7 +270,7 @@ class ReachEnv(ArmEnv):
             InputError: If the action has another shape or numbers that are not finite (or, with
                 `out_of_range="refuse"`, beyond -1 to 1), or before the first reset.
         """
-        values = checked_action(action, (self.task.joints,), self.task.most_action)
+        values = checked_action(action, (self.task.moves,), self.task.most_action)
         if self._state is None:
             raise InputError("step was called before reset; call reset first")
         self._state = simulation.act(self._x, self.task, self._state, self._numbers(values.tolist()))

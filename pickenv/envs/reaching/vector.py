@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
@@ -82,6 +82,7 @@ class ReachVectorEnv(NativeVectorEnv):
 
     options = OPTIONS
     goal_dict = False
+    task_of: Callable[..., Task] = staticmethod(make_task)
 
     def __init__(
         self,
@@ -101,7 +102,7 @@ class ReachVectorEnv(NativeVectorEnv):
     ) -> None:
         super().__init__(num_envs, max_episode_steps, autoreset_mode, render_mode)
         check_choice("executor", executor, ("auto", *names("backend")))
-        self.task: Task = make_task(**on_ladder("Reach", difficulty, split, arguments))
+        self.task: Task = self.task_of(**on_ladder("Reach", difficulty, split, arguments))
         self.metadata |= {"render_fps": self.task.situation.frames_per_second, "torch": executor == "torch"}
         self._set_spaces(goal_space(self.task) if self.goal_dict else flat_space(self.task), action_space(self.task))
         self._poses = bool(pose_infos)

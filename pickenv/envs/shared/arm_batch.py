@@ -175,7 +175,7 @@ class ArmBatch:
         """Joint targets that episodes start from: ``joints (episodes, n)`` if given, else drawn, else mid-range."""
         task = self.task
         if joints is None and task.situation.spread:
-            return drawn_start(self.x, task.situation, keys, task.lower, task.upper)
+            return drawn_start(self.x, task.situation, keys, *task.box)
         return list(self.numbers((np.repeat([task.middle], len(keys), axis=0) if joints is None else joints).T))
 
     def commands(self, compensate: Compensate | None, targets: Columns) -> Columns:

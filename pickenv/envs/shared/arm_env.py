@@ -156,7 +156,7 @@ class ArmEnv(DrawnEnv):
         if joints is not None:
             return self._numbers(task.given_joints("start_joints", joints).tolist())
         if task.situation.spread:
-            return drawn_start(self._x, task.situation, self._key, task.lower, task.upper)
+            return drawn_start(self._x, task.situation, self._key, *task.box)
         return self._numbers(task.middle)
 
     def _command(self, target: Sequence[Scalar]) -> Sequence[Scalar]:

@@ -17,12 +17,16 @@ from pickenv.arm import Frame, Plant, PlantState
 from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Scalar, attach, frames
 from pickenv.arm.kinematics.pose_error import frame_error, rotation_between
+from pickenv.arm.kinematics.task_space import damped_step, jacobian_columns
 from pickenv.envs.shared import situation
 from pickenv.envs.shared.backends import ARM, CAMERA, FRUIT, Executor, episode_key, normal, stream_key, uniform
 from pickenv.envs.shared.task import GOAL_MARGIN, Task, inexact
 
 DEGREES = 57.29577951308232
 """Degrees in one radian."""
+
+DAMPING = 1e-5
+"""Damping of the joint motion for a motion of the tool, as a share of the sum of the Jacobian's squares."""
 
 GOAL_NUMBERS = 9
 """Count of numbers in a goal: its position, and the z and x axes of its attitude."""
@@ -122,7 +126,7 @@ def goal_attempt(x: Executor, task: Task, key: Scalar, attempt: int) -> tuple[li
         The joints, and whether they fit.
     """
     joints = []
-    for i, (low, high) in enumerate(zip(task.lower, task.upper, strict=True)):
+    for i, (low, high) in enumerate(zip(*task.box, strict=True)):
         margin = GOAL_MARGIN * (high - low)
         share = uniform(x, key, attempt * task.joints + i)
         joints.append((low + margin) + share * (high - low - 2.0 * margin))
@@ -167,14 +171,14 @@ def begin(
         start: Joint target to start from.
         goal: Frame of the fruit with the wanted attitude, or empty.
         command: Joint command that the drives get for ``start``.
-        gripper: Count of the numbers that follow the joints' in an action.
+        gripper: Count of the numbers that follow the arm's in an action.
     """
     setting, sighting = task.situation, goal[9:]
     if task.fruit_noise:
         fruit = stream_key(x, key, FRUIT)
         sighting = tuple(v + task.fruit_noise * normal(x, fruit, i) for i, v in enumerate(sighting))
     values = situation.drawn_values(x, setting, key)
-    _, sent, late = setting.widths(task.joints + gripper, task.joints + 3 * task.camera)
+    _, sent, late = setting.widths(task.moves + gripper, task.joints + 3 * task.camera)
     zero = start[0] * 0.0
     memory = situation.warmed_up(x, setting, values, plant, plant.initial_state(x.m, command), command)
     return ArmState(tuple(start), goal, sighting, values, (zero,) * sent, (zero,) * late, memory)
@@ -191,8 +195,35 @@ def act(x: Executor, task: Task, state: ArmState, action: Sequence[Scalar]) -> A
     """The state after an action: its joint target moved by the action, or by an earlier one if actions are delayed."""
     setting, values = task.situation, state.drawn
     action, sent = situation.acted(x, setting, values, state.sent, action)
+    if task.tool:
+        action = joint_shares(x, task, state.target, action)
     target = move(x, task, state.target, situation.in_period(x, setting, values, action))
     return state._replace(target=target, sent=sent)
+
+
+def joint_shares(x: Executor, task: Task, target: Sequence[Scalar], action: Sequence[Scalar]) -> list[Scalar]:
+    """Shares of the joints' largest increments that move the believed tool as an action says.
+
+    Where a joint would have to be faster than it is, all joints move less, so that the tool keeps its direction.
+
+    Args:
+        x: The executor.
+        task: The task, whose actions move the tool.
+        target: The nominal joint target, from which the tool moves.
+        action: Shares of the tool's largest increments, base frame.
+    """
+    m, (links, tool) = x.m, nominal_frames(x, task, target)
+    columns = jacobian_columns(task.plant.arm.nominal, [inexact(link) for link in links], tool)
+    shared = [
+        tuple([part * (most / step) for part, step in zip(column, task.tool, strict=False)])
+        for column, most in zip(columns, task.increment, strict=True)
+    ]
+    shares = damped_step(m, shared, [clipped(m, share, -1.0, 1.0) for share in action], DAMPING)
+    largest: Scalar = 1.0
+    for share in shares:
+        size = chosen(m, share < 0.0, -share, share)
+        largest = chosen(m, size > largest, size, largest)
+    return [share / largest for share in shares]
 
 
 def look(
@@ -282,6 +313,8 @@ def length(x: Executor, vector: Sequence[Scalar]) -> Scalar:
 
 def in_capture_region(task: Task, distance_mm: Scalar, angle_deg: Scalar) -> Scalar:
     """Whether a tool at this distance and angle from the fruit has the fruit inside its capture region."""
+    if not task.attitude:
+        return distance_mm <= task.tolerance_mm
     return (distance_mm <= task.tolerance_mm) & (angle_deg <= task.angle_tolerance_deg)
 
 
@@ -342,4 +375,6 @@ def _reward(x: Executor, task: Task, success: Scalar, distance_mm: Scalar, angle
     if task.sparse:
         return chosen(x.m, success, 0.0, distance_mm * 0.0 - 1.0)
     outside = chosen(x.m, success, 0.0 * distance_mm, 0.0 * distance_mm + task.edge_cost)
+    if not task.attitude:
+        return -x.m.log10(1.0 + distance_mm) - outside
     return -x.m.log10(1.0 + distance_mm) - 0.5 * x.m.log10(1.0 + angle_deg) - outside

@@ -66,8 +66,8 @@ def goal_space(task: Task) -> spaces.Dict:
 
 
 def action_space(task: Task) -> spaces.Box:
-    """Space of the joint increments."""
-    return spaces.Box(-1.0, 1.0, (task.joints,), dtype=np.float32)
+    """Space of the increments of joints or tool."""
+    return spaces.Box(-1.0, 1.0, (task.moves,), dtype=np.float32)
 
 
 def box(high: Sequence[float]) -> spaces.Box:

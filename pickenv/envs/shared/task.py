@@ -145,6 +145,9 @@ class Task:
         most_action: Largest size of an action's numbers that is accepted.
         region: Two opposite corners of the box that goals are drawn from, m, or None for the arm's whole workspace.
         situation: Timing, sensing and start of episodes.
+        box: Least and largest joints between which episodes start and goals are drawn, rad or m.
+        tool: Largest increments of the tool's position and attitude in one action, m and rad, or of its position alone;
+            empty where actions move joints.
     """
 
     plant: Plant
@@ -165,16 +168,29 @@ class Task:
     most_action: float
     region: tuple[Components, Components] | None
     situation: Situation
+    box: tuple[Components, Components]
+    tool: Components = ()
 
     @property
     def joints(self) -> int:
         """Number of joints."""
         return len(self.lower)
 
+    @property
+    def moves(self) -> int:
+        """Count of the numbers in an action that move the arm."""
+        return len(self.tool) or self.joints
+
+    @property
+    def attitude(self) -> bool:
+        """Whether an attitude of the tool is asked for."""
+        return len(self.tool) != 3
+
     @cached_property
     def edge_cost(self) -> float:
         """The dense reward's cost at the farthest corner of the capture region, which is also added outside it."""
-        return math.log10(1.0 + self.tolerance_mm) + 0.5 * math.log10(1.0 + self.angle_tolerance_deg)
+        angle_cost = 0.5 * math.log10(1.0 + self.angle_tolerance_deg) if self.attitude else 0.0
+        return math.log10(1.0 + self.tolerance_mm) + angle_cost
 
     @cached_property
     def exact(self) -> Chain:
@@ -183,8 +199,8 @@ class Task:
 
     @cached_property
     def middle(self) -> tuple[float, ...]:
-        """Joints at mid-range."""
-        return tuple((low + high) / 2 for low, high in zip(self.lower, self.upper, strict=True))
+        """Joints in the middle of the box, which is mid-range unless actions move the tool."""
+        return tuple((low + high) / 2 for low, high in zip(*self.box, strict=True))
 
     @cached_property
     def reach(self) -> float:
@@ -284,12 +300,13 @@ def make_task(
         true_arm = draw_arms(plant, tolerances, population, rng, without=without)
     geometry = true_arm.arm.nominal
     tilt = usual_tilt(geometry) if max_tilt_deg is None else float(max_tilt_deg)
+    limits = tuple(geometry.lower.tolist()), tuple(geometry.upper.tolist())
     return Task(
         plant=true_arm,
         arms=arms,
         nominal=chain_of(geometry),
-        lower=tuple(geometry.lower.tolist()),
-        upper=tuple(geometry.upper.tolist()),
+        lower=limits[0],
+        upper=limits[1],
         increment=tuple((true_arm.arm.speed * setting.period.high).tolist()),
         camera=feedback == "camera",
         camera_noise=camera_noise_mm * 1e-3,
@@ -303,6 +320,7 @@ def make_task(
         most_action=MOST_ACTION[out_of_range],
         region=None if goal_region is None else checked_region(goal_region),
         situation=setting,
+        box=limits,
     )
 
 

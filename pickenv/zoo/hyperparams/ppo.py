@@ -1,8 +1,9 @@
-"""PPO on the flat environments; found on the ideal arm, they hold for every plant and feedback.
+"""PPO on the flat environments; found on the ideal picking arm, they hold for all its plants and feedbacks.
 
 The gap to the fruit is scaled (`pickenv.wrappers.GapScaling`); without that wrapper no network of this size sees
-millimetres. `pickenv/ReachScaled-v0` has it built in. Picking is learnt with steps of the tool
-(`pickenv.wrappers.ToolStepping`), shaped so that the sum of rewards has the same optimum.
+millimetres. `pickenv/ReachScaled-v0` has it built in, and `pickenv/ReachTool-v0`, on which they hold for any arm.
+Picking is learnt with steps of the tool (`pickenv.wrappers.ToolStepping`), shaped so that the sum of rewards has the
+same optimum.
 """
 
 _SCALED = {
@@ -40,5 +41,6 @@ hyperparams = {
     "pickenv/Reach-v0": _REACH,
     "pickenv/ReachIdeal-v0": _REACH,
     "pickenv/ReachScaled-v0": _SCALED,
+    "pickenv/ReachTool-v0": _SCALED,
     "pickenv/Pick-v0": _PICK,
 }

@@ -1,9 +1,21 @@
 """Jacobians of the picking arm: finite differences, and Qiao 2026 eqs (7)-(8) as printed."""
 
+import math
+
 import numpy as np
 import pytest
 
-from pickenv.arm import chain_of, forward, frames, joint_jacobian, load_arm, parameter_jacobian, pose_error, pose_of
+from pickenv.arm import (
+    chain_of,
+    damped_step,
+    forward,
+    frames,
+    joint_jacobian,
+    load_arm,
+    parameter_jacobian,
+    pose_error,
+    pose_of,
+)
 
 STEP = 1e-5
 
@@ -89,3 +101,21 @@ def test_moving_a_joint_is_moving_its_table_entry(qiao, draw):
     np.testing.assert_allclose(
         joint_jacobian(qiao.true, q), parameter_jacobian(qiao.true, q)[..., moved], rtol=0, atol=1e-15
     )
+
+
+@pytest.mark.parametrize(("rows", "joints"), [(3, 3), (3, 5), (6, 6), (6, 8)])
+@pytest.mark.parametrize("damping", [1e-12, 1e-5, 0.1])
+def test_a_damped_step_is_the_least_squares_solution_with_a_price_on_joint_motion(rows, joints, damping):
+    """Also where a direction is lost; and of an arm alone, on floats."""
+    rng = np.random.default_rng(rows * joints)
+    jacobians, twists = rng.normal(size=(4, rows, joints)), rng.normal(size=(4, rows))
+    if damping > 1e-9:
+        jacobians[1, -1] = jacobians[1, 0]
+    columns = [tuple(np.ascontiguousarray(jacobians[:, i, j]) for i in range(rows)) for j in range(joints)]
+    steps = np.stack(damped_step(np, columns, list(twists.T.copy()), damping), axis=-1)
+    for jacobian, twist, step in zip(jacobians, twists, steps, strict=True):
+        price = math.sqrt(damping * (jacobian**2).sum()) * np.eye(joints)
+        expected = np.linalg.lstsq(np.vstack([jacobian, price]), np.concatenate([twist, np.zeros(joints)]))[0]
+        np.testing.assert_allclose(step, expected, rtol=1e-6, atol=1e-9)
+        alone = damped_step(math, list(map(tuple, jacobian.T.tolist())), twist.tolist(), damping)
+        np.testing.assert_allclose(alone, step, rtol=1e-9, atol=1e-12)

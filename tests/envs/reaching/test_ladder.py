@@ -14,12 +14,12 @@ from pickenv.base import InputError
 from pickenv.envs import LADDER, SPLITS
 
 IDS = ("pickenv/Reach-v0", "pickenv/ReachGoal-v0", "pickenv/Pick-v0")
-SCALED = "pickenv/ReachScaled-v0"
+SCALED = ("pickenv/ReachScaled-v0", "pickenv/ReachTool-v0")
 rungs = pytest.mark.parametrize("difficulty", LADDER)
 
 
 @rungs
-@pytest.mark.parametrize("name", (*IDS, SCALED))
+@pytest.mark.parametrize("name", (*IDS, *SCALED))
 def test_checkers_find_nothing_on_any_rung(name, difficulty):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
@@ -29,7 +29,7 @@ def test_checkers_find_nothing_on_any_rung(name, difficulty):
 
 
 @rungs
-@pytest.mark.parametrize("name", (*IDS, SCALED))
+@pytest.mark.parametrize("name", (*IDS, *SCALED))
 def test_a_gaussian_policy_that_cuts_nothing_acts_on_any_rung(name, difficulty):
     """With Gymnasium's passive checker around it, whose warnings are errors."""
     rng = np.random.default_rng(0)

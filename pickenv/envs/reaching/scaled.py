@@ -1,0 +1,207 @@
+"""`pickenv/ReachScaled-v0` and `pickenv/ReachTool-v0`: reaching as a policy learns it, by joints and by the tool."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.base import InputError
+from pickenv.envs.reaching.reach import ReachEnv
+from pickenv.envs.reaching.vector import ReachVectorEnv
+from pickenv.envs.shared.arm_env import Information
+from pickenv.envs.shared.scaling import scaling_of
+from pickenv.envs.shared.simulation import View
+from pickenv.envs.shared.tool_space import make_tool_task
+
+
+class ReachScaledEnv(ReachEnv):
+    """`pickenv/Reach-v0` as a policy learns it: the gap by direction and logarithm, actions as shares of it.
+
+    ## Description
+
+    Arm, fruit, plant, reward, information and arguments are those of `pickenv/Reach-v0`. A network that reads a gap in
+    metres is blind to millimetres, and the noise of its exploration hides them: plain PPO stays at some 20 mm there.
+    Here it sees the gap by direction and logarithm and acts in shares of what is left, and comes to where its
+    calibration is what counts ("Training a policy" in the documentation has the figures).
+
+    ## Action Space
+
+    `Box(-1, 1, (6,), float32)`: joint increments as in `pickenv/Reach-v0`, multiplied by the size of the gap where
+    that is below one.
+
+    ## Observation Space
+
+    `Box(float32)`, 13 numbers. The size of the gap is the larger of position over 100 mm and attitude over 0.2 rad, at
+    least 1e-6.
+
+    | Num   | Observation                                                         | Min | Max | Unit         |
+    |-------|---------------------------------------------------------------------|-----|-----|--------------|
+    | 0-5   | joint readings, scaled to the limits                                | -1  | 1   | 1            |
+    | 6-8   | fruit minus believed tool (with a camera: as it sees it), over size | -1  | 1   | 100 mm       |
+    | 9-11  | wanted against believed attitude, rotation vector, over size        | -1  | 1   | 0.2 rad      |
+    | 12    | half the size's logarithm                                           | -3  | 3   | two decimals |
+
+    ## Rewards
+
+    As in `pickenv/Reach-v0`.
+
+    ## Starting State
+
+    As in `pickenv/Reach-v0`; the same seed gives the same fruit.
+
+    ## Episode End
+
+    As in `pickenv/Reach-v0`: truncation after 60 steps.
+
+    ## Arguments
+
+    ```python
+    >>> import gymnasium as gym
+    >>> import pickenv
+    >>> env = gym.make("pickenv/ReachScaled-v0", feedback="camera", camera_noise_mm=1.0)
+    >>> env.reset(seed=1)[0].shape
+    (13,)
+    >>> gym.make_vec("pickenv/ReachScaled-v0", num_envs=64).reset(seed=1)[0].shape
+    (64, 13)
+
+    ```
+
+    Those of `pickenv/Reach-v0`.
+
+    ## Version History
+
+    * v0: First version.
+    """
+
+    def __init__(self, **arguments: Any) -> None:
+        """See the class for the arguments; raises `InputError` for impossible ones."""
+        super().__init__(**arguments)
+        self.scaling = scaling_of(self.task)
+        self.observation_space = self.scaling.space
+        self.raw: Any = np.zeros(self.scaling.inputs, dtype=np.float32)
+        """The latest observation, as `pickenv/Reach-v0` gives it."""
+
+    def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, Information]:
+        """Act in the policy's scale; errors as in `pickenv/Reach-v0`."""
+        return super().step(self.scaling.act(self.raw, action, self.task.most_action))
+
+    def _observe(self, scene: View) -> tuple[Any, float]:
+        self.raw, reward = super()._observe(scene)
+        return self.scaling.shown(self.raw), reward
+
+
+class ReachScaledVectorEnv(ReachVectorEnv):
+    """N `pickenv/ReachScaled-v0` in one vector environment, on NumPy; see `pickenv.envs.ReachVectorEnv`."""
+
+    def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
+        super().__init__(num_envs, **arguments)
+        if self.metadata["torch"]:
+            raise InputError("scaled observations are made on NumPy; give executor='numpy'")
+        self.scaling = scaling_of(self.task)
+        self._set_spaces(self.scaling.space, self.single_action_space)
+        self.raw: Any = np.zeros((self.num_envs, self.scaling.inputs), dtype=np.float32)
+        """The latest observations, as `pickenv/Reach-v0` gives them."""
+
+    def state_arrays(self) -> dict[str, NDArray[Any]]:
+        """Arrays of everything that the next step depends on; see `ReachVectorEnv.state_arrays`."""
+        return super().state_arrays() | {"raw": np.array(self.raw)}
+
+    def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
+        """Take over the arrays that `state_arrays` of an environment with the same arguments returned."""
+        super().take_state_arrays(state)
+        self.raw = state["raw"].copy()
+
+    def _checked(self, actions: ArrayLike) -> Any:
+        return super()._checked(self.scaling.act(self.raw, actions, self.task.most_action))
+
+    def _observation(self) -> Any:
+        self.raw = super()._observation()
+        return self.scaling.shown(self.raw)
+
+
+class ReachToolEnv(ReachScaledEnv):
+    """Bring the tool to a fruit by increments of the tool: a reach that plain PPO learns on any arm.
+
+    ## Description
+
+    Plant, fruit, information and score are those of `pickenv/Reach-v0`. But the policy says how the tool shall move,
+    and the arm that its controller believes in turns this into joint increments. Observations and actions are the same
+    for every arm, so that a policy of one arm acts on another.
+
+    ## Action Space
+
+    `Box(-1, 1, (6,), float32)`: increments of the believed tool per period, in the base frame, in which the gap is
+    given too. Below a size of the gap of one they are multiplied by the size: an action that equals the gap as it is
+    shown closes it.
+
+    | Num | Action                         | Control Min | Control Max | Largest increment | Unit |
+    |-----|--------------------------------|-------------|-------------|-------------------|------|
+    | 0-2 | tool along x, y, z             | -1          | 1           | 25                | mm   |
+    | 3-5 | tool about x, y, z             | -1          | 1           | 10                | deg  |
+
+    With `actions="position"` there are the first three alone, for arms of three joints and more. A damped step of the
+    nominal Jacobian makes joint increments of them (Wampler 1986); joints stay within their largest increments, all
+    slower by one factor, and within their limits.
+
+    ## Observation Space
+
+    `Box(float32)`, 7 numbers. The size of the gap is the larger of position over 25 mm and attitude over 10 deg, at
+    least 1e-6. With `actions="position"` there are 4 numbers, without those of the attitude.
+
+    | Num | Observation                                                         | Min | Max | Unit         |
+    |-----|---------------------------------------------------------------------|-----|-----|--------------|
+    | 0-2 | fruit minus believed tool (with a camera: as it sees it), over size | -1  | 1   | 25 mm        |
+    | 3-5 | wanted against believed attitude, rotation vector, over size        | -1  | 1   | 10 deg       |
+    | 6   | half the size's logarithm                                           | -3  | 3   | two decimals |
+
+    ## Rewards
+
+    As in `pickenv/Reach-v0`. With `actions="position"` no attitude is asked for: it counts neither in the reward nor
+    in `is_success`.
+
+    ## Starting State
+
+    A box of joints: that of an upright pose from which the tool moves freely in every direction, as wide as
+    `goal_spread` says. The arm starts in its middle, or with `start_spread` in that share of it. Wanted poses are
+    drawn as joints in the box, such that the tool points upwards as in `pickenv/Reach-v0`: each can be reached, and
+    no joint has to turn by more than half a circle. `reset(options=...)` as there.
+
+    ## Episode End
+
+    As in `pickenv/Reach-v0`: truncation after 60 steps.
+
+    ## Arguments
+
+    ```python
+    >>> import gymnasium as gym
+    >>> import pickenv
+    >>> env = gym.make("pickenv/ReachTool-v0", plant="ideal:ur5e")
+    >>> observation, info = env.reset(seed=1)
+    >>> for _ in range(30):
+    ...     observation, _, _, _, info = env.step(observation[:6])
+    >>> info["position_error_mm"] < 0.01
+    True
+
+    ```
+
+    Those of `pickenv/Reach-v0`, and
+
+    - `actions` ("pose" or "position"): whether an action moves the tool in position and attitude, or in position alone.
+    - `tool_step_mm` (float, default 25) and `tool_turn_deg` (float, default 10): the largest increments.
+    - `goal_spread` (above 0, at most 1, default 0.25): edges of the box, as shares of the joints' ranges; of a range
+      no more than a whole turn counts.
+
+    ## Version History
+
+    * v0: First version.
+    """
+
+    task_of = staticmethod(make_tool_task)
+
+
+class ReachToolVectorEnv(ReachScaledVectorEnv):
+    """N `pickenv/ReachTool-v0` in one vector environment, on NumPy; see `pickenv.envs.ReachVectorEnv`."""
+
+    task_of = staticmethod(make_tool_task)

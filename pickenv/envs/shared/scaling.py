@@ -1,0 +1,192 @@
+"""Observations and actions scaled so that a policy learns to the last millimetre.
+
+A network that reads a gap in metres is blind to millimetres, and the noise of its actions hides them. Here the network
+sees the gap to the fruit as a direction of about unit length and the logarithm of its size, and near the fruit an
+action is a share of the gap that remains: what a policy learns about decimetres then holds for micrometres. The
+formulas run on NumPy and on torch.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import NDArray
+
+from pickenv.base import InputError
+from pickenv.envs.shared.simulation import GOAL_NUMBERS, goal_gap
+from pickenv.envs.shared.task import MOST_ACTION, Task, as_numbers
+
+SMALLEST = 1e-6
+"""Smallest size of a gap, as a share of the near gap: smaller gaps count as this."""
+
+ROUNDING = 1e-3
+"""Margin for rounding in the bounds of numbers that are at most one."""
+
+
+class Rescaling(ABC):
+    """Formulas from an environment's observations ``(..., inputs)`` to a policy's, and from its actions to commands.
+
+    Attributes:
+        inputs: Count of numbers in the environment's observation.
+        space: Space of the observations that the policy sees.
+        answers: Space of the policy's actions, if it differs from the environment's action space; else None.
+        home: Words for an error message: what the policy has to be used with ("use ... of its training").
+    """
+
+    inputs: Any
+    space: Any
+    answers: Any = None
+    home: ClassVar[str]
+
+    def check(self, width: int) -> None:
+        """Refuse observations that are not `inputs` numbers long.
+
+        Raises:
+            InputError: If ``width`` is not `inputs`.
+        """
+        if width != self.inputs:
+            raise InputError(
+                f"the policy was trained on observations of {self.inputs} numbers, but the environment gives {width}; "
+                f"use {self.home} of its training"
+            )
+
+    def shown(self, values: NDArray[Any]) -> NDArray[np.float32]:
+        """The result of `observe` as an environment returns it: a float32 array of NumPy."""
+        return np.asarray(self.observe(values, np), dtype=np.float32)
+
+    @abstractmethod
+    def observe(self, values: Any, xp: Any) -> Any:
+        """The numbers ``(..., features)`` that the policy sees; ``xp`` is numpy or torch."""
+
+    @abstractmethod
+    def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
+        """Commands to the environment for a policy's ``actions``.
+
+        Actions that the environment refuses stay as they are, for the environment to refuse.
+        """
+
+    @abstractmethod
+    def potential(self, values: NDArray[Any]) -> Any:
+        """A number that grows as an observation gets nearer to the task's goal, for reward shaping."""
+
+
+@dataclass(frozen=True)
+class Scaling(Rescaling):
+    """The scaling of the gap in a reach task: the layout of its observations, and which gap counts as near.
+
+    Attributes:
+        joints: Number of joints n.
+        camera: Whether the flat observation ends with the camera's gap.
+        goal: Whether observations are goal observations: observation, achieved and desired goal, one after the other.
+        actions: Whether actions shrink with the gap; if not, only the observation changes.
+        near: Position gap below which actions shrink in proportion to it, m.
+        near_turn: Attitude gap below which actions shrink in proportion to it, rad.
+        tool: Count of the numbers of an action that moves the tool, 6, or 3 where no attitude is asked for; 0 where
+            actions move joints. A network that moves the tool is not shown the joints.
+    """
+
+    joints: int
+    camera: bool = False
+    goal: bool = False
+    actions: bool = True
+    near: float = 0.1
+    near_turn: float = 0.2
+    tool: int = 0
+    home = "the feedback and the arm"
+
+    @property
+    def inputs(self) -> int:
+        """Count of numbers in the environment's observation."""
+        if self.goal:
+            return self.joints + 3 + 2 * GOAL_NUMBERS
+        return self.joints + (15 if self.camera else 12)
+
+    @property
+    def features(self) -> int:
+        """Count of numbers that the networks see."""
+        return (self.tool or self.joints + 6) + 1
+
+    @property
+    def space(self) -> spaces.Box:
+        """Space of the observations that the networks see."""
+        joints, gaps = ([], self.tool) if self.tool else ([1.0] * self.joints, 6)
+        high = [*joints, *[1.0 + ROUNDING] * gaps, -math.log10(SMALLEST) / 2.0]
+        return spaces.Box(-np.array(high, np.float32), np.array(high, np.float32), dtype=np.float32)
+
+    @property
+    def outputs(self) -> int:
+        """Count of numbers in a network's action."""
+        return self.tool or self.joints
+
+    def gap(self, values: Any, xp: Any) -> tuple[Any, Any]:
+        """The position gap between tool and fruit (m) and the gap between their attitudes (rad), ``(..., 3)`` each."""
+        n = self.joints
+        if self.goal:
+            numbers = [values[..., i] for i in range(n + 3, self.inputs)]
+            gap = goal_gap(xp, numbers[:GOAL_NUMBERS], numbers[GOAL_NUMBERS:])
+            return xp.stack(gap[:3], -1), xp.stack(gap[3:], -1)
+        return values[..., n + 12 :] if self.camera else values[..., n + 6 : n + 9], values[..., n + 9 : n + 12]
+
+    def size(self, values: Any, xp: Any) -> Any:
+        """Size of the gap ``(..., 1)``: the larger of position over `near` and attitude over `near_turn`."""
+        gap, turn = self.gap(values, xp)
+        far, turned = (
+            ((part * part).sum(-1)[..., None]) ** 0.5 / near
+            for part, near in ((gap, self.near), (turn, self.near_turn))
+        )
+        return xp.clip(far if self.tool == 3 else xp.maximum(far, turned), SMALLEST, None)
+
+    def share(self, values: Any, xp: Any) -> Any:
+        """The factor ``(..., 1)`` by which a network's actions are multiplied."""
+        size = self.size(values, xp)
+        return xp.clip(size, None, 1.0) if self.actions else 0.0 * size + 1.0
+
+    def observe(self, values: Any, xp: Any) -> Any:
+        """The numbers ``(..., features)`` that the networks see; ``xp`` is numpy or torch."""
+        gap, turn = self.gap(values, xp)
+        size = self.size(values, xp)
+        parts = (values[..., : self.joints], gap / (self.near * size), turn / (self.near_turn * size))
+        if self.tool:
+            parts = parts[1 : 1 + self.tool // 3]
+        return xp.concatenate((*parts, xp.log10(size) / 2.0), -1)
+
+    def commands(self, values: Any, actions: Any) -> Any:
+        """Commands to the environment for a network's ``actions``, which lie between -1 and 1."""
+        return actions * self.share(values, np)
+
+    def potential(self, values: NDArray[Any]) -> Any:
+        """The negative decimal logarithm of the gap's size; rewards of reaching are as dense already."""
+        return -np.log10(self.size(values, np))[..., 0]
+
+    def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
+        """Commands to the environment for a policy's ``actions`` at the observations ``values``.
+
+        Actions of another shape, and numbers larger than ``most`` or not finite, stay as they are, for the environment
+        to refuse.
+        """
+        numbers = as_numbers("actions", actions)
+        if numbers.shape != (*values.shape[:-1], self.outputs):
+            return numbers
+        scaled = self.commands(values, np.clip(numbers, -1.0, 1.0))
+        return np.where(np.abs(numbers) <= most, scaled, numbers).astype(np.float32)
+
+
+def scaling_of(task: Task, actions: bool = True) -> Scaling:
+    """The scaling of a task's flat observations; ``actions`` as in `Scaling`.
+
+    Where actions move the tool, a gap is near if one action can close it.
+    """
+    near = dict(zip(("near", "near_turn"), task.tool[::3], strict=False))
+    return Scaling(task.joints, task.camera, actions=actions, tool=len(task.tool), **near)
+
+
+def joined_observation(observation: Any, xp: Any = np) -> Any:
+    """A goal observation joined into one array; a flat observation stays as it is."""
+    if not isinstance(observation, dict):
+        return observation
+    return xp.concatenate([observation[key] for key in ("observation", "achieved_goal", "desired_goal")], -1)
