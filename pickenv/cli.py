@@ -13,24 +13,15 @@ from typer import Option
 
 import pickenv
 from pickenv.base import absent_extras, command_for, command_line, folded, locked, screen_width
-from pickenv.commands import check, comparing, corrections, experiments, inspection, learning, plants
+from pickenv.commands import check, comparing, corrections, experiments, inspection, learning, plants, showing
 from pickenv.commands.bench import bench
 from pickenv.commands.calibrate import calibrate
 from pickenv.commands.guard import INTERRUPTED, guarded
-from pickenv.commands.showing import (
-    WIDTH,
-    CommandOfNames,
-    deliver,
-    pages_address,
-    print_table,
-    print_verdict,
-    progress_bars,
-)
 
 app = typer.Typer(
     name="pickenv",
     help="Closed-loop picking accuracy: simulate, calibrate, compensate and inspect picking arms.",
-    epilog=f"Pages: {pages_address()}/quickstart.md",
+    epilog=f"Pages: {showing.pages_address()}/quickstart.md",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
@@ -77,13 +68,15 @@ def demo(
 
     settings = DemoSettings.quick(seed) if quick else DemoSettings(seed=seed)
     absent = absent_extras("learn", "inspect")
-    with locked(out), progress_bars() as report:
+    with locked(out), showing.progress_bars() as report:
         result = run_demo(replace(settings, network=not no_network and "learn" not in absent), report)
         written = write_run(result, out, report)
     summary = summarise(result)
     more = "" if details else "95th percentiles, floors, and what a network gains on other arms"
     see = command_line("pickenv", "inspect" if "inspect" not in absent else "check", out)
-    deliver([(out, lambda _: written)], lambda: _print_demo(summary, details=details), f"look at it: {see}", more)
+    showing.deliver(
+        [(out, lambda _: written)], lambda: _print_demo(summary, details=details), f"look at it: {see}", more
+    )
     if absent:
         brings = " and ".join({"learn": "the network", "inspect": "figures, page and recording"}[e] for e in absent)
         print(f"this was made without {brings}; get them with: {command_for(*absent)}")
@@ -117,7 +110,7 @@ def _print_demo(summary: dict[str, Any], *, details: bool = True) -> None:
         cells = [f"{position['mean']:.3f}", interval_words, *(f"{number:.3f}" for number in numbers)]
         rows.append([policy_label(key), *cells, percent(row["success_rate"], *row["success_ci95"]).replace(" %", "")])
     means = ", ".join(f"{mean} mm ({name})" for name, mean, *_ in rows)
-    print_verdict(f"The same policy at the same {summary['reaches']} fruit misses on average by {means}")
+    showing.print_verdict(f"The same policy at the same {summary['reaches']} fruit misses on average by {means}")
     shown = range(len(heads)) if details else BRIEF
     title = f"{summary['reaches']} reaches on the simulated arm {summary['plant']}, seed {summary['seed']}"
     title += "; a quick run, worse than the paper's protocol" if summary["quick"] else ""
@@ -127,11 +120,11 @@ def _print_demo(summary: dict[str, Any], *, details: bool = True) -> None:
         "all of this one calibration: intervals are over fruit"
         + ("" if summary["reaches"] >= LEAST_ROWS else f", and means have none with fewer than {LEAST_ROWS}")
     )
-    print_table(
+    showing.print_table(
         title, [heads[i] for i in shown], [[row[i] for i in shown] for row in rows], words=("policy",), caption=caption
     )
     for sentence in summary["matters"]:
-        print(*folded(sentence, screen_width(WIDTH)), sep="\n")
+        print(*folded(sentence, screen_width(showing.WIDTH)), sep="\n")
     if not details:
         return
     if summary["blocked"]["simulated"]:
@@ -155,7 +148,9 @@ def _print_gains(blocked: dict[str, Any]) -> None:
         " left of field is made as that of measured arms is. Measured rows: pickenv bench calibration"
     )
     heads = ("arms", "LS leaves (mm RMS)", "the network removes of it (%)")
-    print_table("What LS+BPNN gains on rows far from those it learnt", heads, rows, words=("arms",), caption=caption)
+    showing.print_table(
+        "What LS+BPNN gains on rows far from those it learnt", heads, rows, words=("arms",), caption=caption
+    )
 
 
 COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
@@ -189,7 +184,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
 
 for _purpose, _commands in COMMANDS.items():
     for _command in _commands:
-        cls = comparing.SeveralValues if _command is comparing.compare else CommandOfNames
+        cls = comparing.SeveralValues if _command is comparing.compare else showing.CommandOfNames
         app.command(rich_help_panel=_purpose, cls=cls)(_command)
 app.add_typer(bench, rich_help_panel="Simulate, learn and judge")
 

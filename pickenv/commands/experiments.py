@@ -13,16 +13,7 @@ from typer import Option
 
 import pickenv
 from pickenv.base import InputError, locked, require, screen_width, separate, unseen_share
-from pickenv.commands.showing import (
-    MOST,
-    Save,
-    deliver,
-    limited,
-    print_table,
-    print_verdict,
-    progress_bars,
-    with_options,
-)
+from pickenv.commands import showing
 
 TERMINAL = 80
 """Characters of a line of the usual terminal."""
@@ -71,7 +62,7 @@ def experiment(
     first = definition.experiment.seed
     run = partial(pickenv.experiments.run, folder=folder, backend=executor, workers=workers)
     others: list[list[dict[str, Any]]] = []
-    with progress_bars() as report:
+    with showing.progress_bars() as report:
         for further in range(first + seeds - 1, first, -1):  # the first comes last, so that the folder's rows are its
             repeat = load_experiment(file, quick=quick, seed=further, changes=changes)
             others.insert(0, repeat.estimates(run(repeat.experiment)))
@@ -99,7 +90,7 @@ def experiment(
                 print(f"{estimates['title']}: no rows to make it of")
                 continue
             heads, cells = number_table(number, estimates["rows"])
-            print_table(estimates["title"], heads, cells, words=number.by)
+            showing.print_table(estimates["title"], heads, cells, words=number.by)
             runs = max(0 if row["runs"] is None else len(row["runs"]) for row in estimates["rows"])
             if runs > 1:
                 hidden = f"a failure of fewer than {100.0 * unseen_share(runs):.0f} % of them may be unseen"
@@ -120,7 +111,7 @@ def experiment(
                 )
         return [pickenv.inspect.save_figure(figure, place / f"{name}.png") for name, figure in drawings.items()]
 
-    deliver([(json_file, content), (table, partial(write_rows, rows=rows)), (figures, draw)], show)
+    showing.deliver([(json_file, content), (table, partial(write_rows, rows=rows)), (figures, draw)], show)
 
 
 def _change(text: str) -> tuple[str, Any]:
@@ -147,7 +138,7 @@ def study(
     json_file: Annotated[Path | None, Option("--json")] = None,
     report: Annotated[bool, Option("--report/--no-report")] = True,
     sobol: Annotated[bool, Option("--sobol")] = False,
-    samples: Annotated[int, Option(min=0, callback=limited("samples"))] = 2048,
+    samples: Annotated[int, Option(min=0, callback=showing.limited("samples"))] = 2048,
     details: Annotated[bool, Option("--details")] = False,
 ) -> None:
     """What share of arms is good enough: draw a population, calibrate every arm, send it to fruit, count.
@@ -181,7 +172,7 @@ def study(
     settings, sobol_samples = full_study.quick() if quick else full_study, samples if sobol else 0
     settings = settings if seed is None else replace(settings, seed=seed)
     with locked(out):
-        with progress_bars("arms") as report_progress:
+        with showing.progress_bars("arms") as report_progress:
             summary = pickenv.experiments.run_study(
                 settings,
                 out,
@@ -189,16 +180,16 @@ def study(
                 workers=workers,
                 device=device,
                 progress=partial(report_progress, "arms"),
-                warn=lambda text: print(f"warning: {with_options(text)}", file=sys.stderr),
+                warn=lambda text: print(f"warning: {showing.with_options(text)}", file=sys.stderr),
             )
-        saves: list[Save] = [
+        saves: list[showing.Save] = [
             (out / "summary.json", lambda path: path),  # written by the study, as its last file
             (json_file, summary),
             (out if report else None, partial(pickenv.experiments.write_outputs, sobol_samples=sobol_samples)),
         ]
         next_step = f"look at it: {out / 'report.html'}" if report else ""
         more = "" if details else "every setting, and where the differences between arms come from"
-        deliver(saves, lambda: _print(settings, summary, details), next_step, more)
+        showing.deliver(saves, lambda: _print(settings, summary, details), next_step, more)
 
 
 def _print(config: pickenv.experiments.StudyConfig, summary: dict[str, Any], details: bool) -> None:
@@ -207,7 +198,7 @@ def _print(config: pickenv.experiments.StudyConfig, summary: dict[str, Any], det
     from pickenv.inspect.runs.number_words import between
 
     verdict = study_verdict(config, summary["yield"])
-    print_verdict(f"{verdict.headline}.", TERMINAL)
+    showing.print_verdict(f"{verdict.headline}.", TERMINAL)
     print(fill(verdict.text, screen_width(TERMINAL)))
     rows = summary["yield"] if details else sorted(summary["yield"], key=lambda row: -row["yield"])
     errors = {
@@ -242,8 +233,14 @@ def _print(config: pickenv.experiments.StudyConfig, summary: dict[str, Any], det
         "and what 95 % of arms stay below"
     )
     lines = zip(*(cells[name] for name in heads), strict=True)
-    print_table(
-        title, heads, lines, words=("class", "method"), caption=caption, width=TERMINAL, most=None if details else MOST
+    showing.print_table(
+        title,
+        heads,
+        lines,
+        words=("class", "method"),
+        caption=caption,
+        width=TERMINAL,
+        most=None if details else showing.MOST,
     )
     if details:
         _print_components(summary)
@@ -266,7 +263,7 @@ def _print_components(summary: dict[str, Any]) -> None:
     ]
     if lines:
         grades = sorted({f"{setting['tolerances']}, IT{setting['it_grade']}" for setting in divided})
-        print_table(
+        showing.print_table(
             f"Where the differences between arms come from ({'; '.join(grades)})",
             ("method", "arms", "drawn anew", "alone (%)", "with interactions (%)"),
             lines,

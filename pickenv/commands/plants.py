@@ -9,15 +9,7 @@ from typer import Option
 
 import pickenv
 from pickenv.base import command_line, obey, separate, write_json, write_text
-from pickenv.commands.showing import (
-    command_of,
-    deliver,
-    limited,
-    print_table,
-    print_verdict,
-    progress_bars,
-    with_options,
-)
+from pickenv.commands import showing
 
 
 def arms(
@@ -49,16 +41,18 @@ def arms(
     caption, more = "reach: the farthest that the tool gets from the arm's base", "where the numbers come from"
 
     def show() -> None:
-        print_table("arms that come with pickenv", heads, rows, words=("name", "joints", "source"), caption=caption)
+        showing.print_table(
+            "arms that come with pickenv", heads, rows, words=("name", "joints", "source"), caption=caption
+        )
 
-    deliver([(json_file, {"arms": table})], show, more="" if details else more)
+    showing.deliver([(json_file, {"arms": table})], show, more="" if details else more)
 
 
 def effects(
     plant: str = "orchard",
-    reaches: Annotated[int, Option(min=2, callback=limited("reaches"))] = 300,
-    dwell: Annotated[float, Option(min=0.0, callback=limited("dwell_s"))] = 0.5,
-    hours: Annotated[float, Option(min=0.0, callback=limited("hours"))] = 2.0,
+    reaches: Annotated[int, Option(min=2, callback=showing.limited("reaches"))] = 300,
+    dwell: Annotated[float, Option(min=0.0, callback=showing.limited("dwell_s"))] = 0.5,
+    hours: Annotated[float, Option(min=0.0, callback=showing.limited("hours"))] = 2.0,
     seed: Annotated[int, Option(min=0)] = 0,
     json_file: Annotated[Path | None, Option("--json")] = None,
 ) -> None:
@@ -86,16 +80,16 @@ def effects(
     joints = draw_reaches(machine, reaches, np.random.default_rng(seed))
     shares = effect_shares(machine, joints, running_time=3600.0 * hours, pace=Pace(dwell=dwell))
     next_step = f"what a calibration leaves: {command_line('pickenv', 'conditions', plant)}"
-    deliver([(json_file, shares)], shares_report(shares), next_step)
+    showing.deliver([(json_file, shares)], shares_report(shares), next_step)
 
 
 def iso9283(
     plant: str = "orchard",
     calibration: Path | None = None,
     allow: list[str] | None = None,
-    cycles: Annotated[int, Option(min=2, callback=limited("cycles"))] = 30,
+    cycles: Annotated[int, Option(min=2, callback=showing.limited("cycles"))] = 30,
     speed: Annotated[float, Option(min=0.01, max=1.0)] = 1.0,
-    dwell: Annotated[float, Option(min=0.0, callback=limited("dwell_s"))] = 2.0,
+    dwell: Annotated[float, Option(min=0.0, callback=showing.limited("dwell_s"))] = 2.0,
     seed: Annotated[int, Option(min=0)] = 0,
     json_file: Annotated[Path | None, Option("--json")] = None,
     out: Path | None = None,
@@ -142,10 +136,10 @@ def iso9283(
     )
 
     def write_run(folder: Path) -> Path:
-        with recorded_run(folder, "iso9283", command_of(iso9283, typed), seed):
+        with recorded_run(folder, "iso9283", showing.command_of(iso9283, typed), seed):
             return write_json(folder / ISO9283, result.as_dict())
 
-    deliver([(json_file, result.as_dict()), (out, write_run)], result.report())
+    showing.deliver([(json_file, result.as_dict()), (out, write_run)], result.report())
 
 
 WIDE = 170
@@ -155,16 +149,16 @@ WIDE = 170
 def conditions(
     subject: str,
     plant: str = "orchard",
-    payload: Annotated[float, Option(min=0.0, callback=limited("payload_kg"))] = 0.5,
-    weather: Annotated[float, Option(min=0.0, callback=limited("weather_K"))] = 10.0,
-    hours: Annotated[float, Option(min=0.0, callback=limited("hours"))] = 8.0,
-    arms: Annotated[int, Option(min=1, callback=limited("arms"))] = 10,
+    payload: Annotated[float, Option(min=0.0, callback=showing.limited("payload_kg"))] = 0.5,
+    weather: Annotated[float, Option(min=0.0, callback=showing.limited("weather_K"))] = 10.0,
+    hours: Annotated[float, Option(min=0.0, callback=showing.limited("hours"))] = 8.0,
+    arms: Annotated[int, Option(min=1, callback=showing.limited("arms"))] = 10,
     tolerances: str = "medium",
-    sessions: Annotated[int, Option(min=2, callback=limited("poses"))] = 12,
-    poses: Annotated[int, Option(min=5, callback=limited("poses"))] = 25,
+    sessions: Annotated[int, Option(min=2, callback=showing.limited("poses"))] = 12,
+    poses: Annotated[int, Option(min=5, callback=showing.limited("poses"))] = 25,
     residual: str = "rbf",
     allow: list[str] | None = None,
-    seed: Annotated[int, Option(min=0, callback=limited("seed"))] = 0,
+    seed: Annotated[int, Option(min=0, callback=showing.limited("seed"))] = 0,
     details: Annotated[bool, Option("--details")] = False,
     json_file: Annotated[Path | None, Option("--json")] = None,
     out: Path | None = None,
@@ -206,13 +200,13 @@ def conditions(
         obey(fitted.reservations(), allow or ())
     ranges = ConditionRanges(payload, weather, hours)
     settings = ConditionsSettings(ranges, arms, tolerances, sessions, poses, residual, seed)
-    with progress_bars() as report:
+    with showing.progress_bars() as report:
         result = conditions_study(machine, settings, fitted, report)
 
     def write_run(folder: Path) -> list[Path]:
         from pickenv.inspect.reports.conditions_report import drawings, page
 
-        with recorded_run(folder, "conditions", command_of(conditions, typed), seed) as run:
+        with recorded_run(folder, "conditions", showing.command_of(conditions, typed), seed) as run:
             written = [write_json(folder / CONDITIONS, result)]
             written += pickenv.inspect.write_drawings(drawings(run), folder / "figures")
             return [*written, write_text(folder / REPORT, page(run))]
@@ -221,13 +215,13 @@ def conditions(
         from pickenv.inspect.reports.conditions_report import condition_tables, conditions_in_words
 
         headline, means = conditions_in_words(result)
-        print_verdict(headline)
+        showing.print_verdict(headline)
         if details:
-            print(with_options(means))
+            print(showing.with_options(means))
         tables = condition_tables(result)
         for title, heads, rows in tables if details else tables[-1:]:
-            print_table(title, heads, rows, words=("method",), width=WIDE)
+            showing.print_table(title, heads, rows, words=("method",), width=WIDE)
 
     next_step = "draw it: the same command with --out RUN" if out is None else f"look at it: {out / REPORT}"
     more = "" if details else "errors by payload, weather and hour"
-    deliver([(json_file, result), (out, write_run)], show, next_step, more)
+    showing.deliver([(json_file, result), (out, write_run)], show, next_step, more)
