@@ -32,7 +32,7 @@ from pickenv.arm import (
 )
 from pickenv.arm.files.joint_chain import ChainJoint, JointRow
 from pickenv.arm.files.xml_values import numbers_text
-from pickenv.arm.kinematics.forward import chain_of, frames, pose_of
+from pickenv.arm.kinematics.forward import NEARLY_PARALLEL, chain_of, frames, pose_of
 from pickenv.arm.kinematics.geometry import behind, inverse_pose
 from pickenv.base import InputError, shortened
 from pickenv.calibration.delivery.document import left_out
@@ -278,8 +278,6 @@ def frames_apart(arm: Geometry, file: Geometry, root: Pose, sign: Array, zero: A
 
 
 Z = np.array([0.0, 0.0, 1.0])
-PARALLEL = 1e-3
-"""Largest sine of the angle between two axes that count as parallel; a file's rounding is allowed for."""
 
 
 def corrected_chain(
@@ -331,7 +329,9 @@ def _slips(before: Sequence[Pose], link: int, joint: ChainJoint) -> bool:
     """Whether a link may stand anywhere along its axis: true if its joint turns and the next axis is parallel."""
     if joint.slides or link + 1 == len(before):
         return False
-    return bool(np.linalg.norm(np.cross(before[link].rotation[:, 2], before[link + 1].rotation[:, 2])) < PARALLEL)
+    return bool(
+        np.linalg.norm(np.cross(before[link].rotation[:, 2], before[link + 1].rotation[:, 2])) < NEARLY_PARALLEL
+    )
 
 
 def links_moved(joints: Sequence[ChainJoint]) -> list[int | None]:

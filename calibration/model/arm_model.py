@@ -26,7 +26,7 @@ from pickenv.arm import (
     parameter_jacobian,
 )
 from pickenv.arm.effects.effect import Load, gravity_torques
-from pickenv.arm.kinematics.forward import Scalar, attach, chain_of, frames, split_joints
+from pickenv.arm.kinematics.forward import NEARLY_PARALLEL, Scalar, attach, chain_of, frames, split_joints
 from pickenv.base import InputError
 
 
@@ -487,9 +487,6 @@ LENGTH_TOLERANCE = 1e-3
 ANGLE_TOLERANCE = 1e-3
 """Scale of an angle's deviation, rad (0.057 deg)."""
 
-PARALLEL = 1e-6
-"""Consecutive axes count as parallel below this sine of the angle between them."""
-
 
 @dataclass(frozen=True, eq=False)
 class ErrorModel:
@@ -527,7 +524,7 @@ def complete_model(geometry: Geometry) -> ErrorModel:
     names = geometry.parameter_names
     frames = [name for name in names if name.startswith(("base_", "tool_"))]
     links = _link_names(geometry)
-    betas = [f"beta{i}" for i in range(1, geometry.links) if abs(np.sin(geometry.alpha[i])) < PARALLEL]
+    betas = [f"beta{i}" for i in range(1, geometry.links) if abs(np.sin(geometry.alpha[i])) < NEARLY_PARALLEL]
     return _model(geometry, frames + links + betas)
 
 

@@ -25,6 +25,12 @@ from pickenv.base import InputError
 PARALLEL = 1e-9
 """Axes whose directions have a cross product shorter than this count as parallel."""
 
+NEARLY_PARALLEL = 1e-2
+"""So do those below this, which a file's rounding or a part's tolerance turns; Hayati's beta holds what remains.
+
+Their common normal would lie far away: kilometres, where a file rounds half a turn to 3.1416.
+"""
+
 
 def geometry_from_axes(
     joint_names: tuple[str, ...],
@@ -63,16 +69,20 @@ def geometry_from_axes(
             origins[i], x[i] = near, _perpendicular(z[i], previous)
         else:
             origins[i], x[i] = _common_normal(near, z[i], points[i + 1], z[i + 1], previous)
-    table = np.zeros((4, n))
+    table = np.zeros((5, n))
     for i in range(1, n):
-        step = origins[i] - origins[i - 1]
+        step, lean = origins[i] - origins[i - 1], float(z[i] @ x[i - 1])
         twist, turn = _angle(z[i - 1], z[i], x[i - 1]), _angle(x[i - 1], x[i], z[i])
-        table[:, i] = twist, step @ x[i - 1], turn, step @ z[i]
+        table[:, i] = twist, step @ x[i - 1], turn, step @ z[i], 0.0
+        if abs(lean) > PARALLEL:  # only where the next axis is nearly parallel, and leans along x
+            along = (step @ z[i - 1]) / (z[i] @ z[i - 1])
+            across = (x[i - 1] - lean * z[i]) / np.sqrt(1.0 - lean**2)
+            table[:, i] = twist, step @ x[i - 1] - along * lean, _angle(across, x[i], z[i]), along, np.arcsin(lean)
     first, last = (np.column_stack([x[i], np.cross(z[i], x[i]), z[i]]) for i in (0, -1))
     base, hand = Pose(origins[0], first), Pose(last.T @ (tool.position - origins[-1]), last.T @ tool.rotation)
     low, high = np.asarray(lower, dtype=float), np.asarray(upper, dtype=float)
-    alpha, a, theta, d = table
-    return Geometry(joint_names, prismatic, alpha, a, theta, d, np.zeros(n), low, high, base, hand)
+    alpha, a, theta, d, beta = table
+    return Geometry(joint_names, prismatic, alpha, a, theta, d, beta, low, high, base, hand)
 
 
 def _common_normal(near: Array, z: Array, point: Array, next_z: Array, previous: Array) -> tuple[Array, Array]:
@@ -83,6 +93,11 @@ def _common_normal(near: Array, z: Array, point: Array, next_z: Array, previous:
         across = point - near - z * (z @ (point - near))
         distance = float(np.linalg.norm(across))
         return near, across / distance if distance > PARALLEL else _perpendicular(z, previous)
+    if sine < NEARLY_PARALLEL:  # from ``near`` straight to the other axis
+        across = point - near - next_z * (z @ (point - near)) / (z @ next_z)
+        distance = float(np.linalg.norm(across))
+        if distance > PARALLEL:
+            return near, across / distance
     # Distance along z from ``near`` to the foot: volume of (point - near, next_z, cross) over sine squared.
     along = float(np.cross(point - near, next_z) @ cross) / sine**2
     return near + along * z, cross / sine
