@@ -40,9 +40,9 @@ NEAR = 250
 
 
 def pages() -> list[Path]:
-    """The pages that people read: README, CONTRIBUTING, and all of docs but what is made of docstrings."""
+    """The pages that people read: those of the root, and all of docs but what is made of docstrings."""
     docs = (path for path in sorted((ROOT / "docs").rglob("*.md")) if not {"_build", "_generated"} & set(path.parts))
-    return [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *docs]
+    return [*(ROOT / f"{name}.md" for name in ("README", "CHANGELOG", "CONTRIBUTING", "SECURITY")), *docs]
 
 
 def prose(text: str) -> str:
