@@ -173,3 +173,13 @@ def test_an_arm_is_named_by_its_file_too(dynamic, sets, result):
     path = pickenv.arm.files.arm_file.ARMS / "qiao2026.toml"
     for name in (path, str(path)):
         assert calibrate(name, sets[0], test=sets[1], choices=PLAIN).best.mean == result.best.mean
+
+
+def test_errors_are_expected_where_the_arm_is_said_to_work(dynamic, sets):
+    narrow = "q1=-20:20,q2=-100:100"
+    over = {}
+    for workspace in (None, narrow):
+        choices = Choices(terms="none", residual="none", workspace=workspace)
+        over[workspace] = calibrate(dynamic.arm, sets[0], test=sets[1], choices=choices).quality.workspace.declared
+    assert over[None].region == "the joint limits" and over[narrow].region == f"workspace {narrow}"
+    assert over[narrow].calibrated != over[None].calibrated
