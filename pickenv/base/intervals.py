@@ -1,14 +1,14 @@
-"""95 % intervals that hold: of means, of ratios, of shares, of quantiles, and of means over two crossed factors.
+"""95 % intervals of means, of ratios, of shares, of quantiles, and of means over two crossed factors.
 
-`estimate` makes them of rows: which rows make one number, and what it is an interval over. Fruit of one arm are alike,
-so an arm counts once, with its own mean. Where a policy was trained several times, arms and training seeds are two
-crossed factors: another arm and another training would both give another number.
+`estimate` makes numbers and their intervals from the rows of a table. Fruit of one arm are alike, so an arm counts
+once, with its own mean. Where a policy was trained several times, arms and training seeds are two crossed factors:
+another arm and another training would both give another number.
 
-What the values vary over decides what an interval is of. Values of one arm (one tree, one block of a file) are alike:
-take each arm's own figure first, and give one value per arm. Where a sample is too small, or says nothing of how far it
-would wander, there is no interval (None) rather than a narrow one. No random numbers: equal data, equal ends.
+The other functions take values. Values of one arm (one tree, one block of a file) are alike: compute each arm's own
+figure first, and give one value per arm. Where a sample is too small, or does not show how far another sample might
+differ, there is no interval (None) rather than one that is too narrow. Equal data give equal ends.
 
-How often each holds the truth is measured in tests/coverage, for errors as arms make them.
+How often each interval covers the truth is measured in tests/coverage, for errors as arms make them.
 """
 
 from __future__ import annotations
@@ -33,13 +33,13 @@ LEAST_RUNS = 5
 """Fewest runs (training seeds, repeated calibrations): their means are nearly normal."""
 
 MOST_SKEWNESS = 3.0
-"""Beyond it a sample's skewness says more of its one largest value than of what it comes from."""
+"""Largest skewness that is corrected for: beyond it, a sample's skewness shows little but its one largest value."""
 
 MOST_ALIKE = 0.6
-"""Correlation of a block with the next, up to which `ordered_interval` holds."""
+"""Largest correlation of neighbouring blocks for which `ordered_interval` is valid."""
 
 MOST_WAVES = 12
-"""Fewer cosines than this make an interval of values in order; more widen it, of up to a hundred values."""
+"""`ordered_interval` uses fewer cosines than this: with up to a hundred values, more would widen the interval."""
 
 _TAILS = (0.025, 0.975)
 
@@ -78,10 +78,10 @@ def mean_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
 def ordered_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
     """95 % interval of the mean of values ``(n,)`` in the order in which they were taken, where neighbours are alike.
 
-    The mean's deviation is judged by the slowest waves of the values, the first few cosines: they grow with it where
-    neighbours are alike (Mueller and Watson 2008, Econometrica 76; the critical value as in Mueller and Watson 2022,
-    Econometrica 90, for the largest correlation, `MOST_ALIKE`). It costs nearly twice the width of `mean_interval`,
-    which holds such a mean in 69 %.
+    The values' first few cosine coefficients show how far the mean may be off: both grow where neighbours are alike
+    (Mueller and Watson 2008, Econometrica 76; the critical value as in Mueller and Watson 2022, Econometrica 90, for
+    the largest correlation, `MOST_ALIKE`). The interval is nearly twice as wide as that of `mean_interval`, which
+    covers the mean of such values in 69 % of samples.
 
     Args:
         values: One per block of a file, in its order.
@@ -100,7 +100,7 @@ def ordered_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
 
 @cache
 def _slow_waves(count: int) -> tuple[NDArray[np.float64], float]:
-    """The cosines ``(waves, count)`` that make the narrowest interval, and its critical value."""
+    """The cosines ``(waves, count)`` that make the narrowest interval, and the critical value of that interval."""
     from scipy.optimize import brentq
     from scipy.special import gammaln
 
@@ -122,12 +122,12 @@ def _beyond(critical: float, covariance: NDArray[np.float64]) -> float:
     """Chance that a normal mean lies farther from the truth than its interval reaches.
 
     Args:
-        critical: Half of the interval's width, in root mean squares of the waves.
-        covariance: Of the mean and the waves ``(1 + waves, 1 + waves)``.
+        critical: Half of the interval's width, as a multiple of the root mean square of the cosine coefficients.
+        covariance: The covariance matrix of the mean and the coefficients ``(1 + waves, 1 + waves)``.
 
     Returns:
-        The chance that one positive term of squared normals outweighs the negative ones, an integral over an angle
-        (Bakirov and Szekely 2006, J. Math. Sci. 139).
+        The chance that, in a weighted sum of squared normals, the one positive term outweighs the negative ones. It
+        is computed as an integral over an angle (Bakirov and Szekely 2006, J. Math. Sci. 139).
     """
     waves = len(covariance) - 1
     eigenvalues = np.sort(np.linalg.eigvals(covariance * np.r_[1.0, np.full(waves, -(critical**2) / waves)]).real)
@@ -145,7 +145,7 @@ def statistic_interval(
 
     Args:
         table: One row per tree or arm, ``(n, ...)``.
-        statistic: From rows to one number.
+        statistic: Function that computes one number from rows.
         least: Fewest rows.
         ordered: Whether rows stand in an order in which neighbours are alike: `ordered_interval` rather than
             `mean_interval`.
@@ -161,13 +161,13 @@ def statistic_interval(
 def ratio_interval(over: ArrayLike, under: ArrayLike, least: int = LEAST) -> Ends | None:
     """95 % interval of a ratio of sums over clusters of any sizes, such as fruit per hour over trees.
 
-    Student's t. A large cluster pulls the ratio to itself, so that its own residual is too small and few clusters
-    count: the variance is put right for the first (HC2; MacKinnon and White 1985), the degrees of freedom for the
-    second (Bell and McCaffrey 2002, Surv. Methodol.).
+    The interval is Student's t. A large cluster pulls the ratio towards itself: its own residual is too small, which
+    the variance corrects (HC2; MacKinnon and White 1985), and few clusters count, which the degrees of freedom correct
+    (Bell and McCaffrey 2002, Surv. Methodol.).
 
     Args:
-        over: What is summed above, one for each cluster ``(n,)``.
-        under: What is summed below ``(n,)``, none below zero.
+        over: The numerator's terms, one for each cluster ``(n,)``.
+        under: The denominator's terms, one for each cluster ``(n,)``, none below zero.
         least: Fewest clusters.
     """
     above, below = np.asarray(over, dtype=float), np.asarray(under, dtype=float)
@@ -184,7 +184,7 @@ def ratio_interval(over: ArrayLike, under: ArrayLike, least: int = LEAST) -> End
 
 
 def _ratio_spread(above: NDArray[np.float64], below: NDArray[np.float64]) -> tuple[float, float]:
-    """Variance of a ratio of sums over n > 1 clusters, and its degrees of freedom: n - 1 where all are of one size."""
+    """The variance of a ratio of sums over n > 1 clusters, and its degrees of freedom: n - 1 if clusters are equal."""
     weight = below / below.sum()
     residual = (above - above.sum() / below.sum() * below) / below.sum()
     rest = np.maximum(1.0 - weight, 1e-12)
@@ -199,7 +199,7 @@ def _ratio_spread(above: NDArray[np.float64], below: NDArray[np.float64]) -> tup
 
 
 def pseudo_values(table: NDArray[np.float64], statistic: Callable[[NDArray[np.float64]], Any]) -> NDArray[np.float64]:
-    """What each of n rows adds to a statistic ``(n,)`` (Tukey's jackknife); of a mean, the values themselves."""
+    """Tukey's jackknife pseudo-values of a statistic ``(n,)``, one per row; for a mean, they are the values."""
     n = len(table)
     value = float(statistic(table))
     return np.array([n * value - (n - 1) * float(statistic(np.delete(table, i, axis=0))) for i in range(n)])
@@ -209,8 +209,8 @@ def share_interval(successes: float, trials: int) -> Ends:
     """95 % interval of a share of independent trials: Wilson's score interval (1927).
 
     Args:
-        successes: How many, or the sum of probabilities.
-        trials: Of how many.
+        successes: The number of successes, or the sum of their probabilities.
+        trials: The number of trials.
 
     Raises:
         ValueError: If there are no trials, or more successes than trials.
@@ -223,14 +223,14 @@ def share_interval(successes: float, trials: int) -> Ends:
 def paired_share_interval(successes: ArrayLike, others: ArrayLike) -> Ends:
     """95 % interval of the difference of two shares of the same trials, first minus second: Newcombe's method 10.
 
-    Wilson's intervals of both, put together (Newcombe 1998) with the correlation that the pairs show.
+    Wilson's intervals of the two shares are combined (Newcombe 1998) with the correlation that the pairs show.
 
     Args:
-        successes: Whether each trial succeeded one way ``(n,)``.
-        others: And the other way ``(n,)``.
+        successes: Whether each trial succeeded in the first way ``(n,)``.
+        others: Whether each trial succeeded in the second way ``(n,)``.
 
     Raises:
-        ValueError: If there are no trials, or not equally many.
+        ValueError: If there are no trials, or the two arrays are not equally long.
     """
     first_way, second_way = np.asarray(successes, dtype=bool), np.asarray(others, dtype=bool)
     if first_way.shape != second_way.shape or first_way.ndim != 1 or not len(first_way):
@@ -252,15 +252,15 @@ def paired_share_interval(successes: ArrayLike, others: ArrayLike) -> Ends:
 
 
 def clustered_share_interval(successes: ArrayLike, trials: ArrayLike, least: int = LEAST) -> Ends | None:
-    """95 % interval of a share over clusters of trials (fruit of many arms, say): Wilson's, of as many trials as count.
+    """95 % interval of a share over clusters of trials (fruit of many arms, say): Wilson's, for an effective number.
 
-    How many trials count follows from how differently the clusters do (the design effect; Korn and Graubard 1998). That
-    is known no better than from the few clusters that have any failure, or any success, if those are fewer. Where all
-    do the same, each cluster counts once, large ones more: that much is certain.
+    The effective number of trials follows from how much the clusters' shares differ (the design effect; Korn and
+    Graubard 1998). Only clusters with any failure, or those with any success where these are fewer, show how much.
+    Where all clusters have the same share, the number is that of clusters, or less if their sizes differ.
 
     Args:
-        successes: In each of n clusters ``(n,)``; sums of probabilities, too.
-        trials: In each ``(n,)``, or the same number for all.
+        successes: The number of successes in each of n clusters ``(n,)``, or the sum of their probabilities.
+        trials: The number of trials in each cluster ``(n,)``, or one number for all.
         least: Fewest clusters; None is returned for fewer.
     """
     taken = np.asarray(successes, dtype=float)
@@ -283,15 +283,15 @@ def clustered_share_interval(successes: ArrayLike, trials: ArrayLike, least: int
 def crossed_interval(values: ArrayLike, least: tuple[int, int] = (LEAST, LEAST_RUNS)) -> Ends | None:
     """95 % interval of the mean of values ``(A, B)`` over two crossed factors, both drawn: arms and training seeds.
 
-    Variance of the mean (MS_A + MS_B - MS_AB) / (A B) from the two-way analysis of variance, degrees of freedom after
-    Satterthwaite (1946).
+    The variance of the mean, (MS_A + MS_B - MS_AB) / (A B), is from the two-way analysis of variance; the degrees of
+    freedom are Satterthwaite's (1946).
 
     Args:
-        values: Of every arm with every seed.
-        least: Fewest of each.
+        values: One value for every arm with every seed.
+        least: Fewest arms, and fewest seeds.
 
     Returns:
-        The ends, or None where there are fewer or all values are equal.
+        The ends, or None where there are fewer arms or seeds, or all values are equal.
     """
     x = np.asarray(values, dtype=float)
     a, b = x.shape
@@ -311,7 +311,7 @@ def crossed_interval(values: ArrayLike, least: tuple[int, int] = (LEAST, LEAST_R
 def quantile_interval(values: ArrayLike, probability: float) -> tuple[float | None, float | None]:
     """95 % interval of a quantile of independent values ``(n,)``; an end that the sample cannot bound is None.
 
-    Nothing is assumed of what the values come from: fractional order statistics (Hutson 1999, J. Appl. Stat.).
+    It assumes no distribution of the values: it is made of fractional order statistics (Hutson 1999, J. Appl. Stat.).
     """
     x = np.asarray(values, dtype=float)
     levels = quantile_levels(len(x), probability)
@@ -321,11 +321,11 @@ def quantile_interval(values: ArrayLike, probability: float) -> tuple[float | No
 
 @cache
 def quantile_levels(count: int, probability: float) -> tuple[float | None, float | None]:
-    """At which levels of a sample (Hazen's positions, 0..1) the ends of `quantile_interval` stand; None for open ends.
+    """The levels of a sample (Hazen's positions, 0..1) that are the ends of `quantile_interval`; None for an open end.
 
     Args:
         count: Size n of the sample.
-        probability: Of the quantile, 0..1.
+        probability: Probability of the quantile, 0..1.
     """
     from scipy.optimize import brentq
     from scipy.special import betainc
@@ -353,7 +353,7 @@ def _equal(values: NDArray[np.float64]) -> bool:
 
 
 def _unskewed(standardised: float, skewness: float, n: int) -> float:
-    """Hall's transformation inverted: where a standardised mean stands, once the skewness is put back."""
+    """Invert Hall's transformation: the standardised mean with the skewness put back."""
     if abs(skewness) < 1e-6:
         return standardised
     a = skewness / 3.0
@@ -372,10 +372,10 @@ def _wilson(share: float, trials: float) -> Ends:
 # Numbers with their intervals, of arrays and of rows.
 
 RESAMPLES = 4000
-"""Samples of a bootstrap."""
+"""Number of samples of a bootstrap."""
 
 MANY = 30
-"""Arms from which the skewed shares of arms have a mean that is covered: of 10 it holds 92 to 96 %."""
+"""Fewest arms for `mean_interval` of arms' skewed shares: with 10 arms it covers their mean in 92 to 96 %."""
 
 MARGIN_MM = 0.05
 """Mean errors that differ by less are the same to a picker: a twentieth of what the best gripper forgives."""
@@ -388,7 +388,7 @@ class Estimate:
     Attributes:
         value: The number.
         ci95: Both ends, an open one as None; or None where there is no interval.
-        missing: Why there is none.
+        missing: Why there is no interval.
     """
 
     value: float
@@ -397,7 +397,7 @@ class Estimate:
 
     @property
     def significant(self) -> bool | None:
-        """Whether the interval leaves out zero; None without one."""
+        """Whether the interval leaves out zero; None without an interval."""
         if self.ci95 is None:
             return None
         low, high = self.ci95
@@ -405,7 +405,7 @@ class Estimate:
 
     @property
     def ends(self) -> list[float | None] | None:
-        """The interval as JSON has it."""
+        """The interval's two ends as a list, for JSON; None without an interval."""
         return None if self.ci95 is None else list(self.ci95)
 
     @property
@@ -433,12 +433,12 @@ def estimate(
     least: int = LEAST,
     lost: float | None = None,
 ) -> list[dict[str, Any]]:
-    """Numbers with their intervals, of rows.
+    """Compute numbers and their intervals from the rows of a table.
 
     Args:
         columns: The rows by column, such as those of `pickenv.experiments.Rows`.
-        value: The column that the numbers are of; several for a function of them.
-        by: Columns that name a number; one number for each combination of theirs, in the order of the rows.
+        value: The column that the numbers are of; several columns for a function of them.
+        by: Columns that name a number: each combination of their levels has one number, in the order of the rows.
         over: One or two columns of what was drawn, which the intervals are over; rows that agree in these are averaged.
         of: "mean"; "share" of chances or successes, or of what two columns took and tried; "ratio" of two columns'
             sums; "removed", the share of the mean at the levels of ``against``, or of the first of two columns, that is
@@ -446,13 +446,13 @@ def estimate(
             units; or a function of the units' means ``(units, values)``.
         against: Levels of some of ``by``: then the numbers are paired differences to the rows at these levels.
         least: Fewest units for an interval of a mean.
-        lost: Values above it are lost, and their share is told apart from the mean of the others: one in twenty that is
-            ten times as large makes most of a mean, and few units do not show it.
+        lost: Values above this limit are lost: the mean leaves them out, and their share is given beside it. One value
+            in twenty that is ten times as large moves a mean much, and few units do not show it.
 
     Returns:
-        For each combination the columns of ``by``; "estimate", an `Estimate`; "units", the mean of each unit's values
-        ``(units,)``, which say how units differ, or None for a function of several columns; "runs", the same of the
-        second column of ``over``, where there is one; and "lost", an `Estimate` of the lost share, where it is asked.
+        For each combination the columns of ``by``; "estimate", an `Estimate`; "units", each unit's mean ``(units,)``, or
+        None for a function of several columns; "runs", each run's mean ``(runs,)`` if ``over`` has a second column, else
+        None; and "lost", an `Estimate` of the lost share, if ``lost`` is given.
 
     Raises:
         ValueError: If not every unit was measured equally often at a combination, those of a difference are not the
@@ -496,7 +496,7 @@ def estimate(
 
 
 def _without_lost(values: NDArray[np.float64], lost: float, least: int) -> dict[str, Any]:
-    """The mean of values ``(units, repeats)`` that are not lost, and the share of those that are."""
+    """The columns "estimate", "units", "runs" and "lost" of `estimate` for values ``(units, repeats)``, some lost."""
     gone = values > lost
     kept = (~gone).sum(axis=1)
     means = np.where(gone, 0.0, values).sum(axis=1)[kept > 0] / kept[kept > 0]
@@ -509,7 +509,7 @@ def _without_lost(values: NDArray[np.float64], lost: float, least: int) -> dict[
 
 
 def unseen_share(runs: int) -> float:
-    """The largest share of runs that may fail though none of so many did, at 95 %: five trainings rule out 45 %."""
+    """The 95 % upper limit of the share of runs that fail, where none of ``runs`` did: 45 % after five trainings."""
     return float(1.0 - 0.05 ** (1.0 / runs))
 
 
@@ -536,7 +536,7 @@ def _check_asked(
 
 
 def _cubes(rows: Mapping[str, NDArray[Any]], names: Sequence[str], over: Sequence[str]) -> NDArray[np.float64]:
-    """Values ``(len(names), units, runs, repeats)``; one run where ``over`` names one column."""
+    """Arrange rows as values ``(len(names), units, runs, repeats)``; ``runs`` is 1 if ``over`` names one column."""
     places = [np.unique(rows[name], return_inverse=True)[1] for name in over]
     if len(places) == 1:
         places.append(np.zeros_like(places[0]))
@@ -576,7 +576,7 @@ def _ratio(table: NDArray[np.float64]) -> float:
 
 
 def _removed(table: NDArray[np.float64]) -> float:
-    """The share of the first column's mean that the second has no more ``(units, 2)``."""
+    """The share of the first column's mean by which the second column's mean is smaller, of a table ``(units, 2)``."""
     before, after = table.mean(axis=0)
     return float(1.0 - after / before)
 
@@ -589,7 +589,7 @@ def mean_estimate(values: NDArray[np.float64], least: int = LEAST) -> Estimate:
 
 
 def quantile_estimate(values: NDArray[np.float64], probability: float) -> Estimate:
-    """Quantile over arms of their means, of values ``(arms, trainings, fruit)``; of several trainings their mean."""
+    """Quantile of the arms' means of values ``(arms, trainings, fruit)``; several trainings have no interval."""
     means = values.mean(axis=2)
     value = float(np.quantile(means.mean(axis=1), probability, method="hazen"))
     if means.shape[1] > 1:
@@ -599,10 +599,10 @@ def quantile_estimate(values: NDArray[np.float64], probability: float) -> Estima
 
 
 def share_estimate(chances: NDArray[np.float64]) -> Estimate:
-    """Share of successes, of chances ``(arms, trainings, fruit)`` of success.
+    """Share of successes that chances of success ``(arms, trainings, fruit)`` give, with its interval.
 
-    Chances vary less than successes that are drawn with them. Where no arm always or never succeeds, and arms are many,
-    the share is a mean like any other; elsewhere as many tries bound it as there were, which is on the safe side.
+    Chances vary less than successes that are drawn with them. With `MANY` arms, none of which always or never
+    succeeds, the share is a mean like any other; elsewhere each chance counts as a trial, which is on the safe side.
     """
     arms, trainings, fruit = chances.shape
     means = chances.mean(axis=2)
