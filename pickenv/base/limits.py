@@ -1,7 +1,7 @@
-"""Limits of the numbers that a person gives: beyond them is a wrong unit or a slip, or a run that never ends.
+"""Limits of the numbers that a person gives: a number beyond them is a slip, or would make a run that never ends.
 
-One table serves command options, study files and environments; `pickenv.arm` has its own for what files say of an arm.
-A reservation is a named reason against using something, which is refused unless its user allows that reservation.
+One table serves command options, study files and environments; `pickenv.arm` has limits of its own for arms' files.
+A reservation is a named reason not to use something (a calibration, say): use is refused unless the user allows it.
 """
 
 from __future__ import annotations
@@ -73,24 +73,24 @@ def shown(value: Any) -> str:
 
 
 DO_NOT_USE = "do-not-use"
-"""The verdict on a calibration is that it should not be used."""
+"""The reservation about a calibration whose verdict says that it should not be used."""
 
 FITTED_FRAMES = "fitted-frames"
-"""A calibration's base and tool were fitted: what the arm does in its own base frame is not known."""
+"""The reservation about a calibration with fitted base and tool: errors in the arm's base frame are unknown."""
 
 NAMES = (DO_NOT_USE, FITTED_FRAMES)
 
 
 def obey(reservations: Mapping[str, str], allow: Collection[str], concerns: Collection[str] = NAMES) -> None:
-    """Refuse what has a reservation that concerns this use and was not allowed by name.
+    """Raise an error if a reservation concerns this use and the user did not allow it.
 
     Args:
-        reservations: By the name of each reservation, a sentence that says what is wrong and what to do.
-        allow: Names that the user accepts.
-        concerns: Names that matter for this use.
+        reservations: A sentence for the name of each reservation, which says what is wrong and what to do.
+        allow: Names of the reservations that the user allows.
+        concerns: Names of the reservations that matter for this use.
 
     Raises:
-        InputError: With the sentence of the first such reservation; or if a name allowed does not exist.
+        InputError: If there is such a reservation, with its sentence; or if ``allow`` has an unknown name.
     """
     unknown = [name for name in allow if name not in NAMES]
     if unknown:
