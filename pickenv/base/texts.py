@@ -1,7 +1,7 @@
-"""Reading text files: checks of what a file is and how it is encoded, and clear sentences for all errors of parsers.
+"""Read text files, and report a wrong kind of file, a wrong encoding or a parser's error in one clear sentence.
 
-Readers of CSV, TOML, YAML, URDF and MJCF call `read_text` and `parsed`; each fault is one sentence that names the file
-and what to do. `shortened` keeps a message's quotations to one line, `decimal_number` decides what is a number.
+Readers of CSV, TOML, YAML, URDF and MJCF call `read_text` and `parsed`; each error is an `InputError` that names the
+file. `shortened` keeps a message's quotations to one line, and `decimal_number` decides what is a number.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def _decoded(data: bytes, path: str | Path, kind: str) -> str:
 
 
 def parsed(parse: Callable[[], Thing], path: str | Path, kind: str) -> Thing:
-    """The result of ``parse()``; an error becomes one sentence that ``path`` is no valid ``kind`` ("TOML"), and why."""
+    """The result of ``parse()``; any error becomes an `InputError`: ``path`` is not valid ``kind`` ("TOML"), and why."""
     try:
         return parse()
     except RecursionError as error:
@@ -93,7 +93,7 @@ def parsed(parse: Callable[[], Thing], path: str | Path, kind: str) -> Thing:
 
 
 def yaml_content(text: str, path: str | Path) -> Any:
-    """What a YAML text holds: mappings, lists, numbers and words; aliases and tags of Python are refused.
+    """The content of a YAML text: mappings, lists, numbers and words; aliases and tags of Python are refused.
 
     Raises:
         InputError: If the text is no YAML; the message names ``path``.
@@ -101,7 +101,7 @@ def yaml_content(text: str, path: str | Path) -> Any:
     import yaml  # late: most files are none
 
     class Plain(yaml.SafeLoader):
-        """A YAML loader without aliases, by which a few lines can stand for endlessly many."""
+        """A YAML loader that refuses aliases, because with them a few lines can stand for endlessly many."""
 
         def compose_node(self, parent: Any, index: Any) -> Any:
             if self.check_event(yaml.AliasEvent):
@@ -137,7 +137,7 @@ def shortened(value: object, length: int = 60) -> str:
 
 
 UNBOUNDED = 100_000
-"""Characters of a line that goes elsewhere than to a terminal."""
+"""Width, in characters, of a line that is not written to a terminal."""
 
 
 def screen_width(otherwise: int = UNBOUNDED) -> int:
@@ -154,7 +154,7 @@ def side_by_side(sizes: Sequence[int], repeated: int, width: int) -> list[list[i
     """Split a table's columns into tables that fit ``width``; return the indices of the columns of each table.
 
     Args:
-        sizes: Characters that each column takes, with what is between columns.
+        sizes: Width of each column in characters, with the space between columns.
         repeated: Number of first columns, which every table repeats.
         width: Characters of a line.
     """
@@ -168,7 +168,7 @@ def side_by_side(sizes: Sequence[int], repeated: int, width: int) -> list[list[i
 
 
 def listed(names: Iterable[str], length: int = 600) -> str:
-    """Names with commas between them, as a message lists what a file has."""
+    """Names joined with commas for a message, each shortened, and the whole no longer than ``length`` characters."""
     return shortened(", ".join(shortened(name) for name in names), length)
 
 
