@@ -5,9 +5,9 @@ comment is a seal over all other bytes. Before anything is unpacked, the seal, t
 checked; arrays are rebuilt from the header's types, never from text that NumPy would evaluate.
 
 A seal is the SHA-256 of all other bytes of a file, kept inside the file; it holds only if no bit has changed. It finds
-damage and carelessness, but whoever wants to deceive can seal a file anew. Two places keep it out of a reader's way:
-the end of a file (a zip archive's comment), and, in Parquet, the gap between the last page and the footer, which
-readers find from the end of the file and whose offsets count from its beginning.
+damage and carelessness, but whoever wants to deceive can seal a file anew. Other programs still read a sealed file:
+the seal of a zip archive is its comment, at the end; the seal of a Parquet file is between the last page and the
+footer, which readers find from the end of the file and whose offsets count from the file's beginning.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ MOST_AXES = 32
 PLAIN = re.compile(r"[<>|][biufcU][0-9]{1,9}")
 """NumPy's names for types of numbers and text; types that could hold objects do not match."""
 UTF8_NAME = 0x800
-"""The one flag that a member of the archive may carry; encryption, for example, is another."""
+"""Zip flag of a member whose name is UTF-8: a member with any other flag (encryption, say) is refused."""
 BARE_END = b"PK\x05\x06"
 """First bytes of the record of 22 bytes that ends a zip archive without comment."""
 
@@ -74,7 +74,7 @@ class Container:
 
 @contextmanager
 def refusing_damage(path: str | Path, what: str, remake: str) -> Iterator[None]:
-    """A context that turns any exception of reading a file into one sentence, as a damaged file can raise anything.
+    """A context that turns any exception into an `InputError`, since reading a damaged file can raise anything.
 
     Args:
         path: The file.
@@ -82,7 +82,7 @@ def refusing_damage(path: str | Path, what: str, remake: str) -> Iterator[None]:
         remake: What to do about a damaged file, as the end of a sentence.
 
     Raises:
-        InputError: For every exception inside, except an interrupt.
+        InputError: For every exception in the context, except an interrupt.
     """
     try:
         yield
@@ -266,7 +266,7 @@ def _description(name: str, value: NDArray[Any], numbers: bytes) -> dict[str, An
 
 
 def _preamble(entry: Mapping[str, Any]) -> bytes:
-    """The bytes that a .npy file (version 1.0) has before its numbers."""
+    """The bytes before the numbers of a .npy file (version 1.0); an unknown type or shape is a ValueError."""
     dtype, shape = str(entry["dtype"]), entry["shape"]
     lengths_fit = len(shape) <= MOST_AXES and all(type(length) is int and length >= 0 for length in shape)
     if not PLAIN.fullmatch(dtype) or not lengths_fit:
@@ -321,7 +321,7 @@ def seal(*parts: bytes | memoryview) -> bytes:
 
 
 def ends_sealed(content: bytes) -> bool:
-    """Whether ``content`` ends with the seal of all that stands before it."""
+    """Whether ``content`` ends with the seal of all bytes before the seal."""
     return content[-LENGTH:] == seal(memoryview(content)[:-LENGTH])
 
 
@@ -332,7 +332,7 @@ def sealed_parquet(content: bytes) -> bytes:
 
 
 def parquet_is_sealed(content: bytes) -> bool:
-    """Whether these are the bytes of a Parquet file whose seal holds."""
+    """Whether ``content`` is a Parquet file whose seal matches its other bytes."""
     footer = _footer(content)
     start = footer - LENGTH
     view = memoryview(content)
@@ -355,7 +355,7 @@ def check_sealed_parquet(content: bytes, path: object, remake: str) -> None:
 
 
 def _footer(content: bytes) -> int:
-    """Where the footer of a Parquet file begins; 0 where there is none."""
+    """The offset at which a Parquet file's footer begins, bytes; 0 if ``content`` is no Parquet file."""
     length = int.from_bytes(content[-8:-4], "little")
     is_one = content[:4] == content[-4:] == PARQUET and len(content) >= length + 12
     return len(content) - 8 - length if is_one else 0
