@@ -1,8 +1,8 @@
-"""Seeds of everything that a comparison or a training draws; no two seeds, arms or purposes share a stream.
+"""Random streams for all that a comparison or a training draws; no two seeds, arms or purposes share a stream.
 
-Neighbouring seeds are no trouble to NumPy's `SeedSequence`, but ``seed + i`` is: environment 1 of seed 0 would be
-environment 0 of seed 1. The module also limits linear algebra to one thread: for small matrices a pool of threads
-costs more than it saves, most of all on a busy machine.
+Streams are not numbered ``seed + i``: environment 1 of seed 0 would be environment 0 of seed 1. Neighbouring seeds
+themselves are safe with NumPy's `SeedSequence`. The module also limits linear algebra to one thread: for small
+matrices, several threads cost more than they save, most of all on a busy machine.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Purpose = Literal[
     "arms", "fruit", "policy", "calibration", "training", "camera", "picks", "day", "grasps", "leaderboard", "datasets",
     "constants",
 ]  # fmt: skip
-"""What a stream is drawn for."""
+"""What the numbers of a random stream are for; the order of the names is part of the streams."""
 
 
 def stream(seed: int, purpose: Purpose, *numbers: int) -> np.random.SeedSequence:
@@ -30,7 +30,7 @@ def stream(seed: int, purpose: Purpose, *numbers: int) -> np.random.SeedSequence
     Args:
         seed: The seed of the run.
         purpose: What is drawn from it.
-        numbers: Numbers within the purpose, such as that of the arm.
+        numbers: Numbers within the purpose, such as the number of the arm.
     """
     return np.random.SeedSequence(seed, spawn_key=(get_args(Purpose).index(purpose), *numbers))
 
@@ -41,7 +41,7 @@ def seed_words(sequence: np.random.SeedSequence, count: int) -> list[int]:
 
 
 RUN = 2**16
-"""Number of environments that a run of `run_seed` has to itself, and number of such runs."""
+"""Number of seeds, one per environment, that `run_seed` sets aside for each run, and the number of runs."""
 
 
 def run_seed(run: int) -> int:
@@ -75,7 +75,7 @@ def single_threaded() -> Iterator[None]:
 
 @contextmanager
 def torch_on_one_thread() -> Iterator[None]:
-    """Set torch to one thread: more cost time on small networks and blocks, and one always adds in the same order."""
+    """A context with torch on one thread, which is faster for small networks and always adds in the same order."""
     import torch
 
     before = torch.get_num_threads()
