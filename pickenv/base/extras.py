@@ -54,7 +54,7 @@ def command_for(*extras: str) -> str:
 
 
 def absent_extras(*extras: str) -> tuple[str, ...]:
-    """Those of the given extras that lack a package, because it is not installed."""
+    """The extras, among those given, of which a package is not installed."""
     return tuple(extra for extra in extras if not all(map(is_there, EXTRAS[extra])))
 
 
