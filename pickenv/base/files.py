@@ -2,7 +2,7 @@
 
 A run folder belongs to one process at a time: results of two runs are never mixed in it. The lock is the operating
 system's own, on the file `.lock` in the folder, so that it ends with its process, however the process ends; the file
-holds the id of that process. On a file system without locks, runs go on without.
+holds the id of that process. On a file system without locks, runs go on without a lock.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from typing import Any
 from pickenv.base.errors import InputError
 
 Named = str | Path | Iterable[str | Path] | None
-"""What an option names: a file, several, or none."""
+"""The files that an option names: one file, several files, or none."""
 
 FULL = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
 """Error numbers by which a system says that a disk, or a user's share of it, is full."""
@@ -80,7 +80,7 @@ def write_whole(path: str | Path, write: Callable[[Path], Any]) -> Path:
 
 
 def _fault_of_the_disk(error: BaseException | None) -> OSError | None:
-    """The operating system's error behind ``error``, also where a writer met a full disk with an error of its own."""
+    """The operating system's error that is, or on a full disk caused, ``error``; None if there is none."""
     if isinstance(error, OSError):
         return error
     before = None if error is None else error.__context__
@@ -244,7 +244,7 @@ def _is_device(path: Path) -> bool:
 LOCK = ".lock"
 
 _held: set[str] = set()
-"""Folders that this process has locked, which it may lock again within."""
+"""Folders that this process has locked, and may lock again while it has them."""
 
 
 @contextmanager
@@ -335,7 +335,7 @@ else:
     import fcntl
 
     def _lock(handle: int) -> bool:
-        """Lock an open file for this process; False where another holds it."""
+        """Lock an open file for this process; False if another process has locked it."""
         try:
             fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
