@@ -450,9 +450,9 @@ def estimate(
             in twenty that is ten times as large moves a mean much, and few units do not show it.
 
     Returns:
-        For each combination the columns of ``by``; "estimate", an `Estimate`; "units", each unit's mean ``(units,)``, or
-        None for a function of several columns; "runs", each run's mean ``(runs,)`` if ``over`` has a second column, else
-        None; and "lost", an `Estimate` of the lost share, if ``lost`` is given.
+        For each combination the columns of ``by``; "estimate", an `Estimate`; "units", each unit's mean ``(units,)``;
+        "runs", each run's mean ``(runs,)``, or None if ``over`` has one column; and "lost", an `Estimate` of the lost
+        share, if ``lost`` is given. For a function of several columns, "units" and "runs" are None.
 
     Raises:
         ValueError: If not every unit was measured equally often at a combination, those of a difference are not the
