@@ -33,7 +33,7 @@ SHIPPED: Mapping[str, tuple[str, ...]] = MappingProxyType(
         "backend": ("pickenv.envs.reaching.vector",),
     }
 )
-"""By kind, the modules that register what ships with pickenv; names are listed in the order of these modules."""
+"""The modules, by kind, that register what ships with pickenv; names are listed in the order of these modules."""
 
 KINDS = tuple(SHIPPED)
 """Every kind of extension; `docs/extending.md` says what a thing of each must have."""
