@@ -83,7 +83,7 @@ def _decoded(data: bytes, path: str | Path, kind: str) -> str:
 
 
 def parsed(parse: Callable[[], Thing], path: str | Path, kind: str) -> Thing:
-    """The result of ``parse()``; any error becomes an `InputError`: ``path`` is not valid ``kind`` ("TOML"), and why."""
+    """The result of ``parse()``; any error becomes an `InputError`: ``path`` is not valid ``kind`` ("TOML"), why."""
     try:
         return parse()
     except RecursionError as error:
