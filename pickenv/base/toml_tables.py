@@ -23,7 +23,7 @@ Thing = TypeVar("Thing")
 Class = TypeVar("Class", bound=type)
 
 INTEGERS = 1 << 63
-"""TOML's integers lie within this size."""
+"""Size within which TOML's integers lie."""
 
 
 def fault(wanted: str, kind: str = "wanted", **said: Any) -> Exception:
@@ -35,7 +35,7 @@ def fault(wanted: str, kind: str = "wanted", **said: Any) -> Exception:
 
 @dataclass(frozen=True)
 class Check:
-    """Annotates what is tested as it stands in the file, and what to give where it fails."""
+    """Annotation of a field with a test of its value as the file has it, and what to give if the test fails."""
 
     test: Callable[[Any], bool]
     wanted: str
@@ -275,7 +275,7 @@ def _json(kind: Any, schema: Any, handler: Any) -> Any:
 
 
 def _marks(hint: Any) -> Iterator[Any]:
-    """What annotates a type, or a member of a union, or what a file holds for it."""
+    """The annotations of a type, of the members of a union, and of what a file holds for the type."""
     for part in (hint, *get_args(hint)):
         for mark in getattr(part, "__metadata__", ()):
             yield from (mark, *(_marks(mark.source) if isinstance(mark, Then) else ()))
@@ -283,14 +283,14 @@ def _marks(hint: Any) -> Iterator[Any]:
 
 @cache
 def units_of(kind: Any) -> dict[str, Unit]:
-    """The units of the fields that have one."""
+    """The unit of each field that has one, by the field's name."""
     hints = get_type_hints(kind, include_extras=True)
     return {name: mark for name, hint in hints.items() for mark in _marks(hint) if isinstance(mark, Unit)}
 
 
 @cache
 def _keys(kind: Any) -> dict[str, tuple[str, str]]:
-    """By field: its key in the file, and what to give where it is missing, empty where it may be."""
+    """Each field's key in the file, and what to give if the key is missing (empty if it may be missing)."""
     keys, hints = {}, get_type_hints(kind, include_extras=True)
     for attribute in fields(kind):
         marks = list(_marks(hints[attribute.name]))
@@ -459,12 +459,12 @@ def made(
 
 
 def _lacks(error: Any) -> bool:
-    """Whether an error is pydantic's own about a missing key, which we tell better."""
+    """Whether an error is pydantic's own about a missing key, for which pickenv has a better sentence."""
     return error["type"] == "missing" and "ctx" not in error
 
 
 WORDS = {"literal_error": "give {expected}", "string_type": "give a text", "tuple_type": "give a list"}
-"""What to do about pydantic's own errors."""
+"""What a message says to give, by the type of pydantic's own error."""
 
 
 def _sentence(error: Mapping[str, Any], content: Any, where: str, text: str, owner: str) -> str:
@@ -484,7 +484,7 @@ def _sentence(error: Mapping[str, Any], content: Any, where: str, text: str, own
 
 
 def _fault(error: Mapping[str, Any], place: list[Any], content: Any, owner: str) -> str:
-    """Key, table, value and what to give."""
+    """The words of a message that name the key, its table, its value and what to give."""
     details, kind = error.get("ctx", {}), error["type"]
     inside = _table_at(place, content) or owner
     match kind:
@@ -519,7 +519,7 @@ def _table_at(place: list[Any], content: Any) -> str:
 
 
 def _at(content: Any, place: list[Any]) -> Any:
-    """What stands at a place; None where nothing does."""
+    """The value at a place in the content; None if there is no value."""
     for part in place:
         try:
             content = content[part]
