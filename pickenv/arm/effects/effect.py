@@ -173,7 +173,7 @@ class Effect:
     def __init_subclass__(
         cls, place: float, spreads: Mapping[str, str | float] | None = None, needs_load: bool = False, name: str = ""
     ) -> None:
-        """Keep what the class says."""
+        """Keep the place, spreads, need of masses and name that a class of effects gives."""
         cls.name = name or re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
         cls.place, cls.spreads, cls.needs_load = place, spreads or {}, needs_load
         cls.remembers = cls.carry is not Effect.carry
@@ -199,7 +199,7 @@ class Effect:
         return memory
 
     def fault(self, arm: Arm) -> str:
-        """What of this effect is impossible on ``arm``, and what to give instead, for messages; empty if nothing is."""
+        """A message's words: what is impossible about this effect on ``arm``, and what to give; empty if nothing is."""
         return ""
 
     def own_sizes(self) -> tuple[Scalar, ...]:
@@ -236,7 +236,7 @@ def table_of(name: str) -> Any:
 
 
 def weights_behind(chain: Chain, frames: Sequence[Frame], load: Load) -> list[Weight]:
-    """The weight on each link, of the link and all behind it, and last the weight of what the tool holds.
+    """For each link, the weight of the link and all links behind it; last, the weight of what the tool holds.
 
     Args:
         chain: The chain.
