@@ -36,7 +36,7 @@ Single = NDArray[np.float32]
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """The waves, the same for all arms.
+    """The waves of a field, which all arms share.
 
     Attributes:
         frequency: Frequency of each wave by each input ``(F, O K)``, 1/rad or 1/m; the K waves of each of the O outputs
@@ -85,7 +85,7 @@ class ResidualField(Effect, place=TOOL + 0.5, name="residual"):
 
     Attributes:
         features: The waves.
-        weight: Weights of the waves' cosines and sines ``(O, 2, K)``, or those of each arm ``(N, O, 2, K)``, m and rad.
+        weight: Weights of the waves' cosines and sines, m and rad: of one arm ``(O, 2, K)``, or of N ``(N, O, 2, K)``.
         offset: Constant part of each output, O numbers.
         turn: Rotation from the frame in which the field was learnt into the arm's own, row by row.
     """
@@ -238,7 +238,7 @@ class DriveHarmonics(Effect, place=DRIVE + 0.5):
         at.drive(with_waves(at.m, self.harmonics, at.motor, at.driven))
 
     def drawn(self, draws: Draws) -> DriveHarmonics:
-        """The drives of many arms."""
+        """The drives of many arms, with waves drawn from ``draws``."""
         return self.of_numbers(draws.even[self.name])
 
     def of_numbers(self, even: Array) -> DriveHarmonics:
@@ -312,7 +312,7 @@ class LocalStructure(Effect, place=TOOL):
         self.field.act(at, memory)
 
     def drawn(self, draws: Draws) -> LocalStructure:
-        """The local structure of many arms."""
+        """The local structure of many arms, with weights drawn from ``draws``."""
         return self.of_numbers(draws.even[self.name])
 
     def of_numbers(self, even: Array) -> LocalStructure:
