@@ -2,7 +2,7 @@
 
 An arm's TOML file has its nominal link table, limits, base and tool, and, for a simulated arm, the true deviations.
 
-Files give degrees and millimetres and say so in every key; inside, everything is radians and metres. The shipped arms
+Files are in degrees and millimetres, as every key says; objects are in radians and metres. The shipped arms
 lie in `pickenv/arm/files/arms`. A joint table with ``follows`` is a link that another joint moves, ``ratio`` times
 as far.
 """
@@ -89,7 +89,7 @@ def _kind(joint: Mapping[str, Any]) -> type[JointTable]:
 
 @toml_tables.toml_table
 class PoseTable:
-    """The table [base] or [tool]."""
+    """The table [base] or [tool] of an arm file: a pose."""
 
     position: Annotated[Vector, toml_tables.MM] = (0.0, 0.0, 0.0)
     rotation_vector: Annotated[Vector, toml_tables.DEG] = (0.0, 0.0, 0.0)
@@ -224,7 +224,7 @@ def load_ur_yaml(path: str | Path, tip: str | None = None) -> Arm:
 
 
 def ur_row(path: Path) -> tuple[JointRow, str]:
-    """The joints that `load_ur_yaml` makes an arm of, and the file's hash of the robot as words for its source.
+    """The row of joints from which `load_ur_yaml` makes an arm, and words for its source with the robot's hash.
 
     Raises:
         InputError: If it is no such file, or a joint or a number is missing; the message names it.
