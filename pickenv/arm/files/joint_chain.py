@@ -52,13 +52,13 @@ FLANGES = ("tool0", "flange", "attachment_site")
 """Makers' names of the flange, surest first: ROS-Industrial, REP 199, MuJoCo Menagerie; each may have a prefix."""
 
 SIDE = 2
-"""A branch (wheels, a head, a pinion) is passed by where another branch has at least so many times its joints."""
+"""A branch (wheels, a head, a pinion) is ignored if another branch has at least this many times its joints."""
 
 
 class Carried(NamedTuple):
-    """A link that stands on another, and the names of the moving joints that carry it; none where it is fixed.
+    """A link that stands on another link, and the names of the moving joints that carry it; none if it is fixed.
 
-    ``only_named`` says that it is a mere mark, which counts as the flange only if its name says so.
+    ``only_named`` says that the link only marks a place: it counts as the flange only if it has a flange's name.
     """
 
     link: str
@@ -150,7 +150,7 @@ class ChainJoint:
         slides: Whether the joint slides (else it turns).
         origin: Pose of the joint in the frame of the joint before, or of the world.
         axis: The joint's axis, a unit vector (3,) in its own frame.
-        allowed: Smallest and largest displacement and largest speed, where they narrow what the driver may do.
+        allowed: Smallest and largest displacement and largest speed, if these narrow the driver's own limits.
         body: Name of the body that the joint moves, where the file places bodies and not joints.
         within: Place of the joint in that body (3,).
     """
