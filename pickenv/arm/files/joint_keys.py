@@ -1,6 +1,6 @@
-"""How plant files give joints: by number from 1, in lists one number per joint, sizes in the unit of the joint.
+"""Joints in plant files: numbered from 1, lists with one number per joint, and sizes in the joint's own unit.
 
-Checks against the arm find it in the context that a plant file is read with, a mapping with the key ``arm``.
+Checks find the arm under the key ``arm`` of the context, a mapping, with which a plant file is read.
 """
 
 from __future__ import annotations
