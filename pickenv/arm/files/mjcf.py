@@ -1,10 +1,10 @@
-"""MJCF in: hinges and slides between the world and a body or a site of a MuJoCo model, as a `Geometry`.
+"""Read MJCF: hinges and slides between the world and a body or a site of a MuJoCo model become a `Geometry`.
 
 Poses and joints are placed as MuJoCo 3 places them: pos with quat, axisangle, euler, xyaxes or zaxis, compiler angle
 and eulerseq, default classes, childclass, frames, several joints on a body, ref, and included files. A joint that an
 equality constraint ties to another follows it. A constraint that closes a loop through the chain is refused.
 
-Inside everything is metres and radians. MJCF has no joint speeds; 1 rad/s and 1 m/s are taken.
+A `Geometry` is in metres and radians. MJCF has no joint speeds; 1 rad/s and 1 m/s are taken.
 """
 
 from __future__ import annotations
@@ -116,7 +116,7 @@ ORIENTATIONS = ("quat", "axisangle", "euler", "xyaxes", "zaxis")
 
 @dataclass(frozen=True)
 class MjcfValues:
-    """Settings by which a file is to be read.
+    """Settings of an MJCF file that say how its numbers are read.
 
     Attributes:
         degrees: Whether the file's angles are degrees, which is MJCF's default.
@@ -294,7 +294,7 @@ def load_mjcf(path: str | Path, tip: str | None = None) -> Arm:
 
 
 def mjcf_row(path: Path, tip: str | None = None) -> JointRow:
-    """The joints that `load_mjcf` makes an arm of.
+    """The row of joints from which `load_mjcf` makes an arm.
 
     Raises:
         InputError: If the file, a body or a joint is unusable; the message names it.
@@ -318,7 +318,7 @@ def mjcf_row(path: Path, tip: str | None = None) -> JointRow:
 
 
 def _follow_includes(root: Element, main: Path) -> None:
-    """Put what is included in its place; as in MuJoCo, each file once, and named from the main file's folder."""
+    """Replace includes by their files' content; as in MuJoCo, each file once, its path from the main file's folder."""
     taken: set[Path] = {main.resolve()}
     waiting = [root]
     for parent in waiting:  # grows as files come in
