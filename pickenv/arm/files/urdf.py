@@ -1,4 +1,4 @@
-"""URDF in: any serial chain of revolute, continuous, prismatic and fixed joints of a tree becomes a `Geometry`.
+"""Read URDF: any serial chain of revolute, continuous, prismatic and fixed joints of a tree becomes a `Geometry`.
 
 A joint that mimics another does not count as a joint of the arm; the joint that it follows moves its link too. Where no
 tip is named, the tip is the flange (`pickenv.arm.files.joint_chain.flange`), and the arm's source says so.
@@ -158,7 +158,7 @@ def load_urdf(path: str | Path, tip: str | None = None) -> Arm:
 
 
 def urdf_row(path: Path, tip: str | None = None) -> JointRow:
-    """The joints that `load_urdf` makes an arm of.
+    """The row of joints from which `load_urdf` makes an arm.
 
     Raises:
         InputError: If the file, a link or a joint is unusable; the message names it.
