@@ -47,7 +47,7 @@ class Check:
         return core.no_info_before_validator_function(self.checked, handler(source))
 
     def checked(self, value: Any) -> Any:
-        """The value, or the fault."""
+        """The value if it passes the test; otherwise the fault is raised."""
         if not self.test(value):
             raise fault(self.wanted)
         return value
@@ -143,7 +143,7 @@ class Unit:
 
 @dataclass(frozen=True)
 class Then:
-    """Annotates what is made of a sound value and the reader's context; ``source``: what the file holds, if another."""
+    """Annotation with a function of the checked value and the reader's context; ``source`` is the file's own type."""
 
     make: Callable[[Any, Any], Any]
     source: Any = None
@@ -351,13 +351,13 @@ def json_schema(kind: Any) -> dict[str, Any]:
 
 
 def read_toml(kind: type[Thing], path: str | Path, *, section: str = "", context: Any = None) -> Thing:
-    """The object that a TOML file holds.
+    """Read and check a TOML file, and make the object of class ``kind`` from it.
 
     Args:
         kind: A class made by `toml_table`.
         path: The file; its stem is the object's ``name`` where the file gives none.
-        section: The table of the file that is meant; the whole file when left out.
-        context: What `Then` sees.
+        section: The table of the file to read; "" for the whole file.
+        context: What the functions of `Then` get beside the value.
 
     Raises:
         InputError: If the file cannot be read or a key is unknown, missing or impossible.
@@ -377,7 +377,7 @@ def file_named(kind: str, name: str | Path, folder: Path, endings: str = ".toml"
     """The TOML file of ``folder`` that has this name, or the one whose path is given.
 
     Args:
-        kind: What it holds, for messages.
+        kind: What the file holds, for messages.
         name: A name of `shipped_in`, or a path ending in .toml.
         folder: Where the shipped files lie.
         endings: Endings of files that may be given instead, for messages.
@@ -394,7 +394,7 @@ def file_named(kind: str, name: str | Path, folder: Path, endings: str = ".toml"
 
 
 def toml_of(path: str | Path) -> tuple[dict[str, Any], str]:
-    """What a TOML file holds, unchecked, and its text; or one sentence why it cannot be read."""
+    """The content of a TOML file, unchecked, and its text; an `InputError` says why a file cannot be read."""
     text = read_text(path, "a TOML file")
 
     def content() -> dict[str, Any]:
@@ -406,7 +406,7 @@ def toml_of(path: str | Path) -> tuple[dict[str, Any], str]:
 
 
 def _refuse_huge(value: Any, key: str) -> None:
-    """TOML's integers have 64 bits; Python's have no end, and arithmetic fails on them far from the file."""
+    """Refuse integers of more than TOML's 64 bits: Python reads them, but arithmetic with them fails later."""
     if isinstance(value, Mapping):
         for name, part in value.items():
             _refuse_huge(part, str(name))
@@ -427,16 +427,16 @@ def made(
     section: str = "",
     context: Any = None,
 ) -> Thing:
-    """The object that a file's content makes.
+    """Check a file's content, and make the object of class ``kind`` from it.
 
     Args:
         kind: A class made by `toml_table`.
         content: The content, as `tomllib` gives it.
         where: The file, for messages.
-        text: Its text, so that messages can name lines.
+        text: The file's text, so that messages can name lines.
         name: What the object is called, where it is not named like the file.
-        section: The key of the content that is meant; all of it when left out.
-        context: What `Then` sees.
+        section: The key of the content to use; "" for the whole content.
+        context: What the functions of `Then` get beside the value.
 
     Raises:
         InputError: If a key is unknown, missing or impossible.
