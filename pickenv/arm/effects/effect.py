@@ -179,11 +179,11 @@ class Effect:
         cls.remembers = cls.carry is not Effect.carry
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Change the command's passage; by default, note that links are to bend (`flexure`). No memory is ``()``."""
+        """Change the command's passage; by default, the effect joins its bends. Without memory, ``memory`` is ``()``."""
         at.bends.append(self)
 
     def flexure(self, at: Passage) -> Flexure:
-        """How the links bend, for effects that do nothing else."""
+        """How the links bend; an effect that only bends links defines this instead of `act`."""
         raise NotImplementedError(f"effect '{self.name}' has neither act nor flexure")
 
     def begin(self, at: Passage) -> Components:
