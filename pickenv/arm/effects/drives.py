@@ -52,7 +52,7 @@ class Servo(Effect, place=MOTOR + 0.5):
     time_constant: Annotated[tuple[Scalar, ...], MILLISECONDS.positive, PER_JOINT]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Put the motors where they are by now, which is the memory."""
+        """Put the motors at the memory's positions, which they have reached by now."""
         at.turn(memory)
 
     def begin(self, at: Passage) -> Components:
