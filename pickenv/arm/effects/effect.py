@@ -179,7 +179,7 @@ class Effect:
         cls.remembers = cls.carry is not Effect.carry
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Change the command's passage; by default, the effect joins its bends. Without memory, ``memory`` is ``()``."""
+        """Change the command's passage; by default, the effect joins its bends. No memory is ``()``."""
         at.bends.append(self)
 
     def flexure(self, at: Passage) -> Flexure:
