@@ -99,7 +99,7 @@ class RollerPlay(Boom, place=BEND + 0.8, spreads={"clearance": "roller_clearance
         return lowered_tip(frame, angle * length, angle)
 
     def fault(self, arm: Arm) -> str:
-        """Words for messages where the boom can run out of its overlap, and what to give; empty otherwise."""
+        """A message's words if the boom can run out of its overlap, with what to give; else empty."""
         limit = arm.nominal.upper[self.joint]
         if self.overlap > limit:
             return ""
@@ -232,7 +232,7 @@ class Backlash(Effect, place=GEAR + 0.5, spreads={"width": "backlash"}):
     preload: tuple[Scalar, ...]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Put the joints where their gaps let them be, which is the memory."""
+        """Put the joints at the memory's positions, which their gaps allow."""
         at.joints = memory
 
     def begin(self, at: Passage) -> Components:
@@ -273,7 +273,7 @@ class StickBand(Effect, place=GEAR, spreads={"forward": "friction", "backward": 
     scatter: Scalar = 0.0
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Put the joints where friction lets them be, which is the memory."""
+        """Put the joints at the memory's positions, which friction allows."""
         at.joints = memory
 
     def begin(self, at: Passage) -> Components:
@@ -426,7 +426,7 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
         return give
 
     def fault(self, arm: Arm) -> str:
-        """Words for messages where a slide can run out of its span, and what to give; empty otherwise."""
+        """A message's words if a slide can run out of its span, with what to give; else empty."""
         for bearing in self.bearings:
             limit = arm.nominal.upper[bearing.joint]
             if bearing.overhang is not None and bearing.span <= limit:
