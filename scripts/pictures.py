@@ -79,6 +79,8 @@ def studies() -> dict[str, list[str]]:
 
 def draw_table(picture: str) -> Path:
     """Draw a finding's table, whose numbers are the ledger's: a line for each row, a colour for each column."""
+    from PIL import Image
+
     from pickenv.base import Estimate
     from pickenv.inspect import save_figure
     from pickenv.inspect.figures.plot_estimates import estimates_figure
@@ -101,7 +103,9 @@ def draw_table(picture: str) -> Path:
                 )
     figure = estimates_figure(rows, f"{label}, mean over arms", ("row", "column"))
     figure.suptitle(message, x=0.01, ha="left", fontsize=9.0, fontweight="bold")
-    return save_figure(figure, ROOT / "docs/images" / picture)
+    path = save_figure(figure, ROOT / "docs/images" / picture)
+    Image.open(path).convert("RGB").quantize(64).save(path, optimize=True)  # few colours: a third of the bytes
+    return path
 
 
 def draw_results() -> Path:

@@ -78,7 +78,7 @@ class BaseFrameError:
         if np.isnan(self.low):
             return "the error in the robot's own base frame is unknown, for only directions were measured"
         return (
-            f"base and tool were fitted: in the robot's own base frame the mean error is somewhere from "
+            f"base and tool were fitted: in the robot's own base frame the mean error is "
             f"{self.low * 1e3:#.3g} to {self.high * 1e3:#.3g} mm"
         )
 

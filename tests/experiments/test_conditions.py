@@ -213,7 +213,7 @@ def test_the_command_prints_the_numbers_that_it_writes(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_the_command_writes_figure_page_and_numbers_that_agree(tmp_path: Path) -> None:
     run, file = tmp_path / "run", tmp_path / "conditions.json"
-    said = call("conditions", "orchard", *SMALL, "--out", run, "--json", file)
+    said = call("conditions", "orchard", *SMALL, "--details", "--out", run, "--json", file)
     found = json.loads(file.read_text())
     assert found == json.loads((run / "conditions.json").read_text())
     page = (run / "report.html").read_text(encoding="utf-8")
