@@ -9,7 +9,7 @@ from pickenv.arm import load_plant
 from pickenv.base import InputError, share_interval
 from pickenv.calibration import BpnnSettings, error_statistics, fit, random_joints, simulated_tracker
 from pickenv.cli import _print_demo
-from pickenv.commands.showing import print_table
+from pickenv.commands.showing import print_table, progress_bars
 from pickenv.experiments.gains import (
     NETWORK,
     ROWS,
@@ -174,3 +174,15 @@ def test_a_smooth_arm_flatters_a_network_and_one_like_measured_arms_does_not():
     for gain in (smooth, rough):
         assert gain.lowest < gain.removed < gain.highest
     assert smooth.removed > rough.removed + 0.2
+
+
+def test_a_log_file_gets_a_line_as_a_long_stage_begins_now_and_then_and_as_it_ends(capsys, monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr("pickenv.commands.showing.time.monotonic", lambda: now[0])
+    with progress_bars() as report:
+        report("drawing", 1, 2)  # nothing for what is over at once
+        for second in range(3, 31):
+            now[0] = float(second)
+            report("fitting", second, 30)
+        report("fitting", 30, 30)
+    assert capsys.readouterr().err.splitlines() == [f"fitting: {done}/30" for done in (3, 13, 23, 30)]

@@ -295,16 +295,19 @@ def progress_bars(unit: str = "") -> Iterator[Callable[[str, int, int], None]]:
         yield report
 
 
-LINE_SECONDS = 10.0
-"""Seconds between two lines on a stage, where standard error is a file and has no bars."""
+LINE_SECONDS, QUICK = 10.0, 2.0
+"""Seconds between two lines on a stage, where standard error is a file, and of work that is over before one is due."""
 
 
 def progress_lines() -> Callable[[str, int, int], None]:
     """What prints a line to standard error as a stage begins, every `LINE_SECONDS`, and as it ends; for log files."""
     printed: dict[str, float] = {}
+    start = time.monotonic()
 
     def report(stage: str, done: int, total: int) -> None:
         now = time.monotonic()
+        if now - start < QUICK:
+            return
         if stage not in printed or done >= total or now - printed[stage] >= LINE_SECONDS:
             if printed.get(stage) != math.inf:
                 print(f"{stage}: {done}/{total}", file=sys.stderr, flush=True)
