@@ -55,9 +55,10 @@ def prose(text: str) -> str:
 def sentences(text: str) -> Iterator[tuple[int, str]]:
     """Line (from 1) and words of each sentence, without intervals; an item of a list ends one, too."""
     begin = r"^ *(?:#+|[-*>]|\d+\.|:::+.*$|:\w+:.*$) *|\n\s*\n"
-    for block in re.finditer(rf"(?:(?!{begin}).)+", prose(text), flags=re.DOTALL | re.MULTILINE):
+    text = prose(text)
+    for block in re.finditer(rf"(?:(?!{begin}).)+", text, flags=re.DOTALL | re.MULTILINE):
         for part in re.finditer(SENTENCE, block[0], flags=re.DOTALL):
-            line = prose(text).count("\n", 0, block.start() + part.start()) + 1
+            line = text.count("\n", 0, block.start() + part.start()) + 1
             yield line, " ".join(re.sub(r"\([-+\d.]+ to [-+\d.]+\)", "", part[0]).strip("*_ ").split())
 
 

@@ -1,6 +1,7 @@
 """The demonstration's tables on the terminal: every cell is the summary's; what a network gains on blocks held out."""
 
 import re
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,7 +10,7 @@ from pickenv.arm import load_plant
 from pickenv.base import InputError, share_interval
 from pickenv.calibration import BpnnSettings, error_statistics, fit, random_joints, simulated_tracker
 from pickenv.cli import _print_demo
-from pickenv.commands.showing import print_table, progress_bars
+from pickenv.commands.showing import deliver, print_table, progress_bars
 from pickenv.experiments.gains import (
     NETWORK,
     ROWS,
@@ -186,3 +187,17 @@ def test_a_log_file_gets_a_line_as_a_long_stage_begins_now_and_then_and_as_it_en
             report("fitting", second, 30)
         report("fitting", 30, 30)
     assert capsys.readouterr().err.splitlines() == [f"fitting: {done}/30" for done in (3, 13, 23, 30)]
+
+
+def test_many_files_of_a_folder_are_one_line_wherever_the_others_are(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    elsewhere = tmp_path / "away.json"
+    many = [Path("run/figures") / f"{i}.png" for i in range(9)] + [Path("run/report.html")]
+    deliver([(elsewhere, {"a": 1}), (Path("run"), lambda _: many), (Path("few"), lambda _: many[:2])], "good: 1 mm")
+    assert capsys.readouterr().out.splitlines() == [
+        "good: 1 mm",
+        f"wrote {elsewhere}",
+        "wrote run: report.html, figures/0.png, figures/1.png, figures/2.png and 6 more",
+        "wrote run/figures/0.png",
+        "wrote run/figures/1.png",
+    ]

@@ -85,6 +85,8 @@ def check(
             findings.append(finding)
     refused = sum(finding.reason is not None for finding in findings)
     print(f"{len(findings)} checked, {refused} refused")
+    if len(findings) > SHOWN and not details:
+        print("more: --details prints a line for every file")
     if json_file is not None:
         content = {"sound": refused == 0, "files": [asdict(finding) for finding in findings]}
         print(f"wrote {write_json(json_file, content)}")

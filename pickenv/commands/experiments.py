@@ -182,11 +182,12 @@ def study(
                 progress=partial(report_progress, "arms"),
                 warn=lambda text: print(f"warning: {showing.with_options(text)}", file=sys.stderr),
             )
-        saves: list[showing.Save] = [
-            (out / "summary.json", lambda path: path),  # written by the study, as its last file
-            (json_file, summary),
-            (out if report else None, partial(pickenv.experiments.write_outputs, sobol_samples=sobol_samples)),
-        ]
+
+        def written(folder: Path) -> list[Path]:  # the summary was written by the study, as its last file
+            drawn = pickenv.experiments.write_outputs(folder, sobol_samples=sobol_samples) if report else []
+            return [folder / "summary.json", *drawn]
+
+        saves: list[showing.Save] = [(json_file, summary), (out, written)]
         next_step = f"look at it: {out / 'report.html'}" if report else ""
         more = "" if details else "every setting, and where the differences between arms come from"
         showing.deliver(saves, lambda: _print(settings, summary, details), next_step, more)

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import ast
 import math
-import os
 import re
 import shlex
 import sys
@@ -207,7 +206,7 @@ def deliver(saves: Iterable[Save], show: Callable[[], object] | str, next_step: 
         next_step: What the reader can do next, with a command to copy.
         more: What the command's details are, where they were not printed.
     """
-    written: list[Path] = []
+    lines: list[str] = []
     try:
         for path, content in saves:
             if path is None:
@@ -216,7 +215,7 @@ def deliver(saves: Iterable[Save], show: Callable[[], object] | str, next_step: 
                 paths = content(path)
             else:
                 paths = write_text(path, content) if isinstance(content, str) else write_json(path, content)
-            written += [paths] if isinstance(paths, Path) else paths
+            lines += _lines_of_files(path, [paths] if isinstance(paths, Path) else list(paths))
     finally:
         if isinstance(show, str):
             first, _, rest = show.partition("\n")
@@ -225,7 +224,7 @@ def deliver(saves: Iterable[Save], show: Callable[[], object] | str, next_step: 
                 print(with_options(rest))
         else:
             show()
-        for line in _lines_of_files(written):
+        for line in lines:
             print(line)
     if next_step:
         print(f"next: {next_step}")
@@ -234,20 +233,18 @@ def deliver(saves: Iterable[Save], show: Callable[[], object] | str, next_step: 
 
 
 FILES_OF_A_LINE = 4
-"""So many files of one folder have a line each; of more, one line names the folder and the first."""
+"""So many files of one save have a line each; of more, one line names the folder and the first."""
 
 
-def _lines_of_files(paths: Sequence[Path]) -> Iterator[str]:
-    """Lines on the files that were written, the nearest and the pages first where a folder has many."""
-    if len(paths) <= FILES_OF_A_LINE:
+def _lines_of_files(place: Path, paths: Sequence[Path]) -> Iterator[str]:
+    """Lines on the files that one save wrote; of many in a folder the nearest are named, pages first."""
+    if len(paths) <= FILES_OF_A_LINE or not all(path.is_relative_to(place) for path in paths):
         yield from (f"wrote {path}" for path in paths)
         return
-    folder = Path(os.path.commonpath([path.parent for path in paths]))
-    names = sorted(
-        (path.relative_to(folder) for path in paths), key=lambda name: (len(name.parts), name.suffix != ".html")
-    )
+    names = [path.relative_to(place) for path in paths]
+    names.sort(key=lambda name: (len(name.parts), name.suffix != ".html"))
     first, rest = names[:FILES_OF_A_LINE], len(names) - FILES_OF_A_LINE
-    yield f"wrote {folder}: {', '.join(map(str, first))} and {rest} more"
+    yield f"wrote {place}: {', '.join(map(str, first))} and {rest} more"
 
 
 def print_verdict(text: str, width: int | None = None) -> None:

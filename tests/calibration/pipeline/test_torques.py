@@ -93,7 +93,7 @@ def test_stiffnesses_are_found_within_a_tenth_and_within_their_uncertainty(resul
 
 
 def test_the_held_out_error_is_that_of_the_same_terms_fitted_by_hand(result):
-    """Rows and priors minimised by SciPy; with as many rows as here, the same terms without priors leave no less."""
+    """Rows and priors minimised by SciPy; the same terms leave twice as much without beta (0.13 and 0.06 mm)."""
     term = ComplianceTerm(tuple(range(6)), None)
     train, test = result.train, result.test
     expected, scatter = result.fit.identification.prior, result.fit.identification.noise.scatter
@@ -110,14 +110,19 @@ def test_the_held_out_error_is_that_of_the_same_terms_fitted_by_hand(result):
     by_scipy = scipy.optimize.least_squares(weighed, np.zeros(len(columns)), x_scale="jac", xtol=1e-12)
     bare = identify(complete_model(ARM.nominal), result.calibration.nominal, train, max_iterations=60)
     start = ArmModel.of(bare.geometry, (term,))
-    free = identify(with_terms(complete_model(bare.geometry), start), start, train, max_iterations=60)
-    with_priors, without = (
+    every = complete_model(bare.geometry)
+    no_beta = every.some(np.array([not name.startswith("beta") for name in every.names]))
+    free, without_beta = (
+        identify(with_terms(model, start), start, train, max_iterations=60) for model in (every, no_beta)
+    )
+    with_priors, without, incomplete = (
         1e3 * np.sqrt(np.mean(np.sum(test.difference(model) ** 2, axis=1)))
-        for model in (moved(by_scipy.x), free.arm_model)
+        for model in (moved(by_scipy.x), free.arm_model, without_beta.arm_model)
     )
     assert result.best_model == "geometry+compliance"
     assert result.best.rms == pytest.approx(with_priors, rel=1e-3)
-    assert result.best.rms < 1.02 * without
+    assert result.best.rms < 0.6 * incomplete
+    assert result.best.rms == pytest.approx(without, rel=0.02)  # many rows need no priors
     assert result.best.rms < 0.5 * result.position[GEOMETRIC].rms
 
 
