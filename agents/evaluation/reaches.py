@@ -28,19 +28,19 @@ def pick_canopies(policy: Any, envs: PickVectorEnv, seed: int | Sequence[int]) -
         seed: As `reset` takes it.
 
     Returns:
-        Arrays ``(N,)``: `FRUIT`, "steps" that the canopy took, and "reward", the sum over these steps.
+        Arrays ``(N,)``: `FRUIT`, "duration_s" and "steps" of the canopy, and "reward", the sum over these steps.
     """
     policy.reset()
     observation, _ = envs.reset(seed=seed)
     over, steps = np.zeros(envs.num_envs, dtype=np.bool_), 0
-    totals = {name: np.zeros(envs.num_envs) for name in (*FRUIT, "steps", "reward")}
+    totals = {name: np.zeros(envs.num_envs) for name in (*FRUIT, "duration_s", "steps", "reward")}
     while not over.all():
         fresh, rewards, terminated, truncated, infos = envs.step(policy.act(observation))
         steps += 1
         totals["reward"] += np.where(over, 0.0, rewards)
         ended = (terminated | truncated) & ~over
         totals["steps"][ended] = steps
-        for name in FRUIT:
+        for name in (*FRUIT, "duration_s"):
             totals[name][ended] = infos[name][ended]
         over |= ended
         observation = np.where(over[:, None], observation, fresh)  # canopies that are done ask for no thought

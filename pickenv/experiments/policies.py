@@ -29,7 +29,6 @@ from pickenv.base.registry import names, origin
 from pickenv.calibration import Calibration
 from pickenv.envs import PickEnv, ReachVectorEnv
 from pickenv.envs.shared.difficulty import on_ladder
-from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import FEEDBACK, check_choice, check_number
 from pickenv.experiments import methods
 from pickenv.experiments.engine import Columns, Experiment, Progress, Rows, run
@@ -163,9 +162,9 @@ def run_policies(
         ``episode``; ``error_mm`` and ``attitude_deg`` at the end, ``way_mm`` after each step (NaN after the last),
         ``cycle_steps`` until the tool is within `CYCLE_MM` to stay (NaN where it never is), ``chance_NAME`` that a
         gripper takes the fruit, and the fields of `pickenv.agents.Reaches`. Of picking a row for each arm and gripper,
-        over all canopies: grasps ``attempted``, fruit ``collected`` undamaged, ``picks_per_hour`` of these without the
-        ways between canopies, and sums over grasps of the distance between fruit and true tool (``error_sum_mm``) and
-        of the tool's angle with the vertical (``tilt_sum_deg``).
+        over all canopies: grasps ``attempted``, fruit ``collected`` undamaged, ``picks_per_hour`` of these by the
+        environment's `duration_s`, and sums over grasps of the distance between fruit and true tool (``error_sum_mm``)
+        and of the tool's angle with the vertical (``tilt_sum_deg``).
 
     Raises:
         InputError: If a name is unknown, no policy can be run as asked, or a kept file is damaged.
@@ -356,7 +355,7 @@ def _picks(
     **behind: Any,
 ) -> list[dict[str, Any]]:
     """Results of one picker with one arm and gripper, over all its canopies."""
-    seed, steps, collected, grasps = behind["seed"], 0, 0, []
+    seed, seconds, collected, grasps = behind["seed"], 0.0, 0, []
     env = PickEnv(
         plant=behind["plant"],
         gripper=gripper,
@@ -371,12 +370,12 @@ def _picks(
     for canopy in seed_words(stream(seed, "picks", arm), settings.canopies):
         attempted = 0
         for moment in moments_of(env, picker, canopy, options={"arm": arm}, steps=LONGEST_CANOPY):
-            info, steps = moment.info, steps + 1
+            info = moment.info
             if info["attempted"] > attempted:
                 attempted = info["attempted"]
                 grasps.append((np.hypot(info["grasp_lateral_mm"], info["grasp_axial_mm"]), info["tilt_deg"]))
-        steps, collected = steps - 1, collected + info["collected"]  # the first moment is the reset
+        seconds, collected = seconds + info["duration_s"], collected + info["collected"]
     error, tilt = np.reshape(grasps, (-1, 2)).sum(axis=0)
     row: dict[str, Any] = {"arm": settings.levels("seeds").index(seed) * settings.arms + arm, "attempted": len(grasps)}
-    row |= {"collected": collected, "picks_per_hour": 3600.0 * collected / (steps * CONTROL_PERIOD)}
+    row |= {"collected": collected, "picks_per_hour": 3600.0 * collected / seconds}
     return [row | {"error_sum_mm": error, "tilt_sum_deg": tilt}]

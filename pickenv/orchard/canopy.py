@@ -13,7 +13,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.base import DEG, NUMBER, SHARE, InputError, Unit, toml_table
+from pickenv.base import DEG, NUMBER, SECONDS, SHARE, InputError, Unit, toml_table
 from pickenv.orchard import checks, preset_files
 from pickenv.orchard.checks import MM, Array, Flags
 from pickenv.orchard.fruit import FruitMap, FruitSize, sample_counts, sample_diameters
@@ -302,6 +302,9 @@ class Station(checks.Preset):
         knock: How far a failed grasp pushes its fruit, m.
         most_push: How far any fruit can be pushed, m.
         twist: Torque of the gripper at full command, N·m.
+        grip: Time in which the gripper takes hold of a fruit, s; counted for each grasp, not simulated.
+        deposit: Time of a fruit's way to the bin and of the way back, s; counted for each fruit, not simulated.
+        release: Time in which the gripper gives a fruit away, s; counted likewise.
         source: Where its numbers come from.
     """
 
@@ -321,7 +324,14 @@ class Station(checks.Preset):
     knock: Annotated[float, MM.positive]
     most_push: Annotated[float, MM.positive]
     twist: Annotated[float, Unit("N_m").positive]
+    grip: Annotated[float, SECONDS.not_negative]
+    deposit: Annotated[float, SECONDS.not_negative]
+    release: Annotated[float, SECONDS.not_negative]
     source: str = ""
+
+    def handling(self, grasps: int, fruit: int) -> float:
+        """Time that some grasps, and bringing the fruit that is off the tree to the bin, take without moves, s."""
+        return self.grip * grasps + (self.deposit + self.release) * fruit
 
 
 load_station = preset_files.loader("station", Station)

@@ -18,7 +18,7 @@ from pickenv.agents import HASTY, HELD_OUT, ScriptedPick, Training, load_policy,
 from pickenv.agents.training.training import CHECKPOINT
 from pickenv.arm import Array
 from pickenv.base import seed_words, stream
-from pickenv.envs import CONTROL_PERIOD, PickVectorEnv
+from pickenv.envs import PickVectorEnv
 from pickenv.experiments import Rows
 from pickenv.inspect.colours import policy_colours
 from pickenv.inspect.figures.style import WIDTH, headline, new_figure, rgb
@@ -49,9 +49,9 @@ CURVE = 16
 
 def canopy_rows(policy: str, found: dict[str, Array], canopies: int) -> dict[str, Any]:
     """One row a canopy, of one policy or of several trainings one after the other."""
-    training, canopy = np.divmod(np.arange(len(found["steps"])), canopies)
+    training, canopy = np.divmod(np.arange(len(found["duration_s"])), canopies)
     columns = {name: found[name] for name in ("collected", "damaged", "attempted", "reward")}
-    hours = found["steps"] * CONTROL_PERIOD / 3600.0
+    hours = found["duration_s"] / 3600.0
     return {"policy": np.full(len(canopy), policy), "training": training, "canopy": canopy, **columns, "hours": hours}
 
 
@@ -110,7 +110,7 @@ def learning(
     parts = [rows | {"training": np.full(canopies, training)}]
     for row in json.loads((out / "evaluations.json").read_text(encoding="utf-8")) if place == "as trained" else ():
         found = {name: np.array([row.get(name, np.nan)]) for name in ("collected", "damaged", "attempted", "reward")}
-        on_the_way = canopy_rows(f"after {row['steps']:.0f} steps", found | {"steps": np.array([np.nan])}, 1)
+        on_the_way = canopy_rows(f"after {row['steps']:.0f} steps", found | {"duration_s": np.array([np.nan])}, 1)
         parts.append(on_the_way | {"training": np.array([training])})
     return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
 

@@ -51,6 +51,8 @@ class Canopies:
         number: Number of the fruit that each arm is after.
         still: Time since each joint target moved, s.
         moments: Number of steps in each episode so far.
+        time: Time that each episode has taken so far, s.
+        handling: The part of it, added on, in which grippers took hold of fruit and fruit went to the bin, s.
     """
 
     def __init__(self, task: Task, orchard: pick_scene.PickSetting, count: int) -> None:
@@ -65,6 +67,7 @@ class Canopies:
         self.sight = np.zeros((SIGHT + 2 * task.joints, count))
         self.number: Rows = np.zeros(count, dtype=np.int64)
         self.still, self.moments = np.full(count, pick_scene.STILL), np.zeros(count, dtype=np.uint64)
+        self.time, self.handling = np.zeros(count), np.zeros(count)
 
     def adopt(self, row: int, scene: pick_scene.PickScene) -> None:
         """Put the canopy of ``scene`` before arm ``row``, and make its fruit a part of the array."""
@@ -129,6 +132,7 @@ class Canopies:
         """
         so_far = self.counts[COLLECTED:].copy()
         self.still[:] = np.where(stirred, 0.0, np.minimum(pick_scene.STILL, self.still + period))
+        self.time[:] = self.moments * period
         self.meet(going, before, period)
         for row in np.flatnonzero(going & ((self.held >= 0) | (gripper > pick_scene.CLOSE))).tolist():
             scene, number = self.scenes[row], int(self.number[row])
@@ -170,6 +174,7 @@ class Canopies:
             **dict(zip(FUNNEL, counts, strict=True)),
             "is_success": counts[COLLECTED] == counts[REACHABLE],
             "position_error_mm": 1e3 * length(NUMPY, list(positions.T - tool)),
+            "duration_s": self.time + self.handling,
             "grasp_lateral_mm": 1e3 * self.miss[:, 0],
             "grasp_axial_mm": 1e3 * self.miss[:, 1],
             "tilt_deg": self.sight[TILT].copy(),
@@ -209,6 +214,7 @@ class Canopies:
         """Copy into the arrays what a grasp, a push or a twist has changed in the scene of arm ``row``."""
         scene = self.scenes[row]
         self.counts[:, row] = [np.count_nonzero(scene.fruit[stage]) for stage in FUNNEL]
+        self.handling[row] = self.orchard.station.handling(*self.counts[[ATTEMPTED, COLLECTED], row])
         self.counts[COLLECTED, row] = np.count_nonzero(scene.collected & ~scene.damaged)
         self.held[row] = -1 if scene.held is None else scene.held
         self.off[row], self.miss[row] = scene.holds_detached, scene.miss

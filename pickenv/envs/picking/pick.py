@@ -116,6 +116,7 @@ class PickEnv(ArmEnv):
     | `collected`         | fruit collected undamaged                                           |      |
     | `damaged`           | fruit damaged, collected or not                                     |      |
     | `is_success`        | whether all reachable fruit is collected undamaged                  | bool |
+    | `duration_s`        | time so far, with what is counted and not simulated (see below)     | s    |
     | `position_error_mm` | true tool to true position of the present fruit                     | mm   |
     | `grasp_lateral_mm`  | last grasp: fruit from true tool, across the tool axis (0 before)   | mm   |
     | `grasp_axial_mm`    | the same along the axis, positive beyond the tool                   | mm   |
@@ -124,6 +125,11 @@ class PickEnv(ArmEnv):
     | `tool_position`     | true tool position                                                  | m    |
     | `fruit_position`    | true position of the present fruit                                  | m    |
     | `fruit_number`      | its number                                                          |      |
+
+    The way to a fruit, settling, twisting and the retreat are simulated. `duration_s` counts three things beside them:
+    1.0 s for each grasp, in which the gripper takes hold, 2.0 s for each fruit's way to the bin and back, and 0.5 s for
+    its release (`station.toml` of `pickenv/orchard/presets` has the sources). Picks per hour are by `duration_s`, and
+    leave out pictures and the ways from canopy to canopy. Observations, rewards and the time budget do not count it.
 
     ## Arguments
 

@@ -201,7 +201,7 @@ class PickBatch(NumpyArms):
         self.keys[rows] = keys = np.array(words, dtype=np.uint64)
         if task.arms != "fixed":
             self.take_arms(rows, np.array(arms, dtype=np.intp))
-        canopies.still[rows], canopies.moments[rows] = pick_scene.STILL, 0
+        canopies.still[rows], canopies.moments[rows], canopies.time[rows] = pick_scene.STILL, 0, 0.0
         for a, b in self.blocks(len(rows)):
             some = rows[a:b]
             targets = self.starts(keys[a:b], None if joints is None else joints[a:b])

@@ -92,6 +92,19 @@ def test_one_fruit_goes_all_the_way_down_the_funnel(env):
     assert act(env, DOWN) == (1.0 - 0.002, (1, 1, 1, 1, 1, 1, 1, 0), True, True)
 
 
+def test_a_picks_duration_has_the_parts_that_are_not_simulated(env):
+    """0.1 s a step; 1.0 s for a grasp, whatever becomes of it; 2.5 s more for a fruit that goes to the bin."""
+    before(env, [0.0, 0.0, 0.0], [0.0, 0.0, 0.2], [0.3, 0.0, 0.0])
+    passed = [env.step(np.array(action))[-1]["duration_s"] for action in (STAY, CLOSE, TWIST, DOWN, DOWN)]
+    assert passed == pytest.approx([0.1, 1.2, 1.3, 1.4, 4.0])
+    before(env, [0.006, 0.0, 0.0], FAR)
+    assert env.step(np.array(CLOSE))[-1]["duration_s"] == pytest.approx(1.1)  # a miss
+    before(env, [0.0, 0.0, 0.0])
+    for action in (CLOSE, TWIST, OPEN):
+        *_, info = env.step(np.array(action))
+    assert info["damaged"] == 1 and info["duration_s"] == pytest.approx(1.3)  # it fell, and goes nowhere
+
+
 def test_a_fruit_is_unloaded_at_the_very_height_and_not_above_it():
     """Heights that have no rounding: it came off at 0.5 m, 0.125 m below it is collected."""
     station = replace(PickEnv().orchard.station, collected_below=0.125)
