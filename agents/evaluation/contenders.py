@@ -12,7 +12,7 @@ from typing import Any, TypeAlias
 
 from pickenv.agents.evaluation.rollout import PolicyMaker
 from pickenv.agents.policies import foreign
-from pickenv.agents.policies.learned import LearnedPolicy, load_policy
+from pickenv.agents.policies.learned import LearnedPolicy, LearnedReach, load_policy
 from pickenv.agents.policies.policy import Policy
 from pickenv.agents.policies.remembering import RememberingPolicy, RememberingReach, load_remembering, remembers
 from pickenv.arm import Arm
@@ -100,7 +100,9 @@ def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw")
         if Path(name).suffix in foreign.SUFFIXES:
             return foreign.foreign_policy(name, env, seed)
         policy = load_any(name, env.unwrapped.task.plant.arm)
-        return policy if isinstance(policy, LearnedPolicy) else RememberingReach(env, policy)
+        if isinstance(policy, RememberingPolicy):
+            return RememberingReach(env, policy)
+        return policy if isinstance(policy.scaling, ToolSteps) else LearnedReach(env, policy)
 
     return make
 

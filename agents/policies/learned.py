@@ -10,6 +10,7 @@ from typing import Any, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from pickenv.agents.policies.policy import ReachController, joined_parts
 from pickenv.arm import Arm, Array, load_arm
 from pickenv.base import InputError, npz_path, read_container, refusing_damage, write_container
 from pickenv.wrappers import Scaling, ToolSteps, joined_observation
@@ -144,6 +145,27 @@ class LearnedPolicy(Actor):
         scaling = asdict(self.scaling) if isinstance(self.scaling, Scaling) else self.scaling.header
         header = {"scaling": scaling, "activation": self.activation, "squashed": self.squashed}
         return self.write(path, KIND, FORMAT, header, {})
+
+
+class LearnedReach(ReachController):
+    """A trained actor that is shown the present: where readings or actions are late, what is on its way is added."""
+
+    def __init__(self, env: Any, policy: LearnedPolicy) -> None:
+        """``env`` gives the nominal arm and its delays."""
+        super().__init__(env)
+        self.policy = policy
+
+    def reset(self) -> None:
+        """Forget the last episode."""
+        self.forget()
+
+    def act(self, observation: Any) -> NDArray[np.float32]:
+        """Actions as `LearnedPolicy.act` gives them; goal observations are taken as they are."""
+        if not self.lag or isinstance(observation, dict):
+            return self.policy.act(observation)
+        shares = self.policy.act(joined_parts(self.geometry, self.present(observation)))
+        self.sent(shares)
+        return shares
 
 
 def shipped_baselines() -> list[str]:

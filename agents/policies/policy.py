@@ -13,7 +13,7 @@ from typing import Any, Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Geometry, Pose, displace_pose
+from pickenv.arm import Array, Geometry, Pose, displace_pose, forward, pose_error
 from pickenv.base import InputError
 from pickenv.envs import FEEDBACK
 
@@ -96,6 +96,13 @@ def read_observation(geometry: Geometry, observation: ArrayLike) -> ObservationP
     )
 
 
+def joined_parts(geometry: Geometry, parts: ObservationParts) -> Array:
+    """The flat observation ``(..., k)`` of parts, in the order of `read_observation`."""
+    scaled = 2.0 * (parts.joints - geometry.lower) / (geometry.upper - geometry.lower) - 1.0
+    gaps = [parts.offset, parts.turn, *([] if parts.camera is None else [parts.camera])]
+    return np.concatenate([scaled, parts.believed, parts.seen, *gaps], axis=-1)
+
+
 def attitude_after(pose: Pose, turn: Array) -> Array:
     """Attitudes ``(..., 3, 3)`` of poses after rotation vectors ``turn (..., 3)``, rad, in the base frame."""
     return displace_pose(pose, np.concatenate([np.zeros_like(turn), turn], axis=-1)).rotation
@@ -117,7 +124,8 @@ class ReachController:
 
     Where readings or actions are delayed, a reading shows the past, and a policy that commands the whole gap from it
     makes the arm swing. The controller then takes the joints to be where it has sent them: at the first reading plus
-    its own increments since. It reads again when the arm has stood still for longer than the delays.
+    its own increments since. It reads again when the arm has stood still for longer than the delays. What is seen is
+    moved along, as in the predictor of Smith (1957).
     """
 
     def __init__(self, env: Any) -> None:
@@ -146,6 +154,22 @@ class ReachController:
         settled = (self._still > self.lag) & (apart > self.tolerance).any(axis=-1)
         self._sent = np.where((elsewhere | settled)[..., None], readings, self._sent)
         return self._sent
+
+    def present(self, observation: ArrayLike) -> ObservationParts:
+        """An observation's parts as they will be where the arm has been sent; as observed where nothing is delayed.
+
+        Raises:
+            InputError: As `read_observation` does.
+        """
+        late = read_observation(self.geometry, observation)
+        if not self.lag:
+            return late
+        joints = self.commanded(late.joints)
+        before, now = forward(self.geometry, late.joints), forward(self.geometry, joints)
+        moved = now.position - before.position
+        turn = pose_error(now, Pose(now.position, attitude_after(before, late.turn)))[..., 3:]
+        camera = None if late.camera is None else late.camera - moved
+        return ObservationParts(joints, late.believed + moved, late.seen, late.offset - moved, turn, camera)
 
     @property
     def settled(self) -> Any:

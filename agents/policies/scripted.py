@@ -39,10 +39,10 @@ class ScriptedReach(policy.ReachController):
         Raises:
             InputError: If the fruit cannot be reached by the nominal arm.
         """
-        reading = policy.read_observation(self.geometry, observation)
+        reading = self.present(observation)
         if self._wanted is None:
             self._wanted = self.wanted_joints(reading)
-        return self.action(self._wanted - self.commanded(reading.joints))
+        return self.action(self._wanted - reading.joints)
 
     def wanted_pose(self, reading: policy.ObservationParts) -> Pose:
         """The pose that the tool shall have: the fruit with its attitude."""
@@ -149,7 +149,7 @@ class ServoReach(ScriptedReach):
         Raises:
             InputError: If the observation holds no camera, or the fruit cannot be reached by the nominal arm.
         """
-        reading = policy.read_observation(self.geometry, observation)
+        reading = self.present(observation)
         picture, before = policy.camera_of(reading, "servo") - reading.offset, self._correction
         if self._wanted is None:
             self._wanted = self.wanted_joints(reading)
@@ -157,7 +157,7 @@ class ServoReach(ScriptedReach):
         self._correction = picture if before is None else before + self.gain * (picture - before)
         target = self._wanted + np.einsum("...ij,...j->...i", self._back, self._correction)
         target = target.clip(self.geometry.lower, self.geometry.upper)
-        return self.action(target - self.commanded(reading.joints))
+        return self.action(target - reading.joints)
 
 
 # A scripted policy for `pickenv/Pick-v0`: from below, wait until the arm has settled, grasp, twist, retreat. It uses
