@@ -12,7 +12,8 @@ import typer
 from typer import Option
 
 import pickenv
-from pickenv.base import DO_NOT_USE, InputError, npz_path, obey, separate
+from pickenv.base import DO_NOT_USE, InputError, command_line, npz_path, obey, separate
+from pickenv.commands.calibrate import next_step
 from pickenv.commands.showing import deliver, limited
 
 NOT_GOOD = 3
@@ -178,8 +179,13 @@ def verify(
     old = pickenv.Calibration.load(calibration)
     data = pickenv.calibration.read_observations(files, old.arm, columns).observations
     verdict = verified(old, data, *frames_and_rows(refit, refit_rows))
-    deliver([(json_file, verdict.as_dict())], verdict.text())
-    if verdict.status != "still good":
+    good, arm = verdict.status == "still good", old.arm_name if old.arm_name in pickenv.arm.shipped_arms() else "ARM"
+    step = next_step(arm, calibration, not good)
+    if verdict.status == "another station":
+        again = command_line("pickenv", "verify", calibration, *files, columns=columns, refit="base,tool")
+        step = f"find base and tool anew: {again}"
+    deliver([(json_file, verdict.as_dict())], verdict.text(), step)
+    if not good:
         raise typer.Exit(NOT_GOOD)
 
 
@@ -278,9 +284,9 @@ def export(
     done = pickenv.calibration.export(
         loaded, out, kind=kind, onto=onto, arm=robot, counts_per_turn=counts_per_turn, sample=sample, seed=seed
     )
-    written = [str(path) for path in (done.path, *done.beside)]
-    lines = [*done.notes, *(f"wrote {path}" for path in written)]
-    deliver([(json_file, {"files": written, "notes": list(done.notes)})], "\n".join(lines))
+    written = [done.path, *done.beside]
+    content = {"files": list(map(str, written)), "notes": list(done.notes)}
+    deliver([(out, lambda _: written), (json_file, content)], "\n".join(done.notes))
 
 
 def twin(

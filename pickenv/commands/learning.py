@@ -249,8 +249,7 @@ def _print(rows: Sequence[dict[str, Any]], comparisons: Sequence[dict[str, Any]]
     """Print which policy ends nearest on each plant, and a table: of the errors, or with details of everything."""
     from pickenv.experiments.policy_tables import HEADS, KEYS, cells_of, gain_words, nearest_words, pivoted
 
-    for sentence in nearest_words(rows, comparisons):
-        print_verdict(sentence)
+    print_verdict("\n".join(nearest_words(rows, comparisons)))
     episodes = rows[0]["episodes"] // (rows[0]["trainings"] or 1)
     title = f"{episodes} reaches per cell on {rows[0]['arms']} arms, seed {rows[0]['seeds'][0]}"
     if not details:
