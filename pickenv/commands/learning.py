@@ -42,7 +42,7 @@ def train(
     Args:
         context: The command line as it was typed.
         algo: Algorithm; the last two remember past picks and learn on many fruit of one arm.
-        env: Id of the environment.
+        env: Id of the environment; on pickenv/ReachTool-v0 any arm is learnt.
         compensate: Calibration file (.npz) to train behind.
         allow: Train behind the calibration in spite of this: fitted-frames, do-not-use.
         plant: Plant preset or plant file; the environment's if left out.
@@ -219,7 +219,10 @@ def evaluate(
         **names,
     )
 
-    has_camera = "camera" in settings.feedback and any("camera" in kind_of(name).feedback for name in settings.policies)
+    kinds = [kind_of(name) for name in settings.policies]
+    if len({kind.moves_tool for kind in kinds}) > 1:
+        raise InputError("policies of pickenv/ReachTool-v0 reach for other fruit; evaluate them by themselves")
+    has_camera = "camera" in settings.feedback and any("camera" in kind.feedback for kind in kinds)
     if _was_given(context, "camera_noise") and not has_camera:
         raise InputError(NO_CAMERA)
     require(*([] if out is None else ["pyarrow"]))
