@@ -107,39 +107,19 @@ def plan_poses(
         tolerances=tolerances or robot.tolerance_class,
         scale=prior_scale,
     )
-    joints: Any = candidates
-    lines = None
+    how: dict[str, Any] = {"criterion": criterion, "test_joints": test_joints, "curve": curve}
+    how["candidates"], lines = candidates, None
     if pool is not None:
-        joints, lines = pickenv.calibration.pool_of(pool, robot.nominal, columns if like is None else None)
+        how["candidates"], lines = pickenv.calibration.pool_of(pool, robot.nominal, columns if like is None else None)
     if like is not None:
         if kind is not None or noise_mm is not None or frames == "known":
             raise InputError("--like says what is measured and how well; leave out --kind, --noise-mm and --frames")
         first, _ = pickenv.calibration.given_rows(pickenv.calibration.given_arm(robot, columns), like, columns)
-        planned = plan_like(
-            robot,
-            first,
-            n,
-            rng,
-            candidates=joints,
-            lines=lines,
-            criterion=criterion,
-            test_joints=test_joints,
-            curve=curve,
-            prior=prior if prior.proper else None,
-        )
+        planned = plan_like(robot, first, n, rng, lines=lines, prior=prior if prior.proper else None, **how)
     else:
-        planned = pickenv.calibration.plan_poses(
-            robot,
-            prior if prior.proper else prior.parameters,
-            n,
-            rng,
-            candidates=joints,
-            kind=kind or "pose",
-            criterion=criterion,
-            test_joints=test_joints,
-            position_std=POSITION_STD if noise_mm is None else noise_mm * 1e-3,
-            curve=curve,
-        )
+        how |= {"kind": kind or "pose", "position_std": POSITION_STD if noise_mm is None else noise_mm * 1e-3}
+        known = prior if prior.proper else prior.parameters
+        planned = pickenv.calibration.plan_poses(robot, known, n, rng, **how)
         if lines is not None:
             planned = replace(planned, lines=lines[planned.chosen])
     table = partial(planned.write_csv, prismatic=robot.nominal.prismatic)

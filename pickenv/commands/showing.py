@@ -178,8 +178,9 @@ def command_of(command: Callable[..., None], values: Mapping[str, Any]) -> str:
 
 
 def fields_among(kind: Any, values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values whose names are those of fields of a dataclass."""
-    return {attribute.name: values[attribute.name] for attribute in fields(kind) if attribute.name in values}
+    """The fields of a dataclass that a command's parameters give: their values, less those that are left out."""
+    typed = {field.name: values.get(PARAMETERS.get(field.name, field.name)) for field in fields(kind)}
+    return {name: value for name, value in typed.items() if value not in (None, [])}
 
 
 def limited(quantity: str) -> Callable[[CallbackParam, Any], Any]:

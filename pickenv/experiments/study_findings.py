@@ -330,8 +330,6 @@ def distributions(quantiles: Sequence[Row], radius_mm: float | None = None) -> F
         radius_mm: The specified radius, drawn as a line when given.
     """
     rows = held(_judged(quantiles), ("it_grade", "method"))
-    if not rows:
-        raise InputError("no arm has a result; there is no distribution to draw")
     settings = {row["setting"]: row for row in rows}
     with style.new_figure(style.WIDTH, 3.7) as figure:
         axes = figure.add_subplot(xlabel=ERROR_LABEL, ylabel="arms at or below it (%)")
