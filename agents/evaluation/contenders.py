@@ -5,8 +5,10 @@ A name on the command line stands for a kind of policy, a shipped one, a file, o
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
+from inspect import signature
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -19,7 +21,9 @@ from pickenv.arm import Arm
 from pickenv.base import InputError, obey, read_container
 from pickenv.base.registry import get, names
 from pickenv.calibration import Calibration
+from pickenv.envs import ReachToolVectorEnv, ReachVectorEnv
 from pickenv.envs.shared.task import FEEDBACK
+from pickenv.envs.shared.tool_space import make_tool_task
 from pickenv.inspect.colours import policy_key, policy_rank
 from pickenv.inspect.runs.comparison_summary import stage_label
 from pickenv.wrappers import Compensate
@@ -38,12 +42,14 @@ class Kind:
         sequential: Whether it learns from episode to episode.
         raw_only: Whether a compensator would only stand in its way.
         files: Files of a learned policy, one per training seed; else empty.
+        moves_tool: Whether it acts in `pickenv/ReachTool-v0`, where fruit lie elsewhere than for other policies.
     """
 
     feedback: tuple[str, ...] = FEEDBACK
     sequential: bool = False
     raw_only: bool = False
     files: tuple[str, ...] = ()
+    moves_tool: bool = False
 
     @property
     def steps(self) -> int:
@@ -104,6 +110,7 @@ def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw")
             return RememberingReach(env, policy)
         return policy if isinstance(policy.scaling, ToolSteps) else LearnedReach(env, policy)
 
+    vars(make).update(envs=_envs_of(name))
     return make
 
 
@@ -137,7 +144,16 @@ def _kind_of_policy(policy: LearnedPolicy | RememberingPolicy) -> Kind:
         return Kind(("camera",), sequential=True)
     if isinstance(policy.scaling, ToolSteps):
         raise InputError("this policy picks, and cannot be compared on reaches; judge it in pickenv/Pick-v0")
-    return Kind(("camera",) if policy.scaling.camera else ("encoders",))
+    return Kind(("camera",) if policy.scaling.camera else ("encoders",), moves_tool=policy.moves_tool)
+
+
+def _envs_of(name: str) -> Callable[..., ReachVectorEnv]:
+    """What makes the environments that a policy is judged in, where `pickenv.agents.roll_out` makes them."""
+    if not kind_of(name).moves_tool:
+        return ReachVectorEnv
+    trained = load_policy(name).record["training"]["arguments"]
+    known = signature(make_tool_task).parameters
+    return partial(ReachToolVectorEnv, **{key: value for key, value in trained.items() if key in known})
 
 
 NONE = "none"

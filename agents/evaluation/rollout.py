@@ -84,7 +84,7 @@ def roll_out(
     """Let a policy reach for ``episodes`` fruits on each of ``arms`` arms.
 
     Args:
-        make: Makes the policy.
+        make: Makes the policy; its attribute ``envs``, where it has one, makes the environments.
         arms: Number of arms of the population.
         episodes: Fruits per arm. Fruit, arms and camera noise depend on ``seed`` alone, so that runs can be paired.
         seed: Seed of the episodes and of the policy's own draws.
@@ -111,7 +111,8 @@ def roll_out(
         block = seeds[first : first + rounds]
         rows = np.tile(numbers, len(block))
         if env is None or env.num_envs != len(rows):
-            env = ReachVectorEnv(len(rows), max_episode_steps=None, autoreset_mode="Disabled", **arguments)
+            envs: Callable[..., ReachVectorEnv] = getattr(make, "envs", ReachVectorEnv)
+            env = envs(len(rows), max_episode_steps=None, autoreset_mode="Disabled", **arguments)
             if compensators is not None:
                 env.compensator = per_arm(compensators, rows)
             policy = make(env, seed_words(stream(seed, "policy", first), 1)[0])
@@ -123,7 +124,7 @@ def roll_out(
 def _run(env: ReachVectorEnv, policy: Policy, rows: NDArray[np.int64], seeds: NDArray[np.int64], steps: int) -> Rollout:
     observation, infos = env.reset(seed=seeds.tolist(), options={"arm": rows})
     geometry = env.task.plant.arm.nominal
-    reading = read_observation(geometry, observation)
+    reading = read_observation(geometry, getattr(env, "raw", observation))
     target = attitude_after(forward(geometry, reading.joints), reading.turn)
     policy.reset()
     errors = []

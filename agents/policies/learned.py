@@ -123,11 +123,18 @@ class LearnedPolicy(Actor):
     activation: str
     squashed: bool
 
+    @property
+    def moves_tool(self) -> bool:
+        """Whether it was trained on `pickenv/ReachTool-v0`."""
+        return isinstance(self.scaling, Scaling) and self.scaling.tool > 0
+
     def reset(self) -> None:
         """Nothing to forget."""
 
     def act(self, observation: Any) -> NDArray[np.float32]:
         """Actions ``(..., n)`` for observations ``(..., k)``, or for goal observations.
+
+        `pickenv/ReachTool-v0`, whose actions move the tool, shows observations and takes actions as they are scaled.
 
         Raises:
             InputError: If the observation is not of the kind that it was trained on.
@@ -135,10 +142,12 @@ class LearnedPolicy(Actor):
         values, scaling = joined_observation(observation), self.scaling
         if isinstance(scaling, Scaling) and not isinstance(observation, dict):
             scaling = replace(scaling, goal=False)  # a flat observation holds the gap that its goal observation would
-        scaling.check(values.shape[-1])
-        layer = self.through_layers(np.asarray(scaling.observe(values, np), dtype=float), self.activation)
+        scaled = self.moves_tool
+        scaling.check(values.shape[-1], scaled)
+        seen = values if scaled else scaling.observe(values, np)
+        layer = self.through_layers(np.asarray(seen, dtype=float), self.activation)
         action = np.tanh(layer) if self.squashed else layer.clip(-1.0, 1.0)
-        return np.asarray(scaling.commands(values, action), dtype=np.float32)
+        return np.asarray(action if scaled else scaling.commands(values, action), dtype=np.float32)
 
     def save(self, path: str | Path) -> Path:
         """Write one verified file; ``.npz`` is appended if missing."""

@@ -18,7 +18,7 @@ from pickenv.agents.policies.learned import LearnedPolicy
 from pickenv.agents.policies.remembering import LSTM, RememberingPolicy
 from pickenv.arm.files.arm import content_sha256
 from pickenv.base import InputError, check_limit, file_sha256, npz_path, versions
-from pickenv.envs import PickVectorEnv, ReachGoalVectorEnv, ReachIdealVectorEnv, ReachVectorEnv
+from pickenv.envs import PickVectorEnv, ReachGoalVectorEnv, ReachIdealVectorEnv, ReachToolVectorEnv, ReachVectorEnv
 from pickenv.wrappers import GapScalingVector, SameArmVector, Scaling, ToolSteppingVector, ToolSteps, tool_steps_of
 
 Native = ReachVectorEnv | PickVectorEnv
@@ -26,6 +26,7 @@ ENVIRONMENTS: dict[str, type[Native]] = {
     "pickenv/Reach-v0": ReachVectorEnv,
     "pickenv/ReachIdeal-v0": ReachIdealVectorEnv,
     "pickenv/ReachGoal-v0": ReachGoalVectorEnv,
+    "pickenv/ReachTool-v0": ReachToolVectorEnv,
     "pickenv/Pick-v0": PickVectorEnv,
 }
 HELD_OUT = 2**62
@@ -169,7 +170,8 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
     elif isinstance(inner, PickVectorEnv):
         env = Sb3Vec(ToolSteppingVector(inner, **settings))
     else:
-        env = Sb3Vec(inner if goals else GapScalingVector(inner, training.scaled_actions))
+        scaled = goals or isinstance(inner, ReachToolVectorEnv)
+        env = Sb3Vec(inner if scaled else GapScalingVector(inner, training.scaled_actions))
     if goals:
         parameters["policy_kwargs"] |= {"features_extractor_kwargs": {"actions": training.scaled_actions}}
         parameters["replay_buffer_class"] = HerReplayBuffer
@@ -207,6 +209,8 @@ def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy | Rememb
     scaling: Scaling | ToolSteps
     if isinstance(inner, PickVectorEnv):
         scaling = tool_steps_of(inner)
+    elif isinstance(inner, ReachToolVectorEnv):
+        scaling = inner.scaling
     else:
         scaling = Scaling(inner.task.joints, inner.task.camera, inner.goal_dict, training.scaled_actions)
     return LearnedPolicy(scaling=scaling, activation=activation, squashed=not on_policy, **common)

@@ -135,14 +135,14 @@ def calibrate(
             (json_file, result.as_dict()),
         ],
         result.report() if details else result.summary(),
-        _next_step(arm, out, refused),
+        next_step(arm, out, refused),
         "" if details else "parameters, terms, notes and evidence",
     )
     if refused:
         raise typer.Exit(DO_NOT_USE)
 
 
-def _next_step(arm: str | None, out: Path | None, refused: bool) -> str:
+def next_step(arm: str | None, out: Path | None, refused: bool) -> str:
     """What to do with the calibration, with a command to copy; empty for finished poses, which have no arm."""
     if arm is None:
         return ""

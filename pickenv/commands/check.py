@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, make_dataclass
 from inspect import isfunction
 from pathlib import Path
@@ -113,9 +113,7 @@ def folder_findings(folder: Path) -> list[Finding]:
     from pickenv.experiments.policy_tables import EPISODES
     from pickenv.inspect.runs.run_folder import LIST, PARTS, RECORD, STUDY
 
-    if (folder / RECORD).exists():
-        return run_findings(folder)
-    if (folder / LIST).exists():
+    if (folder / RECORD).exists() or (folder / LIST).exists():
         return listed_findings(folder)
     if (folder / EXPERIMENT).exists():
         return _faults("file of an experiment", pickenv.experiments.check_experiment(folder))
@@ -144,39 +142,23 @@ def _faults(what: str, faults: Iterable[tuple[Path, str | None]]) -> list[Findin
 
 
 def listed_findings(folder: Path) -> list[Finding]:
-    """What is found about every file that a folder's own list names or that lies beside them."""
-    from pickenv.inspect.runs.run_folder import LIST, faults_of_list
+    """What is found about a run's record, or a folder's list, and every file that it names or that lies beside it."""
+    from pickenv.inspect.runs.run_folder import FORMAT, LIST, RECORD, faults_of, faults_of_list
 
+    is_run = (folder / RECORD).exists()
+    record, what = (str(folder / RECORD), "record of a run") if is_run else (str(folder / LIST), "list of files")
     try:
-        faults = faults_of_list(folder)
+        if is_run:
+            run = pickenv.inspect.read_run(folder)
+            faults, about = faults_of(run), Finding(record, f"{what} ({run.kind})", FORMAT, f"made by `{run.command}`")
+        else:
+            faults = faults_of_list(folder)
+            about = Finding(record, f"list of {len(faults)} files")
     except InputError as error:
-        return [Finding(str(folder / LIST), "list of files", reason=str(error))]
-    return [Finding(str(folder / LIST), f"list of {len(faults)} files"), *_of_files(faults)]
-
-
-def _of_files(faults: Sequence[tuple[Path, str | None]]) -> list[Finding]:
-    """What is found about files of which it is known whether they are missing, stray or edited."""
-    return [
-        file_finding(path)
-        if reason is None and path.suffix in SEALED
-        else Finding(str(path), "file of the run", reason=reason)
-        for path, reason in faults
-    ]
-
-
-def run_findings(folder: Path) -> list[Finding]:
-    """What is found about a run folder's record and every file that it lists or that lies beside it."""
-    from pickenv.inspect.runs.run_folder import FORMAT, RECORD, faults_of
-
-    record = str(folder / RECORD)
-    try:
-        run = pickenv.inspect.read_run(folder)
-    except InputError as error:
-        return [Finding(record, "record of a run", reason=str(error))]
-    return [
-        Finding(record, f"record of a run ({run.kind})", FORMAT, f"made by `{run.command}`"),
-        *_of_files(faults_of(run)),
-    ]
+        return [Finding(record, what, reason=str(error))]
+    sealed = {path for path, reason in faults if reason is None and path.suffix in SEALED}
+    found = zip(faults, _faults("file of the run", faults), strict=True)
+    return [about, *(file_finding(path) if path in sealed else finding for (path, _), finding in found)]
 
 
 def file_finding(path: Path) -> Finding:

@@ -12,7 +12,8 @@ import typer
 from typer import Option
 
 import pickenv
-from pickenv.base import DO_NOT_USE, InputError, npz_path, obey, separate
+from pickenv.base import DO_NOT_USE, InputError, command_line, npz_path, obey, separate
+from pickenv.commands.calibrate import next_step
 from pickenv.commands.showing import deliver, limited
 
 NOT_GOOD = 3
@@ -106,39 +107,19 @@ def plan_poses(
         tolerances=tolerances or robot.tolerance_class,
         scale=prior_scale,
     )
-    joints: Any = candidates
-    lines = None
+    how: dict[str, Any] = {"criterion": criterion, "test_joints": test_joints, "curve": curve}
+    how["candidates"], lines = candidates, None
     if pool is not None:
-        joints, lines = pickenv.calibration.pool_of(pool, robot.nominal, columns if like is None else None)
+        how["candidates"], lines = pickenv.calibration.pool_of(pool, robot.nominal, columns if like is None else None)
     if like is not None:
         if kind is not None or noise_mm is not None or frames == "known":
             raise InputError("--like says what is measured and how well; leave out --kind, --noise-mm and --frames")
         first, _ = pickenv.calibration.given_rows(pickenv.calibration.given_arm(robot, columns), like, columns)
-        planned = plan_like(
-            robot,
-            first,
-            n,
-            rng,
-            candidates=joints,
-            lines=lines,
-            criterion=criterion,
-            test_joints=test_joints,
-            curve=curve,
-            prior=prior if prior.proper else None,
-        )
+        planned = plan_like(robot, first, n, rng, lines=lines, prior=prior if prior.proper else None, **how)
     else:
-        planned = pickenv.calibration.plan_poses(
-            robot,
-            prior if prior.proper else prior.parameters,
-            n,
-            rng,
-            candidates=joints,
-            kind=kind or "pose",
-            criterion=criterion,
-            test_joints=test_joints,
-            position_std=POSITION_STD if noise_mm is None else noise_mm * 1e-3,
-            curve=curve,
-        )
+        how |= {"kind": kind or "pose", "position_std": POSITION_STD if noise_mm is None else noise_mm * 1e-3}
+        known = prior if prior.proper else prior.parameters
+        planned = pickenv.calibration.plan_poses(robot, known, n, rng, **how)
         if lines is not None:
             planned = replace(planned, lines=lines[planned.chosen])
     table = partial(planned.write_csv, prismatic=robot.nominal.prismatic)
@@ -178,8 +159,13 @@ def verify(
     old = pickenv.Calibration.load(calibration)
     data = pickenv.calibration.read_observations(files, old.arm, columns).observations
     verdict = verified(old, data, *frames_and_rows(refit, refit_rows))
-    deliver([(json_file, verdict.as_dict())], verdict.text())
-    if verdict.status != "still good":
+    good, arm = verdict.status == "still good", old.arm_name if old.arm_name in pickenv.arm.shipped_arms() else "ARM"
+    step = next_step(arm, calibration, not good)
+    if verdict.status == "another station":
+        again = command_line("pickenv", "verify", calibration, *files, columns=columns, refit="base,tool")
+        step = f"find base and tool anew: {again}"
+    deliver([(json_file, verdict.as_dict())], verdict.text(), step)
+    if not good:
         raise typer.Exit(NOT_GOOD)
 
 
@@ -278,9 +264,9 @@ def export(
     done = pickenv.calibration.export(
         loaded, out, kind=kind, onto=onto, arm=robot, counts_per_turn=counts_per_turn, sample=sample, seed=seed
     )
-    written = [str(path) for path in (done.path, *done.beside)]
-    lines = [*done.notes, *(f"wrote {path}" for path in written)]
-    deliver([(json_file, {"files": written, "notes": list(done.notes)})], "\n".join(lines))
+    written = [done.path, *done.beside]
+    content = {"files": list(map(str, written)), "notes": list(done.notes)}
+    deliver([(out, lambda _: written), (json_file, content)], "\n".join(done.notes))
 
 
 def twin(

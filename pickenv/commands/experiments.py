@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -180,7 +179,6 @@ def study(
                 workers=workers,
                 device=device,
                 progress=partial(report_progress, "arms"),
-                warn=lambda text: print(f"warning: {showing.with_options(text)}", file=sys.stderr),
             )
 
         def written(folder: Path) -> list[Path]:  # the summary was written by the study, as its last file

@@ -14,7 +14,7 @@ from typer import Option
 
 import pickenv
 from pickenv.base import InputError, command_line, require, separate
-from pickenv.commands.showing import MOST, PARAMETERS, deliver, print_table, print_verdict, progress_bars
+from pickenv.commands.showing import MOST, PARAMETERS, deliver, fields_among, print_table, print_verdict, progress_bars
 
 NO_CAMERA = "--camera-noise changes nothing without a camera; give --feedback camera and a policy that uses it"
 
@@ -42,7 +42,7 @@ def train(
     Args:
         context: The command line as it was typed.
         algo: Algorithm; the last two remember past picks and learn on many fruit of one arm.
-        env: Id of the environment.
+        env: Id of the environment; on pickenv/ReachTool-v0 any arm is learnt.
         compensate: Calibration file (.npz) to train behind.
         allow: Train behind the calibration in spite of this: fitted-frames, do-not-use.
         plant: Plant preset or plant file; the environment's if left out.
@@ -62,6 +62,7 @@ def train(
 
     More: commands.md
     """
+    typed = dict(locals())
     from pickenv.agents.training.training import resumed
     from pickenv.agents.training.training_setup import words_of
 
@@ -83,17 +84,9 @@ def train(
             "arms": None if randomise is None else "per_episode",
             "tolerances": randomise,
         }
-        training = pickenv.agents.Training(
-            algorithm=algo,
-            env_id=env,
-            steps=steps,
-            seed=seed,
-            arguments={name: value for name, value in arguments.items() if value is not None},
-            compensate=None if compensate is None else str(compensate),
-            allow=allow or [],
-            checkpoint_every=checkpoint_every,
-            evaluate_every=evaluate_every,
-        )
+        given: dict[str, Any] = {name: value for name, value in arguments.items() if value is not None}
+        behind = {} if compensate is None else {"compensate": str(compensate)}
+        training = pickenv.agents.Training(**fields_among(pickenv.agents.Training, typed) | behind, arguments=given)
     try:
         done = pickenv.agents.train(training, out, resume=resume, progress=sys.stderr.isatty())
     except KeyboardInterrupt:
@@ -103,12 +96,8 @@ def train(
         )
         raise
     last = done.evaluations[-1]
-    print(
-        f"{training.algorithm} on {training.env_id}: {words_of(last)} after {last['steps']:.0f} steps, "
-        f"{done.steps_per_second:.0f} steps/s"
-    )
-    for path in written:
-        print(f"wrote {path}")
+    told = f"{training.algorithm} on {training.env_id}: {words_of(last)} after {last['steps']:.0f} steps"
+    deliver([(out, lambda _: written)], f"{told}, {done.steps_per_second:.0f} steps/s")
 
 
 def _refuse_changes(context: typer.Context, begun: pickenv.agents.Training, out: Path) -> None:
@@ -189,6 +178,7 @@ def evaluate(
 
     More: findings.md
     """
+    typed = dict(locals())
     from pickenv.agents.evaluation.contenders import kind_of
     from pickenv.experiments import policy_tables as tables
     from pickenv.experiments.engine import write_rows
@@ -200,26 +190,14 @@ def evaluate(
         {"--policy": policy, "--plant": plant, "--gripper": gripper, "--tolerances": tolerances},
         {"--out": written, "--json": json_file, "--table": table},
     )
-    typed = {
-        "policies": policy,
-        "compensations": compensation,
-        "feedback": feedback,
-        "plants": plant,
-        "grippers": gripper,
-    }
-    names: dict[str, Any] = {key: tuple(value) for key, value in typed.items() if value}
-    settings = pickenv.experiments.PolicySettings(
-        arms=arms,
-        episodes=episodes,
-        seeds=(seed,),
-        tolerances=tolerances,
-        camera_noise_mm=camera_noise,
-        fruit_noise_mm=fruit_noise,
-        plan=pickenv.experiments.CalibrationPlan(epochs=epochs),
-        **names,
-    )
-
-    has_camera = "camera" in settings.feedback and any("camera" in kind_of(name).feedback for name in settings.policies)
+    given = fields_among(pickenv.experiments.PolicySettings, typed)
+    lists = {name: tuple(value) for name, value in given.items() if isinstance(value, list)}
+    plan = pickenv.experiments.CalibrationPlan(epochs=epochs)
+    settings = pickenv.experiments.PolicySettings(**given | lists, seeds=(seed,), plan=plan)
+    kinds = [kind_of(name) for name in settings.policies]
+    if len({kind.moves_tool for kind in kinds}) > 1:
+        raise InputError("policies of pickenv/ReachTool-v0 reach for other fruit; evaluate them by themselves")
+    has_camera = "camera" in settings.feedback and any("camera" in kind.feedback for kind in kinds)
     if _was_given(context, "camera_noise") and not has_camera:
         raise InputError(NO_CAMERA)
     require(*([] if out is None else ["pyarrow"]))
@@ -249,8 +227,7 @@ def _print(rows: Sequence[dict[str, Any]], comparisons: Sequence[dict[str, Any]]
     """Print which policy ends nearest on each plant, and a table: of the errors, or with details of everything."""
     from pickenv.experiments.policy_tables import HEADS, KEYS, cells_of, gain_words, nearest_words, pivoted
 
-    for sentence in nearest_words(rows, comparisons):
-        print_verdict(sentence)
+    print_verdict("\n".join(nearest_words(rows, comparisons)))
     episodes = rows[0]["episodes"] // (rows[0]["trainings"] or 1)
     title = f"{episodes} reaches per cell on {rows[0]['arms']} arms, seed {rows[0]['seeds'][0]}"
     if not details:
@@ -314,10 +291,10 @@ def _print_cards(cards: Sequence[dict[str, Any]], out: Path) -> None:
         "collected": "fruit collected",
     }
     keys = [key for key in numbers if any(key in card for card in cards)]
+    factors = {"success": 100.0}
     rows = []
     for card in cards:
-        values = {key: card.get(key) for key in keys} | {"success": 100.0 * card.get("success", 0.0)}
-        cells = ["" if values[key] is None or key not in card else f"{values[key]:.2f}" for key in keys]
+        cells = ["" if card.get(key) is None else f"{factors.get(key, 1.0) * card[key]:.2f}" for key in keys]
         rows.append([card["name"], str(card["episodes"]), str(card["steps"]), f"{card['mean_return']:.2f}", *cells])
     heads = ("data set", "episodes", "steps", "return, mean", *(numbers[key] for key in keys))
     caption = f"simulated; MINARI_DATASETS_PATH={out.resolve()} lets Minari find them by name"

@@ -178,8 +178,9 @@ def command_of(command: Callable[..., None], values: Mapping[str, Any]) -> str:
 
 
 def fields_among(kind: Any, values: Mapping[str, Any]) -> dict[str, Any]:
-    """The values whose names are those of fields of a dataclass."""
-    return {attribute.name: values[attribute.name] for attribute in fields(kind) if attribute.name in values}
+    """The fields of a dataclass that a command's parameters give: their values, less those that are left out."""
+    typed = {field.name: values.get(PARAMETERS.get(field.name, field.name)) for field in fields(kind)}
+    return {name: value for name, value in typed.items() if value not in (None, [])}
 
 
 def limited(quantity: str) -> Callable[[CallbackParam, Any], Any]:
@@ -218,8 +219,9 @@ def deliver(saves: Iterable[Save], show: Callable[[], object] | str, next_step: 
             lines += _lines_of_files(path, [paths] if isinstance(paths, Path) else list(paths))
     finally:
         if isinstance(show, str):
-            first, _, rest = show.partition("\n")
-            print_verdict(first)
+            verdict, rest = _verdict_and_rest(show)
+            if verdict:
+                print_verdict(verdict)
             if rest:
                 print(with_options(rest))
         else:
@@ -230,6 +232,13 @@ def deliver(saves: Iterable[Save], show: Callable[[], object] | str, next_step: 
         print(f"next: {next_step}")
     if more:
         print(f"more: --details prints {more}")
+
+
+def _verdict_and_rest(text: str) -> tuple[str, str]:
+    """The first sentence of a text, unfolded where `folded` had folded it, and the other lines."""
+    lines = text.split("\n")
+    count = next((i for i, line in enumerate(lines) if i > 0 and not line.startswith("    ")), len(lines))
+    return " ".join(map(str.strip, lines[:count])), "\n".join(lines[count:])
 
 
 FILES_OF_A_LINE = 4
@@ -247,14 +256,21 @@ def _lines_of_files(place: Path, paths: Sequence[Path]) -> Iterator[str]:
     yield f"wrote {place}: {', '.join(map(str, first))} and {rest} more"
 
 
-def print_verdict(text: str, width: int | None = None) -> None:
-    """Print what a command comes to in one sentence; in bold and folded on a terminal, elsewhere to ``width``."""
-    from rich.console import Console
+BORDER = 4
+"""Characters of a line that a panel's edges take."""
 
-    room = screen_width() if width is None else screen_width(width)
-    Console(width=room, soft_wrap=False).print(
-        "\n".join(folded(with_options(text), room)), style="bold", markup=False, highlight=False
-    )
+
+def print_verdict(text: str, width: int | None = None) -> None:
+    """Print what a command comes to, a sentence a line: a panel on a terminal, elsewhere plain, folded to ``width``."""
+    from rich.console import Console
+    from rich.panel import Panel
+    from rich.text import Text
+
+    console = Console(width=screen_width() if width is None else screen_width(width))
+    room = console.width - BORDER * console.is_terminal
+    sentences = with_options(text).split("\n")
+    words = Text("\n".join(line for sentence in sentences for line in folded(sentence, room)), style="bold")
+    console.print(Panel.fit(words) if console.is_terminal else words)
 
 
 @contextmanager

@@ -32,7 +32,7 @@ from .study import (
     load_study as load_study,
     prepared_study as prepared_study,
 )
-from .study_findings import Placement as Placement, gather as gather
+from .study_findings import gather as gather
 from .study_report import record_study as record_study, write_outputs as write_outputs
 from .study_rows import (
     check_folder as check_folder,

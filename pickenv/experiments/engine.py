@@ -13,6 +13,7 @@ from __future__ import annotations
 import hashlib
 import json
 import re
+import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -237,10 +238,11 @@ def run(
     backend: str = "serial",
     workers: int | None = None,
     progress: Progress | None = None,
-    warn: Callable[[str], None] | None = None,
     refused: Refused | None = None,
 ) -> Rows:
     """Measure the pieces that are not measured yet, and return all rows in the order of the pieces.
+
+    A damaged file is made anew, with a warning.
 
     Args:
         experiment: What is measured.
@@ -248,7 +250,6 @@ def run(
         backend: "serial", "loky" (processes of this machine), or any that joblib knows, "ray" and "dask" among them.
         workers: Processes; as many as there are cores when None.
         progress: Told how many pieces are done.
-        warn: Told of damaged files, which are made anew.
         refused: Told the levels of pieces that cannot be measured, and why; they have no rows, and are tried again by
             the next run. The first of them ends the run when None.
 
@@ -257,7 +258,7 @@ def run(
             a piece cannot be measured and ``refused`` is None.
     """
     if folder is not None:
-        keep(experiment, folder, backend=backend, workers=workers, progress=progress, warn=warn, refused=refused)
+        keep(experiment, folder, backend=backend, workers=workers, progress=progress, refused=refused)
         return kept_rows(folder)
     pieces = experiment.pieces()
     parts = dict(_computed(experiment, pieces, range(len(pieces)), backend, workers, progress, refused))
@@ -271,7 +272,6 @@ def keep(
     backend: str = "serial",
     workers: int | None = None,
     progress: Progress | None = None,
-    warn: Callable[[str], None] | None = None,
     refused: Refused | None = None,
 ) -> list[Path]:
     """Measure the pieces that a folder lacks, and return the files of all pieces in order; arguments as for `run`.
@@ -286,14 +286,14 @@ def keep(
             folder / f"{experiment.name}_{piece.label}_{key[:16]}.parquet"
             for piece, key in zip(pieces, keys, strict=True)
         ]
-        _write_record(folder, {file.name: key for file, key in zip(files, keys, strict=True)}, warn)
+        _write_record(folder, {file.name: key for file, key in zip(files, keys, strict=True)})
         todo = []
         for number, (file, key) in enumerate(zip(files, keys, strict=True)):
             if file.is_file() and parquet_is_sealed(file.read_bytes()):
                 _piece_table(file, key)
                 continue
-            if file.is_file() and warn is not None:
-                warn(f"{file} is damaged and is made anew")
+            if file.is_file():
+                warnings.warn(f"{file} is damaged and is made anew", stacklevel=2)
             todo.append(number)
         if progress is not None:
             progress(experiment.name, len(pieces) - len(todo), len(pieces))
@@ -303,7 +303,7 @@ def keep(
             refusals.remove(number)
         measured = [number for number in range(len(pieces)) if number not in refusals]
         if refusals:
-            _write_record(folder, {files[number].name: keys[number] for number in measured}, warn)
+            _write_record(folder, {files[number].name: keys[number] for number in measured})
     return [files[number] for number in measured]
 
 
@@ -374,14 +374,13 @@ def _record_text(pieces: Mapping[str, str], last: Sequence[str], made_with: Mapp
     return json.dumps(content | {"sha256": seal}, indent=2) + "\n"
 
 
-def _write_record(folder: Path, pieces: Mapping[str, str], warn: Callable[[str], None] | None) -> None:
+def _write_record(folder: Path, pieces: Mapping[str, str]) -> None:
     """Write the record of a folder: these pieces, and the pieces of earlier runs that are still in it."""
     path, before = folder / RECORD, dict[str, str]()
     try:
         before |= _read_record(path)["pieces"] if path.is_file() else {}
     except InputError:
-        if warn is not None:
-            warn(f"{path} is damaged and is made anew")
+        warnings.warn(f"{path} is damaged and is made anew", stacklevel=2)
     earlier = {name: key for name, key in before.items() if (folder / name).is_file()}
     write_text(path, _record_text({**earlier, **pieces}, list(pieces), versions("pyarrow")))
 

@@ -27,8 +27,7 @@ import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import partial
-from importlib import import_module, metadata
-from importlib.util import module_from_spec, spec_from_file_location
+from importlib import import_module, invalidate_caches, metadata
 from itertools import permutations
 from pathlib import Path
 from typing import Annotated, Any
@@ -304,20 +303,10 @@ def _beside(file: Path) -> Any:
     if folder not in sys.path:
         sys.path.insert(0, folder)
         os.environ["PYTHONPATH"] = os.pathsep.join([folder, *filter(None, [os.environ.get("PYTHONPATH")])])
-    loaded = sys.modules.get(file.stem)
-    if loaded is not None:
-        if Path(str(loaded.__file__)).resolve() != file.resolve():
-            raise ImportError(f"a module of the name {file.stem} is loaded from elsewhere; rename {file.name}")
-        return loaded
-    spec = spec_from_file_location(file.stem, file)
-    assert spec is not None and spec.loader is not None
-    module = module_from_spec(spec)
-    sys.modules[file.stem] = module
-    try:
-        spec.loader.exec_module(module)
-    except BaseException:
-        del sys.modules[file.stem]
-        raise
+    invalidate_caches()  # the file may be younger than what Python remembers of its folder
+    module = import_module(file.stem)
+    if Path(str(module.__file__)).resolve() != file.resolve():
+        raise ImportError(f"a module of the name {file.stem} is loaded from elsewhere; rename {file.name}")
     return module
 
 

@@ -141,16 +141,12 @@ def agreement(gains: Sequence[dict[str, Any]]) -> dict[str, Any]:
         apart = 100.0 * np.abs(predicted - measured)
         arm = np.array([arms.get(gain["robot"], gain["robot"]) for gain in some])
         others = (arm[:, None] != arm).astype(float)  # series of one robot say too much of one another
-        null = None
+        figures: dict[str, float | None] = dict.fromkeys(("null_median_points", "null_worst_points"))
         if others.any(axis=1).all():
             null = 100.0 * np.abs(others @ measured / others.sum(axis=1) - measured)
-        figures: dict[str, float | None] = {
-            "median_points": float(np.median(apart)),
-            "worst_points": float(apart.max()),
-        }
-        figures["null_median_points"] = None if null is None else float(np.median(null))
-        figures["null_worst_points"] = None if null is None else float(null.max())
-        models.append({"model": model, "robots": len(some)} | figures)
+            figures = {"null_median_points": float(np.median(null)), "null_worst_points": float(null.max())}
+        own = {"median_points": float(np.median(apart)), "worst_points": float(apart.max())}
+        models.append({"model": model, "robots": len(some)} | own | figures)
     signs = [
         (gain["predicted_reduction"] > 0.0) == (gain["measured_reduction"] > 0.0)
         for gain in blocks
@@ -221,16 +217,12 @@ def gain_cells(bench: Bench) -> list[tuple[str, ...]]:
 
 def csv_files(bench: Bench) -> dict[str, str]:
     """The tables of gains and of measured robots as CSV texts by file name, as pages show them; none without rows."""
-    tables: dict[str, tuple[Sequence[str], list[tuple[str, ...]]]] = {}
-    if bench.gains:
-        tables[GAINS_FILE] = GAIN_HEADS, gain_cells(bench)
-    if len(bench.models):
-        tables[ROBOTS_FILE] = SPREAD_HEADS, spread_cells(bench.models)
+    tables = {GAINS_FILE: (GAIN_HEADS, gain_cells(bench)), ROBOTS_FILE: (SPREAD_HEADS, spread_cells(bench.models))}
     texts = {}
     for name, (heads, rows) in tables.items():
         text = StringIO(newline="")
         csv.writer(text, lineterminator="\n").writerows([heads, *rows])
-        texts[name] = text.getvalue()
+        texts |= {name: text.getvalue()} if rows else {}
     return texts
 
 

@@ -17,7 +17,7 @@ import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
-from itertools import product
+from itertools import groupby, product
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -212,14 +212,6 @@ class StudyConfig:
             )
         return plant
 
-    def load_instrument(self) -> Instrument:
-        """Load the instrument that measures the arms.
-
-        Raises:
-            InputError: If it is unknown or impossible.
-        """
-        return load_instrument(self.instrument)
-
     def load_tolerances(self) -> dict[str, Tolerances]:
         """The tolerance classes by name.
 
@@ -234,7 +226,7 @@ class StudyConfig:
         Raises:
             InputError: If plant, instrument or tolerance class are unknown or impossible.
         """
-        parts = self.load_plant(), self.load_instrument(), list(self.load_tolerances().values())
+        parts = self.load_plant(), load_instrument(self.instrument), list(self.load_tolerances().values())
         return content_sha256(VERSION, self, *parts)
 
     def toml(self) -> str:
@@ -268,7 +260,7 @@ def load_study(path: str | Path) -> StudyConfig:
     config = made(StudyConfig, content, str(path), text=text)
     config.load_tolerances()  # what is unknown is refused now, not an hour later
     config.load_plant()
-    config.load_instrument()
+    load_instrument(config.instrument)
     return config
 
 
@@ -339,10 +331,8 @@ class Protocol:
 
     def populations(self) -> list[list[Setting]]:
         """The settings grouped by population: settings of one group draw the same arms."""
-        groups: dict[tuple[str, int], list[Setting]] = {}
-        for setting in self.settings:
-            groups.setdefault((setting.tolerances, setting.it_grade), []).append(setting)
-        return list(groups.values())
+        groups = groupby(self.settings, key=lambda setting: (setting.tolerances, setting.it_grade))
+        return [list(group) for _, group in groups]
 
     def draw(self, setting: Setting, arms: range) -> Plant:
         """Draw the arms with the numbers ``arms`` from a setting's population, as a batch."""
@@ -381,14 +371,8 @@ def prepared_study(config: StudyConfig) -> Protocol:
         InputError: If plant or tolerance class are unknown, poses are too few to calibrate with, or no fruit is found.
     """
     design = config.load_plant()
-    protocol = Protocol(
-        config,
-        config.settings(),
-        design,
-        config.load_tolerances(),
-        link_model(design.arm.nominal),
-        config.load_instrument(),
-    )
+    model, tracker = link_model(design.arm.nominal), load_instrument(config.instrument)
+    protocol = Protocol(config, config.settings(), design, config.load_tolerances(), model, tracker)
     ideal = Plant(design.name, design.arm, design.arm.nominal)
     calibrated = {setting.poses: setting for setting in protocol.settings if setting.poses}
     for arm in range(TRIED if calibrated else 1):

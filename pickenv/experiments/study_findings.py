@@ -1,8 +1,4 @@
-"""The findings of a finished study: ranks of single arms among its arms, the verdict in words, and figures.
-
-The design's own true arm (for `qiao2026` the true values of the paper's Table 1) is placed in the population that its
-tolerance class would make: it meets what the population's arms meet, and is compared with each of them at that arm's
-own fruit, poses and tracker. Errors are means over an arm's fruit, mm.
+"""The findings of a finished study: its worst, median and best arms, the verdict in words, and figures.
 
 Each figure takes rows of yields, quantiles or sensitivities; mm, degrees, percent. `study_drawings` says which of them
 a study allows, with their captions, and why others are left out.
@@ -22,7 +18,7 @@ import pyarrow.compute as pc
 from matplotlib.figure import Figure
 from pyarrow.dataset import Dataset
 
-from pickenv.arm import Array, Plant
+from pickenv.arm import Array
 from pickenv.base import InputError, share_interval
 from pickenv.experiments import study
 from pickenv.experiments.study_rows import Row, held, quantiles_of, read_rows, study_of, yields_of
@@ -50,8 +46,6 @@ class Findings:
         dense: Quantiles of the mean position error at `DENSE`.
         sensitivities: For one setting of each method, all else in the middle of what was varied, the rows of
             `sensitivities_of`, by number; or why there are none.
-        placements: For the same settings, the place of the design's own true arm, or why it has none; empty where the
-            design has no true arm of its own.
     """
 
     protocol: study.Protocol
@@ -60,7 +54,6 @@ class Findings:
     quantiles: list[dict[str, Any]]
     dense: list[dict[str, Any]]
     sensitivities: dict[int, list[dict[str, Any]] | str]
-    placements: dict[int, Placement | str]
 
     def label(self, setting: int) -> str:
         """A setting in a few words, with units."""
@@ -74,87 +67,25 @@ def gather(folder: str | Path) -> Findings:
         InputError: If the folder holds no study or no rows.
     """
     protocol, rows = study.prepared_study(study_of(folder)), read_rows(folder)
-    design, yields = protocol.design, yields_of(rows, protocol.config.share).to_pylist()
-    settings = [row["setting"] for row in held(yields, ("method",))]
-    off = any((getattr(design.geometry, name) != getattr(protocol.nominal, name)).any() for name in ("alpha", "a"))
-    name = f"{design.name} itself"
+    yields = yields_of(rows, protocol.config.share).to_pylist()
     return Findings(
         protocol,
         rows,
         yields,
         quantiles_of(rows).to_pylist(),
         quantiles_of(rows, [study.ERROR], DENSE).to_pylist(),
-        {number: _or_why_not(lambda n: sensitivities_of(rows, n).to_pylist(), number) for number in settings},
-        {
-            number: _or_why_not(lambda n: place(protocol, rows, protocol.settings[n], design, name), number)
-            for number in (settings if off else ())
-        },
+        {row["setting"]: _sensitivities(rows, row["setting"]) for row in held(yields, ("method",))},
     )
 
 
-def _or_why_not(finding: Callable[[int], Any], setting: int) -> Any:
+def _sensitivities(rows: Dataset, setting: int) -> list[dict[str, Any]] | str:
     try:
-        return finding(setting)
+        return sensitivities_of(rows, setting).to_pylist()
     except InputError as error:
         return str(error)
 
 
 # Single arms.
-
-MOST = {study.RAW: 1000, study.LS: 1000}
-"""Most arms that an arm is compared with, by method."""
-MOST_LEARNT = 20
-"""Most arms that an arm is compared with under methods that learn, which take seconds for each arm."""
-
-
-@dataclass(frozen=True)
-class Placement:
-    """The place of an arm in the population of a setting.
-
-    Attributes:
-        arm: The arm's name.
-        error_mm: Its mean position error under the same calibration, over all fruit and poses that it met.
-        arms: Number of arms of the population that it was compared with.
-        percentile: Share of them with a smaller error in the same circumstances, 0..1.
-        interval: Wilson's 95 % interval of that share.
-    """
-
-    arm: str
-    error_mm: float
-    arms: int
-    percentile: float
-    interval: tuple[float, float]
-
-
-def place(protocol: study.Protocol, rows: Dataset, setting: study.Setting, arm: Plant, name: str) -> Placement:
-    """Calibrate and judge ``arm`` as the setting says, and find its place among the setting's arms.
-
-    Args:
-        protocol: The study.
-        rows: Its rows.
-        setting: One of its settings.
-        arm: A single true arm; it need not be of the setting's population.
-        name: Name of the arm.
-
-    Raises:
-        InputError: If the arm has no result in this setting, or no other arm has.
-    """
-    count = min(protocol.config.arms, MOST.get(setting.method, MOST_LEARNT))
-    around = (protocol.circumstances(number) for number in range(count))
-    outcomes = study.gathered([study.evaluate_arm(protocol, [setting], arm, met)[0] for met in around])
-    is_ok = np.array([text == study.OK for text in outcomes.status])
-    if not is_ok.any():
-        raise InputError(f"{name} has no place in setting {setting.number}: {outcomes.status[0]}")
-    error_mm = np.where(
-        is_ok, study.figures(outcomes.position, outcomes.attitude, protocol.config.radius_mm)[study.ERROR], np.nan
-    )
-    numbers, errors = _errors(rows, setting.number)
-    errors, own_there = errors[numbers < count], error_mm[numbers[numbers < count]]
-    compared = np.isfinite(own_there)
-    if not compared.any():
-        raise InputError(f"no arm of setting {setting.number} has a result; give another setting")
-    below, arms = int(np.sum((errors < own_there)[compared])), int(compared.sum())
-    return Placement(name, float(np.mean(error_mm[is_ok])), arms, below / arms, share_interval(below, arms))
 
 
 def ranked(rows: Dataset, setting: int) -> dict[str, tuple[int, float]]:
@@ -333,25 +264,13 @@ def study_drawings(findings: Findings) -> Drawings:
         caption, radius_mm = "How the arms' mean position errors are distributed.", findings.protocol.config.radius_mm
         add("error_distribution", caption, distributions, findings.dense, radius_mm)
     for setting, shares in findings.sensitivities.items():
-        name, label = f"sensitivity_{_word(rows[setting])}", findings.label(setting)
+        name, label = f"sensitivity_{rows[setting]['method'].replace('+', '_')}", findings.label(setting)
         if isinstance(shares, str):
             drawings.append(Drawing(name, shares))
         else:
             caption = f"What each tolerance explains of the variance between arms, each at its own fruit: {label}."
             add(name, caption, tornado, shares, label)
-    for setting, placement in findings.placements.items():
-        name = f"placement_{_word(rows[setting])}"
-        if isinstance(placement, str):
-            drawings.append(Drawing(name, placement))
-        else:
-            caption = f"Where {placement.arm} stands in its population: {findings.label(setting)}."
-            add(name, caption, arm_among_population, findings.dense, setting, placement)
     return drawings
-
-
-def _word(row: Row) -> str:
-    """A setting's method as part of a file name."""
-    return str(row["method"]).replace("+", "_")
 
 
 def varied(rows: Sequence[Row]) -> list[str]:
@@ -411,8 +330,6 @@ def distributions(quantiles: Sequence[Row], radius_mm: float | None = None) -> F
         radius_mm: The specified radius, drawn as a line when given.
     """
     rows = held(_judged(quantiles), ("it_grade", "method"))
-    if not rows:
-        raise InputError("no arm has a result; there is no distribution to draw")
     settings = {row["setting"]: row for row in rows}
     with style.new_figure(style.WIDTH, 3.7) as figure:
         axes = figure.add_subplot(xlabel=ERROR_LABEL, ylabel="arms at or below it (%)")
@@ -462,36 +379,6 @@ def tornado(sensitivities: Sequence[Row], setting: str) -> Figure:
         figure.suptitle(f"{setting}: {most}", x=0.01, ha="left", fontsize=9, fontweight="bold")
         first = sensitivities[0]
         _note(figure, f"squared error regressed on {first['arms']} arms, R² = {first['r2']:.2f}; lines: 95 % intervals")
-    return figure
-
-
-def arm_among_population(quantiles: Sequence[Row], setting: int, placement: Placement) -> Figure:
-    """Figure of one arm's place in the population of a setting.
-
-    Args:
-        quantiles: Rows of `quantiles_of` with many probabilities.
-        setting: Number of the setting.
-        placement: The arm's error, and its share of the population below it in equal circumstances.
-    """
-    rows = sorted((r for r in _judged(quantiles) if r["setting"] == setting), key=lambda row: row["probability"])
-    if not rows:
-        raise InputError(f"the quantiles have no arm of setting {setting}; give another setting")
-    value, low, high = (np.array([row[key] for row in rows], dtype=float) for key in ("value", "low", "high"))
-    level = 100.0 * np.array([row["probability"] for row in rows])
-    blue, red = style.rgb([*policy_colours(["ls"]), RED])
-    share, least, most = (100.0 * p for p in (placement.percentile, *placement.interval))
-    errs = f"{placement.error_mm:.2f} mm, better than {100.0 - share:.0f} %"
-    with style.new_figure(style.WIDTH * 0.7, 3.4) as figure:
-        axes = figure.add_subplot(xlabel=ERROR_LABEL, ylabel="arms at or below it (%)")
-        axes.fill_betweenx(
-            level, low, high, color=blue, alpha=0.25, linewidth=0.0, label="95 % band, as far as so many arms bound it"
-        )
-        axes.plot(value, level, color=blue, label=f"population of {rows[0]['arms']} arms")
-        label = f"{placement.arm}: {errs} ({100 - most:.0f} to {100 - least:.0f})"
-        axes.plot([placement.error_mm], [share], "D", color=red, markersize=6, label=label, clip_on=False)
-        headline(axes, f"{setting_label(rows[0])}: {placement.arm} errs {errs} of arms")
-        axes.set(ylim=(0.0, 100.0), xlim=(0.0, None))
-        figure.legend(loc="outside lower center", fontsize=8)
     return figure
 
 

@@ -26,7 +26,7 @@ from pickenv.experiments.study_rows import Row, read_rows, read_sobol, read_summ
 from pickenv.inspect import Comparison, RecordedPolicy, Run, write_drawings
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.report_page import PageTable, Part, Section, html_of
-from pickenv.inspect.runs.number_words import between, estimated, named_values, percent
+from pickenv.inspect.runs.number_words import between, estimated, named_values
 from pickenv.inspect.runs.recorded_episodes import ended, field_grid, reaches_of
 from pickenv.inspect.runs.run_folder import TakePicture
 
@@ -100,7 +100,7 @@ def study_page(folder: str | Path, findings: study_findings.Findings) -> str:
         return tuple(drawing for drawing in drawings if drawing.name.startswith(start))
 
     yields = (figures("yield_"), _yield_table(findings), _failures(findings))
-    errors = (figures("error_"), _error_table(findings), *_placements(findings, figures("placement_")))
+    errors = (figures("error_"), _error_table(findings))
     shares = (*figures("sensitivity_"), *_sensitivity_tables(findings), *_sobol_tables(folder, findings))
     return html_of(
         f"Tolerance study of {findings.protocol.design.name}",
@@ -195,18 +195,6 @@ def _component_tables(summary: Row) -> list[Part]:
 def _index_table(caption: str, heads: Sequence[str], rows: Sequence[Row]) -> PageTable:
     cells = [(row["group"], *_percents(row, "first_order"), *_percents(row, "total")) for row in rows]
     return PageTable(caption, heads, cells)
-
-
-def _placements(findings: study_findings.Findings, figures: tuple[Drawing, ...]) -> tuple[Part, ...]:
-    rows = [
-        (findings.label(setting), f"{p.error_mm:.2f}", percent(p.percentile, *p.interval), f"{p.arms}")
-        for setting, p in findings.placements.items()
-        if not isinstance(p, str)
-    ]
-    heads = ("setting", "its mean error (mm)", "arms with a smaller error", "arms")
-    name = findings.protocol.design.name
-    caption = f"The true arm of {name} itself, compared with each arm at that arm's own fruit and poses"
-    return (figures, PageTable(caption, heads, rows)) if rows else ()
 
 
 def _sensitivity_tables(findings: study_findings.Findings) -> list[Part]:

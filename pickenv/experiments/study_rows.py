@@ -45,18 +45,16 @@ def run_study(
     workers: int | None = None,
     device: str = "cpu",
     progress: Callable[[int, int], None] | None = None,
-    warn: Callable[[str], None] | None = None,
 ) -> dict[str, Any]:
     """Compute the missing chunks of a study, and summarise it.
 
     Args:
         config: The study.
-        folder: Results; chunks already there are kept.
+        folder: Results; chunks already there are kept, damaged ones computed again with a warning.
         executor: A name of `EXECUTORS`. A cluster of Ray is found by RAY_ADDRESS; without it one is started here.
         workers: Processes; one per core when None, but a single one for "batched".
         device: Where "batched" computes: "cpu" or "cuda".
         progress: Called with (arms done, arms in all).
-        warn: Told of damaged files, which are computed again.
 
     Returns:
         The summary, which is also written to ``folder/summary.json``.
@@ -84,7 +82,7 @@ def run_study(
         units = {"chunk": config.chunks()}
         experiment = Experiment(_name(config), units, {}, measure, config.seed, inputs)
         begin = time.perf_counter()
-        files = keep(experiment, folder / ROWS, backend=backend, workers=workers, progress=count, warn=warn)
+        files = keep(experiment, folder / ROWS, backend=backend, workers=workers, progress=count)
         about = {"executor": executor, "seconds": time.perf_counter() - begin, "chunks_reused": finished[0]}
         # The summary comes last: where it stands, the study is complete.
         return write_record(folder / SUMMARY, _summary(protocol, folder, files, about))

@@ -63,15 +63,11 @@ def printed(out: Path) -> str:
     for setting in read_summary(out / STUDIES[1])["components"]:
         label = setting_label(setting)
         components += [[label, row["group"], *of_share(row, "first_order", "total")] for row in setting["shares"]]
-    own = {number: place for number, place in second.placements.items() if not isinstance(place, str)}
-    places = [(second.label(n), f"{p.error_mm:.2f} mm", percent(p.percentile, *p.interval)) for n, p in own.items()]
-    smaller = ("setting", "its mean error", "arms with a smaller error at the same fruit and poses")
     parts = {
         "Where the differences between arms come from": table(
             ("setting", "drawn anew", "alone", "with interactions"), components
         ),
         "Which tolerance matters (in Sobol's groups lead errors count as transmission error)": sensitivities(second),
-        "The arm of the paper's Table 1 in its population": table(smaller, places),
     }
     return "\n".join(f"{title}:\n\n{part}" for title, part in parts.items())
 

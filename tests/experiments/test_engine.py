@@ -82,10 +82,10 @@ def test_what_is_kept_is_not_measured_again(tmp_path):
     files = keep(experiment(measure=counting), tmp_path)
     files[1].unlink()
     files[4].write_bytes(files[4].read_bytes()[:-9])
-    said = []
-    again = run(experiment(measure=counting), tmp_path, warn=said.append)
+    with pytest.warns(UserWarning) as said:
+        again = run(experiment(measure=counting), tmp_path)
     assert asked[6:] == [("raw", 1), ("ls", 1)]
-    assert len(said) == 1 and str(files[4]) in said[0]
+    assert len(said) == 1 and str(files[4]) in str(said[0].message)
     assert_same(again, run(experiment()))
 
 
@@ -175,9 +175,9 @@ def test_every_damage_of_a_folder_is_noticed(which, how, tmp_path):
 def test_a_damaged_record_is_made_anew(tmp_path):
     keep(experiment(), tmp_path)
     damaged(tmp_path / engine.RECORD, "changed")
-    said = []
-    assert_same(run(experiment(), tmp_path, warn=said.append), run(experiment()))
-    assert said == [f"{tmp_path / engine.RECORD} is damaged and is made anew"]
+    with pytest.warns(UserWarning) as said:
+        assert_same(run(experiment(), tmp_path), run(experiment()))
+    assert [str(warning.message) for warning in said] == [f"{tmp_path / engine.RECORD} is damaged and is made anew"]
     assert all(reason is None for _, reason in check_experiment(tmp_path))
 
 

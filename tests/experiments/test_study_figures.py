@@ -8,7 +8,7 @@ import pyarrow.dataset as ds
 import pytest
 
 from pickenv.base import InputError
-from pickenv.experiments import Placement, quantiles_of, sensitivities_of, study_findings as figures, yields_of
+from pickenv.experiments import quantiles_of, sensitivities_of, study_findings as figures, yields_of
 from pickenv.inspect import save_figure
 
 ARMS = 60
@@ -109,16 +109,6 @@ def test_the_tornados_longest_bar_is_what_matters(rows):
     assert left.get_yticklabels()[0].get_text() == "a0"
     assert widths == sorted(widths, reverse=True) and widths[0] > 80.0
     assert "(%)" in left.get_xlabel() and [t.get_text() for t in right.get_yticklabels()] == ["lengths", "angles"]
-
-
-def test_an_arm_stands_at_its_percentile(rows):
-    quantiles = quantiles_of(rows, ["error_mean_mm"], np.linspace(0.02, 0.98, 25)).to_pylist()
-    placement = Placement("Table 1 arm", 0.7, ARMS, 0.4, (0.3, 0.5))
-    figure = figures.arm_among_population(quantiles, 0, placement)
-    (mark,) = (points for label, points in drawn(figure).items() if label.startswith("Table 1 arm"))
-    assert mark.tolist() == [[0.7, 40.0]]
-    with pytest.raises(InputError, match="no arm of setting 99"):
-        figures.arm_among_population(quantiles, 99, placement)
 
 
 def test_labels_say_what_a_setting_is(rows):

@@ -4,15 +4,13 @@ import json
 import re
 from dataclasses import replace
 from html.parser import HTMLParser
-from types import SimpleNamespace
 
 import numpy as np
 import pyarrow as pa
-import pyarrow.compute as pc
 import pyarrow.dataset as ds
 import pytest
 
-from pickenv.arm import forward, plant_at, pose_error
+from pickenv.arm import forward
 from pickenv.arm.plant.tolerances import random_columns
 from pickenv.base import InputError, share_interval
 from pickenv.experiments import (
@@ -22,11 +20,10 @@ from pickenv.experiments import (
     read_rows,
     record_study,
     run_study,
-    study_findings,
     study_of,
     write_outputs,
 )
-from pickenv.experiments.study_findings import place, ranked, specified, study_drawings, study_verdict
+from pickenv.experiments.study_findings import ranked, specified, study_drawings, study_verdict
 from pickenv.experiments.study_report import _failures, arms_compared, page, study_page
 from pickenv.experiments.study_rows import read_sobol, write_record, write_sobol
 from pickenv.experiments.study_variance import sobol_of, tolerance_groups
@@ -187,7 +184,7 @@ def test_figures_that_the_study_does_not_allow_are_named(found):
         "yield_by_noise_mm": "the study does not vary the tracker's noise",
     }
     names = {d.name for d in drawings if d.draw is not None}
-    assert names >= {"yield_by_it_grade", "error_distribution", "sensitivity_raw", "sensitivity_ls", "placement_ls"}
+    assert names >= {"yield_by_it_grade", "error_distribution", "sensitivity_raw", "sensitivity_ls"}
 
 
 def test_the_sensitivities_of_the_raw_arm_are_those_of_its_geometry(found):
@@ -218,70 +215,6 @@ def test_arms_without_a_result_are_counted_by_reason(found):
     assert list(table.rows) == [("did not converge", "3"), ("too few poses", "2")]
     whole = _failures(replace(found, rows=ds.dataset(told.slice(0, 5))))
     assert whole == "Every arm has a result in every setting."
-
-
-def test_an_arm_of_a_method_that_learns_is_placed_among_twenty(monkeypatch):
-    """Where they take a second each; a thousand arms are no trouble to least squares."""
-    asked = []
-    for method, most in (("ls+bpnn", 20), ("ls", 1000), ("raw", 1000)):
-        asked.clear()
-        protocol = SimpleNamespace(config=SimpleNamespace(arms=5000), circumstances=asked.append)
-        monkeypatch.setattr("pickenv.experiments.study.evaluate_arm", lambda *given: [None])
-        monkeypatch.setattr(
-            "pickenv.experiments.study.gathered", lambda parts: SimpleNamespace(status=["lost"] * len(parts))
-        )
-        with pytest.raises(InputError, match="it has no place in setting 3: lost"):
-            place(protocol, None, SimpleNamespace(method=method, number=3), None, "it")
-        assert asked == list(range(most))
-
-
-def test_the_designs_own_arm_stands_where_its_error_does(folder, found):
-    """Beside each arm of the population, at that arm's own fruit."""
-    protocol, rows = prepared_study(found.protocol.config), read_rows(folder)
-    setting = protocol.settings[4]  # the coarser grade, not the first of the table
-    placement = place(protocol, rows, setting, protocol.design, "itself")
-    own = []
-    for arm in range(found.protocol.config.arms):
-        fruit = protocol.circumstances(arm).fruit
-        tool = protocol.design.tool_pose(fruit).position
-        own.append(1e3 * np.linalg.norm(tool - forward(protocol.nominal, fruit).position, axis=1).mean())
-    assert placement.error_mm == pytest.approx(np.mean(own))
-    errors = rows.to_table().to_pandas().query("setting == 4").sort_values("arm").error_mean_mm
-    assert placement.percentile == (errors.to_numpy() < own).mean()
-    assert placement.interval == share_interval(int((errors.to_numpy() < own).sum()), len(errors))
-
-
-def test_a_bad_arm_stands_high_and_a_good_one_low_whatever_their_fruit(folder, found):
-    """With eight fruit each the worst arm owes part of its rank to its fruit, and is not the worst everywhere."""
-    protocol, rows = prepared_study(found.protocol.config), read_rows(folder)
-    places = ranked(rows, 0)
-    worst, best = (
-        place(
-            protocol,
-            rows,
-            protocol.settings[0],
-            plant_at(protocol.draw(protocol.settings[0], range(arm, arm + 1)), 0),
-            "it",
-        )
-        for arm, _ in (places["worst"], places["best"])
-    )
-    assert worst.interval[0] > 0.5 > best.interval[1]
-
-
-def test_an_arm_is_placed_among_the_first_arms_that_there_is_time_for(folder, monkeypatch):
-    """Each arm is compared in its own circumstances: a raw arm's error is asked anew for every one of them."""
-    monkeypatch.setitem(study_findings.MOST, "raw", 6)
-    rows, protocol = read_rows(folder), prepared_study(study_of(folder))
-    arm = plant_at(protocol.draw(protocol.settings[0], range(40, 41)), 0)
-    found = place(protocol, rows, protocol.settings[0], arm, "the fortieth")
-    table = rows.to_table(filter=(pc.field("setting") == 0) & (pc.field("arm") < 6)).sort_by("arm")
-    own = []
-    for number in range(6):
-        fruit = protocol.circumstances(number).fruit
-        error = pose_error(forward(protocol.nominal, fruit), arm.tool_pose(fruit))
-        own.append(1e3 * np.linalg.norm(error[:, :3], axis=1).mean())
-    assert found.arms == 6 and found.error_mm == pytest.approx(np.mean(own), rel=1e-6)
-    assert found.percentile == np.mean(table["error_mean_mm"].to_numpy() < own)
 
 
 def test_the_recorded_arms_reach_for_the_worst_arms_fruit(folder):

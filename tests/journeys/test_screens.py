@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import pytest
+from rich.console import Console
 from typer.testing import CliRunner
 
 import pickenv
@@ -38,17 +40,17 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def screen(*words: object, width: int = WIDTH) -> list[str]:
-    """The lines that a command prints on a terminal of this width."""
+    """The lines that a command prints where COLUMNS is this width."""
     done = CliRunner().invoke(app, [str(word) for word in words], env={"COLUMNS": str(width)})
     assert done.exit_code == 0, done.output
     return done.stdout.rstrip("\n").splitlines()
 
 
-def check(lines: list[str], *, next_step: bool = True) -> None:
+def check(lines: list[str]) -> None:
     assert len(lines) <= LINES, "\n".join(lines)
     assert max(len(line) for line in lines if not line.startswith("next: ")) <= WIDTH  # a command is copied whole
     assert re.search(r"\d", " ".join(lines[:2]))
-    assert any(line.startswith("next: ") for line in lines) == next_step
+    assert any(line.startswith("next: ") for line in lines)
 
 
 def calibration(data: Path, name: str) -> list[str]:
@@ -108,7 +110,38 @@ def test_every_number_of_the_details_is_in_the_json_and_on_the_page(data_folder:
 def test_a_calibration_is_verified_on_a_screen(data_folder: Path) -> None:
     screen(*calibration(data_folder, "ur5"), "--terms", "none", "--residual", "none", "--out", "a.npz")
     file = data_folder / UR5.format("random")
-    check(screen("verify", "a.npz", file, "--columns", "ur5_jacobi2025"), next_step=False)
+    check(lines := screen("verify", "a.npz", file, "--columns", "ur5_jacobi2025"))
+    assert "next: correct targets: pickenv apply a.npz targets.csv --arm ur5 --out commands.csv" in lines
+
+
+EDGES = "╭─╮│╰╯"
+
+
+def test_on_a_terminal_the_verdict_stands_in_a_panel_and_in_a_pipe_it_is_plain_text(
+    data_folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    saves = ["--out", "arm.npz", "--json", "arm.json", "--report", "page.html"]
+    verify = ["verify", "arm.npz", data_folder / UR5.format("random"), "--columns", "ur5_jacobi2025"]
+    sizes = ("--arms", 2, "--poses", 20, "--sessions", 2)
+    few = ("--policy", "scripted", "--compensation", "raw", "--compensation", "ls", "--arms", 2, "--episodes", 2)
+    commands: list[list[object]] = [[*calibration(data_folder, "ur5"), *saves], verify]
+    commands += [["effects", "--reaches", 20], ["conditions", "qiao2026", *sizes], ["evaluate", *few]]
+    for words in commands:
+        plain = screen(*words)
+        with monkeypatch.context() as patch:
+            patch.setattr("rich.console.Console", partial(Console, force_terminal=True, width=WIDTH))
+            lines = [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in screen(*words)]
+        assert not set(EDGES) & set("".join(plain)) - {"─"}  # which rich rules tables with
+        ends = [i for i, line in enumerate(lines) if line.startswith("╰")]
+        assert lines[0].startswith("╭") and len(ends) == 1
+        check(lines)  # the border counts
+        text = [line.strip(f" {EDGES}") for line in lines[1 : ends[0]]]
+        assert (
+            re.search(r"\d", " ".join(text[:2])) and lines[0].endswith("╮") and len({*map(len, lines[: ends[0]])}) == 1
+        )
+        said = " ".join(" ".join(plain).split())
+        assert said.startswith(" ".join(" ".join(text).split()))
+        assert lines[ends[0] + 1 :] == plain[-(len(lines) - ends[0] - 1) :]
 
 
 def test_simulations_fit_a_screen(folder: Path) -> None:

@@ -33,26 +33,29 @@ class Rescaling(ABC):
 
     Attributes:
         inputs: Count of numbers in the environment's observation.
+        features: Count of numbers that the policy sees.
         space: Space of the observations that the policy sees.
         answers: Space of the policy's actions, if it differs from the environment's action space; else None.
         home: Words for an error message: what the policy has to be used with ("use ... of its training").
     """
 
     inputs: Any
+    features: Any
     space: Any
     answers: Any = None
     home: ClassVar[str]
 
-    def check(self, width: int) -> None:
-        """Refuse observations that are not `inputs` numbers long.
+    def check(self, width: int, scaled: bool = False) -> None:
+        """Refuse observations that are not `inputs` numbers long, or `features` where they come ``scaled``.
 
         Raises:
-            InputError: If ``width`` is not `inputs`.
+            InputError: If ``width`` is another.
         """
-        if width != self.inputs:
+        trained, home = (self.features, "the environment") if scaled else (self.inputs, self.home)
+        if width != trained:
             raise InputError(
-                f"the policy was trained on observations of {self.inputs} numbers, but the environment gives {width}; "
-                f"use {self.home} of its training"
+                f"the policy was trained on observations of {trained} numbers, but the environment gives {width}; "
+                f"use {home} of its training"
             )
 
     def shown(self, values: NDArray[Any]) -> NDArray[np.float32]:

@@ -302,18 +302,23 @@ def test_files_in_our_own_columns_are_one_set_up_or_stations_as_asked(ur5: Arm, 
 
 def test_the_command_says_what_the_function_says(result: Result, true: Geometry, tmp_path: Path) -> None:
     saved = result.save(tmp_path / "arm.npz")
-    for data, refit, code in (
-        (seen(true, 2), [], 0),
-        (seen(true, 2, THERE, OTHER_TARGET), ["--refit", "base,tool", "--refit-rows", "8"], 0),
-        (seen(drifted(true, 1.2e-3), 4), [], 3),
+    correct, measure = f"correct targets: pickenv apply {saved} targets.csv", "measure more poses, or others: pickenv "
+    again = f"find base and tool anew: pickenv verify {saved} "
+    for data, refit, code, step in (
+        (seen(true, 2), [], 0, correct),
+        (seen(true, 2, THERE, OTHER_TARGET), ["--refit", "base,tool", "--refit-rows", "8"], 0, correct),
+        (seen(true, 2, THERE, OTHER_TARGET), [], 3, again),
+        (seen(drifted(true, 1.2e-3), 4), [], 3, measure),
     ):
         file, figures = data.write_csv(tmp_path / f"{data.source}"), tmp_path / "f.json"
         said = CliRunner().invoke(app, ["verify", str(saved), str(file), *refit, "--json", str(figures)])
         assert said.exit_code == code, said.output
         there = json.loads(figures.read_text(encoding="utf-8"))
-        assert said.output.startswith(f"verdict: {there['status'].upper()}: {there['reason']}")
+        reason = there["reason"].replace("`refit='base,tool'`", "--refit base,tool")
+        assert said.output.startswith(f"verdict: {there['status'].upper()}: {reason}")
         assert there["refit_rows"] == (8 if refit else 0)
-        assert f"{there['calibrated_mm']['rms']:#.4g}" in said.output
+        assert f"{there['calibrated_mm']['rms']:#.4g}".rstrip(".") in said.output
+        assert said.output.splitlines()[-1].startswith(f"next: {step}")
 
 
 @pytest.mark.parametrize("frames", [(), ("base", "tool")], ids=["as it was", "refitted"])
