@@ -247,6 +247,7 @@ SYMBOLS: Any = SimpleNamespace(
     __name__="symbols",
     sin=lambda angle: sine(SYMBOLS, angle) if isinstance(angle, Traced) else math.sin(angle),
     cos=lambda angle: cosine(SYMBOLS, angle) if isinstance(angle, Traced) else math.cos(angle),
+    acos=lambda cosine: SYMBOLS.atan2(SYMBOLS.sqrt((1.0 - cosine) * (1.0 + cosine)), cosine),
     finfo=np.finfo,
     where=_where,
     clip=lambda value, low, high: _least(_most(value, low), high),
@@ -300,6 +301,10 @@ class Compiled:
 
     def run(self, arrays: Mapping[str, NDArray[Any]], count: int) -> None:
         """Compute outputs from inputs; both are arrays ``(rows, count)`` by name, contiguous row by row."""
+        self.bound(arrays, count)()
+
+    def bound(self, arrays: Mapping[str, NDArray[Any]], count: int) -> Callable[[], None]:
+        """`run` made ready for the same arrays, which the function returned reads and writes each time."""
         if self._calls and (not self._between or self._between["given0"].shape[1] != count):
             for i, (_, values, rows) in enumerate(self._calls):
                 self._between[f"given{i}"] = np.empty((len(values), count))
@@ -307,10 +312,15 @@ class Compiled:
         arrays = {**arrays, **self._between}
         addresses = (arrays[name].__array_interface__["data"][0] for name in self._arrays)
         bases = (ctypes.c_void_p * len(self._arrays))(*addresses)
-        for i, loop in enumerate(self._loops):
-            loop(bases, count)
-            if i < len(self._calls):
-                self._calls[i][0](arrays[f"given{i}"], arrays[f"found{i}"])
+        calls = [(call[0], arrays[f"given{i}"], arrays[f"found{i}"]) for i, call in enumerate(self._calls)]
+
+        def go(held: Any = arrays) -> None:  # the arrays live as long as the function
+            for loop, (fill, given, found) in zip(self._loops, calls, strict=False):
+                loop(bases, count)
+                fill(given, found)
+            self._loops[-1](bases, count)
+
+        return go
 
 
 def _type(kind: str, lanes: int) -> str:

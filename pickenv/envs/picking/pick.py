@@ -175,12 +175,14 @@ class PickEnv(ArmEnv):
     * v0: First version.
     """
 
+    look = staticmethod(look_at_arm)
+
     def __init__(
         self,
         *,
         difficulty: str | None = None,
         split: str = "train",
-        executor: str = "floats",
+        executor: str = "auto",
         render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
@@ -240,8 +242,7 @@ class PickEnv(ArmEnv):
 
     def _look(self, canopies: Canopies, state: ArmState, dt: Scalar) -> None:
         """Let ``dt`` seconds pass at the joint target of ``state``, and store in ``canopies`` how the arm is seen."""
-        command, moment = self._command(state.target), self._word(int(canopies.moments[0]))
-        self._state, sight = look_at_arm(self._x, self.task, self.plant, state, command, self._key, moment, dt)
+        sight, command = self._looked(state, int(canopies.moments[0]), dt)
         canopies.sight[:, 0] = self._plain([*sight, *command])
 
     def _shown(self, canopies: Canopies) -> tuple[NDArray[np.float32], Information]:

@@ -7,32 +7,19 @@ Results equal those of `NumpyBatch` up to roundings. The step is traced and beco
 from __future__ import annotations
 
 from collections.abc import Sequence
-from operator import add, mul
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Array, Plant, plants_on
-from pickenv.arm.kinematics.machine_code import DOUBLE, FLAG, SINGLE, SYMBOLS, WORD, Compiled, Goals, Trace, Traced
+from pickenv.arm.kinematics.machine_code import DOUBLE, FLAG, SINGLE, WORD, Compiled, Goals, Trace, Traced
 from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.envs.reaching.batch import NumpyBatch, Views
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_batch import Words, naming_effects
-from pickenv.envs.shared.backends import MASK, Executor
+from pickenv.envs.shared.compiled_look import TRACER
 from pickenv.envs.shared.task import Compensate, Task
-
-TRACER = Executor(
-    name="compiled",
-    m=SYMBOLS,
-    times=mul,
-    plus=add,
-    shifted=lambda word, bits: (word & MASK if isinstance(word, int) else word) >> bits,
-    unit=lambda word: (word >> 11).as_double() * 2.0**-53,
-    word=lambda number: number & MASK,
-    spares_constants=True,
-)
-"""The executor that records the simulation's operations, to be compiled."""
 
 
 class CompiledBatch(NumpyBatch):

@@ -229,7 +229,7 @@ class ReachEnv(ArmEnv):
         *,
         difficulty: str | None = None,
         split: str = "train",
-        executor: str = "floats",
+        executor: str = "auto",
         render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
@@ -295,11 +295,8 @@ class ReachEnv(ArmEnv):
 
     def _look(self, dt: Scalar) -> tuple[Any, float, Information]:
         """Let ``dt`` seconds pass at the present joint target, and return observation, reward and information."""
-        state, plain = self._state, self._plain
-        assert state is not None
-        command = self._command(state.target)
-        moment = self._word(self._step)
-        self._state, scene = simulation.look(self._x, self.task, self.plant, state, command, self._key, moment, dt)
+        assert self._state is not None
+        plain, (scene, _) = self._plain, self._looked(self._state, self._step, dt)
         self._scene = scene
         observation, reward = self._observe(scene)
         information: Information = dict(zip(simulation.NUMBER_KEYS, plain(scene.numbers), strict=True))

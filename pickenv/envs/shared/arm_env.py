@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import gymnasium as gym
@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array, Geometry, Plant, plant_at, plants_on
 from pickenv.arm.kinematics.forward import true_points
-from pickenv.base import InputError, require
+from pickenv.base import InputError, is_there, require
+from pickenv.envs.shared import simulation
 from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
 from pickenv.envs.shared.simulation import ArmState
 from pickenv.envs.shared.situation import drawn_start
@@ -100,7 +101,8 @@ def drawn(stage: Stage | None) -> Pixels:
 
 
 Information = dict[str, Any]
-EXECUTORS = {"floats": FLOATS, "numpy": NUMPY}
+EXECUTORS = {"auto": FLOATS, "floats": FLOATS, "compiled": FLOATS, "numpy": NUMPY}
+"""What environments run on; episodes begin on floats where steps are compiled."""
 
 
 class ArmEnv(DrawnEnv):
@@ -110,7 +112,10 @@ class ArmEnv(DrawnEnv):
         task: The task that it simulates.
         plant: The true arm.
         compensator: Turns joint targets into joint commands, or None.
+        look: `simulation.look`, or what an environment looks at its arm by in its place.
     """
+
+    look: Callable[..., Any] = staticmethod(simulation.look)
 
     def __init__(self, task: Task, render_mode: str | None, executor: str) -> None:
         check_choice("executor", executor, tuple(EXECUTORS))
@@ -118,6 +123,13 @@ class ArmEnv(DrawnEnv):
         self.task: Task = task
         self.metadata = {**type(self).metadata, "render_fps": task.situation.frames_per_second}
         self._x: Executor = EXECUTORS[executor]
+        own = all(type(effect).__module__.startswith("pickenv.") for effect in task.plant.effects)
+        self._compiled: Callable[..., Any] | None = None
+        if executor == "compiled" or (executor == "auto" and own and is_there("llvmlite")):
+            require("llvmlite")
+            from pickenv.envs.shared.compiled_look import CompiledLook
+
+            self._compiled = CompiledLook(self.look, task)
         self.plant: Plant = task.plant if task.arms == "fixed" else plant_at(task.plant, 0)
         if self._x is NUMPY:
             self.plant = exact_plant(self.plant)
@@ -167,6 +179,16 @@ class ArmEnv(DrawnEnv):
         # As one of many, which is corrected in another order of operations than one alone.
         command = self.compensator(joints) if self._x is FLOATS else self.compensator(joints[None])[0]
         return self._numbers(command.tolist())
+
+    def _looked(self, state: ArmState, moment: int, dt: Scalar) -> tuple[Any, Sequence[Scalar]]:
+        """Let ``dt`` seconds pass at the joint target of ``state``; return the view, and the joint command."""
+        command = self._command(state.target)
+        if self._compiled is not None and dt != 0.0:
+            self._state, view = self._compiled(state, command, self._key, moment, self.arm)
+        else:
+            word = self._word(moment)
+            self._state, view = self.look(self._x, self.task, self.plant, state, command, self._key, word, dt)
+        return view, command
 
     def _numbers(self, values: Sequence[float]) -> Sequence[Scalar]:
         """Floats in the executor's form: as they are, or as NumPy arrays of one number."""

@@ -1,0 +1,92 @@
+"""The look at one arm after a step as machine code, which replaces most of a step's work on Python floats."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import accumulate
+from operator import add, mul
+from typing import Any
+
+import numpy as np
+
+from pickenv.arm import plants_on
+from pickenv.arm.kinematics.backend import chosen
+from pickenv.arm.kinematics.forward import Scalar
+from pickenv.arm.kinematics.machine_code import SYMBOLS, WORD, Compiled, Trace
+from pickenv.arm.plant.plant_batch import arrays_of
+from pickenv.envs.shared.arm_batch import naming_effects
+from pickenv.envs.shared.backends import MASK, Executor
+from pickenv.envs.shared.simulation import ArmState
+from pickenv.envs.shared.task import Task, exact_plant
+
+TRACER = Executor(
+    name="compiled",
+    m=SYMBOLS,
+    times=mul,
+    plus=add,
+    shifted=lambda word, bits: (word & MASK if isinstance(word, int) else word) >> bits,
+    unit=lambda word: (word >> 11).as_double() * 2.0**-53,
+    word=lambda number: number & MASK,
+    spares_constants=True,
+)
+"""The executor that records the simulation's operations, to be compiled."""
+
+
+class CompiledLook:
+    """`simulation.look`, or a function called like it, of one arm after one period; equal up to roundings.
+
+    Args:
+        look: The function.
+        task: The task.
+    """
+
+    def __init__(self, look: Callable[..., Any], task: Task) -> None:
+        self._look, self._task = look, task
+        self._plants = exact_plant(task.plant)
+        self._numbers = [values for values in arrays_of(self._plants) if values.ndim == 1]
+        self._arms, self._words, self._arm = np.empty((len(self._numbers), 1)), np.empty((2, 1), np.uint64), -1
+        self._run: Callable[[], None] | None = None
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickle and copy what it is made of; the code is compiled anew."""
+        return CompiledLook, (self._look, self._task)
+
+    def __call__(
+        self, state: ArmState, command: Sequence[float], key: int, moment: int, arm: int
+    ) -> tuple[ArmState, Any]:
+        """The state and the view after a period at the joint command, with arm number ``arm`` of the population."""
+        if self._run is None:
+            with naming_effects(self._plants, "compiled"):
+                self._run = self._compiled(state, command)
+        if arm != self._arm:
+            self._arms[:, 0], self._arm = [values[arm] for values in self._numbers], arm
+        self._words[0], self._words[1] = key, moment
+        self._given[:, 0] = [*state.columns, *command]
+        self._run()
+        found = tuple(self._found[:, 0].tolist())
+        sensed, *parts = [found[cut] for cut in self._cuts]
+        memory, parts = parts[: len(state.plant)], parts[len(state.plant) :]
+        return ArmState(*state[:-2], sensed, tuple(memory)), self._kind(*parts) if self._kind else parts[0]
+
+    def _compiled(self, state: ArmState, command: Sequence[float]) -> Callable[[], None]:
+        """Trace and compile the function for states and commands of these lengths."""
+        trace, widths = Trace(), [len(part) for part in (*state[:-1], *state.plant, command)]
+        given, ends = trace.inputs("given", sum(widths)), list(accumulate(widths))
+        parts = [tuple(given[end - width : end]) for end, width in zip(ends, widths, strict=True)]
+        target, goal, sighting, drawn, sent, late, *memory, now = parts
+        before = ArmState(target, goal, sighting, drawn, sent, late, tuple(memory))
+        rows, (key, moment) = iter(trace.inputs("arms", len(self._arms))), trace.inputs("words", 2, WORD)
+        plant = plants_on(self._plants, lambda values: next(rows) if values.ndim == 1 else values)
+        period = self._task.situation.value("period", before.drawn)
+        after, view = self._look(TRACER, self._task, plant, before, now, key, moment, period)
+        seen = view if hasattr(view, "_fields") else (view,)
+        self._kind = type(view) if hasattr(view, "_fields") else None
+        numbers: list[Scalar] = []
+        self._cuts: list[Any] = []
+        for part in (after.sensed, *after.plant, *seen):
+            first = len(numbers)
+            numbers += part if isinstance(part, tuple) else [chosen(SYMBOLS, part, 1.0, 0.0)]
+            self._cuts.append(slice(first, len(numbers)) if isinstance(part, tuple) else first)
+        self._given, self._found = np.empty((len(given), 1)), np.empty((len(numbers), 1))
+        arrays = {"given": self._given, "words": self._words, "arms": self._arms, "found": self._found}
+        return Compiled(trace, trace.outputs("found", numbers), 1).bound(arrays, 1)
