@@ -23,7 +23,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -139,9 +139,8 @@ def write_container(
         InputError: If the file cannot be written.
         TypeError: If an array holds objects.
     """
-    numbers = {
-        name: value.tobytes("A") for name, value in arrays.items()
-    }  # as they lie, so that sums repeat to the bit
+    # As they lie, so that sums repeat to the bit.
+    numbers = {name: value.tobytes("A") for name, value in arrays.items()}
     described = {name: _description(name, value, numbers[name]) for name, value in arrays.items()}
     blobs = blobs or {}
     if any(name.endswith(".npy") or name == HEADER for name in blobs):
@@ -191,17 +190,13 @@ def read_container(
     """
     file_kind = f"a {kind} file" if kind else "a file of pickenv"
     with refusing_damage(path, file_kind, remake):
-        path = Path(path)
-        missing = not path.exists()
+        missing = not Path(path).exists()
+        content = b"" if missing else _bounded(Path(path), limit)
+        container = None if missing or content[-22:-18] == BARE_END else _verified(content, limit)
     if missing:
         raise InputError(f"{path} does not exist; {remake}")
-    with refusing_damage(path, file_kind, remake):
-        content = _bounded(path, limit)
-        earlier = content[-22:-18] == BARE_END
-    if earlier:
+    if container is None:
         raise InputError(f"{path} was written by an earlier version, or by another program, without a seal; {remake}")
-    with refusing_damage(path, file_kind, remake):
-        container = _verified(content, limit)
     if kind is not None and container.kind != kind:
         raise InputError(f"{path} holds a {container.kind}, not a {kind}; {remake}")
     if version is not None and container.version > version:
@@ -278,18 +273,14 @@ def _preamble(entry: Mapping[str, Any]) -> bytes:
 
 def _size(entry: Mapping[str, Any]) -> int:
     """The number of bytes that an array's numbers take."""
-    size: int = math.prod(entry["shape"]) * np.dtype(entry["dtype"]).itemsize
-    return size
+    return int(math.prod(entry["shape"]) * np.dtype(entry["dtype"]).itemsize)
 
 
 def _array(name: str, content: bytes, preamble: bytes, entry: Mapping[str, Any]) -> NDArray[Any]:
     if not content.startswith(preamble):
         raise ValueError(f"array {name!r} is of another type or shape than its header says")
     numbers = _same(name, content[len(preamble) :], entry)
-    order: Literal["C", "F"] = "F" if entry["fortran"] else "C"
-    shape: tuple[int, ...] = tuple(entry["shape"])
-    flat: NDArray[Any] = np.frombuffer(numbers, entry["dtype"]) if numbers else np.empty(0, entry["dtype"])
-    return flat.reshape(shape, order=order).copy(order)
+    return np.ndarray(entry["shape"], entry["dtype"], numbers, order="F" if entry["fortran"] else "C").copy("K")
 
 
 def _same(name: str, content: bytes, entry: Mapping[str, Any]) -> bytes:

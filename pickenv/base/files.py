@@ -118,14 +118,13 @@ def _sweep(folder: Path) -> None:
 
 def _is_running(process: int) -> bool:
     """Whether a process of that id is running; always True on Windows, where asking would end the process."""
-    if sys.platform == "win32":
-        return True
     try:
-        os.kill(process, 0)
-    except (ProcessLookupError, OverflowError):
-        return False
+        if sys.platform != "win32":
+            os.kill(process, 0)
     except PermissionError:  # of another user
         return True
+    except (ProcessLookupError, OverflowError):
+        return False
     return True
 
 

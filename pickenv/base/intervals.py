@@ -65,14 +65,17 @@ def mean_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
         raise ValueError(f"an interval is of values in one row, one per arm or fruit; got the shape {x.shape}")
     if len(x) < least or _equal(x):
         return None
-    from scipy.special import stdtrit  # late: half of SciPy comes along
-
     n, mean, deviation = len(x), float(x.mean()), float(x.std(ddof=1))
     skewness = float(np.clip(np.mean(((x - mean) / deviation) ** 3), -MOST_SKEWNESS, MOST_SKEWNESS))
-    low, high = (
-        mean - deviation * _unskewed(float(stdtrit(n - 1, tail)) / np.sqrt(n), skewness, n) for tail in _TAILS[::-1]
-    )
+    low, high = (mean - deviation * _unskewed(_t(n - 1, tail) / np.sqrt(n), skewness, n) for tail in _TAILS[::-1])
     return float(low), float(high)
+
+
+def _t(freedom: float, tail: float) -> float:
+    """The quantile of Student's t distribution."""
+    from scipy.special import stdtrit  # late: half of SciPy comes along
+
+    return float(stdtrit(freedom, tail))
 
 
 def ordered_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
@@ -173,13 +176,11 @@ def ratio_interval(over: ArrayLike, under: ArrayLike, least: int = LEAST) -> End
     above, below = np.asarray(over, dtype=float), np.asarray(under, dtype=float)
     if len(above) < least or not below.sum() > 0.0:
         return None
-    from scipy.special import stdtrit
-
     ratio = float(above.sum() / below.sum())
     variance, freedom = _ratio_spread(above, below)
     if not variance > (1e-12 * ratio) ** 2:
         return None
-    half = float(stdtrit(freedom, _TAILS[1])) * float(np.sqrt(variance))
+    half = _t(freedom, _TAILS[1]) * float(np.sqrt(variance))
     return ratio - half, ratio + half
 
 
@@ -268,15 +269,12 @@ def clustered_share_interval(successes: ArrayLike, trials: ArrayLike, least: int
     n, total = len(taken), float(tried.sum())
     if n < least or not total:
         return None
-    from scipy.special import stdtrit
-
     share = float(taken.sum()) / total
     spread, freedom = _ratio_spread(taken, tried)
     counted = fewest = float(total**2 / (tried @ tried))  # as many clusters of one size would say as much
     if 0.0 < share < 1.0 and spread > 0.0:
         telling = max(min(int(np.sum(taken > 0.0)) - 1, int(np.sum(taken < tried)) - 1, freedom), 1)
-        few, many = float(stdtrit(telling, _TAILS[1])), float(stdtrit(total - 1.0, _TAILS[1]))
-        counted = share * (1.0 - share) / spread * (many / few) ** 2
+        counted = share * (1.0 - share) / spread * (_t(total - 1.0, _TAILS[1]) / _t(telling, _TAILS[1])) ** 2
     return _wilson(share, float(np.clip(counted, min(fewest, total), total)))
 
 
@@ -297,14 +295,12 @@ def crossed_interval(values: ArrayLike, least: tuple[int, int] = (LEAST, LEAST_R
     a, b = x.shape
     if a < least[0] or b < least[1] or _equal(x):
         return None
-    from scipy.special import stdtrit
-
     mean, arms, seeds = float(x.mean()), x.mean(axis=1), x.mean(axis=0)
     squares = (b * arms.var(ddof=1), a * seeds.var(ddof=1))
     both = float(np.sum((x - arms[:, None] - seeds[None] + mean) ** 2)) / ((a - 1) * (b - 1))
     total = max(squares[0] + squares[1] - both, *squares)
     freedom = total**2 / (squares[0] ** 2 / (a - 1) + squares[1] ** 2 / (b - 1))
-    half = float(stdtrit(freedom, _TAILS[1])) * float(np.sqrt(total / (a * b)))
+    half = _t(freedom, _TAILS[1]) * float(np.sqrt(total / (a * b)))
     return mean - half, mean + half
 
 
@@ -416,10 +412,9 @@ class Estimate:
 
     def verdict(self, margin: float = MARGIN_MM) -> str:
         """What a difference says: "carries over" inside the margin, "differs" beyond zero, else "not settled"."""
-        if self.ci95 is not None and None not in self.ci95:
-            low, high = self.ci95
-            if low is not None and high is not None and -margin <= low and high <= margin:
-                return "carries over"
+        low, high = self.ci95 or (None, None)
+        if low is not None and high is not None and -margin <= low and high <= margin:
+            return "carries over"
         return "differs" if self.significant else "not settled"
 
 
@@ -503,9 +498,9 @@ def _without_lost(values: NDArray[np.float64], lost: float, least: int) -> dict[
     share = _with_reason(
         float(gone.mean()), clustered_share_interval(gone.sum(axis=1), values.shape[1], least), values[:, :1], least
     )
-    if not len(means):
-        return {"estimate": Estimate(float("nan"), None, "all are lost"), "units": means, "runs": None, "lost": share}
-    return {"estimate": mean_estimate(means[:, None, None], least), "units": means, "runs": None, "lost": share}
+    empty = Estimate(float("nan"), None, "all are lost")
+    number = mean_estimate(means[:, None, None], least) if len(means) else empty
+    return {"estimate": number, "units": means, "runs": None, "lost": share}
 
 
 def unseen_share(runs: int) -> float:
@@ -635,10 +630,5 @@ def interquartile_estimate(values: NDArray[np.float64]) -> Estimate:
 
 def _with_reason(value: float, ends: Ends | None, each: NDArray[np.float64], least: int = LEAST) -> Estimate:
     arms, trainings = each.shape
-    if ends is not None:
-        return Estimate(value, ends)
-    if arms < least:
-        return Estimate(value, None, f"needs {least} arms")
-    if 1 < trainings < LEAST_RUNS:
-        return Estimate(value, None, f"needs {LEAST_RUNS} trainings")
-    return Estimate(value, None, "all arms are equal")
+    few = f"needs {least} arms" if arms < least else f"needs {LEAST_RUNS} trainings" * (1 < trainings < LEAST_RUNS)
+    return Estimate(value, ends, "" if ends else few or "all arms are equal")

@@ -108,8 +108,8 @@ class Unit:
 
     def holds(self, value: float) -> bool:
         """Whether a number in SI is within the bounds."""
-        low, high = ((-self.most if self.least is None else self.least), self.most)
-        low, high = low * self.scale / self.per, high * self.scale / self.per
+        ends = (-self.most if self.least is None else self.least), self.most
+        low, high = (end * self.scale / self.per for end in ends)
         return math.isfinite(value) and (low < value if self.above else low <= value) and value <= high
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
@@ -126,14 +126,11 @@ class Unit:
         number = int if self.whole else float
         bounds: Any = {"gt" if self.above else "ge": -self.most if self.least is None else self.least, "le": self.most}
         bounds = {key: number(bound) for key, bound in bounds.items() if math.isfinite(bound)}
-        schema = (
-            core.int_schema(strict=True, **bounds)
-            if self.whole
-            else core.float_schema(strict=True, allow_inf_nan=False, **bounds)
-        )
+        schema = core.float_schema(strict=True, allow_inf_nan=False, **bounds)
         if self.whole:
             schema = core.no_info_before_validator_function(
-                lambda value: int(value) if isinstance(value, float) and value.is_integer() else value, schema
+                lambda value: int(value) if isinstance(value, float) and value.is_integer() else value,
+                core.int_schema(strict=True, **bounds),
             )
         schema = core.custom_error_schema(schema, "wanted", custom_error_message=f"give {self.wanted}")
         if self.scale == self.per == 1.0:
@@ -200,24 +197,16 @@ TO_SI = {unit.name: unit.scale for unit in (DEG, RAD, MM, M)}
 """SI units per unit of a joint or a coordinate."""
 
 
-def _once(values: Any, _context: Any) -> Any:
-    if not values or len(set(values)) < len(values):
-        raise fault("a list of at least one entry, each entry once")
-    return values
+def afterwards(test: Callable[[Any], bool], wanted: str) -> Then:
+    """Annotation of a field with a test of its value in SI, as `Check` tests the file's own."""
+    return Then(lambda value, _: Check(test, wanted).checked(value))
 
 
-ONCE = Then(_once)
+ONCE = afterwards(lambda values: 0 < len(set(values)) == len(values), "a list of at least one entry, each entry once")
 """A list that is not empty and has no entry twice."""
 
-
-def _in_order(ends: Any, _context: Any) -> Any:
-    """Refuse a range that ends before it begins."""
-    if ends[0] > ends[1]:
-        raise fault("the lower number first")
-    return ends
-
-
-IN_ORDER = Then(_in_order)
+IN_ORDER = afterwards(lambda ends: ends[0] <= ends[1], "the lower number first")
+"""A range that does not end before it begins."""
 
 LINE = Check(lambda value: isinstance(value, str) and value.isprintable(), "a text of one line")
 
@@ -396,25 +385,18 @@ def file_named(kind: str, name: str | Path, folder: Path, endings: str = ".toml"
 def toml_of(path: str | Path) -> tuple[dict[str, Any], str]:
     """The content of a TOML file, unchecked, and its text; an `InputError` says why a file cannot be read."""
     text = read_text(path, "a TOML file")
-
-    def content() -> dict[str, Any]:
-        tables = tomllib.loads(text)
-        _refuse_huge(tables, "")
-        return tables
-
-    return parsed(content, path, "TOML"), text
+    return parsed(lambda: _without_huge(tomllib.loads(text), ""), path, "TOML"), text
 
 
-def _refuse_huge(value: Any, key: str) -> None:
+def _without_huge(value: Any, key: str) -> Any:
     """Refuse integers of more than TOML's 64 bits: Python reads them, but arithmetic with them fails later."""
-    if isinstance(value, Mapping):
-        for name, part in value.items():
-            _refuse_huge(part, str(name))
-    elif isinstance(value, list):
-        for part in value:
-            _refuse_huge(part, key)
-    elif isinstance(value, int) and not -INTEGERS <= value < INTEGERS:
+    for part in value if isinstance(value, list) else ():
+        _without_huge(part, key)
+    for name, part in value.items() if isinstance(value, dict) else ():
+        _without_huge(part, name)
+    if isinstance(value, int) and not -INTEGERS <= value < INTEGERS:
         raise ValueError(f"{key} is an integer of more than 64 bits")
+    return value
 
 
 def made(

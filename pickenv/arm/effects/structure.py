@@ -383,10 +383,7 @@ class Bearing:
     overhang: Annotated[Scalar | None, toml_tables.MM.not_negative] = None
 
 
-def _once(bearings: Any, _context: Any) -> Any:
-    if len({bearing.joint for bearing in bearings}) < len(bearings):
-        raise toml_tables.fault("each joint once")
-    return bearings
+EACH_ONCE = toml_tables.afterwards(lambda slides: len({s.joint for s in slides}) == len(slides), "each joint once")
 
 
 @register("effect", "slide_compliance")
@@ -398,7 +395,7 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
         bearings: One entry per slide that yields.
     """
 
-    bearings: Annotated[tuple[Bearing, ...], toml_tables.Then(_once)]
+    bearings: Annotated[tuple[Bearing, ...], EACH_ONCE]
 
     def flexure(self, at: Passage) -> Flexure:
         """Move and turn each slide in its bearings, under all that hangs on it."""
