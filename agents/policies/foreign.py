@@ -14,7 +14,7 @@ import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -119,8 +119,7 @@ def registered_policy(name: str, env: Any, seed: int, known: Mapping[str, Any]) 
 def _checked(policy: Any, maker: str) -> Policy:
     if not callable(getattr(policy, "act", None)) or not callable(getattr(policy, "reset", None)):
         raise InputError(f"what {maker} returns has no act(observation) or no reset(); give it both")
-    checked: Policy = policy
-    return checked
+    return cast(Policy, policy)
 
 
 @contextmanager

@@ -173,10 +173,8 @@ def policy_path(name: str | Path) -> Path:
     path = Path(name) if Path(name).suffix == ".npz" else BASELINES / f"{name}.npz"
     if path.is_file():
         return path
-    raise InputError(
-        f"unknown policy '{name}'; give one of {', '.join(shipped_baselines()) or 'none shipped'}, or a file "
-        "(.npz) that `pickenv train` wrote"
-    )
+    names = ", ".join(shipped_baselines())
+    raise InputError(f"unknown policy '{name}'; give one of {names}, or a file (.npz) that `pickenv train` wrote")
 
 
 def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> LearnedPolicy:

@@ -110,10 +110,8 @@ class RememberingPolicy(Actor):
             InputError: If the observations have another length.
         """
         if seen.shape[-1] != self.memory.inputs:
-            raise InputError(
-                f"the policy was trained on observations of {self.memory.inputs} numbers, but was given "
-                f"{seen.shape[-1]}; use the window and the arm of its training"
-            )
+            lengths = f"{self.memory.inputs} numbers, but was given {seen.shape[-1]}"
+            raise InputError(f"the policy reads {lengths}; use the window and the arm of its training")
         values = np.asarray(seen, dtype=float)
         if self.recurrent:
             state = stepped(self.arrays, values, state)

@@ -27,8 +27,10 @@ AGAIN = "start the training again"
 LIMIT = 1 << 35
 """Most bytes that a checkpoint may have (32 GiB); it includes the replay buffer."""
 
-BUFFER = ("actions", "rewards", "dones", "timeouts", "ep_start", "ep_length", "_current_ep_start")
-"""Arrays that a replay buffer may have; observations are in one or two further arrays."""
+EPISODES = "_current_ep_start"
+SEEN = ("observations", "next_observations")
+BUFFER = ("actions", "rewards", "dones", "timeouts", "ep_start", "ep_length", EPISODES, *SEEN)
+"""Arrays that a replay buffer may have, as long as the buffer except `EPISODES`."""
 
 COUNTS = ("num_timesteps", "_n_updates", "_episode_num")
 PARTS = {
@@ -153,12 +155,7 @@ def _buffer(model: Any) -> dict[str, Any]:
     parts: dict[str, Any] = {"pos": int(buffer.pos), "full": bool(buffer.full)}
     for key in BUFFER:
         if hasattr(buffer, key):
-            values = getattr(buffer, key)
-            parts[key] = _tensor(values if key == "_current_ep_start" else values[:filled])
-    for key in ("observations", "next_observations"):
-        values = getattr(buffer, key)
-        some = {k: v[:filled] for k, v in values.items()} if isinstance(values, dict) else values[:filled]
-        parts[key] = _tensors(some)
+            parts[key] = _tensors(getattr(buffer, key), None if key == EPISODES else filled)
     return parts
 
 
@@ -179,8 +176,11 @@ def _tensor(values: Any) -> torch.Tensor:
     return torch.from_numpy(np.array(values))
 
 
-def _tensors(values: Any) -> Any:
-    return {key: _tensor(value) for key, value in values.items()} if isinstance(values, dict) else _tensor(values)
+def _tensors(values: Any, rows: int | None = None) -> Any:
+    """Tensors of an array's first rows, or of those of a mapping of arrays."""
+    if isinstance(values, dict):
+        return {key: _tensor(value[:rows]) for key, value in values.items()}
+    return _tensor(values[:rows])
 
 
 def _arrays(values: Any) -> Any:

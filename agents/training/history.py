@@ -5,7 +5,7 @@ For `pickenv.wrappers.SameArm` with a window. The encoder is that of `pickenv.ag
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch as th
@@ -35,12 +35,8 @@ class HistoryFeatures(BaseFeaturesExtractor):
         memory = memory_of(observation_space)
         super().__init__(observation_space, memory.joints + HEADS * (3 + MADE) + 1)
         self.memory = memory
-        sizes = {
-            "near": (memory.joints, WIDTH),
-            "query": (WIDTH, WIDTH),
-            "key": (WIDTH, WIDTH),
-            "value": (WIDTH + 3, MADE),
-        }
+        sizes = dict.fromkeys(("near", "query", "key", "value"), (WIDTH, WIDTH))
+        sizes |= {"near": (memory.joints, WIDTH), "value": (WIDTH + 3, MADE)}
         arrays = {name: th.nn.Parameter(th.empty(size)) for name, size in sizes.items()}
         for value in arrays.values():
             th.nn.init.orthogonal_(value, 1.0 if value.shape[0] != value.shape[1] else np.sqrt(2.0))
@@ -49,8 +45,7 @@ class HistoryFeatures(BaseFeaturesExtractor):
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
         """Features ``(N, features)``."""
-        features: th.Tensor = attended(th, dict(self.given.items()), self.memory, observations)
-        return features
+        return cast(th.Tensor, attended(th, dict(self.given.items()), self.memory, observations))
 
 
 class HistoryPolicy(ActorCriticPolicy):

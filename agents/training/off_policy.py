@@ -6,7 +6,7 @@ that it sees, and the critics divide actions by this share again. The entropy is
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import torch as th
 from gymnasium import spaces
@@ -33,13 +33,11 @@ class ScaledFeatures(BaseFeaturesExtractor):
 
     def forward(self, observations: Any) -> th.Tensor:
         """Features ``(N, features)``."""
-        features: th.Tensor = self.scaling.observe(joined_observation(observations, th), th)
-        return features
+        return cast(th.Tensor, self.scaling.observe(joined_observation(observations, th), th))
 
     def share(self, observations: Any) -> th.Tensor:
         """The scaling's share ``(N, 1)``."""
-        share: th.Tensor = self.scaling.share(joined_observation(observations, th), th)
-        return share
+        return cast(th.Tensor, self.scaling.share(joined_observation(observations, th), th))
 
 
 def _scaling(module: Any) -> ScaledFeatures:

@@ -109,9 +109,7 @@ def train(
         if resume:
             begun, inputs, rows, state = read_checkpoint(path)
             if begun != training:
-                raise InputError(
-                    f"checkpoint {path} is of another training; resume it with the options it was started with"
-                )
+                raise InputError(f"checkpoint {path} is of another training; resume with the options it began with")
             training_setup.check_inputs(training, inputs)
         else:
             inputs = training_setup.inputs_of(training)

@@ -243,11 +243,8 @@ def judge(policy: LearnedPolicy | RememberingPolicy, training: Training) -> dict
         for _ in range(60):
             observation, _, _, _, infos = env.step(policy.act(observation))
         error, success = infos["position_error_mm"], infos["is_success"]
-    return {
-        "mean_mm": float(error.mean()),
-        "p95_mm": float(np.percentile(error, 95)),
-        "success_rate": float(success.mean()),
-    }
+    numbers = {"mean_mm": error.mean(), "p95_mm": np.percentile(error, 95), "success_rate": success.mean()}
+    return {name: float(number) for name, number in numbers.items()}
 
 
 def _picked(policy: RememberingPolicy, envs: SameArmVector) -> dict[str, Any]:

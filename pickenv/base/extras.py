@@ -10,25 +10,22 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from importlib.util import find_spec
-from types import MappingProxyType
 
 from pickenv.base.errors import InputError
 
-EXTRAS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        "learn": ("torch",),
-        "rl": ("stable_baselines3", "sb3_contrib", "tensorboard"),
-        "inspect": ("rerun", "plotly", "matplotlib", "jinja2", "PIL"),
-        "render": ("vtkmodules", "imageio_ffmpeg"),
-        "camera": ("cv2",),
-        "study": ("pyarrow", "joblib", "pandas"),
-        "ray": ("ray",),
-        "harvest": ("skimage", "ortools", "pettingzoo"),
-        "export": ("onnx",),
-        "data": ("minari",),
-        "compiled": ("llvmlite",),
-    }
-)
+EXTRAS: Mapping[str, tuple[str, ...]] = {
+    "learn": ("torch",),
+    "rl": ("stable_baselines3", "sb3_contrib", "tensorboard"),
+    "inspect": ("rerun", "plotly", "matplotlib", "jinja2", "PIL"),
+    "render": ("vtkmodules", "imageio_ffmpeg"),
+    "camera": ("cv2",),
+    "study": ("pyarrow", "joblib", "pandas"),
+    "ray": ("ray",),
+    "harvest": ("skimage", "ortools", "pettingzoo"),
+    "export": ("onnx",),
+    "data": ("minari",),
+    "compiled": ("llvmlite",),
+}
 """Extras by name, each with the modules that it brings."""
 
 

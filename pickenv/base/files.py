@@ -54,16 +54,13 @@ def write_whole(path: str | Path, write: Callable[[Path], Any]) -> Path:
             _write_into(path, write)
             return path
         target = Path(os.path.realpath(path))
-        if target.is_dir():
-            raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
-        if target.is_symlink():
-            raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
+        if wrong := errno.EISDIR if target.is_dir() else errno.ELOOP if target.is_symlink() else 0:
+            raise OSError(wrong, os.strerror(wrong))
         target.parent.mkdir(parents=True, exist_ok=True)
         _sweep(target.parent)
         temporary = _temporary(target)
     except OSError as error:
-        reason = error.strerror or error
-        raise InputError(f"cannot write {path}: {reason}; choose a folder that can be written") from error
+        raise _unwritable(path, error) from error
     try:
         write(temporary)
         _flush(temporary)
@@ -77,6 +74,10 @@ def write_whole(path: str | Path, write: Callable[[Path], Any]) -> Path:
     finally:
         temporary.unlink(missing_ok=True)
     return path
+
+
+def _unwritable(path: Path, error: OSError) -> InputError:
+    return InputError(f"cannot write {path}: {error.strerror or error}; choose a folder that can be written")
 
 
 def _fault_of_the_disk(error: BaseException | None) -> OSError | None:
@@ -282,21 +283,17 @@ def _take(folder: Path) -> int:
         while True:
             handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
             if not _lock(handle):
-                owner = os.read(handle, 20).decode("ascii", "replace")
+                owner = os.read(handle, 20).decode("ascii", "replace") or "unknown"
                 os.close(handle)
-                raise InputError(
-                    f"another run (process {owner or 'unknown'}) is at work in {folder}; wait for its end, or give "
-                    "another folder"
-                )
+                busy = f"another run (process {owner}) is at work in {folder}"
+                raise InputError(f"{busy}; wait for its end, or give another folder")
             if _is_still(path, handle):
                 break
             os.close(handle)  # its owner took the file away as we came
         os.truncate(handle, 0)
         os.write(handle, str(os.getpid()).encode())
     except OSError as error:
-        raise InputError(
-            f"cannot write {folder}: {error.strerror or error}; choose a folder that can be written"
-        ) from error
+        raise _unwritable(folder, error) from error
     return handle
 
 

@@ -495,9 +495,8 @@ def _without_lost(values: NDArray[np.float64], lost: float, least: int) -> dict[
     gone = values > lost
     kept = (~gone).sum(axis=1)
     means = np.where(gone, 0.0, values).sum(axis=1)[kept > 0] / kept[kept > 0]
-    share = _with_reason(
-        float(gone.mean()), clustered_share_interval(gone.sum(axis=1), values.shape[1], least), values[:, :1], least
-    )
+    ends = clustered_share_interval(gone.sum(axis=1), values.shape[1], least)
+    share = _with_reason(float(gone.mean()), ends, values[:, :1], least)
     empty = Estimate(float("nan"), None, "all are lost")
     number = mean_estimate(means[:, None, None], least) if len(means) else empty
     return {"estimate": number, "units": means, "runs": None, "lost": share}
@@ -519,15 +518,11 @@ def _check_asked(
     if callable(of):
         return
     if len(names) != 1 and not (len(names) == 2 and of in ("share", "ratio", "removed")):
-        raise ValueError(
-            f"'{of}' is of one column, not of {names}; give share, ratio or removed of two, or a function of them"
-        )
+        raise ValueError(f"'{of}' is of one column, not of {names}; give share, ratio or removed of two, or a function")
     if of == "ratio" and len(names) != 2:
         raise ValueError(f"'ratio' is of two columns, not of {names}")
     if of == "removed" and (against is None) == (len(names) == 1):
-        raise ValueError(
-            "'removed' wants against, the levels of which a share is gone, or two columns: before and after"
-        )
+        raise ValueError("'removed' wants against, levels of which a share is gone, or two columns: before and after")
 
 
 def _cubes(rows: Mapping[str, NDArray[Any]], names: Sequence[str], over: Sequence[str]) -> NDArray[np.float64]:
@@ -549,11 +544,9 @@ def _estimated(
 ) -> Estimate:
     if callable(of) or len(cube) > 1:
         table = cube.mean(axis=(2, 3)).T
-        if of == "share":  # what was taken, of what was tried, with other numbers tried of each unit
-            taken, tried = cube.sum(axis=(2, 3))
-            return _with_reason(_ratio(table), clustered_share_interval(taken, tried), table)
-        if of == "ratio":
-            return _with_reason(_ratio(table), ratio_interval(*table.T), table)
+        if of in ("share", "ratio"):  # a share of what was tried, with other numbers tried of each unit
+            ends = clustered_share_interval(*cube.sum(axis=(2, 3))) if of == "share" else ratio_interval(*table.T)
+            return _with_reason(_ratio(table), ends, table)
         function = of if callable(of) else _removed
         return _with_reason(float(function(table)), statistic_interval(table, function), table)
     (values,) = cube
@@ -607,9 +600,7 @@ def share_estimate(chances: NDArray[np.float64]) -> Estimate:
         ends = clustered_share_interval(chances.sum(axis=(1, 2)), fruit)
     else:
         ends = crossed_interval(means)
-    if ends is not None:
-        ends = max(ends[0], 0.0), min(ends[1], 1.0)
-    return _with_reason(float(means.mean()), ends, means)
+    return _with_reason(float(means.mean()), ends and (max(ends[0], 0.0), min(ends[1], 1.0)), means)
 
 
 def interquartile_estimate(values: NDArray[np.float64]) -> Estimate:

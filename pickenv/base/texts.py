@@ -6,10 +6,12 @@ file. `shortened` keeps a message's quotations to one line, and `decimal_number`
 
 from __future__ import annotations
 
+import codecs
 import re
 import shutil
 import stat
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from textwrap import wrap
 from typing import Any, TypeVar
@@ -24,14 +26,8 @@ PIECE = 1 << 20
 LARGEST = 1 << 30
 """Largest size of a text file, bytes; no file of ours comes near it."""
 
-MARKS = {
-    b"\xff\xfe\x00\x00": "UTF-32",
-    b"\x00\x00\xfe\xff": "UTF-32",
-    b"\xff\xfe": "UTF-16",
-    b"\xfe\xff": "UTF-16",
-    b"PK\x03\x04": "",
-}
-"""First bytes of files that are not UTF-8: byte order marks, longest first, and zip archives such as .xlsx."""
+MARKS = {"UTF-32": (codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE), "UTF-16": (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)}
+"""First bytes of files that are not UTF-8: byte order marks, longest first."""
 
 
 def read_text(path: str | Path, kind: str) -> str:
@@ -65,10 +61,10 @@ def read_text(path: str | Path, kind: str) -> str:
 
 
 def _decoded(data: bytes, path: str | Path, kind: str) -> str:
-    for mark, encoding in MARKS.items():
-        if data.startswith(mark):
-            if not encoding:
-                raise InputError(f"{path} is a zip archive, such as a spreadsheet; export it as {kind}")
+    if data.startswith(b"PK\x03\x04"):
+        raise InputError(f"{path} is a zip archive, such as a spreadsheet; export it as {kind}")
+    for encoding, marks in MARKS.items():
+        if data.startswith(marks):
             raise InputError(f"{path} is written in {encoding}; save it as UTF-8")
     if b"\0" in data:
         raise InputError(f"cannot read {path}: it holds zero bytes, so it is UTF-16 or no text; give {kind} in UTF-8")
@@ -76,10 +72,8 @@ def _decoded(data: bytes, path: str | Path, kind: str) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        raise InputError(
-            f"cannot read {path}: byte 0x{data[error.start]:02x} in line {line} is not UTF-8, so it is Latin-1 "
-            f"(Windows-1252) or no text; give {kind} in UTF-8"
-        ) from error
+        place = f"byte 0x{data[error.start]:02x} in line {line}"
+        raise InputError(f"cannot read {path}: {place} is Latin-1 (cp1252) or no text; give {kind} in UTF-8") from error
 
 
 def parsed(parse: Callable[[], Thing], path: str | Path, kind: str) -> Thing:
@@ -90,6 +84,19 @@ def parsed(parse: Callable[[], Thing], path: str | Path, kind: str) -> Thing:
         raise InputError(f"{path} is not valid {kind}: it is nested too deeply; give tables of a few levels") from error
     except Exception as error:
         raise InputError(f"{path} is not valid {kind}: {_reason(error)}") from error
+
+
+@contextmanager
+def in_file(path: str | Path) -> Iterator[None]:
+    """A context whose errors begin with the file's name.
+
+    Raises:
+        InputError: For every `InputError` in the context.
+    """
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 def yaml_content(text: str, path: str | Path) -> Any:

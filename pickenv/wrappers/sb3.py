@@ -113,10 +113,7 @@ class Sb3Vec(VecEnv):
             observations: Any = [{key: value[i].copy() for key, value in last.items()} for i in rows]
         else:
             observations = [last[i].copy() for i in rows]
-        columns: dict[str, list[Any]] = {
-            "terminal_observation": observations,
-            "TimeLimit.truncated": cut[rows].tolist(),
-        }
+        columns: dict[str, Any] = {"terminal_observation": observations, "TimeLimit.truncated": cut[rows].tolist()}
         names = [key for key, values in final.items() if key[0] != "_" and np.ndim(values) == 1]
         columns |= {key: np.asarray(final[key])[rows].tolist() for key in names}
         sums = zip(self._returns[rows].tolist(), self._lengths[rows].tolist(), strict=True)

@@ -17,7 +17,7 @@ from pickenv.arm.effects.structure import turn_horizontally
 from pickenv.arm.files.joint_keys import PER_JOINT
 from pickenv.arm.kinematics.backend import exponential, namespace_of
 from pickenv.arm.kinematics.forward import Scalar
-from pickenv.base import GRAVITY, HOURS, MILLISECONDS, MM, NUMBER, Check, Unit, register, toml_table
+from pickenv.base import GRAVITY, HOURS, MILLISECONDS, MM, NUMBER, Unit, afterwards, register, toml_table
 
 GIVING_WAY = {"stiffness": "ground_stiffness", "creep": "sinkage", "settlement": "sinkage"}
 
@@ -78,10 +78,7 @@ class BaseTilt(Effect, place=BASE, spreads=GIVING_WAY, needs_load=True):
 # through a first-order lag. A held command is integrated exactly, whatever the time step. Units: s, Hz, rad or m.
 
 
-BELOW_ONE = Check(
-    lambda values: not isinstance(values, list) or all(not isinstance(v, int | float) or v < 1 for v in values),
-    "damping ratios from 0 to below 1",
-)
+BELOW_ONE = afterwards(lambda zetas: all(zeta < 1.0 for zeta in zetas), "damping ratios from 0 to below 1")
 
 
 LARGEST_DAMPING = 0.5

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from pickenv.arm.effects.effect import DRIVE, TOOL, Components, Draws, Effect, Passage, standard_normal_of
 from pickenv.arm.effects.structure import Harmonic, with_waves
-from pickenv.arm.files.joint_keys import ByJoint, numbers_per_joint
+from pickenv.arm.files.joint_keys import LENGTH, TRAVEL, ByJoint, numbers_per_joint
 from pickenv.arm.kinematics.backend import outside
 from pickenv.arm.kinematics.forward import Scalar
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.kinematics.pose_error import displaced_frame
-from pickenv.base import ARCMIN, DEG, MM, NUMBER, WHOLE, InputError, Then, register, toml_table
+from pickenv.base import MM, NUMBER, WHOLE, InputError, Then, register, toml_table
 
 CHUNK = 64
 """Number of arms or poses that NumPy works on together, so that their waves stay in a core's cache."""
@@ -151,15 +151,16 @@ def _weighed(features: Features, inputs: Array, weight: Single) -> Array:
 
 
 def _tensor_outputs(m: ModuleType, field: ResidualField, q: Sequence[Scalar]) -> list[Scalar]:
-    features, like, weight = field.features, q[0], field.weight
-    key = (like.dtype, like.device)
-    if key not in features.tensors:
-        features.tensors[key] = m.as_tensor(features.frequency, dtype=like.dtype, device=like.device)
-    if isinstance(weight, np.ndarray):  # of a single arm, which stays on NumPy
-        if key not in field.tensors:
-            field.tensors[key] = m.as_tensor(weight, dtype=like.dtype, device=like.device)
-        weight = field.tensors[key]
-    angle = m.stack(features.inputs(m, q), -1) @ features.tensors[key]
+    features, key = field.features, (q[0].dtype, q[0].device)
+
+    def tensor(cache: dict[Any, Any], array: NDArray[Any]) -> Any:
+        if key not in cache:
+            cache[key] = m.as_tensor(array, dtype=key[0], device=key[1])
+        return cache[key]
+
+    single = isinstance(field.weight, np.ndarray)  # of one arm, which stays on NumPy
+    weight = tensor(field.tensors, field.weight) if single else field.weight
+    angle = m.stack(features.inputs(m, q), -1) @ tensor(features.tensors, features.frequency)
     angle = angle.unflatten(-1, (features.outputs, features.count))
     waves = m.cos(angle) * weight[..., 0, :] + m.sin(angle) * weight[..., 1, :]
     return list(waves.sum(-1).unbind(-1))
@@ -189,13 +190,7 @@ class WavesTable:
     seed: Annotated[int, SEED]
     decay: Annotated[float, NUMBER.not_negative]
     joints: Annotated[
-        tuple[Any, ...],
-        ByJoint(
-            waves=(WHOLE.at_least(1), WHOLE.at_least(1)),
-            amplitude=(ARCMIN.not_negative, MM.not_negative),
-            longest=(DEG.positive, MM.positive),
-            shortest=(DEG.positive, MM.positive),
-        ),
+        tuple[Any, ...], ByJoint(waves=(WHOLE.at_least(1),) * 2, amplitude=TRAVEL, longest=LENGTH, shortest=LENGTH)
     ]
 
 
@@ -263,16 +258,12 @@ def drive_harmonics_of(table: WavesTable) -> DriveHarmonics:
     """
     for entry in table.joints:
         if entry.shortest >= entry.longest:
-            raise InputError(
-                f"the shortest period of joint {entry.joint + 1} in [drive_harmonics] is not below its longest; give a "
-                "shorter one"
-            )
-    spread = tuple(
-        WaveSpread(entry.joint, entry.amplitude, entry.longest, entry.shortest, table.decay)
-        for entry in table.joints
-        for _ in range(entry.waves)
-    )
-    return DriveHarmonics(spread, ()).of_numbers(np.random.default_rng(table.seed).random(3 * len(spread)))
+            where = f"joint {entry.joint + 1} in [drive_harmonics]"
+            raise InputError(f"the shortest period of {where} is not below its longest; give a shorter one")
+    spread: list[WaveSpread] = []
+    for entry in table.joints:
+        spread += [WaveSpread(entry.joint, entry.amplitude, entry.longest, entry.shortest, table.decay)] * entry.waves
+    return DriveHarmonics(tuple(spread), ()).of_numbers(np.random.default_rng(table.seed).random(3 * len(spread)))
 
 
 @toml_table
@@ -289,7 +280,7 @@ class StructureTable:
     seed: Annotated[int, SEED]
     position: Annotated[float, MM.not_negative]
     waves: Annotated[int, WHOLE.within(1, 1000)]
-    joints: Annotated[tuple[Any, ...], ByJoint(length=(DEG.positive, MM.positive))]
+    joints: Annotated[tuple[Any, ...], ByJoint(length=LENGTH)]
 
 
 @register("effect", "local_structure")

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from pickenv.arm.effects.effect import BEND, DRIVE, GEAR, JOINT, Components, Draws, Effect, Passage, Weight
 from pickenv.arm.files.arm import Arm
-from pickenv.arm.files.joint_keys import BOOM, PER_JOINT, TRAVEL, ByJoint, joint_table
+from pickenv.arm.files.joint_keys import BOOM, LENGTH, PER_JOINT, TRAVEL, ByJoint, joint_table
 from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Flexure, Frame, Scalar
 from pickenv.arm.kinematics.pose_error import displaced_frame
@@ -103,10 +103,8 @@ class RollerPlay(Boom, place=BEND + 0.8, spreads={"clearance": "roller_clearance
         limit = arm.nominal.upper[self.joint]
         if self.overlap > limit:
             return ""
-        return (
-            f"overlap_mm of [roller_play] is {self.overlap * 1e3:g}; give more than the {limit * 1e3:g} mm that joint "
-            f"{self.joint + 1} runs out"
-        )
+        overlap = f"overlap_mm of [roller_play] is {self.overlap * 1e3:g}"
+        return f"{overlap}; give more than the {limit * 1e3:g} mm that joint {self.joint + 1} runs out"
 
 
 @dataclass(frozen=True)
@@ -126,8 +124,9 @@ class Harmonic:
     phase: Scalar
 
 
-HARMONICS = ByJoint(
-    amplitude=TRAVEL, period=(toml_tables.DEG.positive, toml_tables.MM.positive), phase=(toml_tables.DEG,) * 2
+HARMONICS = toml_tables.Then(
+    lambda entries, _: tuple(Harmonic(**vars(entry)) for entry in entries),
+    Annotated[tuple[Any, ...], ByJoint(amplitude=TRAVEL, period=LENGTH, phase=(toml_tables.DEG,) * 2)],
 )
 
 
@@ -142,7 +141,7 @@ class TransmissionError(Effect, place=DRIVE):
     """
 
     lead: Annotated[tuple[Scalar, ...], toml_tables.NUMBER, PER_JOINT]
-    harmonics: Annotated[tuple[Harmonic, ...], toml_tables.Then(_harmonics, Annotated[tuple[Any, ...], HARMONICS])] = ()
+    harmonics: Annotated[tuple[Harmonic, ...], HARMONICS] = ()
 
     def act(self, at: Passage, memory: Components) -> None:
         """Drive the joints unevenly."""
@@ -159,10 +158,6 @@ class TransmissionError(Effect, place=DRIVE):
             draws.scaled(self.lead, "lead", spread=self.name),
             tuple(replace(term, amplitude=amplitude, phase=phase) for term, amplitude, phase in terms),
         )
-
-
-def _harmonics(entries: Any, _context: Any) -> tuple[Harmonic, ...]:
-    return tuple(Harmonic(entry.joint, entry.amplitude, entry.period, entry.phase) for entry in entries)
 
 
 def with_waves(
@@ -427,10 +422,8 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
         for bearing in self.bearings:
             limit = arm.nominal.upper[bearing.joint]
             if bearing.overhang is not None and bearing.span <= limit:
-                return (
-                    f"span_mm of joint {bearing.joint + 1} in [slide_compliance] is {bearing.span * 1e3:g}; "
-                    f"give more than the {limit * 1e3:g} mm that it runs out"
-                )
+                span = f"span_mm of joint {bearing.joint + 1} in [slide_compliance] is {bearing.span * 1e3:g}"
+                return f"{span}; give more than the {limit * 1e3:g} mm that it runs out"
         return ""
 
     def drawn(self, draws: Draws) -> SlideCompliance:

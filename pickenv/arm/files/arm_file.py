@@ -23,7 +23,7 @@ from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow
 from pickenv.arm.files.xml_values import xml_number
 from pickenv.arm.kinematics.geometry import Array, Coupling, Geometry, Pose, from_standard_dh, identity_pose
 from pickenv.arm.kinematics.pose_error import rotation_matrix
-from pickenv.base import InputError, read_text, register, registry, shortened, toml_tables, yaml_content
+from pickenv.base import InputError, in_file, read_text, register, registry, shortened, toml_tables, yaml_content
 
 ARMS = Path(__file__).parent / "arms"
 
@@ -200,7 +200,9 @@ def _coupling(links: list[Any], leaders: list[Any], slides: tuple[bool, ...]) ->
 
 UR_LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
-UR_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
+UR_KEYS = dict.fromkeys("xyz", toml_tables.M.most) | dict.fromkeys(("roll", "pitch", "yaw"), toml_tables.RAD.most)
+"""Keys of a link, each with the largest number that it may have, m and rad."""
+
 LIMITS_OF = "ur10e"
 """The arm that lends its limits and speeds, as a UR kinematics file has none; it is the slowest of its series."""
 
@@ -234,20 +236,17 @@ def ur_row(path: Path) -> tuple[JointRow, str]:
     if not isinstance(links, Mapping):
         raise InputError(f"{path} has no 'kinematics'; give a UR kinematics file as ur_calibration writes it")
     like = read_arm(ARMS / f"{LIMITS_OF}.toml")
-    joints, drives = [], {}
-    for i, (link, name) in enumerate(zip(UR_LINKS, UR_JOINTS, strict=True)):
+    limits = np.stack([like.nominal.lower, like.nominal.upper, like.speed], axis=1).tolist()
+    drives = {name: Drive(False, *numbers) for name, numbers in zip(UR_JOINTS, limits, strict=True)}
+    joints = []
+    for link, name in zip(UR_LINKS, UR_JOINTS, strict=True):
         numbers = links.get(link)
         if not isinstance(numbers, Mapping) or any(key not in numbers for key in UR_KEYS):
             raise InputError(f"{path}: '{link}' of kinematics lacks one of {', '.join(UR_KEYS)}; give all six")
-        try:
-            most = {key: toml_tables.M.most if key in "xyz" else toml_tables.RAD.most for key in UR_KEYS}
-            values = [xml_number(str(numbers[key]), f"{key} of {link}", most[key]) for key in UR_KEYS]
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
+        with in_file(path):
+            values = [xml_number(str(numbers[key]), f"{key} of {link}", most) for key, most in UR_KEYS.items()]
         origin = Pose(np.array(values[:3]), Rotation.from_euler("xyz", values[3:]).as_matrix())
         joints.append(ChainJoint(name, name, 1.0, 0.0, False, origin, np.array([0.0, 0.0, 1.0])))
-        limits = (like.nominal.lower[i], like.nominal.upper[i], like.speed[i])
-        drives[name] = Drive(False, *map(float, limits))
     mark = f", {shortened(links['hash'])}" if "hash" in links else ""
     return JointRow(path.stem, "base", "tool0", tuple(joints), identity_pose(), drives), mark
 

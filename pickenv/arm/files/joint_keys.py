@@ -10,7 +10,7 @@ from dataclasses import make_dataclass
 from typing import Annotated, Any, cast
 
 from pickenv.arm.files.arm import Arm
-from pickenv.base import ARCMIN, MM, WHOLE, InputError, Kinds, Then, Unit, fault, toml_table
+from pickenv.base import ARCMIN, DEG, MM, WHOLE, InputError, Kinds, Then, Unit, fault, toml_table
 
 
 def arm_in(context: Mapping[str, Any] | None) -> Arm | None:
@@ -50,6 +50,9 @@ BOOM = Then(_boom)
 
 TRAVEL = (ARCMIN.not_negative, MM.not_negative)
 """Units of lost motion or error of a joint that turns, and of one that slides."""
+
+LENGTH = (DEG.positive, MM.positive)
+"""Units of a period or a length scale of a joint that turns, and of one that slides."""
 
 
 def numbers_per_joint(table: Any, context: Any, *keys: str) -> tuple[tuple[float, ...], ...]:

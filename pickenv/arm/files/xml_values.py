@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pickenv.arm.kinematics.forward import PARALLEL
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.base import InputError, decimal_number, read_text, shortened
 from pickenv.base.texts import parsed
@@ -28,9 +29,7 @@ def xml_root(path: Path, ending: str) -> Element:
     if declared:
         encoding = parsed(lambda: codecs.lookup(declared[1]).name, path, "XML")
         if encoding != "utf-8" and not text.isascii():
-            raise InputError(
-                f"{path} says that its encoding is '{declared[1]}', but it is UTF-8; correct its first line"
-            )
+            raise InputError(f"{path} names '{declared[1]}' as its encoding, but it is UTF-8; correct its first line")
     if "<!ENTITY" in text:
         raise InputError(f"{path} declares XML entities, which no arm needs; write their text out")
     return parsed(lambda: ElementTree.fromstring(text), path, "XML")
@@ -64,6 +63,18 @@ def xml_number(text: str, owner: str, most: float) -> float:
     if abs(value) > most:
         raise InputError(f"the {owner} is {value:g}; no arm has more than {most:g} there")
     return value
+
+
+def unit_vector(values: Array, what: str) -> Array:
+    """The vector of length 1 in the direction of ``values``.
+
+    Raises:
+        InputError: If it has no direction.
+    """
+    length = float(np.linalg.norm(values))
+    if length < PARALLEL:
+        raise InputError(f"{what} has no direction; give a unit vector")
+    return values / length
 
 
 def numbers_text(numbers: ArrayLike) -> str:

@@ -104,10 +104,8 @@ def inverse(
     if not (np.isfinite(position).all() and np.isfinite(rotation).all()):
         raise ValueError("the target pose is not finite; give finite positions (m) and rotation matrices")
     shape = np.broadcast_shapes(position.shape[:-1], rotation.shape[:-2])
-    goals = Pose(
-        np.broadcast_to(position, (*shape, 3)).reshape(-1, 3),
-        np.broadcast_to(rotation, (*shape, 3, 3)).reshape(-1, 3, 3),
-    )
+    places, turns = np.broadcast_to(position, (*shape, 3)), np.broadcast_to(rotation, (*shape, 3, 3))
+    goals = Pose(places.reshape(-1, 3), turns.reshape(-1, 3, 3))
     n = geometry.joints
     middle, half = (geometry.lower + geometry.upper) / 2, (geometry.upper - geometry.lower) / 2
     first = middle if start is None else np.asarray(start, dtype=float)
@@ -201,12 +199,7 @@ def _descend_damped(geometry: Geometry, goals: Pose, q: Array, parts: slice) -> 
 
 
 def _descend(
-    geometry: Geometry,
-    goals: Pose,
-    q: Array,
-    rank_tolerance: float,
-    max_iterations: int,
-    parts: slice,
+    geometry: Geometry, goals: Pose, q: Array, rank_tolerance: float, max_iterations: int, parts: slice
 ) -> Array:
     """Descend by Gauss-Newton steps with a pull in the null space; rows that have settled are left alone."""
     middle, half = (geometry.lower + geometry.upper) / 2, (geometry.upper - geometry.lower) / 2
@@ -314,9 +307,7 @@ def largest_cube(geometry: Geometry, rotation: Array | None = None, *, steps: in
     within[near] = solution.reached
     corner, size = _largest_filled(within.reshape(grid.shape[:-1]))
     if size == 0:
-        raise InputError(
-            f"this arm reaches no cube of {1e3 * step:.0f} mm with one tool attitude; give another attitude"
-        )
+        raise InputError(f"this arm reaches no cube of {1e3 * step:.0f} mm with one tool attitude; give another one")
     edge = size * step
     return Cube(grid[corner] + edge / 2.0, edge, np.asarray(rotation, dtype=float), free)
 

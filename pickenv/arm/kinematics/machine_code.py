@@ -12,7 +12,7 @@ import math
 import os
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from types import SimpleNamespace
 from typing import Any, NamedTuple, cast
 
@@ -363,6 +363,7 @@ class _Body:
     def __init__(self, operations: Sequence[Operation], goals: Goals, arrays: Sequence[str], lanes: int) -> None:
         self.lines: list[str] = []
         self._operations, self._arrays, self._lanes = operations, arrays, lanes
+        self._type = partial(_type, lanes=lanes)
         self._turn = "wide" if lanes > 1 else "narrow"
         self._bases: dict[str, str] = {}
         self._values: dict[int, str] = {}
@@ -412,9 +413,6 @@ class _Body:
         name = f"%{self._turn[0]}{len(self.lines)}"
         self.lines.append(f"  {name} = {instruction}")
         return name
-
-    def _type(self, kind: str) -> str:
-        return _type(kind, self._lanes)
 
     def _place(self, array: str, row: int, kind: str) -> tuple[str, str]:
         """The pointer to the entries of a row that this pass of the loop works on, and their type in memory."""

@@ -54,10 +54,8 @@ def link_column(
 def jacobian_columns(geometry: Geometry, links: Sequence[Frame], tool: Frame) -> list[Column]:
     """Columns of the joint Jacobian, one per joint, from the frames of base, links and tool in components."""
     hand = tool[9:]
-    columns = [
-        link_column("d" if slides else "theta", (), link, hand, ())
-        for slides, link in zip(geometry.slides, links[1:], strict=True)
-    ]
+    pairs = zip(geometry.slides, links[1:], strict=True)
+    columns = [link_column("d" if slides else "theta", (), link, hand, ()) for slides, link in pairs]
     if geometry.coupling is None:
         return columns
     gathered: list[Column] = [(0.0,) * 6] * geometry.joints

@@ -193,11 +193,8 @@ def normal_draws(plant: Plant, poses: int, rng: np.random.Generator) -> NormalDr
     (child,) = rng.spawn(1)
     band, shape = plant.effect("stick_band"), (poses, 2, plant.geometry.joints)
     scatters = band is not None and band.scatter
-    return NormalDraws(
-        reading=rng.normal(size=(poses, 6)),
-        mounting=child.normal(size=3),
-        stops=child.normal(size=shape) if scatters else np.broadcast_to(0.0, shape),
-    )
+    reading, mounting = rng.normal(size=(poses, 6)), child.normal(size=3)
+    return NormalDraws(reading, mounting, child.normal(size=shape) if scatters else np.broadcast_to(0.0, shape))
 
 
 def switched_on(plant: Plant, m: ModuleType, joints: Array, warm_up: float, place: Place | None = None) -> PlantState:

@@ -256,17 +256,10 @@ def bare_plant(arm: Arm, sizes: SizesTable, final_rise: float) -> Plant:
     torques[torques == 0] = 1.0  # gravity loads no joint of the kind: whatever the stiffness, none yields
     sags = [sizes.sliding_sag if slide else sizes.turning_sag for slide in slides]
     gaps = tuple(sizes.sliding_gap if slide else sizes.turning_gap for slide in slides)
-    return Plant(
-        name=arm.name,
-        arm=arm,
-        geometry=arm.nominal,
-        load=load,
-        effects=(
-            Backlash(gaps, tuple((sizes.preload_share * torques).tolist())),
-            JointCompliance(tuple((torques / sags).tolist())),
-            ThermalGrowth((sizes.expansion,) * len(slides), 0.0, final_rise, sizes.warm_up),
-        ),
-    )
+    backlash = Backlash(gaps, tuple((sizes.preload_share * torques).tolist()))
+    compliance = JointCompliance(tuple((torques / sags).tolist()))
+    growth = ThermalGrowth((sizes.expansion,) * len(slides), 0.0, final_rise, sizes.warm_up)
+    return Plant(arm.name, arm, arm.nominal, load, (backlash, compliance, growth))
 
 
 def rods(arm: Arm) -> Load:
@@ -295,10 +288,8 @@ def _split(name: str | Path) -> tuple[str, str]:
     if kind == IDEAL or (colon and (kind in shipped_tolerances() or kind.endswith(".toml"))):
         return kind, arm_name or FIRST_ARM
     if colon and not is_file(str(name)) and (arm_name in (*shipped_arms(), *shipped_plants())):
-        raise InputError(
-            f"unknown tolerance class '{shortened(kind)}'; give one of {', '.join((IDEAL, *shipped_tolerances()))}, or "
-            "a path to its file (.toml), before the colon"
-        )
+        names = ", ".join((IDEAL, *shipped_tolerances()))
+        raise InputError(f"unknown tolerance class '{shortened(kind)}'; give one of {names}, or a path (.toml)")
     return "", arm_name
 
 
@@ -309,8 +300,6 @@ def _design(name: str, tolerances: Tolerances) -> Plant:
     if plant_file or file in shipped_plants() or name.endswith(".npz"):
         return read_plant(name)
     if tolerances.sizes is None:
-        raise InputError(
-            f"tolerance class '{tolerances.name}' has no [sizes], which arm '{shortened(name)}' needs as it comes "
-            "without a plant; give them, or a plant file"
-        )
+        needs = f"[sizes], which arm '{shortened(name)}' needs as it comes without a plant"
+        raise InputError(f"tolerance class '{tolerances.name}' has no {needs}; give them, or a plant file")
     return bare_plant(load_arm(name), tolerances.sizes, sum(tolerances.temperature_rise) / 2)

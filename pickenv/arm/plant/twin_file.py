@@ -79,10 +79,7 @@ def _carried(arm: Arm, posterior: Posterior, geometries: Sequence[Geometry]) -> 
     base, tool = posterior.aligned
     nominal = arm.nominal
     first, last = behind(nominal.base, inverse_pose(base)), behind(inverse_pose(tool), nominal.tool)
-    frames = {
-        "base": [behind(first, geometry.base) for geometry in geometries],
-        "tool": [behind(geometry.tool, last) for geometry in geometries],
-    }
+    frames = {"base": [behind(first, g.base) for g in geometries], "tool": [behind(g.tool, last) for g in geometries]}
     links = {name: [getattr(geometry, name) for geometry in geometries] for name in LINK_PARAMETERS}
     parts: dict[str, Any] = {name: rows[0] for name, rows in (links | frames).items()}
     if geometries[0] is not posterior.identified:
@@ -150,15 +147,11 @@ def write_twin(plant: Plant, path: str | Path) -> Path:
     noise = plant.effect("measurement_noise")
     names = twin_plant(plant.name, plant.arm, posterior, noise).names
     if plant.names != names:
-        raise InputError(
-            f"plant '{plant.name}' has the effects {', '.join(plant.names)}, its calibration found {', '.join(names)}; "
-            "write it as it was made"
-        )
+        effects = f"{', '.join(plant.names)}, its calibration found {', '.join(names)}"
+        raise InputError(f"plant '{plant.name}' has the effects {effects}; write it as it was made")
     base, tool = posterior.aligned
-    geometries = {
-        **{"arm": nominal, "identified": posterior.identified},
-        "aligned": replace(nominal, base=base, tool=tool),
-    }
+    aligned = replace(nominal, base=base, tool=tool)
+    geometries = {"arm": nominal, "identified": posterior.identified, "aligned": aligned}
     arrays: dict[str, NDArray[Any]] = {}
     for key, geometry in geometries.items():
         arrays |= named_part(f"{key}/", geometry_arrays(geometry))
