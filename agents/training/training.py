@@ -129,13 +129,8 @@ def train(
         callbacks = [EverySoOften(training.evaluate_every, evaluate), EverySoOften(training.checkpoint_every, keep)]
         begin, first = time.perf_counter(), model.num_timesteps
         if model.num_timesteps < training.total:
-            model.learn(
-                training.total - model.num_timesteps,
-                callback=callbacks,
-                reset_num_timesteps=not resume,
-                tb_log_name=training.algorithm,
-                progress_bar=progress,
-            )
+            settings = {"reset_num_timesteps": not resume, "tb_log_name": training.algorithm, "progress_bar": progress}
+            model.learn(training.total - model.num_timesteps, callback=callbacks, **settings)
             save_checkpoint(path, model, env, training, inputs, rows)
         rate = (model.num_timesteps - first) / max(time.perf_counter() - begin, 1e-9)
         policy = training_setup.actor_of(model, training, env)

@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from pickenv.base.errors import InputError
 from pickenv.base.files import write_whole
 from pickenv.base.provenance import made_with
+from pickenv.base.texts import reason_of
 
 SCHEMA = "pickenv container 1"
 HEADER = "header.json"
@@ -87,15 +88,8 @@ def refusing_damage(path: str | Path, what: str, remake: str) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # the one place where all of them are caught; none of them is lost
-        raise InputError(f"{path} is not {what} or is damaged ({_reason(error)}); {remake}") from error
-
-
-def _reason(error: Exception) -> str:
-    """An exception in a few words on one line."""
-    if isinstance(error, KeyError) and error.args:
-        return f"{str(error.args[0])[:60]!r} is missing"
-    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
-    return " ".join(str(text).split())[:160]
+        why = f"{str(error)[:60]} is missing" if isinstance(error, KeyError) and error.args else reason_of(error)
+        raise InputError(f"{path} is not {what} or is damaged ({why}); {remake}") from error
 
 
 def named_part(prefix: str, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
@@ -145,29 +139,15 @@ def write_container(
     blobs = blobs or {}
     if any(name.endswith(".npy") or name == HEADER for name in blobs):
         raise ValueError(f"blobs may be called neither {HEADER} nor .npy")
-    text = json.dumps(
-        {
-            "schema": SCHEMA,
-            "kind": kind,
-            "version": version,
-            "made_with": made_with(),
-            "arrays": described,
-            "blobs": {name: {"bytes": len(value), "sha256": _sha256(value)} for name, value in blobs.items()},
-            "header": dict(header),
-        }
-    )
+    head = {"schema": SCHEMA, "kind": kind, "version": version, "made_with": made_with(), "arrays": described}
+    hashes = {name: {"bytes": len(value), "sha256": _sha256(value)} for name, value in blobs.items()}
+    members = {HEADER: json.dumps({**head, "blobs": hashes, "header": dict(header)}).encode()}
+    members |= {f"{name}.npy": _preamble(described[name]) + content for name, content in numbers.items()}
     buffer = io.BytesIO()
     method = zipfile.ZIP_DEFLATED if compressed else zipfile.ZIP_STORED
     with zipfile.ZipFile(buffer, "w") as archive:
-
-        def add(name: str, content: bytes) -> None:
+        for name, content in {**members, **blobs}.items():
             archive.writestr(zipfile.ZipInfo(name), content, method)  # dated 1980, so that bytes repeat
-
-        add(HEADER, text.encode())
-        for name, content in numbers.items():
-            add(f"{name}.npy", _preamble(described[name]) + content)
-        for name, content in blobs.items():
-            add(name, content)
         archive.comment = bytes(len(seal()))
     content = buffer.getvalue()[: -len(seal())]
     return write_whole(path, lambda temporary: temporary.write_bytes(content + seal(content)))

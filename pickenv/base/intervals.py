@@ -278,7 +278,7 @@ def clustered_share_interval(successes: ArrayLike, trials: ArrayLike, least: int
     return _wilson(share, float(np.clip(counted, min(fewest, total), total)))
 
 
-def crossed_interval(values: ArrayLike, least: tuple[int, int] = (LEAST, LEAST_RUNS)) -> Ends | None:
+def crossed_interval(values: ArrayLike) -> Ends | None:
     """95 % interval of the mean of values ``(A, B)`` over two crossed factors, both drawn: arms and training seeds.
 
     The variance of the mean, (MS_A + MS_B - MS_AB) / (A B), is from the two-way analysis of variance; the degrees of
@@ -286,14 +286,13 @@ def crossed_interval(values: ArrayLike, least: tuple[int, int] = (LEAST, LEAST_R
 
     Args:
         values: One value for every arm with every seed.
-        least: Fewest arms, and fewest seeds.
 
     Returns:
-        The ends, or None where there are fewer arms or seeds, or all values are equal.
+        The ends, or None where there are fewer arms than `LEAST`, or seeds than `LEAST_RUNS`, or all values are equal.
     """
     x = np.asarray(values, dtype=float)
     a, b = x.shape
-    if a < least[0] or b < least[1] or _equal(x):
+    if a < LEAST or b < LEAST_RUNS or _equal(x):
         return None
     mean, arms, seeds = float(x.mean()), x.mean(axis=1), x.mean(axis=0)
     squares = (b * arms.var(ddof=1), a * seeds.var(ddof=1))

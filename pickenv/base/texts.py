@@ -52,7 +52,7 @@ def read_text(path: str | Path, kind: str) -> str:
     except FileNotFoundError as error:
         raise InputError(f"{_name(path)} does not exist; give a path to {kind}") from error
     except (OSError, ValueError) as error:  # a path of 300 characters, or with a zero byte in it
-        raise InputError(f"cannot read {_name(path)}: {_reason(error)}; give a path to {kind}") from error
+        raise InputError(f"cannot read {_name(path)}: {reason_of(error)}; give a path to {kind}") from error
     if file_type != "file":
         raise InputError(f"{_name(path)} is {file_type}, not a file; give a path to {kind}")
     if len(data) > LARGEST:
@@ -83,7 +83,7 @@ def parsed(parse: Callable[[], Thing], path: str | Path, kind: str) -> Thing:
     except RecursionError as error:
         raise InputError(f"{path} is not valid {kind}: it is nested too deeply; give tables of a few levels") from error
     except Exception as error:
-        raise InputError(f"{path} is not valid {kind}: {_reason(error)}") from error
+        raise InputError(f"{path} is not valid {kind}: {reason_of(error)}") from error
 
 
 @contextmanager
@@ -191,7 +191,7 @@ def _name(path: str | Path) -> str:
     return shortened(path, 300)
 
 
-def _reason(error: Exception) -> str:
+def reason_of(error: Exception) -> str:
     """An error's own words on one line, without Python's advice to programmers."""
     text = getattr(error, "strerror", None) or str(error) or type(error).__name__
     return shortened(re.sub(r"\s+", " ", re.sub(r"; use sys\.set_int_max_str_digits\(\).*", "", text)), 200)

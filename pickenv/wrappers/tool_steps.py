@@ -67,6 +67,7 @@ class ToolSteps(Rescaling):
     geometry: Geometry
     increment: Array
     home = "it in pickenv/Pick-v0, with the arm"
+    outputs = MOVES + 1  # of the policy: its steps and the gripper
 
     @property
     def joints(self) -> int:
@@ -95,11 +96,6 @@ class ToolSteps(Rescaling):
         high = np.array([1.0] * n + [1.001] * 4 + [2.0] * 2 + [1.0] * 6, dtype=np.float32)
         low = np.array([-1.0] * n + [-1.001] * 4 + [-2.0] * 2 + [0.0] * 6, dtype=np.float32)
         return spaces.Box(low, high, dtype=np.float32)
-
-    @property
-    def outputs(self) -> int:
-        """Count of numbers in the policy's action: its steps and the gripper."""
-        return MOVES + 1
 
     @property
     def answers(self) -> spaces.Box:

@@ -119,10 +119,8 @@ class ArmFile:
         numbers = [joint.number for joint in self.joints]
         for number in range(1, self.joint_count + 1):
             if numbers.count(number) != 1:
-                raise InputError(
-                    f"joint {number} {'is given twice' if number in numbers else 'is missing'}; joint_count = "
-                    f"{self.joint_count} asks for joints 1 to {self.joint_count}, once each"
-                )
+                state = "given twice" if number in numbers else "missing"
+                raise InputError(f"joint {number} is {state}; joint_count asks for 1 to {self.joint_count}, once each")
         if len(numbers) != self.joint_count:
             extra = next(number for number in numbers if not 1 <= number <= self.joint_count)
             raise InputError(f"joint number {extra} is not in 1..{self.joint_count}; correct it or joint_count")
@@ -130,18 +128,13 @@ class ArmFile:
         for joint in self.joints:
             if isinstance(joint, Follower):
                 if joint.follows not in leaders:
-                    raise InputError(
-                        f"joint {joint.number} follows {joint.follows}; give the number of a joint that does not "
-                        "follow another"
-                    )
+                    raise InputError(f"joint {joint.number} follows {joint.follows}; name a joint that follows none")
             elif joint.lower >= joint.upper:
                 raise InputError(f"joint {joint.number} has a lower limit that is not below its upper limit")
             for key in COLUMNS if self.simulated else ():
                 if getattr(joint, f"true_{key}") is None:
                     unit = "mm" if key in ("a", "d") else "deg"
-                    raise InputError(
-                        f"true_{key}_{unit} of joint {joint.number} is missing; give all true_… values or none"
-                    )
+                    raise InputError(f"true_{key}_{unit} of joint {joint.number} is missing; give all true_… or none")
         if self.convention == "standard" and (self.simulated or any(joint.beta for joint in self.joints)):
             raise InputError("true_… values and beta_deg need convention = 'modified'")
 
@@ -160,8 +153,8 @@ def read_arm(path: Path) -> Arm:
     file = toml_tables.read_toml(ArmFile, path)
     links = sorted(file.joints, key=lambda joint: joint.number)
     leaders = [link for link in links if not isinstance(link, Follower)]
-    names = tuple(link.name if link.name is not None else f"J{link.number}" for link in links)
-    slides = tuple(link.type == "P" for link in links)
+    names = tuple(link.name if link.name is not None else f"J{link.number}" for link in leaders)
+    prismatic = tuple(link.type == "P" for link in leaders)
 
     def column(key: str, among: list[Any] = links) -> Array:
         return np.array([getattr(link, key) for link in among], dtype=float)
@@ -171,25 +164,20 @@ def read_arm(path: Path) -> Arm:
     if file.convention == "modified":
         build, numbers["beta"] = Geometry, column("beta")
     limits = {key: column(key, leaders) for key in ("lower", "upper")}
-    nominal: Geometry = build(names, slides, **numbers, **limits, base=file.base.pose(), tool=file.tool.pose())
-    nominal = replace(
-        nominal,
-        joint_names=tuple(names[link.number - 1] for link in leaders),
-        prismatic=tuple(slides[link.number - 1] for link in leaders),
-        coupling=_coupling(links, leaders, slides),
-    )
+    nominal: Geometry = build(names, prismatic, **numbers, **limits, base=file.base.pose(), tool=file.tool.pose())
+    nominal = replace(nominal, coupling=_coupling(links, leaders))
     built: dict[str, Any] = {key: column(f"true_{key}") for key in COLUMNS} if file.simulated else {}
     true = replace(nominal, **built) if built else None
     return Arm(file.name, file.source, nominal, true, column("speed", leaders), file.tolerance_class)
 
 
-def _coupling(links: list[Any], leaders: list[Any], slides: tuple[bool, ...]) -> Coupling | None:
+def _coupling(links: list[Any], leaders: list[Any]) -> Coupling | None:
     """The joint that moves each link, from ``follows`` and ``ratio``; None where each joint moves one link alone."""
     if len(leaders) == len(links) and all(link.ratio == 1.0 for link in links):
         return None
     order = {link.number: i for i, link in enumerate(leaders)}
     owners = (order[link.follows if isinstance(link, Follower) else link.number] for link in links)
-    return Coupling(tuple(owners), tuple(link.ratio for link in links), slides)
+    return Coupling(tuple(owners), tuple(link.ratio for link in links), tuple(link.type == "P" for link in links))
 
 
 # A Universal Robots arm by its kinematics file: `default_kinematics.yaml` of ROS's `ur_description` (format of 2.x).

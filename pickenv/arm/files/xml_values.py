@@ -29,7 +29,7 @@ def xml_root(path: Path, ending: str) -> Element:
     if declared:
         encoding = parsed(lambda: codecs.lookup(declared[1]).name, path, "XML")
         if encoding != "utf-8" and not text.isascii():
-            raise InputError(f"{path} names '{declared[1]}' as its encoding, but it is UTF-8; correct its first line")
+            raise InputError(f"{path} says its encoding is '{declared[1]}', but it is UTF-8; correct its first line")
     if "<!ENTITY" in text:
         raise InputError(f"{path} declares XML entities, which no arm needs; write their text out")
     return parsed(lambda: ElementTree.fromstring(text), path, "XML")

@@ -214,9 +214,7 @@ def _largest_cube(geometry: Geometry) -> Cube:
 def _joints_for(plant: Plant, poses: Pose, start: Array | None, free: bool) -> Array:
     solution = inverse(plant.arm.nominal, poses, start, position_only=free)
     if not solution.reached.all():
-        raise InputError(
-            f"arm '{plant.arm.name}' does not reach all test poses of this cube; give a smaller one or another attitude"
-        )
+        raise InputError(f"arm '{plant.arm.name}' does not reach all test poses of this cube; give another cube")
     return solution.joints
 
 

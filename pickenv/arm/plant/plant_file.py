@@ -105,8 +105,7 @@ def read_plant(name: str | Path) -> Plant:
     foreign = (name for name in registry.names("effect") if name in tables)
     kind = plant_file(tuple(dict.fromkeys((*shipped_effects(), *foreign))))
     parts = dict(vars(toml_tables.read_toml(kind, path, context={})))
-    del parts["source"]
-    arm, called, load, unmeasured = (parts.pop(key) for key in ("arm", "name", "load", "unmeasured"))
+    arm, called, load, unmeasured, _ = (parts.pop(key) for key in ("arm", "name", "load", "unmeasured", "source"))
     effects = tuple(effect for effect in parts.values() if effect is not None)
     for effect in effects:
         if effect.needs_load and load is None:
@@ -217,10 +216,7 @@ def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
         plant = replace(_design(arm_name, load_tolerances(kind)), name=str(name))
     else:
         plant = read_plant(name)
-    try:
-        return plant.without(without)
-    except ValueError as error:
-        raise InputError(str(error)) from error
+    return plant.without(without)
 
 
 def class_of(name: str | Path) -> Tolerances | None:
