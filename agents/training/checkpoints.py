@@ -134,8 +134,7 @@ def take_checkpoint(path: Path, content: State, model: Any, env: Sb3Vec) -> None
         env.take_state(_arrays(content["env"]))
         _take_buffer(model, content["buffer"])
         if content["memory"]:
-            states = model._last_lstm_states
-            model._last_lstm_states = type(states)(*(tuple(part) for part in content["memory"]))
+            model._last_lstm_states = type(model._last_lstm_states)(*(tuple(part) for part in content["memory"]))
         model.action_space.np_random.bit_generator.state = json.loads(content["action_random"])
         name, keys, position, has_gauss, gauss = content["numpy_random"]
         np.random.set_state((name, keys.numpy(), position, has_gauss, gauss))

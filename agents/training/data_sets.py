@@ -133,8 +133,7 @@ def _reaches(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> It
     for _ in range(envs.unwrapped.max_episode_steps):
         noise = rng.uniform(-1.0, 1.0, envs.action_space.shape).astype(np.float32)
         learnt = policy.act(envs.raw) / envs.scaling.share(envs.raw, np)
-        odds = {"expert": 0.0, "medium": 0.5, "random": 1.0}[quality]
-        random = rng.random(len(seeds)) < odds
+        random = rng.random(len(seeds)) < {"expert": 0.0, "medium": 0.5, "random": 1.0}[quality]
         action = np.clip(np.where(random[:, None], noise, learnt), -1.0, 1.0).astype(np.float32)
         observations, reward, terminated, truncated, infos = envs.step(action)
         for name, values in zip(COLUMNS, (observations, action, reward, terminated, truncated), strict=True):

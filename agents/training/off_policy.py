@@ -41,9 +41,7 @@ class ScaledFeatures(BaseFeaturesExtractor):
 
 
 def _scaling(module: Any) -> ScaledFeatures:
-    features = module.features_extractor
-    assert isinstance(features, ScaledFeatures)
-    return features
+    return cast(ScaledFeatures, module.features_extractor)
 
 
 class _ScaledActions:
@@ -51,8 +49,7 @@ class _ScaledActions:
 
     def forward(self, obs: Any, deterministic: bool = False) -> th.Tensor:
         """Actions."""
-        action: th.Tensor = super().forward(obs, deterministic)  # type: ignore[misc]
-        return action * _scaling(self).share(obs)
+        return super().forward(obs, deterministic) * _scaling(self).share(obs)  # type: ignore[misc, no-any-return]
 
     def action_log_prob(self, obs: Any) -> tuple[th.Tensor, th.Tensor]:
         """Actions, and the logarithm of the probability of the actor's own output."""

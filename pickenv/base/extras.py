@@ -35,8 +35,7 @@ class MissingExtra(InputError, ImportError):
 
 def extra_of(module: str) -> str | None:
     """The extra that brings a module (``torch``, ``torch.nn``), or None."""
-    top = module.partition(".")[0]
-    return next((extra for extra, modules in EXTRAS.items() if top in modules), None)
+    return next((extra for extra, modules in EXTRAS.items() if module.partition(".")[0] in modules), None)
 
 
 def missing(module: str) -> MissingExtra:

@@ -534,8 +534,7 @@ def _cubes(rows: Mapping[str, NDArray[Any]], names: Sequence[str], over: Sequenc
     counts = np.bincount(places[0] * runs + places[1], minlength=units * runs)
     if len(set(counts.tolist())) != 1:
         raise ValueError(f"not every combination of {' and '.join(over)} has as many rows: {sorted(set(counts))}")
-    values = [np.asarray(rows[name], dtype=float)[order].reshape(units, runs, -1) for name in names]
-    return np.stack(values)
+    return np.stack([np.asarray(rows[name], dtype=float)[order].reshape(units, runs, -1) for name in names])
 
 
 def _estimated(
@@ -595,10 +594,8 @@ def share_estimate(chances: NDArray[np.float64]) -> Estimate:
     means = chances.mean(axis=2)
     if trainings == 1 and arms >= MANY and means.min() > 0.0 and means.max() < 1.0:
         ends = mean_interval(means[:, 0])
-    elif trainings == 1:
-        ends = clustered_share_interval(chances.sum(axis=(1, 2)), fruit)
     else:
-        ends = crossed_interval(means)
+        ends = crossed_interval(means) if trainings > 1 else clustered_share_interval(chances.sum(axis=(1, 2)), fruit)
     return _with_reason(float(means.mean()), ends and (max(ends[0], 0.0), min(ends[1], 1.0)), means)
 
 

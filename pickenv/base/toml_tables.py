@@ -281,17 +281,15 @@ def units_of(kind: Any) -> dict[str, Unit]:
 def _keys(kind: Any) -> dict[str, tuple[str, str]]:
     """Each field's key in the file, and what to give if the key is missing (empty if it may be missing)."""
     keys, hints = {}, get_type_hints(kind, include_extras=True)
-    for attribute in fields(kind):
-        marks = list(_marks(hints[attribute.name]))
-        unit = units_of(kind).get(attribute.name, NUMBER).name
-        plain = f"{attribute.name}_{unit}" if unit else attribute.name
+    for part in fields(kind):
+        marks = list(_marks(hints[part.name]))
+        unit = units_of(kind).get(part.name, NUMBER).name
+        plain = f"{part.name}_{unit}" if unit else part.name
         key = next((mark.name for mark in marks if isinstance(mark, Key) and mark.name), plain)
-        usual = "this table" if is_dataclass(hints[attribute.name]) else "it"
+        usual = "this table" if is_dataclass(hints[part.name]) else "it"
         advice = next((mark.wanted for mark in marks if isinstance(mark, Unit | Check)), usual)
-        optional = (
-            attribute.name in FILLED_IN or attribute.default is not MISSING or attribute.default_factory is not MISSING
-        )
-        keys[attribute.name] = (key, "" if optional and REQUIRED not in marks else advice)
+        optional = part.name in FILLED_IN or part.default is not MISSING or part.default_factory is not MISSING
+        keys[part.name] = (key, "" if optional and REQUIRED not in marks else advice)
     return keys
 
 
@@ -309,10 +307,8 @@ def _file_of(kind: Any) -> Any:
     members_of_file = groups.pop("", [])
     for section, members in groups.items():
         part = toml_table(make_dataclass(section, members, frozen=True))
-        optional = not any(advice for _, advice in _keys(part).values())
-        members_of_file.append(
-            (section, part, field(default_factory=part, kw_only=True) if optional else field(kw_only=True))
-        )
+        factory: Any = MISSING if any(advice for _, advice in _keys(part).values()) else part
+        members_of_file.append((section, part, field(default_factory=factory, kw_only=True)))
 
     names = {attribute.name for attribute in fields(kind)}
     if "source" not in names:  # every file may say where its numbers come from

@@ -147,8 +147,7 @@ class _Run:
         shifts = as_numbers("actions", actions)
         if shifts.shape != (len(self.joints), 3) or not np.isfinite(shifts).all():
             raise InputError(f"actions have shape {shifts.shape}; give {len(self.joints)} times 3 finite numbers")
-        start = self.memory.aim(self.geometry, self.joints, shifts)
-        options = {"start_joints": start, "goal_joints": self.joints}
+        options = {"start_joints": self.memory.aim(self.geometry, self.joints, shifts), "goal_joints": self.joints}
         return options if self.task.arms == "fixed" else options | {"arm": arms}
 
     def seed(self, seeds: Sequence[int | None], generator: np.random.Generator) -> None:
@@ -317,9 +316,8 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         """
         RecordConstructorArgs.__init__(self, picks=picks, window=window, looks=looks, reach_mm=reach_mm)
         gym.Wrapper.__init__(self, env)
-        inner: Any = env.unwrapped
-        task = getattr(inner, "task", None)
-        single = isinstance(task, Task) and hasattr(inner, "arm")
+        task: Any = getattr(env.unwrapped, "task", None)
+        single = isinstance(task, Task) and hasattr(env.unwrapped, "arm")
         if not single or env.observation_space.shape != flat_space(task).shape:
             raise InputError("SameArm works on flat reach environments; wrap a pickenv/Reach-v0 environment")
         self.run = _Run(task, 1, picks, PickMemory(task.joints, window, reach_mm), looks)

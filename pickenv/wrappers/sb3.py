@@ -163,8 +163,7 @@ class Sb3Vec(VecEnv):
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
         """The environments' common attribute, once per index."""
-        value = getattr(self.envs.unwrapped, attr_name)
-        return [value] * len(list(self._get_indices(indices)))
+        return [getattr(self.envs.unwrapped, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
         """Set an attribute of all environments.

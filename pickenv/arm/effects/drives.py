@@ -110,8 +110,7 @@ class ThermalGrowth(Effect, place=JOINT + 0.6, spreads={"time_constant": "warm_u
     def drawn(self, draws: Draws) -> ThermalGrowth:
         """The effect of many arms; each final temperature rise is drawn from the tolerance class's range."""
         low, high = draws.temperature_rise
-        rise = low + (high - low) * draws.even["temperature_rise"][:, 0]
-        return replace(super().drawn(draws), final_rise=rise)
+        return replace(super().drawn(draws), final_rise=low + (high - low) * draws.even["temperature_rise"][:, 0])
 
 
 def warmed(m: ModuleType, thermal: ThermalGrowth, rise: Scalar, dt: Scalar) -> Scalar:

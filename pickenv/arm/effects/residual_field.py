@@ -162,8 +162,7 @@ def _tensor_outputs(m: ModuleType, field: ResidualField, q: Sequence[Scalar]) ->
     weight = tensor(field.tensors, field.weight) if single else field.weight
     angle = m.stack(features.inputs(m, q), -1) @ tensor(features.tensors, features.frequency)
     angle = angle.unflatten(-1, (features.outputs, features.count))
-    waves = m.cos(angle) * weight[..., 0, :] + m.sin(angle) * weight[..., 1, :]
-    return list(waves.sum(-1).unbind(-1))
+    return list((m.cos(angle) * weight[..., 0, :] + m.sin(angle) * weight[..., 1, :]).sum(-1).unbind(-1))
 
 
 # What no two arms of one design share, and no data sheet tells: waves of the drives, and structure finer than a grid.

@@ -152,8 +152,7 @@ class TransmissionError(Effect, place=DRIVE):
     def drawn(self, draws: Draws) -> TransmissionError:
         """Drives of many arms: lead errors and amplitudes spread; phases are arbitrary, as no two gears are alike."""
         amplitudes = draws.scaled([term.amplitude for term in self.harmonics], self.name)
-        phases = 2.0 * math.pi * draws.even["phase"]
-        terms = zip(self.harmonics, amplitudes, phases.T, strict=True)
+        terms = zip(self.harmonics, amplitudes, 2.0 * math.pi * draws.even["phase"].T, strict=True)
         return TransmissionError(
             draws.scaled(self.lead, "lead", spread=self.name),
             tuple(replace(term, amplitude=amplitude, phase=phase) for term, amplitude, phase in terms),

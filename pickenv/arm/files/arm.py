@@ -94,8 +94,7 @@ def geometry_from_arrays(
 
 def _coupling(named: Mapping[str, NDArray[Any]], joints: int, which: str) -> Coupling:
     """The saved `Coupling`, checked: the joint that moves each link."""
-    values = finite(named, "coupling", (3, named["coupling"].shape[-1]), which)
-    joint, ratio, slides = values.tolist()
+    joint, ratio, slides = finite(named, "coupling", (3, named["coupling"].shape[-1]), which).tolist()
     if not set(joint) <= set(range(joints)) or 0.0 in ratio or not set(slides) <= {0.0, 1.0}:
         raise InputError(f"{which}/coupling names a joint that is not there, a ratio of zero, or no kind of link")
     return Coupling(tuple(map(int, joint)), tuple(ratio), tuple(map(bool, slides)))

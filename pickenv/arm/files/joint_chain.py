@@ -204,8 +204,7 @@ class JointRow(NamedTuple):
         for joint in self.joints:
             pose = behind(pose, joint.origin)
             if joint.ratio:
-                driver = drives.get(joint.driver, self.drives[joint.driver])
-                drives[joint.driver] = _within(driver, joint)
+                drives[joint.driver] = _within(drives.get(joint.driver, self.drives[joint.driver]), joint)
                 links.append(replace(joint, origin=pose, axis=pose.rotation @ joint.axis))
             pose = behind(pose, joint.motion(joint.offset))
         links = _one_slide_each(links)

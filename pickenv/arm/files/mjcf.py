@@ -149,10 +149,8 @@ class MjcfValues:
             part, name, above = waiting.pop()
             for tag in ("joint", "site"):
                 inherited = dict(defaults.get((tag, name), defaults.get((tag, above), {})))
-                attributes = (element.attrib for element in part.iterfind(tag))
-                defaults[tag, name] = reduce(_over, attributes, inherited)
-            inner = [(child, child.get("class", ""), name) for child in part.iterfind("default")]
-            waiting += inner[::-1]
+                defaults[tag, name] = reduce(_over, (element.attrib for element in part.iterfind(tag)), inherited)
+            waiting += [(child, child.get("class", ""), name) for child in reversed(part.findall("default"))]
         return cls(unit == "degree", sequence, settings.get("autolimits", "true") == "true", defaults)
 
     def merged(self, tag: str, element: Element, childclass: str) -> Attributes:

@@ -120,15 +120,10 @@ def inverse(
         """The joints ``(K, n)`` as an `InverseSolution` for the goals."""
         error = pose_error(forward(geometry, q), goals)
         impossible = noncompensable_error(geometry, q, error, rank_tolerance)
-        distance = np.linalg.norm(error[:, :3], axis=-1)
-        possible = np.linalg.norm((error - impossible)[:, 3:], axis=-1)
-        return InverseSolution(
-            joints=q,
-            reached=(distance <= position_tolerance) & (possible <= attitude_limit),
-            position_error=distance,
-            attitude_error=np.linalg.norm(error[:, 3:], axis=-1),
-            noncompensable_attitude=np.linalg.norm(impossible[:, 3:], axis=-1),
-        )
+        parts = error[:, :3], error[:, 3:], impossible[:, 3:], (error - impossible)[:, 3:]
+        distance, attitude, lost, possible = (np.linalg.norm(part, axis=-1) for part in parts)
+        reached = (distance <= position_tolerance) & (possible <= attitude_limit)
+        return InverseSolution(q, reached, distance, attitude, lost)
 
     solution = judge(goals, _descend(geometry, goals, first, rank_tolerance, max_iterations, parts))
     # None: from the best joints so far, using the directions near a singular pose that the truncation left alone.
@@ -324,8 +319,7 @@ def farthest(geometry: Geometry) -> float:
         return -float(np.linalg.norm(forward(geometry, q).position - foot))
 
     first = joints[np.argmax(np.linalg.norm(forward(geometry, joints).position - foot, axis=-1))]
-    limits = list(zip(geometry.lower, geometry.upper, strict=True))
-    return -float(minimize(nearness, first, bounds=limits).fun)
+    return -float(minimize(nearness, first, bounds=list(zip(geometry.lower, geometry.upper, strict=True))).fun)
 
 
 def halton_joints(geometry: Geometry, count: int) -> Array:

@@ -214,8 +214,7 @@ def damped_step(m: ModuleType, columns: Sequence[Column], twist: Sequence[Scalar
     for i in rows:
         factor.append([])
         for j in range(i):
-            known = sum(factor[i][k] * factor[j][k] for k in range(j))
-            factor[i].append((square[i][j] - known) / factor[j][j])
+            factor[i].append((square[i][j] - sum(factor[i][k] * factor[j][k] for k in range(j))) / factor[j][j])
         factor[i].append(m.sqrt(square[i][i] + least - sum(part * part for part in factor[i])))
     solved = list(twist)
     for i in rows:

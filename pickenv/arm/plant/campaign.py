@@ -312,13 +312,9 @@ def effect_shares(
 
     shares = {name: share(name) for name in causes}
     means = [single["mean"] for single in shares.values()]
+    run = {"plant": plant.name, "reaches": len(joints), "running_hours": running_time / 3600.0, "dwell": pace.dwell}
     return {
-        "unit": "mm",
-        "plant": plant.name,
-        "reaches": len(joints),
-        "running_hours": running_time / 3600.0,
-        "dwell": pace.dwell,
-        "alone": shares,
+        **{"unit": "mm", **run, "alone": shares},
         "without": {name: share(*(cause for cause in causes if cause != name)) for name in causes},
         "all": share(*causes),
         "sum_of_means": float(np.sum(means)),

@@ -212,10 +212,8 @@ def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
     if kind == IDEAL:
         arm = load_arm(arm_name)
         plant = Plant(name=IDEAL, arm=arm, geometry=arm.nominal)
-    elif kind:
-        plant = replace(_design(arm_name, load_tolerances(kind)), name=str(name))
     else:
-        plant = read_plant(name)
+        plant = replace(_design(arm_name, load_tolerances(kind)), name=str(name)) if kind else read_plant(name)
     return plant.without(without)
 
 

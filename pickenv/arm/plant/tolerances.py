@@ -203,8 +203,7 @@ def half_widths(tolerances: Tolerances, nominal: Geometry) -> Array:
 
 def standard_deviations(tolerances: Tolerances, nominal: Geometry) -> Array:
     """The standard deviations of a geometry's parameters ``(5n + 12,)`` over arms of the class, m and rad."""
-    share = math.sqrt(3.0) if tolerances.distribution == "uniform" else 3.0
-    return half_widths(tolerances, nominal) / share
+    return half_widths(tolerances, nominal) / (math.sqrt(3.0) if tolerances.distribution == "uniform" else 3.0)
 
 
 def _geometry(nominal: Geometry, tolerances: Tolerances, even: Array) -> Geometry:
