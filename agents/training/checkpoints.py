@@ -59,6 +59,7 @@ def save_checkpoint(
         evaluations: The evaluations so far.
     """
     name, keys, position, has_gauss, gauss = np.random.get_state(legacy=True)
+    memory = getattr(model, "_last_lstm_states", None) or ()  # of a recurrent policy's actor and critic
     state = {
         "parameters": model.get_parameters(),
         "variables": {key: getattr(model, key).detach().clone() for key in model._get_torch_save_params()[1]},
@@ -70,7 +71,7 @@ def save_checkpoint(
         "starts": _tensor(model._last_episode_starts),
         "env": _tensors(env.state()),
         "buffer": _buffer(model),
-        "memory": _memory(model),
+        "memory": [[part.detach().clone() for part in parts] for parts in memory],
     }
     stored = io.BytesIO()
     torch.save(state, stored)
@@ -108,15 +109,6 @@ def _is_a(value: Any, kind: Any) -> bool:
     return type(value) in {get_origin(option) or option for option in kinds}
 
 
-def check_checkpoint(path: str | Path) -> str | None:
-    """Verify a checkpoint from end to end: None, or the sentence that says why it is refused."""
-    try:
-        read_checkpoint(Path(path))
-    except InputError as error:
-        return str(error)
-    return None
-
-
 def take_checkpoint(path: Path, content: State, model: Any, env: Sb3Vec) -> None:
     """Bring a freshly made training to where the checkpoint ``path``, with the state ``content``, was written.
 
@@ -139,11 +131,6 @@ def take_checkpoint(path: Path, content: State, model: Any, env: Sb3Vec) -> None
         name, keys, position, has_gauss, gauss = content["numpy_random"]
         np.random.set_state((name, keys.numpy(), position, has_gauss, gauss))
         torch.set_rng_state(content["torch_random"])
-
-
-def _memory(model: Any) -> list[list[torch.Tensor]]:
-    """States of a recurrent policy's actor and critic; empty for any other policy."""
-    return [[part.detach().clone() for part in parts] for parts in getattr(model, "_last_lstm_states", None) or ()]
 
 
 def _buffer(model: Any) -> dict[str, Any]:

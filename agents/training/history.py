@@ -20,19 +20,13 @@ WIDTH, MADE = 32, 16
 """How many numbers picks are compared by, a multiple of `HEADS`, and how many each pick gives beside its error."""
 
 
-def memory_of(space: spaces.Space[Any]) -> PickMemory:
-    """The layout of the observations of a `pickenv.wrappers.SameArm`; it does not tell the largest shift."""
-    assert space.shape is not None and isinstance(space, spaces.Box)
-    window = int((space.high == MOST_SEEN).sum()) // 3
-    return PickMemory((space.shape[0] - 4 * window) // (1 + window), window)
-
-
 class HistoryFeatures(BaseFeaturesExtractor):
     """Features of the window's picks for the next one."""
 
     def __init__(self, observation_space: spaces.Box) -> None:
         """Make the encoder for the observation space of a `pickenv.wrappers.SameArm` with a window."""
-        memory = memory_of(observation_space)
+        window = int((observation_space.high == MOST_SEEN).sum()) // 3
+        memory = PickMemory((observation_space.shape[0] - 4 * window) // (1 + window), window)
         super().__init__(observation_space, memory.joints + HEADS * (3 + MADE) + 1)
         self.memory = memory
         sizes = dict.fromkeys(("near", "query", "key", "value"), (WIDTH, WIDTH))

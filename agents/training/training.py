@@ -28,23 +28,18 @@ class EverySoOften(BaseCallback):
 
     def __init__(self, steps: int, act: Callable[[BaseCallback], object]) -> None:
         super().__init__()
-        self.steps, self.act = steps, act
-        self._next = 0
+        self.steps, self.act, self._passed = steps, act, 0
 
     def _on_training_start(self) -> None:
-        self._next = self._following()
+        self._passed = self.model.num_timesteps // self.steps  # so that a resumed training keeps the beat
 
     def _on_rollout_start(self) -> None:
-        if self.model.num_timesteps >= self._next:
+        if self.model.num_timesteps // self.steps > self._passed:
             self.act(self)
-            self._next = self._following()
+            self._passed = self.model.num_timesteps // self.steps
 
     def _on_step(self) -> bool:
         return True
-
-    def _following(self) -> int:
-        """The next multiple of the interval after the present step, so that a resumed training keeps the beat."""
-        return (self.model.num_timesteps // self.steps + 1) * self.steps
 
 
 def judged(

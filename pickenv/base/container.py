@@ -197,7 +197,7 @@ def _bounded(path: Path, limit: int) -> bytes:
 
 def _verified(content: bytes, limit: int) -> Container:
     """The container in ``content``; raises an exception of any kind where the bytes are no container."""
-    if not ends_sealed(content):
+    if content[-LENGTH:] != seal(memoryview(content)[:-LENGTH]):
         raise ValueError("its seal does not hold: a byte was changed or lost")
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         members = archive.infolist()
@@ -289,11 +289,6 @@ def seal(*parts: bytes | memoryview) -> bytes:
     for part in parts:
         total.update(part)
     return MARK + total.hexdigest().encode()
-
-
-def ends_sealed(content: bytes) -> bool:
-    """Whether ``content`` ends with the seal of all bytes before the seal."""
-    return content[-LENGTH:] == seal(memoryview(content)[:-LENGTH])
 
 
 def sealed_parquet(content: bytes) -> bytes:

@@ -63,7 +63,8 @@ def write_whole(path: str | Path, write: Callable[[Path], Any]) -> Path:
         raise _unwritable(path, error) from error
     try:
         write(temporary)
-        _flush(temporary)
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())
         os.replace(temporary, target)
         _flush_folder(target.parent)
     except Exception as error:
@@ -129,12 +130,6 @@ def _is_running(process: int) -> bool:
     return True
 
 
-def _flush(path: Path) -> None:
-    """Flush a file's content to the disk."""
-    with path.open("rb+") as file:
-        os.fsync(file.fileno())
-
-
 def _flush_folder(folder: Path) -> None:
     """Flush a folder's entries to the disk, where possible: Windows opens no folders, some servers flush none."""
     if sys.platform == "win32" or not os.access(folder, os.R_OK):
@@ -165,11 +160,9 @@ def _write_into(path: Path, write: Callable[[Path], Any]) -> None:
 def _stream(path: Path) -> int | None:
     """Number of the standard stream that ``path`` leads to, as /dev/stdout does, even into a file; else None."""
     for number in (1, 2):
-        try:
+        with suppress(OSError):  # a closed stream, a file that is not there yet
             if os.path.samestat(os.fstat(number), path.stat()):
                 return number
-        except OSError:  # a closed stream, a file that is not there yet
-            continue
     return None
 
 
@@ -269,7 +262,9 @@ def locked(folder: str | Path) -> Iterator[None]:
         yield
     finally:
         _held.discard(name)
-        _give_back(path, handle)
+        if sys.platform != "win32":  # where an open file cannot be taken away
+            (path / LOCK).unlink(missing_ok=True)
+        os.close(handle)
         with suppress(OSError):  # the first that is not empty stays, and those above it
             for parent in new:
                 parent.rmdir()
@@ -299,16 +294,9 @@ def _take(folder: Path) -> int:
 
 def _is_still(path: Path, handle: int) -> bool:
     """Whether ``path`` still leads to the file that ``handle`` opened."""
-    try:
+    with suppress(FileNotFoundError):
         return os.path.samestat(os.fstat(handle), path.stat())
-    except FileNotFoundError:
-        return False
-
-
-def _give_back(folder: Path, handle: int) -> None:
-    if sys.platform != "win32":  # where an open file cannot be taken away
-        (folder / LOCK).unlink(missing_ok=True)
-    os.close(handle)
+    return False
 
 
 if sys.platform == "win32":

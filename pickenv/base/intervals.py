@@ -544,7 +544,8 @@ def _estimated(
         table = cube.mean(axis=(2, 3)).T
         if of in ("share", "ratio"):  # a share of what was tried, with other numbers tried of each unit
             ends = clustered_share_interval(*cube.sum(axis=(2, 3))) if of == "share" else ratio_interval(*table.T)
-            return _with_reason(_ratio(table), ends, table)
+            over, under = table.sum(axis=0)
+            return _with_reason(float(over / max(under, 1e-12)), ends, table)
         function = of if callable(of) else _removed
         return _with_reason(float(function(table)), statistic_interval(table, function), table)
     (values,) = cube
@@ -553,12 +554,6 @@ def _estimated(
     if of == "interquartile":
         return interquartile_estimate(values.mean(axis=(1, 2)))
     return mean_estimate(values, least) if of == "mean" else quantile_estimate(values, float(of))
-
-
-def _ratio(table: NDArray[np.float64]) -> float:
-    """The ratio of the sums of two columns ``(units, 2)``."""
-    over, under = table.sum(axis=0)
-    return float(over / max(under, 1e-12))
 
 
 def _removed(table: NDArray[np.float64]) -> float:

@@ -11,7 +11,7 @@ import re
 import shutil
 import stat
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from textwrap import wrap
 from typing import Any, TypeVar
@@ -120,10 +120,8 @@ def yaml_content(text: str, path: str | Path) -> Any:
 
 def decimal_number(text: str) -> float | None:
     """The number that ``text`` spells in ASCII digits, which may be nan or infinite; None if it spells no number."""
-    if not text.isascii() or "_" in text:  # Python would take 1_000, and the digits of any script
-        return None
     try:
-        return float(text)
+        return float(text) if text.isascii() and "_" not in text else None  # no 1_000, and no digits of any script
     except ValueError:
         return None
 
@@ -181,10 +179,9 @@ def listed(names: Iterable[str], length: int = 600) -> str:
 
 def is_file(path: str | Path) -> bool:
     """Whether ``path`` is a file; False for a path that no file can have (too long, a zero byte)."""
-    try:
+    with suppress(OSError, ValueError):
         return Path(path).is_file()
-    except (OSError, ValueError):
-        return False
+    return False
 
 
 def _name(path: str | Path) -> str:

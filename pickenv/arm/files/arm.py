@@ -55,8 +55,7 @@ def geometry_arrays(geometry: Geometry) -> dict[str, Array]:
     arrays = {name: getattr(geometry, name) for name in (*LINK_PARAMETERS, "lower", "upper")}
     for key, pose in (("base", geometry.base), ("tool", geometry.tool)):
         arrays |= {f"{key}_position": pose.position, f"{key}_rotation": pose.rotation}
-    if geometry.coupling is not None:
-        coupling = geometry.coupling
+    if (coupling := geometry.coupling) is not None:
         arrays["coupling"] = np.array([coupling.joint, coupling.ratio, coupling.slides], dtype=float)
     return arrays
 

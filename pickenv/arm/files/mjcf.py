@@ -422,8 +422,7 @@ def _ties(root: Element, values: MjcfValues, joints: Mapping[str, _Joint]) -> di
             raise InputError(f"an equality constraint ties {pair}, and one of them is no joint of the file; correct it")
         if name in ties:
             raise InputError(f"two equality constraints tie joint '{shortened(name)}'; leave one active")
-        numbers = [number for number in map(decimal_number, law.split()) if number is not None]
-        numbers = [number for number in numbers if math.isfinite(number) and abs(number) <= MOST_RATIO]
+        numbers = [n for n in map(decimal_number, law.split()) if n is not None and abs(n) <= MOST_RATIO]
         if len(numbers) != len(law.split()) or len(numbers) > 5:
             raise InputError(f"polycoef of joint '{shortened(name)}' is '{shortened(law)}'; give up to five numbers")
         shift, factor, *higher = *numbers, *(0.0, 1.0, 0.0, 0.0, 0.0)[len(numbers) :]  # those left out are MuJoCo's

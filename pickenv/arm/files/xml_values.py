@@ -41,8 +41,7 @@ def xml_numbers(text: str, key: str, most: float, count: int = 3) -> Array:
     Raises:
         InputError: If the text is not ``count`` finite numbers, or one of them is too large.
     """
-    parts = [decimal_number(part) for part in text.split()]
-    values = np.array([np.nan if part is None else part for part in parts])
+    values = np.array([decimal_number(part) for part in text.split()], dtype=float)  # not a number where it is none
     if values.shape != (count,) or not np.isfinite(values).all():
         counted = {2: "two", 3: "three", 4: "four", 6: "six"}[count]
         raise InputError(f"'{shortened(text)}' is not {counted} numbers ({key})")

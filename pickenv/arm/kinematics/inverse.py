@@ -18,15 +18,10 @@ from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
+from pickenv.arm.kinematics import task_space
 from pickenv.arm.kinematics.forward import forward
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
 from pickenv.arm.kinematics.pose_error import pose_error
-from pickenv.arm.kinematics.task_space import (
-    DIRECTION_TOLERANCE,
-    joint_jacobian,
-    noncompensable_error,
-    truncated_inverse,
-)
 from pickenv.base import InputError
 
 STEP_LIMIT = 0.4
@@ -75,7 +70,7 @@ def inverse(
     *,
     position_tolerance: float = 1e-5,
     attitude_tolerance: float = 1e-5,
-    rank_tolerance: float = DIRECTION_TOLERANCE,
+    rank_tolerance: float = task_space.DIRECTION_TOLERANCE,
     max_iterations: int = 100,
     restarts: int = 4,
     position_only: bool = False,
@@ -119,7 +114,7 @@ def inverse(
     def judge(goals: Pose, q: Array) -> InverseSolution:
         """The joints ``(K, n)`` as an `InverseSolution` for the goals."""
         error = pose_error(forward(geometry, q), goals)
-        impossible = noncompensable_error(geometry, q, error, rank_tolerance)
+        impossible = task_space.noncompensable_error(geometry, q, error, rank_tolerance)
         parts = error[:, :3], error[:, 3:], impossible[:, 3:], (error - impossible)[:, 3:]
         distance, attitude, lost, possible = (np.linalg.norm(part, axis=-1) for part in parts)
         reached = (distance <= position_tolerance) & (possible <= attitude_limit)
@@ -177,7 +172,7 @@ def _descend_damped(geometry: Geometry, goals: Pose, q: Array, parts: slice) -> 
     damping = np.full(len(q), 1e-3)
     error = pose_error(forward(geometry, q), goals)[:, parts]
     for _ in range(DAMPED_STEPS):
-        jacobian = joint_jacobian(geometry, q)[:, parts]
+        jacobian = task_space.joint_jacobian(geometry, q)[:, parts]
         downhill = np.einsum("kij,ki->kj", jacobian, error)
         locked = ((q <= geometry.lower) & (downhill < 0)) | ((q >= geometry.upper) & (downhill > 0))
         free = jacobian * ~locked[:, None, :]
@@ -203,7 +198,7 @@ def _descend(
     for _ in range(max_iterations):
         joints, some = q[active], Pose(goals.position[active], goals.rotation[active])
         error = pose_error(forward(geometry, joints), some)[:, parts]
-        jacobian = joint_jacobian(geometry, joints)[:, parts]
+        jacobian = task_space.joint_jacobian(geometry, joints)[:, parts]
         step = _step(jacobian, error, (middle - joints) / half**2, half, rank_tolerance)
         # A joint at its limit that would be pushed outwards is locked, and the others take over its share.
         outward = ((joints <= geometry.lower) & (step < 0)) | ((joints >= geometry.upper) & (step > 0))
@@ -221,7 +216,7 @@ def _descend(
 
 def _step(jacobian: Array, error: Array, pull: Array, half: Array, rank_tolerance: float) -> Array:
     """One Gauss-Newton step plus the null-space pull along the gradient of the mid-range cost."""
-    back = truncated_inverse(jacobian, rank_tolerance)
+    back = task_space.truncated_inverse(jacobian, rank_tolerance)
     step = np.einsum("...ij,...j->...i", back, error)
     null = np.eye(jacobian.shape[-1]) - back @ jacobian
     toward = np.einsum("...ij,...j->...i", null, pull)

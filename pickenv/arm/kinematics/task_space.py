@@ -99,8 +99,7 @@ def parameter_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
     for i, frame in enumerate(frame_list):
         for component, value in enumerate(frame):
             links[component, i] = value
-    for component, value in enumerate(tool_frame[9:]):
-        tool[component] = value
+    tool[0], tool[1], tool[2] = tool_frame[9:]
     jacobian = np.zeros((6, 5 * n + 12, *shape))
     angles = np.cos(geometry.alpha), np.sin(geometry.alpha), geometry.a
     twist = [np.moveaxis(np.broadcast_to(values, (*shape, n)), -1, 0) for values in angles]

@@ -324,7 +324,6 @@ def effect_shares(
 
 def shares_report(shares: dict[str, Any]) -> str:
     """What `effect_shares` found, as a table for people."""
-    head = f"{'effect':<20}{'alone: mean':>13}{'varying':>10}{'p95':>9}{'max':>9}{'without: mean':>17}"
 
     def row(name: str, share: dict[str, float], left: float) -> str:
         figures = f"{share['mean']:13.3f}{share['varying']:10.3f}{share['p95']:9.3f}{share['max']:9.3f}"
@@ -336,7 +335,7 @@ def shares_report(shares: dict[str, Any]) -> str:
         f"alone would make {shares['alone'][largest]['mean']:.2f} mm",
         f"Tip error in mm: {shares['reaches']} reaches, {shares['dwell']:g} s after arrival, "
         f"{shares['running_hours']:g} h after start",
-        head,
+        f"{'effect':<20}{'alone: mean':>13}{'varying':>10}{'p95':>9}{'max':>9}{'without: mean':>17}",
         *(row(name, share, shares["without"][name]["mean"]) for name, share in shares["alone"].items()),
         row("all", shares["all"], 0.0),
         "alone: the only effect that is on; without: what all the others leave",
