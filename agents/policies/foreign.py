@@ -160,11 +160,11 @@ def _trained(path: Path, env: Any) -> Sb3Policy:
     scaling = None if task is None else Scaling(task.joints, task.camera)
     if scaling is not None and model.observation_space.shape == (scaling.features,):
         return Sb3Policy(model, scaling)
-    spaces = (
-        ("observations", model.observation_space, getattr(env, "single_observation_space", env.observation_space)),
-        ("actions", model.action_space, getattr(env, "single_action_space", env.action_space)),
-    )
-    for kind, trained, present in spaces:
+    for kind in ("observation", "action"):
+        trained, present = getattr(model, f"{kind}_space"), getattr(env, f"{kind}_space")
+        present = getattr(env, f"single_{kind}_space", present)
         if trained.shape != present.shape or type(trained) is not type(present):
-            raise InputError(f"{path} was trained on {kind} {trained}, but the environment has {present}; give its own")
+            raise InputError(
+                f"{path} was trained on {kind}s {trained}, but the environment has {present}; give its own"
+            )
     return Sb3Policy(model)

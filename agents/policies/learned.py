@@ -187,5 +187,4 @@ def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -
     parts = actor_parts(header, arrays, scaling.features, scaling.outputs)
     if header["activation"] not in ACTIVATIONS:
         raise InputError(f"its activation is {header['activation']!r}, not {' or '.join(ACTIVATIONS)}")
-    squashed = bool(header["squashed"])
-    return LearnedPolicy(**parts, scaling=scaling, activation=header["activation"], squashed=squashed)
+    return LearnedPolicy(**parts, scaling=scaling, activation=header["activation"], squashed=bool(header["squashed"]))

@@ -134,8 +134,7 @@ def take_checkpoint(path: Path, content: State, model: Any, env: Sb3Vec) -> None
 
 
 def _buffer(model: Any) -> dict[str, Any]:
-    buffer = getattr(model, "replay_buffer", None)
-    if buffer is None:
+    if (buffer := getattr(model, "replay_buffer", None)) is None:
         return {}
     filled = buffer.buffer_size if buffer.full else buffer.pos
     parts: dict[str, Any] = {"pos": int(buffer.pos), "full": bool(buffer.full)}
@@ -146,8 +145,7 @@ def _buffer(model: Any) -> dict[str, Any]:
 
 
 def _take_buffer(model: Any, parts: dict[str, Any]) -> None:
-    buffer = getattr(model, "replay_buffer", None)
-    if buffer is None:
+    if (buffer := getattr(model, "replay_buffer", None)) is None:
         return
     buffer.pos, buffer.full = parts["pos"], parts["full"]
     for key, value in parts.items():

@@ -217,7 +217,6 @@ def _kept(folder: Path, asked: dict[str, Any]) -> dict[str, Any]:
         raise InputError(otherwise % "has no card of a data set") from error
     if changed:
         raise InputError(otherwise % "was changed since it was written")
-    differing = [f"{key} {card.get(key)}, not {value}" for key, value in asked.items() if card.get(key) != value]
-    if differing:
+    if differing := [f"{key} {card.get(key)}, not {value}" for key, value in asked.items() if card.get(key) != value]:
         raise InputError(otherwise % f"was made with {' and '.join(differing)}")
     return card

@@ -205,8 +205,7 @@ def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy | Rememb
 
 def memory_arrays(policy: Any) -> dict[str, Any]:
     """The arrays of a torch policy's memory, as `RememberingPolicy` names them."""
-    lstm = getattr(policy, "lstm_actor", None)
-    if lstm is None:
+    if (lstm := getattr(policy, "lstm_actor", None)) is None:
         arrays = policy.features_extractor.given
         return {name: value.detach().numpy().astype(float) for name, value in arrays.items()}
     parts = (lstm.weight_ih_l0.T, lstm.bias_ih_l0, lstm.weight_hh_l0.T, lstm.bias_hh_l0)

@@ -189,8 +189,7 @@ def read_container(
 def _bounded(path: Path, limit: int) -> bytes:
     if not path.is_file():
         raise ValueError("it is a folder, a device or a pipe")
-    size = path.stat().st_size
-    if size > limit:
+    if (size := path.stat().st_size) > limit:
         raise ValueError(f"it has {size} bytes, over the limit of {limit}")
     return path.read_bytes()
 
@@ -204,8 +203,7 @@ def _verified(content: bytes, limit: int) -> Container:
         for member in members:
             if member.flag_bits & ~UTF8_NAME or member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                 raise ValueError(f"member {member.filename!r} is encrypted or packed in an unknown way")
-        total = sum(member.file_size for member in members)
-        if total > limit:
+        if (total := sum(member.file_size for member in members)) > limit:
             raise ValueError(f"it unpacks to {total} bytes, over the limit of {limit}")
         if not members or members[0].filename != HEADER or members[0].file_size > HEADER_LIMIT:
             raise ValueError("its header is missing or too long")

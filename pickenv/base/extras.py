@@ -60,9 +60,8 @@ def require(*modules: str) -> None:
     Raises:
         MissingExtra: If a module is not installed; the message names it and the command that installs it.
     """
-    for module in modules:
-        if not is_there(module):
-            raise missing(module)
+    if absent := [module for module in modules if not is_there(module)]:
+        raise missing(absent[0])
 
 
 def is_there(module: str) -> bool:

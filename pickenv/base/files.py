@@ -68,8 +68,7 @@ def write_whole(path: str | Path, write: Callable[[Path], Any]) -> Path:
         os.replace(temporary, target)
         _flush_folder(target.parent)
     except Exception as error:
-        fault = _fault_of_the_disk(error)
-        if fault is None:
+        if (fault := _fault_of_the_disk(error)) is None:
             raise
         raise InputError(f"cannot write {path}: {fault.strerror or fault}") from error
     finally:
@@ -112,8 +111,7 @@ def _sweep(folder: Path) -> None:
         return
     ours = re.compile(rf"\.pickenv-{_machine()}-(\d+)-[0-9a-f]{{8}}(\..*)?")
     for entry in os.scandir(folder):
-        match = ours.fullmatch(entry.name)
-        if match and not _is_running(int(match[1])):
+        if (match := ours.fullmatch(entry.name)) and not _is_running(int(match[1])):
             with suppress(OSError):  # another user's, in a folder for all
                 os.unlink(entry.path)
 

@@ -154,8 +154,7 @@ def statistic_interval(
             `mean_interval`.
     """
     pseudo = pseudo_values(np.asarray(table, dtype=float), statistic)
-    ends = ordered_interval(pseudo, least) if ordered else mean_interval(pseudo, least)
-    if ends is None:
+    if (ends := ordered_interval(pseudo, least) if ordered else mean_interval(pseudo, least)) is None:
         return None
     shift = float(statistic(np.asarray(table, dtype=float))) - float(pseudo.mean())
     return ends[0] + shift, ends[1] + shift
@@ -329,17 +328,16 @@ def quantile_levels(count: int, probability: float) -> tuple[float | None, float
         """Chance that the order statistic of this rank lies below the quantile, minus the tail."""
         return float(betainc(rank, count + 1.0 - rank, probability)) - tail
 
-    if count < 1:
-        return None, None
-    ends: list[float | None] = []
-    for tail, side, innermost, outermost in ((_TAILS[1], 1.0, float(count), 1.0), (_TAILS[0], -1.0, 1.0, float(count))):
+    def end(tail: float, side: float, innermost: float, outermost: float) -> float | None:
         if side * beyond(outermost, tail) < 0.0:
-            ends.append(None)
-            continue
+            return None
         enough = side * beyond(innermost, tail) >= 0.0
         rank = innermost if enough else float(brentq(beyond, 1.0, float(count), args=(tail,)))
-        ends.append((rank - 0.5) / count)
-    return ends[0], ends[1]
+        return (rank - 0.5) / count
+
+    if count < 1:
+        return None, None
+    return end(_TAILS[1], 1.0, float(count), 1.0), end(_TAILS[0], -1.0, 1.0, float(count))
 
 
 def _equal(values: NDArray[np.float64]) -> bool:

@@ -108,8 +108,7 @@ def get(kind: str, name: str, *, package: str = "", version: str = "", module: s
     _import_shipped(kind)
     if name not in _entries[kind]:
         _load_entry_point(kind, name)
-    entry = _entries[kind].get(name)
-    if entry is None and not (package or module):
+    if (entry := _entries[kind].get(name)) is None and not (package or module):
         raise InputError(f"there is no {kind} '{name}'; give one of {', '.join(names(kind)) or 'none: there are none'}")
     source = Origin(package, version, module)
     if entry is not None and (not package or package == entry[1].package):
@@ -190,8 +189,7 @@ def _keep(kind: str, name: str, thing: Any, source: Origin) -> None:
 
 
 def _load_entry_point(kind: str, name: str) -> None:
-    offers = _entry_points(kind).get(name, ())
-    if not offers:
+    if not (offers := _entry_points(kind).get(name, ())):
         return
     sources = [_origin_of_entry_point(point) for point in offers]
     if len(offers) > 1:
@@ -232,8 +230,7 @@ def _origin_of_entry_point(point: metadata.EntryPoint) -> Origin:
 
 
 def _origin_of_module(module: str) -> Origin:
-    top = module.partition(".")[0]
-    if top == "pickenv":
+    if (top := module.partition(".")[0]) == "pickenv":
         return Origin("pickenv", import_module("pickenv").__version__)
     for point in _installed(tuple(sys.path)):  # an editable install lists its entry points, but not its modules
         if point.module.partition(".")[0] == top and point.dist is not None:

@@ -40,21 +40,20 @@ def read_text(path: str | Path, kind: str) -> str:
     Raises:
         InputError: If the file is missing, a folder or a device, too large, or no UTF-8 text; the message says which.
     """
-    file_type, data = "file", b""
+    other, data = "", b""
     try:
         mode = Path(path).stat().st_mode
-        if stat.S_ISREG(mode) or stat.S_ISFIFO(mode):
+        other = "" if stat.S_ISREG(mode) or stat.S_ISFIFO(mode) else "a folder" if stat.S_ISDIR(mode) else "a device"
+        if not other:
             with Path(path).open("rb") as file:
                 while len(data) <= LARGEST and (more := file.read(PIECE)):
                     data += more
-        else:
-            file_type = "a folder" if stat.S_ISDIR(mode) else "a device"
     except FileNotFoundError as error:
         raise InputError(f"{_name(path)} does not exist; give a path to {kind}") from error
     except (OSError, ValueError) as error:  # a path of 300 characters, or with a zero byte in it
         raise InputError(f"cannot read {_name(path)}: {reason_of(error)}; give a path to {kind}") from error
-    if file_type != "file":
-        raise InputError(f"{_name(path)} is {file_type}, not a file; give a path to {kind}")
+    if other:
+        raise InputError(f"{_name(path)} is {other}, not a file; give a path to {kind}")
     if len(data) > LARGEST:
         raise InputError(f"{path} holds more than {LARGEST >> 20} MiB; give a path to {kind}")
     return _decoded(data, path, kind)
@@ -163,11 +162,10 @@ def side_by_side(sizes: Sequence[int], repeated: int, width: int) -> list[list[i
         repeated: Number of first columns, which every table repeats.
         width: Characters of a line.
     """
-    first = list(range(repeated))
-    tables = [first.copy()]
+    tables = [list(range(repeated))]
     for column in range(repeated, len(sizes)):
         if len(tables[-1]) > repeated and sum(sizes[i] for i in (*tables[-1], column)) > width:
-            tables.append(first.copy())
+            tables.append(list(range(repeated)))
         tables[-1].append(column)
     return tables
 

@@ -11,8 +11,10 @@ import difflib
 import math
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, make_dataclass, replace
-from functools import cache, partial
+from functools import cache, partial, reduce
+from operator import getitem
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast, dataclass_transform, get_args, get_origin, get_type_hints
 
@@ -236,17 +238,15 @@ def _schema(kind: Any, handler: Any) -> Any:
         if not isinstance(value, Mapping):
             raise fault("a table", "no table")
         keys, thing = dict(_keys(kind).values()), None
-        for key in value:
-            if key not in keys:
-                raise fault("", "unknown", key=str(key), known=sorted(keys))
+        if unknown := [key for key in value if key not in keys]:
+            raise fault("", "unknown", key=str(unknown[0]), known=sorted(keys))
         try:
             thing = inner(value)
         except ValidationError as error:
             if not all(_lacks(fault_of_key) for fault_of_key in error.errors(include_url=False)):
                 raise
-        for key, advice in keys.items():
-            if advice and key not in value:
-                raise fault(advice, "missing", key=key)
+        if absent := [key for key, advice in keys.items() if advice and key not in value]:
+            raise fault(keys[absent[0]], "missing", key=absent[0])
         return thing
 
     return core.no_info_wrap_validator_function(check, handler(kind))
@@ -498,12 +498,9 @@ def _table_at(place: list[Any], content: Any) -> str:
 
 def _at(content: Any, place: list[Any]) -> Any:
     """The value at a place in the content; None if there is no value."""
-    for part in place:
-        try:
-            content = content[part]
-        except (LookupError, TypeError):
-            return None
-    return content
+    with suppress(LookupError, TypeError):
+        return reduce(getitem, place, content)
+    return None
 
 
 CLOSING = ("", "]", "]]", "]]]", '"""', "'''")
@@ -538,7 +535,6 @@ def line_of(text: str, place: list[Any]) -> int | None:
 
 
 def _parsed(text: str) -> Any:
-    try:
+    with suppress(tomllib.TOMLDecodeError):
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError:
-        return None
+    return None

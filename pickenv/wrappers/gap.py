@@ -95,8 +95,7 @@ class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
         if "final_obs" in infos:
             final, last = infos["final_obs"].copy(), np.array(self.raw)
             for i in np.flatnonzero(infos["_final_obs"]):
-                last[i] = final[i]
-                final[i] = self.scaling.shown(final[i])
+                last[i], final[i] = final[i], self.scaling.shown(final[i])
             infos = infos | {"final_obs": final}
         if self._shaping is not None:
             after = np.where(terminations, 0.0, self.scaling.potential(last))

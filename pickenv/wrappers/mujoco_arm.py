@@ -35,8 +35,7 @@ def geometry_in_mujoco(model: Any, site: str, joints: Sequence[str] | None = Non
         mujoco: Any = import_module("mujoco")
     except ImportError as error:
         raise InputError("MuJoCo is not installed, and the environment is one of it; pip install mujoco") from error
-    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)
-    if number < 0:
+    if (number := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)) < 0:
         raise InputError(f"the model has no site '{site}'; name the one at the arm's tool")
     chain: list[int] = []
     body = int(model.site_bodyid[number])

@@ -145,9 +145,8 @@ class ToolSteps(Rescaling):
         far, aside = _length(gap), _length(gap[..., :2])
         holding = (values[..., n + 14 : n + 16] > 0.5).any(axis=-1, keepdims=True)
         share = np.where(holding, 1.0, np.where(far < ARRIVED, 0.0, np.minimum(far / NEAR, 1.0)))
-        sideways = np.where(holding | (share == 0.0), 0.0, gap[..., :2] / np.maximum(aside, NEAR)) * (
-            SERVO + steps[..., :1]
-        )
+        aim = np.where(holding | (share == 0.0), 0.0, gap[..., :2] / np.maximum(aside, NEAR))
+        sideways = aim * (SERVO + steps[..., :1])
         upwards = share * (np.where(holding, 0.0, SERVO * gap[..., 2:] / np.maximum(far, ARRIVED)) + steps[..., 1:])
         tilt = np.clip(values[..., n + 9 : n + 11], -0.2, 0.2)
         task_step = np.concatenate([LARGEST * sideways, LARGEST * upwards, UPRIGHT * tilt * (share > 0)], -1)
@@ -258,8 +257,7 @@ def tool_steps_of(env: Any) -> ToolSteps:
         InputError: If ``env`` is no picking environment.
     """
     inner = env.unwrapped
-    task = getattr(inner, "task", None)
-    if task is None or not isinstance(getattr(inner, "orchard", None), PickSetting):
+    if (task := getattr(inner, "task", None)) is None or not isinstance(getattr(inner, "orchard", None), PickSetting):
         raise InputError("ToolStepping moves a picking arm's tool; wrap a pickenv/Pick-v0 environment")
     return ToolSteps(task.plant.arm.nominal, np.array(task.increment))
 

@@ -128,8 +128,7 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
             strict=True,
         ):
             omega = math.tau * frequency
-            decay = zeta * omega
-            damped = omega * namespace_of(m, zeta).sqrt(1.0 - zeta * zeta)
+            decay, damped = zeta * omega, omega * namespace_of(m, zeta).sqrt(1.0 - zeta * zeta)
             angle = damped * dt
             space = namespace_of(m, angle)
             envelope = exponential(m, -decay * dt)
@@ -137,8 +136,7 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
             # The profile command + gap exp(-t / lag) forces the part `forced` exp(-t / lag); the rest swings freely.
             gap = profile - command
             forced = -share * gap / (1.0 - 2.0 * decay * lag + (omega * lag) * (omega * lag))
-            free = vibration - forced
-            free_rate = rate + (share * gap + forced) / lag
+            free, free_rate = vibration - forced, rate + (share * gap + forced) / lag
             swung = free * cosine + (free_rate + decay * free) * sine
             swung_rate = free_rate * cosine - (decay * free_rate + omega * omega * free) * sine
             profiles.append(command + gap * faded)

@@ -99,10 +99,8 @@ class ResidualField(Effect, place=TOOL + 0.5, name="residual"):
         """Displace the tool."""
         m, frame = at.m, at.frame
         parts = [part + constant for part, constant in zip(_outputs(m, self, at.motor), self.offset, strict=True)]
-        turned = []
-        for first in range(0, self.features.outputs, 3):
-            x, y, z = parts[first : first + 3]
-            turned += [a * x + b * y + c * z for a, b, c in self.turn]
+        triples = (parts[first : first + 3] for first in range(0, self.features.outputs, 3))
+        turned = [a * x + b * y + c * z for x, y, z in triples for a, b, c in self.turn]
         if len(turned) == 6:
             at.frame = displaced_frame(m, frame, turned)
         else:
@@ -120,8 +118,7 @@ def _outputs(m: ModuleType, field: ResidualField, q: Sequence[Scalar]) -> list[S
     if m.__name__ == "torch":
         return _tensor_outputs(m, field, q)
     components = features.inputs(m, q)
-    traced = outside(m, partial(_fill, field), components, features.outputs)
-    if traced is not None:
+    if (traced := outside(m, partial(_fill, field), components, features.outputs)) is not None:
         return list(traced)
     inputs = np.stack(np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in components)))
     if inputs.ndim == 1 and field.weight.ndim == 3:
@@ -255,12 +252,11 @@ def drive_harmonics_of(table: WavesTable) -> DriveHarmonics:
     Raises:
         InputError: If a shortest period is not below the longest.
     """
+    spread: list[WaveSpread] = []
     for entry in table.joints:
         if entry.shortest >= entry.longest:
             where = f"joint {entry.joint + 1} in [drive_harmonics]"
             raise InputError(f"the shortest period of {where} is not below its longest; give a shorter one")
-    spread: list[WaveSpread] = []
-    for entry in table.joints:
         spread += [WaveSpread(entry.joint, entry.amplitude, entry.longest, entry.shortest, table.decay)] * entry.waves
     return DriveHarmonics(tuple(spread), ()).of_numbers(np.random.default_rng(table.seed).random(3 * len(spread)))
 

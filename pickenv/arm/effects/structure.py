@@ -187,8 +187,7 @@ def turn_horizontally(
     are exact to double precision.
     """
     square = wx * wx + wy * wy
-    first = 1.0 - square * (1.0 / 6.0 - square / 120.0)
-    second = 0.5 - square * (1.0 / 24.0 - square / 720.0)
+    first, second = 1.0 - square * (1.0 / 6.0 - square / 120.0), 0.5 - square * (1.0 / 24.0 - square / 720.0)
     turned: list[Scalar] = []
     for j in starts:
         x, y, z = axes[j : j + 3]
@@ -396,8 +395,7 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
         weights, by_joint = at.pull[0], {bearing.joint: bearing for bearing in self.bearings}
 
         def give(i: int, frame: Frame) -> Frame:
-            bearing = by_joint.get(i)
-            if bearing is None:
+            if (bearing := by_joint.get(i)) is None:
                 return frame
             zx, zy, zz, px, py, _ = frame[6:]
             span, arm = bearing.span, 0.0

@@ -121,9 +121,8 @@ class ArmFile:
             if numbers.count(number) != 1:
                 state = "given twice" if number in numbers else "missing"
                 raise InputError(f"joint {number} is {state}; joint_count asks for 1 to {self.joint_count}, once each")
-        if len(numbers) != self.joint_count:
-            extra = next(number for number in numbers if not 1 <= number <= self.joint_count)
-            raise InputError(f"joint number {extra} is not in 1..{self.joint_count}; correct it or joint_count")
+        if extra := [number for number in numbers if not 1 <= number <= self.joint_count]:
+            raise InputError(f"joint number {extra[0]} is not in 1..{self.joint_count}; correct it or joint_count")
         leaders = {joint.number for joint in self.joints if not isinstance(joint, Follower)}
         for joint in self.joints:
             if isinstance(joint, Follower):

@@ -283,8 +283,7 @@ def _one_slide_each(links: list[ChainJoint]) -> list[ChainJoint]:
             continue
         slide = joined[same[0]]
         along = slide.ratio * slide.axis + link.ratio * link.axis
-        length = float(np.linalg.norm(along))
-        if length < PARALLEL:
+        if (length := float(np.linalg.norm(along))) < PARALLEL:
             raise InputError(f"joint '{shortened(link.driver)}' moves two slides that cancel each other; correct one")
         ratio = length if along @ slide.axis >= 0 else -length  # the first slide's direction is kept
         joined[same[0]] = replace(slide, ratio=ratio, axis=along / ratio)

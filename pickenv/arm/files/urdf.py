@@ -123,8 +123,7 @@ def roll_pitch_yaw(rotation: Array) -> Array:
 
 def _rod(link: Element, end: Array) -> None:
     """Draw a link as a rod from its origin to ``end``, m."""
-    length = float(np.linalg.norm(end))
-    if length < SHORTEST_ROD:
+    if (length := float(np.linalg.norm(end))) < SHORTEST_ROD:
         return
     tilt = np.arccos(end[2] / length), np.arctan2(end[1], end[0])
     visual = ElementTree.SubElement(link, "visual")
@@ -246,8 +245,7 @@ def _driver(joint: Element, by_name: Mapping[str, Element]) -> tuple[Element, fl
     """The joint that drives this one in the end, with the multiplier and the offset between them."""
 
     def mimicked(name: str) -> tuple[str, float, float] | None:
-        mimic = by_name[name].find("mimic")
-        if mimic is None:
+        if (mimic := by_name[name].find("mimic")) is None:
             return None
         leader = mimic.get("joint", "")
         owner = f"joint {_name(by_name[name])}"
@@ -280,8 +278,7 @@ def _limits(joint: Element) -> tuple[float, float, float]:
     if lower >= upper:
         ends = f"a lower limit of {lower:g} {unit}, not below its upper limit of {upper:g} {unit}"
         raise InputError(f"joint {_name(joint)} has {ends}; correct them")
-    speed = number("velocity", "1", fastest)
-    if speed <= 0:
+    if (speed := number("velocity", "1", fastest)) <= 0:
         raise InputError(f"the velocity limit of joint {_name(joint)} is {speed:g}; give it in {unit}/s, above zero")
     return lower, upper, speed
 

@@ -25,8 +25,7 @@ def xml_root(path: Path, ending: str) -> Element:
         InputError: If the file cannot be read or is no XML.
     """
     text = read_text(path, f"a {ending} file")
-    declared = re.match(r"""<\?xml[^>]*?encoding\s*=\s*["']([^"']*)""", text)
-    if declared:
+    if declared := re.match(r"""<\?xml[^>]*?encoding\s*=\s*["']([^"']*)""", text):
         encoding = parsed(lambda: codecs.lookup(declared[1]).name, path, "XML")
         if encoding != "utf-8" and not text.isascii():
             raise InputError(f"{path} says its encoding is '{declared[1]}', but it is UTF-8; correct its first line")
@@ -70,8 +69,7 @@ def unit_vector(values: Array, what: str) -> Array:
     Raises:
         InputError: If it has no direction.
     """
-    length = float(np.linalg.norm(values))
-    if length < PARALLEL:
+    if (length := float(np.linalg.norm(values))) < PARALLEL:
         raise InputError(f"{what} has no direction; give a unit vector")
     return values / length
 

@@ -182,12 +182,11 @@ class Geometry:
 
     def difference(self, other: Geometry) -> Array:
         """The ``delta`` (5L + 12,) that turns this geometry into ``other`` (inverse of `displaced`)."""
-        links = [getattr(other, name) - getattr(self, name) for name in LINK_PARAMETERS]
-        frames = []
+        parts = [getattr(other, name) - getattr(self, name) for name in LINK_PARAMETERS]
         for mine, theirs in ((self.base, other.base), (self.tool, other.tool)):
             turn = Rotation.from_matrix(theirs.rotation @ mine.rotation.T).as_rotvec()
-            frames += [theirs.position - mine.position, turn]
-        return np.concatenate(links + frames)
+            parts += [theirs.position - mine.position, turn]
+        return np.concatenate(parts)
 
 
 def geometry_fingerprint(geometry: Geometry) -> str:

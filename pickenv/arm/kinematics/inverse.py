@@ -221,8 +221,7 @@ def _step(jacobian: Array, error: Array, pull: Array, half: Array, rank_toleranc
     null = np.eye(jacobian.shape[-1]) - back @ jacobian
     toward = np.einsum("...ij,...j->...i", null, pull)
     # Exact minimiser of sum(((q - middle) / half)^2) along that direction, were the null space straight.
-    curvature = np.sum((toward / half) ** 2, axis=-1)
-    along = np.sum(toward * pull, axis=-1)
+    curvature, along = np.sum((toward / half) ** 2, axis=-1), np.sum(toward * pull, axis=-1)
     step = step + toward * np.divide(along, curvature, out=np.zeros_like(along), where=curvature > 1e-18)[..., None]
     largest = np.max(np.abs(step) / np.minimum(half, 1.0), axis=-1, keepdims=True)
     return np.asarray(step * np.minimum(1.0, STEP_LIMIT / np.maximum(largest, 1e-12)))

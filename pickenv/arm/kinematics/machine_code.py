@@ -207,8 +207,7 @@ def _function(name: str, plain: Callable[..., Any]) -> Callable[..., Any]:
     """Make a function of `Traced` and plain numbers; for plain numbers alone it calls NumPy's function ``plain``."""
 
     def function(*values: Scalar) -> Scalar:
-        trace = _trace_of(values)
-        if trace is None:
+        if (trace := _trace_of(values)) is None:
             return float(plain(*values))
         return trace.note(name, DOUBLE, *(trace.of(value, DOUBLE) for value in values))
 
@@ -233,8 +232,7 @@ def _set_aside(condition: Scalar) -> bool:
 
 
 def _outside(function: Fill, values: Sequence[Scalar], rows: int) -> list[Traced] | None:
-    trace = _trace_of(values)
-    if trace is None:
+    if (trace := _trace_of(values)) is None:
         return None
     trace.calls.append((function, values, rows))
     return trace.inputs(f"found{len(trace.calls) - 1}", rows)

@@ -52,8 +52,7 @@ def rotation_between(m: ModuleType, reference: Sequence[Scalar], actual: Sequenc
     axx, axy, axz, ayx, ayy, ayz, azx, azy, azz = actual[:9]
     bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz = reference[:9]
     (sx, sy, sz), (xx, yy, zz) = _turn(reference, actual)
-    cosine = 0.5 * (xx + yy + zz - 1.0)
-    sine = m.sqrt(sx * sx + sy * sy + sz * sz)
+    cosine, sine = 0.5 * (xx + yy + zz - 1.0), m.sqrt(sx * sx + sy * sy + sz * sz)
     angle = m.atan2(sine, cosine)
     scale = angle / (sine + 1e-30)
     vector = scale * sx, scale * sy, scale * sz

@@ -240,8 +240,7 @@ def visited(
 def measured_poses(plant: Plant, joints: Array, instrument: Instrument, draws: NormalDraws) -> Pose:
     """The poses of one arm as an instrument reports them, at joint commands ``(P, n)`` in their order."""
     frame = visited(plant, np, joints, instrument, draws.stops)
-    noise = instrument.noise_on(plant)
-    if noise is None:
+    if (noise := instrument.noise_on(plant)) is None:
         return pose_of(frame)
     reading = split_joints(6, draws.reading)
     return pose_of(read_frame(np, noise, instrument.stand, frame, reading, draws.mounting.tolist()))

@@ -168,8 +168,7 @@ def iso9283(
     Raises:
         InputError: If a test pose cannot be reached.
     """
-    settings = settings or Iso9283Settings()
-    cube = cube or _largest_cube(plant.arm.nominal)
+    settings, cube = settings or Iso9283Settings(), cube or _largest_cube(plant.arm.nominal)
     seed = int(rng.integers(2**63))
     targets = _joints_for(plant, cube.inclined_plane(), None, cube.free)
     approaches = _approaches(plant, cube.inclined_plane(), targets, settings.approach, cube.free)
@@ -269,14 +268,11 @@ def _performance(
     errors = errors.reshape(cycles, len(ORDER), 6)
     poses = [pose_performance(f"P{i + 1}", errors[:, ORDER.index(i)]) for i in sorted(ORDER)]
     return {
-        "poses": poses,
-        "variation_mm": variation_mm,
-        "variation_deg": variation_deg,
+        **{"poses": poses, "variation_mm": variation_mm, "variation_deg": variation_deg},
         "drift_mm": 1e3 * float(np.abs(accuracy - accuracy[0]).max()),
         "drift_deg": math.degrees(float(np.abs(turn - turn[0]).max())),
         "wander_mm": 1e3 * float(wander.max()),
-        "drift_hours": hours,
-        "drift_accuracy_mm": (1e3 * accuracy).tolist(),
+        **{"drift_hours": hours, "drift_accuracy_mm": (1e3 * accuracy).tolist()},
         "worst_accuracy_mm": max(pose["accuracy_mm"] for pose in poses),
         "worst_repeatability_mm": max(pose["repeatability_mm"] for pose in poses),
     }

@@ -95,8 +95,7 @@ def read_plant(name: str | Path) -> Plant:
     Raises:
         InputError: If the plant is unknown or a number is impossible; the message names the file and the key.
     """
-    draw = NUMBERED.fullmatch(str(name))
-    if draw and not is_file(str(name)):
+    if (draw := NUMBERED.fullmatch(str(name))) and not is_file(str(name)):
         return with_drawn_constants(read_plant(draw[1]), int(draw[2]))
     if Path(name).suffix == ".npz":
         return read_twin(name)

@@ -102,8 +102,7 @@ class Tolerances:
 def it_tolerance(grade: int, length: Array | float) -> Array:
     """The width of the tolerance zone of ISO 286-1, m, for lengths in m."""
     millimetres = np.abs(np.asarray(length, dtype=float)) * 1e3
-    small = 0.45 * np.cbrt(millimetres) + 0.001 * millimetres
-    large = 0.004 * millimetres + 2.1
+    small, large = 0.45 * np.cbrt(millimetres) + 0.001 * millimetres, 0.004 * millimetres + 2.1
     return np.asarray(GRADES[grade] * 1e-6 * np.where(millimetres <= 500.0, small, large))
 
 
