@@ -29,7 +29,7 @@ from .policies.scripted import (
     ScriptedReach as ScriptedReach,
     ServoReach as ServoReach,
 )
-from .training.checkpoints import check_checkpoint as check_checkpoint
+from .training.checkpoints import read_checkpoint as read_checkpoint
 from .training.data_sets import datasets as datasets
 from .training.training import Trained as Trained, resumed as resumed, train as train
 from .training.training_setup import (

@@ -5,16 +5,16 @@ All execute what they hold, so load only what you trust; a policy file (.npz) of
 
 from __future__ import annotations
 
-import importlib
-import importlib.util
 import json
+import runpy
 import sys
 import traceback
 import zipfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from pkgutil import resolve_name
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,12 +85,8 @@ def foreign_policy(path: str | Path, env: Any, seed: int) -> Policy:
 
 
 def _written(path: Path, env: Any, seed: int) -> Policy:
-    spec = importlib.util.spec_from_file_location(path.stem, path)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
     with faults_in(path, "policy"):
-        spec.loader.exec_module(module)
-    make = getattr(module, MAKER, None)
+        make = runpy.run_path(str(path)).get(MAKER)
     if make is None:
         raise InputError(f"{path} defines no {MAKER}(env, seed); let it return an object with act and reset")
     with faults_in(path, "policy"):
@@ -119,8 +115,7 @@ def registered_policy(name: str, env: Any, seed: int, known: Mapping[str, Any]) 
 def _checked(policy: Any, maker: str) -> Policy:
     if not callable(getattr(policy, "act", None)) or not callable(getattr(policy, "reset", None)):
         raise InputError(f"what {maker} returns has no act(observation) or no reset(); give it both")
-    checked: Policy = policy
-    return checked
+    return cast(Policy, policy)
 
 
 @contextmanager
@@ -160,16 +155,16 @@ def _trained(path: Path, env: Any) -> Sb3Policy:
         names = ", ".join(name for _, name in (*TELLING.values(), RECURRENT))
         raise InputError(f"{path} is of an algorithm that is not known here; give one of {names}, or a Python file")
     require(home[0])
-    model = getattr(importlib.import_module(home[0]), home[1]).load(path, device="cpu")
+    model = resolve_name(":".join(home)).load(path, device="cpu")
     task = getattr(env.unwrapped, "task", None)
     scaling = None if task is None else Scaling(task.joints, task.camera)
     if scaling is not None and model.observation_space.shape == (scaling.features,):
         return Sb3Policy(model, scaling)
-    spaces = (
-        ("observations", model.observation_space, getattr(env, "single_observation_space", env.observation_space)),
-        ("actions", model.action_space, getattr(env, "single_action_space", env.action_space)),
-    )
-    for kind, trained, present in spaces:
+    for kind in ("observation", "action"):
+        trained, present = getattr(model, f"{kind}_space"), getattr(env, f"{kind}_space")
+        present = getattr(env, f"single_{kind}_space", present)
         if trained.shape != present.shape or type(trained) is not type(present):
-            raise InputError(f"{path} was trained on {kind} {trained}, but the environment has {present}; give its own")
+            raise InputError(
+                f"{path} was trained on {kind}s {trained}, but the environment has {present}; give its own"
+            )
     return Sb3Policy(model)

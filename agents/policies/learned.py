@@ -204,10 +204,8 @@ def policy_path(name: str | Path) -> Path:
     path = Path(name) if Path(name).suffix == ".npz" else BASELINES / f"{name}.npz"
     if path.is_file():
         return path
-    raise InputError(
-        f"unknown policy '{name}'; give one of {', '.join(shipped_baselines()) or 'none shipped'}, or a file "
-        "(.npz) that `pickenv train` wrote"
-    )
+    names = ", ".join(shipped_baselines())
+    raise InputError(f"unknown policy '{name}'; give one of {names}, or a file (.npz) that `pickenv train` wrote")
 
 
 def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> LearnedPolicy:
@@ -220,5 +218,4 @@ def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -
     parts = actor_parts(header, arrays, scaling.features, scaling.outputs)
     if header["activation"] not in ACTIVATIONS:
         raise InputError(f"its activation is {header['activation']!r}, not {' or '.join(ACTIVATIONS)}")
-    squashed = bool(header["squashed"])
-    return LearnedPolicy(**parts, scaling=scaling, activation=header["activation"], squashed=squashed)
+    return LearnedPolicy(**parts, scaling=scaling, activation=header["activation"], squashed=bool(header["squashed"]))

@@ -57,8 +57,8 @@ def attended(xp: Any, given: Mapping[str, Any], memory: PickMemory, seen: Any) -
     joints, error, filled = tokens[..., :n], tokens[..., n : n + 3], tokens[..., n + 3]
     near = xp.tanh(joints @ given["near"] + given["near_bias"])
     key = (near @ given["key"]).reshape(-1, window, HEADS, given["key"].shape[1] // HEADS)
-    question = xp.tanh(goal @ given["near"] + given["near_bias"]) @ given["query"]
-    query = question.reshape(-1, 1, HEADS, key.shape[-1])
+    question = xp.tanh(goal @ given["near"] + given["near_bias"])
+    query = (question @ given["query"]).reshape(-1, 1, HEADS, key.shape[-1])
     weights = xp.exp(xp.clip((key * query).sum(-1), -STEEPEST, STEEPEST)) * filled[..., None]
     weights = weights / (weights.sum(1)[:, None] + 1e-12)
     features = xp.tanh(xp.concatenate((near, error), -1) @ given["value"] + given["value_bias"])
@@ -110,10 +110,8 @@ class RememberingPolicy(Actor):
             InputError: If the observations have another length.
         """
         if seen.shape[-1] != self.memory.inputs:
-            raise InputError(
-                f"the policy was trained on observations of {self.memory.inputs} numbers, but was given "
-                f"{seen.shape[-1]}; use the window and the arm of its training"
-            )
+            lengths = f"{self.memory.inputs} numbers, but was given {seen.shape[-1]}"
+            raise InputError(f"the policy reads {lengths}; use the window and the arm of its training")
         values = np.asarray(seen, dtype=float)
         if self.recurrent:
             state = stepped(self.arrays, values, state)

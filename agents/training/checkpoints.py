@@ -27,8 +27,10 @@ AGAIN = "start the training again"
 LIMIT = 1 << 35
 """Most bytes that a checkpoint may have (32 GiB); it includes the replay buffer."""
 
-BUFFER = ("actions", "rewards", "dones", "timeouts", "ep_start", "ep_length", "_current_ep_start")
-"""Arrays that a replay buffer may have; observations are in one or two further arrays."""
+EPISODES = "_current_ep_start"
+SEEN = ("observations", "next_observations")
+BUFFER = ("actions", "rewards", "dones", "timeouts", "ep_start", "ep_length", EPISODES, *SEEN)
+"""Arrays that a replay buffer may have, as long as the buffer except `EPISODES`."""
 
 COUNTS = ("num_timesteps", "_n_updates", "_episode_num")
 PARTS = {
@@ -57,6 +59,7 @@ def save_checkpoint(
         evaluations: The evaluations so far.
     """
     name, keys, position, has_gauss, gauss = np.random.get_state(legacy=True)
+    memory = getattr(model, "_last_lstm_states", None) or ()  # of a recurrent policy's actor and critic
     state = {
         "parameters": model.get_parameters(),
         "variables": {key: getattr(model, key).detach().clone() for key in model._get_torch_save_params()[1]},
@@ -68,7 +71,7 @@ def save_checkpoint(
         "starts": _tensor(model._last_episode_starts),
         "env": _tensors(env.state()),
         "buffer": _buffer(model),
-        "memory": _memory(model),
+        "memory": [[part.detach().clone() for part in parts] for parts in memory],
     }
     stored = io.BytesIO()
     torch.save(state, stored)
@@ -106,15 +109,6 @@ def _is_a(value: Any, kind: Any) -> bool:
     return type(value) in {get_origin(option) or option for option in kinds}
 
 
-def check_checkpoint(path: str | Path) -> str | None:
-    """Verify a checkpoint from end to end: None, or the sentence that says why it is refused."""
-    try:
-        read_checkpoint(Path(path))
-    except InputError as error:
-        return str(error)
-    return None
-
-
 def take_checkpoint(path: Path, content: State, model: Any, env: Sb3Vec) -> None:
     """Bring a freshly made training to where the checkpoint ``path``, with the state ``content``, was written.
 
@@ -132,39 +126,26 @@ def take_checkpoint(path: Path, content: State, model: Any, env: Sb3Vec) -> None
         env.take_state(_arrays(content["env"]))
         _take_buffer(model, content["buffer"])
         if content["memory"]:
-            states = model._last_lstm_states
-            model._last_lstm_states = type(states)(*(tuple(part) for part in content["memory"]))
+            model._last_lstm_states = type(model._last_lstm_states)(*(tuple(part) for part in content["memory"]))
         model.action_space.np_random.bit_generator.state = json.loads(content["action_random"])
         name, keys, position, has_gauss, gauss = content["numpy_random"]
         np.random.set_state((name, keys.numpy(), position, has_gauss, gauss))
         torch.set_rng_state(content["torch_random"])
 
 
-def _memory(model: Any) -> list[list[torch.Tensor]]:
-    """States of a recurrent policy's actor and critic; empty for any other policy."""
-    return [[part.detach().clone() for part in parts] for parts in getattr(model, "_last_lstm_states", None) or ()]
-
-
 def _buffer(model: Any) -> dict[str, Any]:
-    buffer = getattr(model, "replay_buffer", None)
-    if buffer is None:
+    if (buffer := getattr(model, "replay_buffer", None)) is None:
         return {}
     filled = buffer.buffer_size if buffer.full else buffer.pos
     parts: dict[str, Any] = {"pos": int(buffer.pos), "full": bool(buffer.full)}
     for key in BUFFER:
         if hasattr(buffer, key):
-            values = getattr(buffer, key)
-            parts[key] = _tensor(values if key == "_current_ep_start" else values[:filled])
-    for key in ("observations", "next_observations"):
-        values = getattr(buffer, key)
-        some = {k: v[:filled] for k, v in values.items()} if isinstance(values, dict) else values[:filled]
-        parts[key] = _tensors(some)
+            parts[key] = _tensors(getattr(buffer, key), None if key == EPISODES else filled)
     return parts
 
 
 def _take_buffer(model: Any, parts: dict[str, Any]) -> None:
-    buffer = getattr(model, "replay_buffer", None)
-    if buffer is None:
+    if (buffer := getattr(model, "replay_buffer", None)) is None:
         return
     buffer.pos, buffer.full = parts["pos"], parts["full"]
     for key, value in parts.items():
@@ -179,8 +160,11 @@ def _tensor(values: Any) -> torch.Tensor:
     return torch.from_numpy(np.array(values))
 
 
-def _tensors(values: Any) -> Any:
-    return {key: _tensor(value) for key, value in values.items()} if isinstance(values, dict) else _tensor(values)
+def _tensors(values: Any, rows: int | None = None) -> Any:
+    """Tensors of an array's first rows, or of those of a mapping of arrays."""
+    if isinstance(values, dict):
+        return {key: _tensor(value[:rows]) for key, value in values.items()}
+    return _tensor(values[:rows])
 
 
 def _arrays(values: Any) -> Any:

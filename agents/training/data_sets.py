@@ -14,13 +14,11 @@ import shutil
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import gymnasium as gym
 import numpy as np
-from numpy.typing import NDArray
 
 import pickenv  # noqa: F401  (registers the environments)
 from pickenv.agents.policies.learned import load_policy
@@ -135,8 +133,7 @@ def _reaches(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> It
     for _ in range(envs.unwrapped.max_episode_steps):
         noise = rng.uniform(-1.0, 1.0, envs.action_space.shape).astype(np.float32)
         learnt = policy.act(envs.raw) / envs.scaling.share(envs.raw, np)
-        odds = {"expert": 0.0, "medium": 0.5, "random": 1.0}[quality]
-        random = rng.random(len(seeds)) < odds
+        random = rng.random(len(seeds)) < {"expert": 0.0, "medium": 0.5, "random": 1.0}[quality]
         action = np.clip(np.where(random[:, None], noise, learnt), -1.0, 1.0).astype(np.float32)
         observations, reward, terminated, truncated, infos = envs.step(action)
         for name, values in zip(COLUMNS, (observations, action, reward, terminated, truncated), strict=True):
@@ -168,16 +165,16 @@ def _canopies(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> I
 
 def _write(folder: Path, name: str, episodes: Sequence[dict[str, Any]], card: dict[str, Any]) -> dict[str, Any]:
     """Write a data set and its card, and move them into place once both are whole."""
+    from unittest.mock import patch  # late: it brings asyncio
+
     import minari
     from minari.data_collector import EpisodeBuffer
 
     out = folder.parents[2].resolve()  # Minari loses its way on relative paths
     with tempfile.TemporaryDirectory(prefix=".unfinished-", dir=out, ignore_cleanup_errors=True) as temporary:
-        buffers = [
-            EpisodeBuffer(id=i, **{key: value for key, value in episode.items() if key != "said"})
-            for i, episode in enumerate(episodes)
-        ]
-        with _minari_folder(temporary), warnings.catch_warnings():
+        recorded = ({key: value for key, value in episode.items() if key != "said"} for episode in episodes)
+        buffers = [EpisodeBuffer(id=i, **columns) for i, columns in enumerate(recorded)]
+        with patch.dict(os.environ, MINARI_DATASETS_PATH=temporary), warnings.catch_warnings():
             warnings.filterwarnings("ignore", message=".*is set to None.*")  # addresses of people
             minari.create_dataset_from_buffers(
                 name,
@@ -189,7 +186,9 @@ def _write(folder: Path, name: str, episodes: Sequence[dict[str, Any]], card: di
                 requirements=[f"pickenv=={card['versions']['pickenv']}"],
             )
         complete = Path(temporary) / name
-        card |= {"sha256": _hashes(complete), "content_sha256": _content_hash(episodes)}
+        # Over the numbers of all episodes, which a run with the same seed gives again.
+        content = b"".join(episode[name].tobytes() for episode in episodes for name in COLUMNS)
+        card |= {"sha256": _hashes(complete), "content_sha256": hashlib.sha256(content).hexdigest()}
         write_json(complete / CARD, card)
         for inner in (folder.parent, folder.parent.parent):  # Minari finds what stands in a folder that says it is one
             inner.mkdir(parents=True, exist_ok=True)
@@ -197,29 +196,6 @@ def _write(folder: Path, name: str, episodes: Sequence[dict[str, Any]], card: di
                 write_json(inner / "namespace_metadata.json", {})
         shutil.move(complete, folder)
     return card
-
-
-@contextmanager
-def _minari_folder(folder: str) -> Iterator[None]:
-    """Let Minari write into a folder."""
-    before = os.environ.get("MINARI_DATASETS_PATH")
-    os.environ["MINARI_DATASETS_PATH"] = folder
-    try:
-        yield
-    finally:
-        if before is None:
-            del os.environ["MINARI_DATASETS_PATH"]
-        else:
-            os.environ["MINARI_DATASETS_PATH"] = before
-
-
-def _content_hash(episodes: Sequence[dict[str, NDArray[Any]]]) -> str:
-    """SHA-256 over the numbers of all episodes, which a run with the same seed gives again."""
-    total = hashlib.sha256()
-    for episode in episodes:
-        for name in COLUMNS:
-            total.update(np.ascontiguousarray(episode[name]).tobytes())
-    return total.hexdigest()
 
 
 def _hashes(folder: Path) -> dict[str, str]:
@@ -241,7 +217,6 @@ def _kept(folder: Path, asked: dict[str, Any]) -> dict[str, Any]:
         raise InputError(otherwise % "has no card of a data set") from error
     if changed:
         raise InputError(otherwise % "was changed since it was written")
-    differing = [f"{key} {card.get(key)}, not {value}" for key, value in asked.items() if card.get(key) != value]
-    if differing:
+    if differing := [f"{key} {card.get(key)}, not {value}" for key, value in asked.items() if card.get(key) != value]:
         raise InputError(otherwise % f"was made with {' and '.join(differing)}")
     return card

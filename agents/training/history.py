@@ -5,7 +5,7 @@ For `pickenv.wrappers.SameArm` with a window. The encoder is that of `pickenv.ag
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import torch as th
@@ -20,27 +20,17 @@ WIDTH, MADE = 32, 16
 """How many numbers picks are compared by, a multiple of `HEADS`, and how many each pick gives beside its error."""
 
 
-def memory_of(space: spaces.Space[Any]) -> PickMemory:
-    """The layout of the observations of a `pickenv.wrappers.SameArm`; it does not tell the largest shift."""
-    assert space.shape is not None and isinstance(space, spaces.Box)
-    window = int((space.high == MOST_SEEN).sum()) // 3
-    return PickMemory((space.shape[0] - 4 * window) // (1 + window), window)
-
-
 class HistoryFeatures(BaseFeaturesExtractor):
     """Features of the window's picks for the next one."""
 
     def __init__(self, observation_space: spaces.Box) -> None:
         """Make the encoder for the observation space of a `pickenv.wrappers.SameArm` with a window."""
-        memory = memory_of(observation_space)
+        window = int((observation_space.high == MOST_SEEN).sum()) // 3
+        memory = PickMemory((observation_space.shape[0] - 4 * window) // (1 + window), window)
         super().__init__(observation_space, memory.joints + HEADS * (3 + MADE) + 1)
         self.memory = memory
-        sizes = {
-            "near": (memory.joints, WIDTH),
-            "query": (WIDTH, WIDTH),
-            "key": (WIDTH, WIDTH),
-            "value": (WIDTH + 3, MADE),
-        }
+        sizes = dict.fromkeys(("near", "query", "key", "value"), (WIDTH, WIDTH))
+        sizes |= {"near": (memory.joints, WIDTH), "value": (WIDTH + 3, MADE)}
         arrays = {name: th.nn.Parameter(th.empty(size)) for name, size in sizes.items()}
         for value in arrays.values():
             th.nn.init.orthogonal_(value, 1.0 if value.shape[0] != value.shape[1] else np.sqrt(2.0))
@@ -49,8 +39,7 @@ class HistoryFeatures(BaseFeaturesExtractor):
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
         """Features ``(N, features)``."""
-        features: th.Tensor = attended(th, dict(self.given.items()), self.memory, observations)
-        return features
+        return cast(th.Tensor, attended(th, dict(self.given.items()), self.memory, observations))
 
 
 class HistoryPolicy(ActorCriticPolicy):

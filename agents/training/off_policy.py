@@ -6,7 +6,7 @@ that it sees, and the critics divide actions by this share again. The entropy is
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, cast
 
 import torch as th
 from gymnasium import spaces
@@ -33,19 +33,15 @@ class ScaledFeatures(BaseFeaturesExtractor):
 
     def forward(self, observations: Any) -> th.Tensor:
         """Features ``(N, features)``."""
-        features: th.Tensor = self.scaling.observe(joined_observation(observations, th), th)
-        return features
+        return cast(th.Tensor, self.scaling.observe(joined_observation(observations, th), th))
 
     def share(self, observations: Any) -> th.Tensor:
         """The scaling's share ``(N, 1)``."""
-        share: th.Tensor = self.scaling.share(joined_observation(observations, th), th)
-        return share
+        return cast(th.Tensor, self.scaling.share(joined_observation(observations, th), th))
 
 
 def _scaling(module: Any) -> ScaledFeatures:
-    features = module.features_extractor
-    assert isinstance(features, ScaledFeatures)
-    return features
+    return cast(ScaledFeatures, module.features_extractor)
 
 
 class _ScaledActions:
@@ -53,8 +49,7 @@ class _ScaledActions:
 
     def forward(self, obs: Any, deterministic: bool = False) -> th.Tensor:
         """Actions."""
-        action: th.Tensor = super().forward(obs, deterministic)  # type: ignore[misc]
-        return action * _scaling(self).share(obs)
+        return super().forward(obs, deterministic) * _scaling(self).share(obs)  # type: ignore[misc, no-any-return]
 
     def action_log_prob(self, obs: Any) -> tuple[th.Tensor, th.Tensor]:
         """Actions, and the logarithm of the probability of the actor's own output."""

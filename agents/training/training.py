@@ -28,23 +28,18 @@ class EverySoOften(BaseCallback):
 
     def __init__(self, steps: int, act: Callable[[BaseCallback], object]) -> None:
         super().__init__()
-        self.steps, self.act = steps, act
-        self._next = 0
+        self.steps, self.act, self._passed = steps, act, 0
 
     def _on_training_start(self) -> None:
-        self._next = self._following()
+        self._passed = self.model.num_timesteps // self.steps  # so that a resumed training keeps the beat
 
     def _on_rollout_start(self) -> None:
-        if self.model.num_timesteps >= self._next:
+        if self.model.num_timesteps // self.steps > self._passed:
             self.act(self)
-            self._next = self._following()
+            self._passed = self.model.num_timesteps // self.steps
 
     def _on_step(self) -> bool:
         return True
-
-    def _following(self) -> int:
-        """The next multiple of the interval after the present step, so that a resumed training keeps the beat."""
-        return (self.model.num_timesteps // self.steps + 1) * self.steps
 
 
 def judged(
@@ -109,9 +104,7 @@ def train(
         if resume:
             begun, inputs, rows, state = read_checkpoint(path)
             if begun != training:
-                raise InputError(
-                    f"checkpoint {path} is of another training; resume it with the options it was started with"
-                )
+                raise InputError(f"checkpoint {path} is of another training; resume with the options it began with")
             training_setup.check_inputs(training, inputs)
         else:
             inputs = training_setup.inputs_of(training)
@@ -131,13 +124,8 @@ def train(
         callbacks = [EverySoOften(training.evaluate_every, evaluate), EverySoOften(training.checkpoint_every, keep)]
         begin, first = time.perf_counter(), model.num_timesteps
         if model.num_timesteps < training.total:
-            model.learn(
-                training.total - model.num_timesteps,
-                callback=callbacks,
-                reset_num_timesteps=not resume,
-                tb_log_name=training.algorithm,
-                progress_bar=progress,
-            )
+            settings = {"reset_num_timesteps": not resume, "tb_log_name": training.algorithm, "progress_bar": progress}
+            model.learn(training.total - model.num_timesteps, callback=callbacks, **settings)
             save_checkpoint(path, model, env, training, inputs, rows)
         rate = (model.num_timesteps - first) / max(time.perf_counter() - begin, 1e-9)
         policy = training_setup.actor_of(model, training, env)

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import ast
-import importlib
-import importlib.util
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from pkgutil import resolve_name
@@ -17,9 +15,9 @@ from pickenv.agents.evaluation.reaches import FRUIT, pick_canopies
 from pickenv.agents.policies.learned import LearnedPolicy
 from pickenv.agents.policies.remembering import LSTM, RememberingPolicy
 from pickenv.arm.files.arm import content_sha256
-from pickenv.base import InputError, check_limit, file_sha256, npz_path, versions
+from pickenv.base import InputError, check_limit, file_sha256, is_there, npz_path, versions
 from pickenv.envs import PickVectorEnv, ReachGoalVectorEnv, ReachIdealVectorEnv, ReachToolVectorEnv, ReachVectorEnv
-from pickenv.wrappers import GapScalingVector, SameArmVector, Scaling, ToolSteppingVector, ToolSteps, tool_steps_of
+from pickenv.wrappers import GapScalingVector, SameArmVector, Scaling, ToolSteppingVector, tool_steps_of
 
 Native = ReachVectorEnv | PickVectorEnv
 ENVIRONMENTS: dict[str, type[Native]] = {
@@ -160,7 +158,7 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
     for key in ("n_timesteps", "env_kwargs", "env_wrapper"):
         parameters.pop(key, None)
     inner = make_environment(training, int(parameters.pop("n_envs")), "SameStep")
-    logs = str(out / "logs") if out is not None and importlib.util.find_spec("tensorboard") is not None else None
+    logs = str(out / "logs") if out is not None and is_there("tensorboard") else None
     common: dict[str, Any] = {"seed": training.seed, "device": "cpu", "tensorboard_log": logs, "verbose": 0}
     goals = isinstance(inner, ReachVectorEnv) and inner.goal_dict
     if goals and training.algorithm == "ppo":
@@ -191,35 +189,27 @@ def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy | Rememb
     layers = [layer for layer in (*hidden, last) if isinstance(layer, torch.nn.Linear)]
     inner = env.envs.unwrapped
     arm = inner.task.plant.arm
+    record = {"training": asdict(training), "steps": int(model.num_timesteps)}
+    record |= {"versions": versions("gymnasium", "stable-baselines3", "torch")}
     common: dict[str, Any] = {
-        "algorithm": training.algorithm,
-        "arm": arm.name,
-        "arm_fingerprint": arm.fingerprint(),
+        **{"algorithm": training.algorithm, "arm": arm.name, "arm_fingerprint": arm.fingerprint(), "record": record},
         "weights": tuple(layer.weight.detach().numpy().T.astype(float) for layer in layers),
         "biases": tuple(layer.bias.detach().numpy().astype(float) for layer in layers),
-        "record": {
-            "training": asdict(training),
-            "steps": int(model.num_timesteps),
-            "versions": versions("gymnasium", "stable-baselines3", "torch"),
-        },
     }
     if training.remembering is not None:
         return RememberingPolicy(memory=env.envs.run.memory, arrays=memory_arrays(model.policy), **common)
-    activation = "tanh" if on_policy else "relu"
-    scaling: Scaling | ToolSteps
+    common |= {"activation": "tanh" if on_policy else "relu", "squashed": not on_policy}
     if isinstance(inner, PickVectorEnv):
-        scaling = tool_steps_of(inner)
-    elif isinstance(inner, ReachToolVectorEnv):
-        scaling = inner.scaling
-    else:
-        scaling = Scaling(inner.task.joints, inner.task.camera, inner.goal_dict, training.scaled_actions)
-    return LearnedPolicy(scaling=scaling, activation=activation, squashed=not on_policy, **common)
+        return LearnedPolicy(scaling=tool_steps_of(inner), **common)
+    if isinstance(inner, ReachToolVectorEnv):
+        return LearnedPolicy(scaling=inner.scaling, **common)
+    scaling = Scaling(inner.task.joints, inner.task.camera, inner.goal_dict, training.scaled_actions)
+    return LearnedPolicy(scaling=scaling, **common)
 
 
 def memory_arrays(policy: Any) -> dict[str, Any]:
     """The arrays of a torch policy's memory, as `RememberingPolicy` names them."""
-    lstm = getattr(policy, "lstm_actor", None)
-    if lstm is None:
+    if (lstm := getattr(policy, "lstm_actor", None)) is None:
         arrays = policy.features_extractor.given
         return {name: value.detach().numpy().astype(float) for name, value in arrays.items()}
     parts = (lstm.weight_ih_l0.T, lstm.bias_ih_l0, lstm.weight_hh_l0.T, lstm.bias_hh_l0)
@@ -247,11 +237,8 @@ def judge(policy: LearnedPolicy | RememberingPolicy, training: Training) -> dict
         for _ in range(60):
             observation, _, _, _, infos = env.step(policy.act(observation))
         error, success = infos["position_error_mm"], infos["is_success"]
-    return {
-        "mean_mm": float(error.mean()),
-        "p95_mm": float(np.percentile(error, 95)),
-        "success_rate": float(success.mean()),
-    }
+    numbers = {"mean_mm": error.mean(), "p95_mm": np.percentile(error, 95), "success_rate": success.mean()}
+    return {name: float(number) for name, number in numbers.items()}
 
 
 def _picked(policy: RememberingPolicy, envs: SameArmVector) -> dict[str, Any]:
@@ -295,7 +282,7 @@ def tuned(algorithm: str, env_id: str) -> dict[str, Any]:
         InputError: If the algorithm is unknown, or was never tuned on the environment.
     """
     check_algorithm(algorithm)
-    parameters: dict[str, dict[str, Any]] = importlib.import_module(f"pickenv.zoo.hyperparams.{algorithm}").hyperparams
+    parameters: dict[str, dict[str, Any]] = resolve_name(f"pickenv.zoo.hyperparams.{algorithm}:hyperparams")
     if env_id not in parameters:
         raise InputError(f"{algorithm} has no tuned parameters for '{env_id}'; give one of {', '.join(parameters)}")
     return {key: _value(value) for key, value in parameters[env_id].items()}

@@ -68,6 +68,7 @@ from .seeds import (
 from .texts import (
     decimal_number as decimal_number,
     folded as folded,
+    in_file as in_file,
     is_file as is_file,
     listed as listed,
     one_line as one_line,
@@ -113,6 +114,7 @@ from .toml_tables import (
     M as M,
     Then as Then,
     Unit as Unit,
+    afterwards as afterwards,
     fault as fault,
     file_named as file_named,
     json_schema as json_schema,

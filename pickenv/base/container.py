@@ -23,7 +23,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ from numpy.typing import NDArray
 from pickenv.base.errors import InputError
 from pickenv.base.files import write_whole
 from pickenv.base.provenance import made_with
+from pickenv.base.texts import reason_of
 
 SCHEMA = "pickenv container 1"
 HEADER = "header.json"
@@ -87,15 +88,8 @@ def refusing_damage(path: str | Path, what: str, remake: str) -> Iterator[None]:
     try:
         yield
     except Exception as error:  # the one place where all of them are caught; none of them is lost
-        raise InputError(f"{path} is not {what} or is damaged ({_reason(error)}); {remake}") from error
-
-
-def _reason(error: Exception) -> str:
-    """An exception in a few words on one line."""
-    if isinstance(error, KeyError) and error.args:
-        return f"{str(error.args[0])[:60]!r} is missing"
-    text = getattr(error, "strerror", None) or str(error) or type(error).__name__
-    return " ".join(str(text).split())[:160]
+        why = f"{str(error)[:60]} is missing" if isinstance(error, KeyError) and error.args else reason_of(error)
+        raise InputError(f"{path} is not {what} or is damaged ({why}); {remake}") from error
 
 
 def named_part(prefix: str, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
@@ -139,36 +133,21 @@ def write_container(
         InputError: If the file cannot be written.
         TypeError: If an array holds objects.
     """
-    numbers = {
-        name: value.tobytes("A") for name, value in arrays.items()
-    }  # as they lie, so that sums repeat to the bit
+    # As they lie, so that sums repeat to the bit.
+    numbers = {name: value.tobytes("A") for name, value in arrays.items()}
     described = {name: _description(name, value, numbers[name]) for name, value in arrays.items()}
     blobs = blobs or {}
     if any(name.endswith(".npy") or name == HEADER for name in blobs):
         raise ValueError(f"blobs may be called neither {HEADER} nor .npy")
-    text = json.dumps(
-        {
-            "schema": SCHEMA,
-            "kind": kind,
-            "version": version,
-            "made_with": made_with(),
-            "arrays": described,
-            "blobs": {name: {"bytes": len(value), "sha256": _sha256(value)} for name, value in blobs.items()},
-            "header": dict(header),
-        }
-    )
+    head = {"schema": SCHEMA, "kind": kind, "version": version, "made_with": made_with(), "arrays": described}
+    hashes = {name: {"bytes": len(value), "sha256": _sha256(value)} for name, value in blobs.items()}
+    members = {HEADER: json.dumps({**head, "blobs": hashes, "header": dict(header)}).encode()}
+    members |= {f"{name}.npy": _preamble(described[name]) + content for name, content in numbers.items()}
     buffer = io.BytesIO()
     method = zipfile.ZIP_DEFLATED if compressed else zipfile.ZIP_STORED
     with zipfile.ZipFile(buffer, "w") as archive:
-
-        def add(name: str, content: bytes) -> None:
+        for name, content in {**members, **blobs}.items():
             archive.writestr(zipfile.ZipInfo(name), content, method)  # dated 1980, so that bytes repeat
-
-        add(HEADER, text.encode())
-        for name, content in numbers.items():
-            add(f"{name}.npy", _preamble(described[name]) + content)
-        for name, content in blobs.items():
-            add(name, content)
         archive.comment = bytes(len(seal()))
     content = buffer.getvalue()[: -len(seal())]
     return write_whole(path, lambda temporary: temporary.write_bytes(content + seal(content)))
@@ -191,17 +170,13 @@ def read_container(
     """
     file_kind = f"a {kind} file" if kind else "a file of pickenv"
     with refusing_damage(path, file_kind, remake):
-        path = Path(path)
-        missing = not path.exists()
+        missing = not Path(path).exists()
+        content = b"" if missing else _bounded(Path(path), limit)
+        container = None if missing or content[-22:-18] == BARE_END else _verified(content, limit)
     if missing:
         raise InputError(f"{path} does not exist; {remake}")
-    with refusing_damage(path, file_kind, remake):
-        content = _bounded(path, limit)
-        earlier = content[-22:-18] == BARE_END
-    if earlier:
+    if container is None:
         raise InputError(f"{path} was written by an earlier version, or by another program, without a seal; {remake}")
-    with refusing_damage(path, file_kind, remake):
-        container = _verified(content, limit)
     if kind is not None and container.kind != kind:
         raise InputError(f"{path} holds a {container.kind}, not a {kind}; {remake}")
     if version is not None and container.version > version:
@@ -214,23 +189,21 @@ def read_container(
 def _bounded(path: Path, limit: int) -> bytes:
     if not path.is_file():
         raise ValueError("it is a folder, a device or a pipe")
-    size = path.stat().st_size
-    if size > limit:
+    if (size := path.stat().st_size) > limit:
         raise ValueError(f"it has {size} bytes, over the limit of {limit}")
     return path.read_bytes()
 
 
 def _verified(content: bytes, limit: int) -> Container:
     """The container in ``content``; raises an exception of any kind where the bytes are no container."""
-    if not ends_sealed(content):
+    if content[-LENGTH:] != seal(memoryview(content)[:-LENGTH]):
         raise ValueError("its seal does not hold: a byte was changed or lost")
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
         members = archive.infolist()
         for member in members:
             if member.flag_bits & ~UTF8_NAME or member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                 raise ValueError(f"member {member.filename!r} is encrypted or packed in an unknown way")
-        total = sum(member.file_size for member in members)
-        if total > limit:
+        if (total := sum(member.file_size for member in members)) > limit:
             raise ValueError(f"it unpacks to {total} bytes, over the limit of {limit}")
         if not members or members[0].filename != HEADER or members[0].file_size > HEADER_LIMIT:
             raise ValueError("its header is missing or too long")
@@ -278,18 +251,14 @@ def _preamble(entry: Mapping[str, Any]) -> bytes:
 
 def _size(entry: Mapping[str, Any]) -> int:
     """The number of bytes that an array's numbers take."""
-    size: int = math.prod(entry["shape"]) * np.dtype(entry["dtype"]).itemsize
-    return size
+    return int(math.prod(entry["shape"]) * np.dtype(entry["dtype"]).itemsize)
 
 
 def _array(name: str, content: bytes, preamble: bytes, entry: Mapping[str, Any]) -> NDArray[Any]:
     if not content.startswith(preamble):
         raise ValueError(f"array {name!r} is of another type or shape than its header says")
     numbers = _same(name, content[len(preamble) :], entry)
-    order: Literal["C", "F"] = "F" if entry["fortran"] else "C"
-    shape: tuple[int, ...] = tuple(entry["shape"])
-    flat: NDArray[Any] = np.frombuffer(numbers, entry["dtype"]) if numbers else np.empty(0, entry["dtype"])
-    return flat.reshape(shape, order=order).copy(order)
+    return np.ndarray(entry["shape"], entry["dtype"], numbers, order="F" if entry["fortran"] else "C").copy("K")
 
 
 def _same(name: str, content: bytes, entry: Mapping[str, Any]) -> bytes:
@@ -318,11 +287,6 @@ def seal(*parts: bytes | memoryview) -> bytes:
     for part in parts:
         total.update(part)
     return MARK + total.hexdigest().encode()
-
-
-def ends_sealed(content: bytes) -> bool:
-    """Whether ``content`` ends with the seal of all bytes before the seal."""
-    return content[-LENGTH:] == seal(memoryview(content)[:-LENGTH])
 
 
 def sealed_parquet(content: bytes) -> bytes:

@@ -10,25 +10,22 @@ from __future__ import annotations
 import sys
 from collections.abc import Mapping
 from importlib.util import find_spec
-from types import MappingProxyType
 
 from pickenv.base.errors import InputError
 
-EXTRAS: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        "learn": ("torch",),
-        "rl": ("stable_baselines3", "sb3_contrib", "tensorboard"),
-        "inspect": ("rerun", "plotly", "matplotlib", "jinja2", "PIL"),
-        "render": ("vtkmodules", "imageio_ffmpeg"),
-        "camera": ("cv2",),
-        "study": ("pyarrow", "joblib", "pandas"),
-        "ray": ("ray",),
-        "harvest": ("skimage", "ortools", "pettingzoo"),
-        "export": ("onnx",),
-        "data": ("minari",),
-        "compiled": ("llvmlite",),
-    }
-)
+EXTRAS: Mapping[str, tuple[str, ...]] = {
+    "learn": ("torch",),
+    "rl": ("stable_baselines3", "sb3_contrib", "tensorboard"),
+    "inspect": ("rerun", "plotly", "matplotlib", "jinja2", "PIL"),
+    "render": ("vtkmodules", "imageio_ffmpeg"),
+    "camera": ("cv2",),
+    "study": ("pyarrow", "joblib", "pandas"),
+    "ray": ("ray",),
+    "harvest": ("skimage", "ortools", "pettingzoo"),
+    "export": ("onnx",),
+    "data": ("minari",),
+    "compiled": ("llvmlite",),
+}
 """Extras by name, each with the modules that it brings."""
 
 
@@ -38,8 +35,7 @@ class MissingExtra(InputError, ImportError):
 
 def extra_of(module: str) -> str | None:
     """The extra that brings a module (``torch``, ``torch.nn``), or None."""
-    top = module.partition(".")[0]
-    return next((extra for extra, modules in EXTRAS.items() if top in modules), None)
+    return next((extra for extra, modules in EXTRAS.items() if module.partition(".")[0] in modules), None)
 
 
 def missing(module: str) -> MissingExtra:
@@ -64,9 +60,8 @@ def require(*modules: str) -> None:
     Raises:
         MissingExtra: If a module is not installed; the message names it and the command that installs it.
     """
-    for module in modules:
-        if not is_there(module):
-            raise missing(module)
+    if absent := [module for module in modules if not is_there(module)]:
+        raise missing(absent[0])
 
 
 def is_there(module: str) -> bool:

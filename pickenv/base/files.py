@@ -54,29 +54,30 @@ def write_whole(path: str | Path, write: Callable[[Path], Any]) -> Path:
             _write_into(path, write)
             return path
         target = Path(os.path.realpath(path))
-        if target.is_dir():
-            raise OSError(errno.EISDIR, os.strerror(errno.EISDIR))
-        if target.is_symlink():
-            raise OSError(errno.ELOOP, os.strerror(errno.ELOOP))
+        if wrong := errno.EISDIR if target.is_dir() else errno.ELOOP if target.is_symlink() else 0:
+            raise OSError(wrong, os.strerror(wrong))
         target.parent.mkdir(parents=True, exist_ok=True)
         _sweep(target.parent)
         temporary = _temporary(target)
     except OSError as error:
-        reason = error.strerror or error
-        raise InputError(f"cannot write {path}: {reason}; choose a folder that can be written") from error
+        raise _unwritable(path, error) from error
     try:
         write(temporary)
-        _flush(temporary)
+        with temporary.open("rb+") as file:
+            os.fsync(file.fileno())
         os.replace(temporary, target)
         _flush_folder(target.parent)
     except Exception as error:
-        fault = _fault_of_the_disk(error)
-        if fault is None:
+        if (fault := _fault_of_the_disk(error)) is None:
             raise
         raise InputError(f"cannot write {path}: {fault.strerror or fault}") from error
     finally:
         temporary.unlink(missing_ok=True)
     return path
+
+
+def _unwritable(path: Path, error: OSError) -> InputError:
+    return InputError(f"cannot write {path}: {error.strerror or error}; choose a folder that can be written")
 
 
 def _fault_of_the_disk(error: BaseException | None) -> OSError | None:
@@ -110,29 +111,21 @@ def _sweep(folder: Path) -> None:
         return
     ours = re.compile(rf"\.pickenv-{_machine()}-(\d+)-[0-9a-f]{{8}}(\..*)?")
     for entry in os.scandir(folder):
-        match = ours.fullmatch(entry.name)
-        if match and not _is_running(int(match[1])):
+        if (match := ours.fullmatch(entry.name)) and not _is_running(int(match[1])):
             with suppress(OSError):  # another user's, in a folder for all
                 os.unlink(entry.path)
 
 
 def _is_running(process: int) -> bool:
     """Whether a process of that id is running; always True on Windows, where asking would end the process."""
-    if sys.platform == "win32":
-        return True
     try:
-        os.kill(process, 0)
-    except (ProcessLookupError, OverflowError):
-        return False
+        if sys.platform != "win32":
+            os.kill(process, 0)
     except PermissionError:  # of another user
         return True
+    except (ProcessLookupError, OverflowError):
+        return False
     return True
-
-
-def _flush(path: Path) -> None:
-    """Flush a file's content to the disk."""
-    with path.open("rb+") as file:
-        os.fsync(file.fileno())
 
 
 def _flush_folder(folder: Path) -> None:
@@ -165,11 +158,9 @@ def _write_into(path: Path, write: Callable[[Path], Any]) -> None:
 def _stream(path: Path) -> int | None:
     """Number of the standard stream that ``path`` leads to, as /dev/stdout does, even into a file; else None."""
     for number in (1, 2):
-        try:
+        with suppress(OSError):  # a closed stream, a file that is not there yet
             if os.path.samestat(os.fstat(number), path.stat()):
                 return number
-        except OSError:  # a closed stream, a file that is not there yet
-            continue
     return None
 
 
@@ -269,7 +260,9 @@ def locked(folder: str | Path) -> Iterator[None]:
         yield
     finally:
         _held.discard(name)
-        _give_back(path, handle)
+        if sys.platform != "win32":  # where an open file cannot be taken away
+            (path / LOCK).unlink(missing_ok=True)
+        os.close(handle)
         with suppress(OSError):  # the first that is not empty stays, and those above it
             for parent in new:
                 parent.rmdir()
@@ -283,36 +276,25 @@ def _take(folder: Path) -> int:
         while True:
             handle = os.open(path, os.O_RDWR | os.O_CREAT, 0o666)
             if not _lock(handle):
-                owner = os.read(handle, 20).decode("ascii", "replace")
+                owner = os.read(handle, 20).decode("ascii", "replace") or "unknown"
                 os.close(handle)
-                raise InputError(
-                    f"another run (process {owner or 'unknown'}) is at work in {folder}; wait for its end, or give "
-                    "another folder"
-                )
+                busy = f"another run (process {owner}) is at work in {folder}"
+                raise InputError(f"{busy}; wait for its end, or give another folder")
             if _is_still(path, handle):
                 break
             os.close(handle)  # its owner took the file away as we came
         os.truncate(handle, 0)
         os.write(handle, str(os.getpid()).encode())
     except OSError as error:
-        raise InputError(
-            f"cannot write {folder}: {error.strerror or error}; choose a folder that can be written"
-        ) from error
+        raise _unwritable(folder, error) from error
     return handle
 
 
 def _is_still(path: Path, handle: int) -> bool:
     """Whether ``path`` still leads to the file that ``handle`` opened."""
-    try:
+    with suppress(FileNotFoundError):
         return os.path.samestat(os.fstat(handle), path.stat())
-    except FileNotFoundError:
-        return False
-
-
-def _give_back(folder: Path, handle: int) -> None:
-    if sys.platform != "win32":  # where an open file cannot be taken away
-        (folder / LOCK).unlink(missing_ok=True)
-    os.close(handle)
+    return False
 
 
 if sys.platform == "win32":

@@ -65,14 +65,17 @@ def mean_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
         raise ValueError(f"an interval is of values in one row, one per arm or fruit; got the shape {x.shape}")
     if len(x) < least or _equal(x):
         return None
-    from scipy.special import stdtrit  # late: half of SciPy comes along
-
     n, mean, deviation = len(x), float(x.mean()), float(x.std(ddof=1))
     skewness = float(np.clip(np.mean(((x - mean) / deviation) ** 3), -MOST_SKEWNESS, MOST_SKEWNESS))
-    low, high = (
-        mean - deviation * _unskewed(float(stdtrit(n - 1, tail)) / np.sqrt(n), skewness, n) for tail in _TAILS[::-1]
-    )
+    low, high = (mean - deviation * _unskewed(_t(n - 1, tail) / np.sqrt(n), skewness, n) for tail in _TAILS[::-1])
     return float(low), float(high)
+
+
+def _t(freedom: float, tail: float) -> float:
+    """The quantile of Student's t distribution."""
+    from scipy.special import stdtrit  # late: half of SciPy comes along
+
+    return float(stdtrit(freedom, tail))
 
 
 def ordered_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
@@ -151,8 +154,7 @@ def statistic_interval(
             `mean_interval`.
     """
     pseudo = pseudo_values(np.asarray(table, dtype=float), statistic)
-    ends = ordered_interval(pseudo, least) if ordered else mean_interval(pseudo, least)
-    if ends is None:
+    if (ends := ordered_interval(pseudo, least) if ordered else mean_interval(pseudo, least)) is None:
         return None
     shift = float(statistic(np.asarray(table, dtype=float))) - float(pseudo.mean())
     return ends[0] + shift, ends[1] + shift
@@ -173,13 +175,11 @@ def ratio_interval(over: ArrayLike, under: ArrayLike, least: int = LEAST) -> End
     above, below = np.asarray(over, dtype=float), np.asarray(under, dtype=float)
     if len(above) < least or not below.sum() > 0.0:
         return None
-    from scipy.special import stdtrit
-
     ratio = float(above.sum() / below.sum())
     variance, freedom = _ratio_spread(above, below)
     if not variance > (1e-12 * ratio) ** 2:
         return None
-    half = float(stdtrit(freedom, _TAILS[1])) * float(np.sqrt(variance))
+    half = _t(freedom, _TAILS[1]) * float(np.sqrt(variance))
     return ratio - half, ratio + half
 
 
@@ -268,19 +268,16 @@ def clustered_share_interval(successes: ArrayLike, trials: ArrayLike, least: int
     n, total = len(taken), float(tried.sum())
     if n < least or not total:
         return None
-    from scipy.special import stdtrit
-
     share = float(taken.sum()) / total
     spread, freedom = _ratio_spread(taken, tried)
     counted = fewest = float(total**2 / (tried @ tried))  # as many clusters of one size would say as much
     if 0.0 < share < 1.0 and spread > 0.0:
         telling = max(min(int(np.sum(taken > 0.0)) - 1, int(np.sum(taken < tried)) - 1, freedom), 1)
-        few, many = float(stdtrit(telling, _TAILS[1])), float(stdtrit(total - 1.0, _TAILS[1]))
-        counted = share * (1.0 - share) / spread * (many / few) ** 2
+        counted = share * (1.0 - share) / spread * (_t(total - 1.0, _TAILS[1]) / _t(telling, _TAILS[1])) ** 2
     return _wilson(share, float(np.clip(counted, min(fewest, total), total)))
 
 
-def crossed_interval(values: ArrayLike, least: tuple[int, int] = (LEAST, LEAST_RUNS)) -> Ends | None:
+def crossed_interval(values: ArrayLike) -> Ends | None:
     """95 % interval of the mean of values ``(A, B)`` over two crossed factors, both drawn: arms and training seeds.
 
     The variance of the mean, (MS_A + MS_B - MS_AB) / (A B), is from the two-way analysis of variance; the degrees of
@@ -288,23 +285,20 @@ def crossed_interval(values: ArrayLike, least: tuple[int, int] = (LEAST, LEAST_R
 
     Args:
         values: One value for every arm with every seed.
-        least: Fewest arms, and fewest seeds.
 
     Returns:
-        The ends, or None where there are fewer arms or seeds, or all values are equal.
+        The ends, or None where there are fewer arms than `LEAST`, or seeds than `LEAST_RUNS`, or all values are equal.
     """
     x = np.asarray(values, dtype=float)
     a, b = x.shape
-    if a < least[0] or b < least[1] or _equal(x):
+    if a < LEAST or b < LEAST_RUNS or _equal(x):
         return None
-    from scipy.special import stdtrit
-
     mean, arms, seeds = float(x.mean()), x.mean(axis=1), x.mean(axis=0)
     squares = (b * arms.var(ddof=1), a * seeds.var(ddof=1))
     both = float(np.sum((x - arms[:, None] - seeds[None] + mean) ** 2)) / ((a - 1) * (b - 1))
     total = max(squares[0] + squares[1] - both, *squares)
     freedom = total**2 / (squares[0] ** 2 / (a - 1) + squares[1] ** 2 / (b - 1))
-    half = float(stdtrit(freedom, _TAILS[1])) * float(np.sqrt(total / (a * b)))
+    half = _t(freedom, _TAILS[1]) * float(np.sqrt(total / (a * b)))
     return mean - half, mean + half
 
 
@@ -334,17 +328,16 @@ def quantile_levels(count: int, probability: float) -> tuple[float | None, float
         """Chance that the order statistic of this rank lies below the quantile, minus the tail."""
         return float(betainc(rank, count + 1.0 - rank, probability)) - tail
 
-    if count < 1:
-        return None, None
-    ends: list[float | None] = []
-    for tail, side, innermost, outermost in ((_TAILS[1], 1.0, float(count), 1.0), (_TAILS[0], -1.0, 1.0, float(count))):
+    def end(tail: float, side: float, innermost: float, outermost: float) -> float | None:
         if side * beyond(outermost, tail) < 0.0:
-            ends.append(None)
-            continue
+            return None
         enough = side * beyond(innermost, tail) >= 0.0
         rank = innermost if enough else float(brentq(beyond, 1.0, float(count), args=(tail,)))
-        ends.append((rank - 0.5) / count)
-    return ends[0], ends[1]
+        return (rank - 0.5) / count
+
+    if count < 1:
+        return None, None
+    return end(_TAILS[1], 1.0, float(count), 1.0), end(_TAILS[0], -1.0, 1.0, float(count))
 
 
 def _equal(values: NDArray[np.float64]) -> bool:
@@ -416,10 +409,9 @@ class Estimate:
 
     def verdict(self, margin: float = MARGIN_MM) -> str:
         """What a difference says: "carries over" inside the margin, "differs" beyond zero, else "not settled"."""
-        if self.ci95 is not None and None not in self.ci95:
-            low, high = self.ci95
-            if low is not None and high is not None and -margin <= low and high <= margin:
-                return "carries over"
+        low, high = self.ci95 or (None, None)
+        if low is not None and high is not None and -margin <= low and high <= margin:
+            return "carries over"
         return "differs" if self.significant else "not settled"
 
 
@@ -500,12 +492,11 @@ def _without_lost(values: NDArray[np.float64], lost: float, least: int) -> dict[
     gone = values > lost
     kept = (~gone).sum(axis=1)
     means = np.where(gone, 0.0, values).sum(axis=1)[kept > 0] / kept[kept > 0]
-    share = _with_reason(
-        float(gone.mean()), clustered_share_interval(gone.sum(axis=1), values.shape[1], least), values[:, :1], least
-    )
-    if not len(means):
-        return {"estimate": Estimate(float("nan"), None, "all are lost"), "units": means, "runs": None, "lost": share}
-    return {"estimate": mean_estimate(means[:, None, None], least), "units": means, "runs": None, "lost": share}
+    ends = clustered_share_interval(gone.sum(axis=1), values.shape[1], least)
+    share = _with_reason(float(gone.mean()), ends, values[:, :1], least)
+    empty = Estimate(float("nan"), None, "all are lost")
+    number = mean_estimate(means[:, None, None], least) if len(means) else empty
+    return {"estimate": number, "units": means, "runs": None, "lost": share}
 
 
 def unseen_share(runs: int) -> float:
@@ -524,15 +515,11 @@ def _check_asked(
     if callable(of):
         return
     if len(names) != 1 and not (len(names) == 2 and of in ("share", "ratio", "removed")):
-        raise ValueError(
-            f"'{of}' is of one column, not of {names}; give share, ratio or removed of two, or a function of them"
-        )
+        raise ValueError(f"'{of}' is of one column, not of {names}; give share, ratio or removed of two, or a function")
     if of == "ratio" and len(names) != 2:
         raise ValueError(f"'ratio' is of two columns, not of {names}")
     if of == "removed" and (against is None) == (len(names) == 1):
-        raise ValueError(
-            "'removed' wants against, the levels of which a share is gone, or two columns: before and after"
-        )
+        raise ValueError("'removed' wants against, levels of which a share is gone, or two columns: before and after")
 
 
 def _cubes(rows: Mapping[str, NDArray[Any]], names: Sequence[str], over: Sequence[str]) -> NDArray[np.float64]:
@@ -545,8 +532,7 @@ def _cubes(rows: Mapping[str, NDArray[Any]], names: Sequence[str], over: Sequenc
     counts = np.bincount(places[0] * runs + places[1], minlength=units * runs)
     if len(set(counts.tolist())) != 1:
         raise ValueError(f"not every combination of {' and '.join(over)} has as many rows: {sorted(set(counts))}")
-    values = [np.asarray(rows[name], dtype=float)[order].reshape(units, runs, -1) for name in names]
-    return np.stack(values)
+    return np.stack([np.asarray(rows[name], dtype=float)[order].reshape(units, runs, -1) for name in names])
 
 
 def _estimated(
@@ -554,11 +540,10 @@ def _estimated(
 ) -> Estimate:
     if callable(of) or len(cube) > 1:
         table = cube.mean(axis=(2, 3)).T
-        if of == "share":  # what was taken, of what was tried, with other numbers tried of each unit
-            taken, tried = cube.sum(axis=(2, 3))
-            return _with_reason(_ratio(table), clustered_share_interval(taken, tried), table)
-        if of == "ratio":
-            return _with_reason(_ratio(table), ratio_interval(*table.T), table)
+        if of in ("share", "ratio"):  # a share of what was tried, with other numbers tried of each unit
+            ends = clustered_share_interval(*cube.sum(axis=(2, 3))) if of == "share" else ratio_interval(*table.T)
+            over, under = table.sum(axis=0)
+            return _with_reason(float(over / max(under, 1e-12)), ends, table)
         function = of if callable(of) else _removed
         return _with_reason(float(function(table)), statistic_interval(table, function), table)
     (values,) = cube
@@ -567,12 +552,6 @@ def _estimated(
     if of == "interquartile":
         return interquartile_estimate(values.mean(axis=(1, 2)))
     return mean_estimate(values, least) if of == "mean" else quantile_estimate(values, float(of))
-
-
-def _ratio(table: NDArray[np.float64]) -> float:
-    """The ratio of the sums of two columns ``(units, 2)``."""
-    over, under = table.sum(axis=0)
-    return float(over / max(under, 1e-12))
 
 
 def _removed(table: NDArray[np.float64]) -> float:
@@ -608,13 +587,9 @@ def share_estimate(chances: NDArray[np.float64]) -> Estimate:
     means = chances.mean(axis=2)
     if trainings == 1 and arms >= MANY and means.min() > 0.0 and means.max() < 1.0:
         ends = mean_interval(means[:, 0])
-    elif trainings == 1:
-        ends = clustered_share_interval(chances.sum(axis=(1, 2)), fruit)
     else:
-        ends = crossed_interval(means)
-    if ends is not None:
-        ends = max(ends[0], 0.0), min(ends[1], 1.0)
-    return _with_reason(float(means.mean()), ends, means)
+        ends = crossed_interval(means) if trainings > 1 else clustered_share_interval(chances.sum(axis=(1, 2)), fruit)
+    return _with_reason(float(means.mean()), ends and (max(ends[0], 0.0), min(ends[1], 1.0)), means)
 
 
 def interquartile_estimate(values: NDArray[np.float64]) -> Estimate:
@@ -635,10 +610,5 @@ def interquartile_estimate(values: NDArray[np.float64]) -> Estimate:
 
 def _with_reason(value: float, ends: Ends | None, each: NDArray[np.float64], least: int = LEAST) -> Estimate:
     arms, trainings = each.shape
-    if ends is not None:
-        return Estimate(value, ends)
-    if arms < least:
-        return Estimate(value, None, f"needs {least} arms")
-    if 1 < trainings < LEAST_RUNS:
-        return Estimate(value, None, f"needs {LEAST_RUNS} trainings")
-    return Estimate(value, None, "all arms are equal")
+    few = f"needs {least} arms" if arms < least else f"needs {LEAST_RUNS} trainings" * (1 < trainings < LEAST_RUNS)
+    return Estimate(value, ends, "" if ends else few or "all arms are equal")

@@ -92,8 +92,7 @@ def obey(reservations: Mapping[str, str], allow: Collection[str], concerns: Coll
     Raises:
         InputError: If there is such a reservation, with its sentence; or if ``allow`` has an unknown name.
     """
-    unknown = [name for name in allow if name not in NAMES]
-    if unknown:
+    if unknown := [name for name in allow if name not in NAMES]:
         raise InputError(f"unknown reservation '{unknown[0]}'; give one of {', '.join(NAMES)}")
     for name, sentence in reservations.items():
         if name in concerns and name not in allow:

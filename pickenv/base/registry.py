@@ -14,25 +14,22 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 from importlib import import_module, metadata
-from types import MappingProxyType
 from typing import Any, TypeVar
 
 from pickenv.base.errors import InputError
 
-SHIPPED: Mapping[str, tuple[str, ...]] = MappingProxyType(
-    {
-        "arm_format": ("pickenv.arm.files.arm_file", "pickenv.arm.files.urdf", "pickenv.arm.files.mjcf"),
-        "instrument": ("pickenv.calibration.reading.read", "pickenv.calibration.reading.kind_readers"),
-        "observation": tuple(f"pickenv.calibration.model.{name}" for name in ("measurements", "kinds", "pixels")),
-        "residual": ("pickenv.calibration.residuals.bpnn", "pickenv.calibration.residuals.gaussian_process"),
-        "effect": tuple(f"pickenv.arm.effects.{name}" for name in ("structure", "drives", "ground", "residual_field")),
-        "exporter": tuple(f"pickenv.calibration.delivery.{name}" for name in ("onto_files", "joint_offsets", "export")),
-        "report": ("pickenv.inspect.runs.run_folder",),
-        "gripper": ("pickenv.orchard.gripper",),
-        "policy": ("pickenv.agents.policies.scripted", "pickenv.agents.policies.adaptive"),
-        "backend": ("pickenv.envs.reaching.vector",),
-    }
-)
+SHIPPED: Mapping[str, tuple[str, ...]] = {
+    "arm_format": ("pickenv.arm.files.arm_file", "pickenv.arm.files.urdf", "pickenv.arm.files.mjcf"),
+    "instrument": ("pickenv.calibration.reading.read", "pickenv.calibration.reading.kind_readers"),
+    "observation": tuple(f"pickenv.calibration.model.{name}" for name in ("measurements", "kinds", "pixels")),
+    "residual": ("pickenv.calibration.residuals.bpnn", "pickenv.calibration.residuals.gaussian_process"),
+    "effect": tuple(f"pickenv.arm.effects.{name}" for name in ("structure", "drives", "ground", "residual_field")),
+    "exporter": tuple(f"pickenv.calibration.delivery.{name}" for name in ("onto_files", "joint_offsets", "export")),
+    "report": ("pickenv.inspect.runs.run_folder",),
+    "gripper": ("pickenv.orchard.gripper",),
+    "policy": ("pickenv.agents.policies.scripted", "pickenv.agents.policies.adaptive"),
+    "backend": ("pickenv.envs.reaching.vector",),
+}
 """The modules, by kind, that register what ships with pickenv; names are listed in the order of these modules."""
 
 KINDS = tuple(SHIPPED)
@@ -111,8 +108,7 @@ def get(kind: str, name: str, *, package: str = "", version: str = "", module: s
     _import_shipped(kind)
     if name not in _entries[kind]:
         _load_entry_point(kind, name)
-    entry = _entries[kind].get(name)
-    if entry is None and not (package or module):
+    if (entry := _entries[kind].get(name)) is None and not (package or module):
         raise InputError(f"there is no {kind} '{name}'; give one of {', '.join(names(kind)) or 'none: there are none'}")
     source = Origin(package, version, module)
     if entry is not None and (not package or package == entry[1].package):
@@ -167,9 +163,7 @@ def packages() -> dict[str, str]:
     """The versions, by name, of other packages that extend pickenv, installed or in use: results may depend on them."""
     sources = {_origin_of_entry_point(point) for point in _installed(tuple(sys.path))}
     sources |= {source for entries in _entries.values() for _, source in entries.values()}
-    return {
-        source.package: source.version for source in sorted(sources, key=str) if source.package not in ("", "pickenv")
-    }
+    return {s.package: s.version for s in sorted(sources, key=str) if s.package not in ("", "pickenv")}
 
 
 def _check_kind(kind: str) -> None:
@@ -195,8 +189,7 @@ def _keep(kind: str, name: str, thing: Any, source: Origin) -> None:
 
 
 def _load_entry_point(kind: str, name: str) -> None:
-    offers = _entry_points(kind).get(name, ())
-    if not offers:
+    if not (offers := _entry_points(kind).get(name, ())):
         return
     sources = [_origin_of_entry_point(point) for point in offers]
     if len(offers) > 1:
@@ -216,12 +209,10 @@ def _entry_points(kind: str) -> Mapping[str, tuple[metadata.EntryPoint, ...]]:
     offers: dict[str, tuple[metadata.EntryPoint, ...]] = {}
     for point in _installed(tuple(sys.path)):
         entry = _entries[kind].get(point.name)
-        if point.group != f"pickenv.{kind}":
-            continue
-        if entry is not None and entry[1].package == "pickenv":
+        if point.group == f"pickenv.{kind}" and entry is not None and entry[1].package == "pickenv":
             source = _origin_of_entry_point(point)
             warnings.warn(f"{kind} '{point.name}' of {source} is left aside: pickenv ships that name", stacklevel=3)
-        else:
+        elif point.group == f"pickenv.{kind}":
             offers[point.name] = (*offers.get(point.name, ()), point)
     return offers
 
@@ -239,8 +230,7 @@ def _origin_of_entry_point(point: metadata.EntryPoint) -> Origin:
 
 
 def _origin_of_module(module: str) -> Origin:
-    top = module.partition(".")[0]
-    if top == "pickenv":
+    if (top := module.partition(".")[0]) == "pickenv":
         return Origin("pickenv", import_module("pickenv").__version__)
     for point in _installed(tuple(sys.path)):  # an editable install lists its entry points, but not its modules
         if point.module.partition(".")[0] == top and point.dist is not None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from functools import lru_cache
+from functools import cache
 from typing import Literal, get_args
 
 import numpy as np
@@ -61,9 +61,7 @@ def run_seed(run: int) -> int:
     return int(run) * RUN
 
 
-@lru_cache(maxsize=1)
-def _controller() -> ThreadpoolController:
-    return ThreadpoolController()  # looking the libraries up takes milliseconds, so once
+_controller = cache(ThreadpoolController)  # looking the libraries up takes milliseconds, so once
 
 
 @contextmanager

@@ -6,10 +6,12 @@ file. `shortened` keeps a message's quotations to one line, and `decimal_number`
 
 from __future__ import annotations
 
+import codecs
 import re
 import shutil
 import stat
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from textwrap import wrap
 from typing import Any, TypeVar
@@ -24,14 +26,8 @@ PIECE = 1 << 20
 LARGEST = 1 << 30
 """Largest size of a text file, bytes; no file of ours comes near it."""
 
-MARKS = {
-    b"\xff\xfe\x00\x00": "UTF-32",
-    b"\x00\x00\xfe\xff": "UTF-32",
-    b"\xff\xfe": "UTF-16",
-    b"\xfe\xff": "UTF-16",
-    b"PK\x03\x04": "",
-}
-"""First bytes of files that are not UTF-8: byte order marks, longest first, and zip archives such as .xlsx."""
+MARKS = {"UTF-32": (codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE), "UTF-16": (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)}
+"""First bytes of files that are not UTF-8: byte order marks, longest first."""
 
 
 def read_text(path: str | Path, kind: str) -> str:
@@ -44,31 +40,30 @@ def read_text(path: str | Path, kind: str) -> str:
     Raises:
         InputError: If the file is missing, a folder or a device, too large, or no UTF-8 text; the message says which.
     """
-    file_type, data = "file", b""
+    other, data = "", b""
     try:
         mode = Path(path).stat().st_mode
-        if stat.S_ISREG(mode) or stat.S_ISFIFO(mode):
+        other = "" if stat.S_ISREG(mode) or stat.S_ISFIFO(mode) else "a folder" if stat.S_ISDIR(mode) else "a device"
+        if not other:
             with Path(path).open("rb") as file:
                 while len(data) <= LARGEST and (more := file.read(PIECE)):
                     data += more
-        else:
-            file_type = "a folder" if stat.S_ISDIR(mode) else "a device"
     except FileNotFoundError as error:
         raise InputError(f"{_name(path)} does not exist; give a path to {kind}") from error
     except (OSError, ValueError) as error:  # a path of 300 characters, or with a zero byte in it
-        raise InputError(f"cannot read {_name(path)}: {_reason(error)}; give a path to {kind}") from error
-    if file_type != "file":
-        raise InputError(f"{_name(path)} is {file_type}, not a file; give a path to {kind}")
+        raise InputError(f"cannot read {_name(path)}: {reason_of(error)}; give a path to {kind}") from error
+    if other:
+        raise InputError(f"{_name(path)} is {other}, not a file; give a path to {kind}")
     if len(data) > LARGEST:
         raise InputError(f"{path} holds more than {LARGEST >> 20} MiB; give a path to {kind}")
     return _decoded(data, path, kind)
 
 
 def _decoded(data: bytes, path: str | Path, kind: str) -> str:
-    for mark, encoding in MARKS.items():
-        if data.startswith(mark):
-            if not encoding:
-                raise InputError(f"{path} is a zip archive, such as a spreadsheet; export it as {kind}")
+    if data.startswith(b"PK\x03\x04"):
+        raise InputError(f"{path} is a zip archive, such as a spreadsheet; export it as {kind}")
+    for encoding, marks in MARKS.items():
+        if data.startswith(marks):
             raise InputError(f"{path} is written in {encoding}; save it as UTF-8")
     if b"\0" in data:
         raise InputError(f"cannot read {path}: it holds zero bytes, so it is UTF-16 or no text; give {kind} in UTF-8")
@@ -76,10 +71,8 @@ def _decoded(data: bytes, path: str | Path, kind: str) -> str:
         return data.decode("utf-8-sig")
     except UnicodeDecodeError as error:
         line = data.count(b"\n", 0, error.start) + 1
-        raise InputError(
-            f"cannot read {path}: byte 0x{data[error.start]:02x} in line {line} is not UTF-8, so it is Latin-1 "
-            f"(Windows-1252) or no text; give {kind} in UTF-8"
-        ) from error
+        place = f"byte 0x{data[error.start]:02x} in line {line}"
+        raise InputError(f"cannot read {path}: {place} is Latin-1 (cp1252) or no text; give {kind} in UTF-8") from error
 
 
 def parsed(parse: Callable[[], Thing], path: str | Path, kind: str) -> Thing:
@@ -89,7 +82,20 @@ def parsed(parse: Callable[[], Thing], path: str | Path, kind: str) -> Thing:
     except RecursionError as error:
         raise InputError(f"{path} is not valid {kind}: it is nested too deeply; give tables of a few levels") from error
     except Exception as error:
-        raise InputError(f"{path} is not valid {kind}: {_reason(error)}") from error
+        raise InputError(f"{path} is not valid {kind}: {reason_of(error)}") from error
+
+
+@contextmanager
+def in_file(path: str | Path) -> Iterator[None]:
+    """A context whose errors begin with the file's name.
+
+    Raises:
+        InputError: For every `InputError` in the context.
+    """
+    try:
+        yield
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from None
 
 
 def yaml_content(text: str, path: str | Path) -> Any:
@@ -113,10 +119,8 @@ def yaml_content(text: str, path: str | Path) -> Any:
 
 def decimal_number(text: str) -> float | None:
     """The number that ``text`` spells in ASCII digits, which may be nan or infinite; None if it spells no number."""
-    if not text.isascii() or "_" in text:  # Python would take 1_000, and the digits of any script
-        return None
     try:
-        return float(text)
+        return float(text) if text.isascii() and "_" not in text else None  # no 1_000, and no digits of any script
     except ValueError:
         return None
 
@@ -158,11 +162,10 @@ def side_by_side(sizes: Sequence[int], repeated: int, width: int) -> list[list[i
         repeated: Number of first columns, which every table repeats.
         width: Characters of a line.
     """
-    first = list(range(repeated))
-    tables = [first.copy()]
+    tables = [list(range(repeated))]
     for column in range(repeated, len(sizes)):
         if len(tables[-1]) > repeated and sum(sizes[i] for i in (*tables[-1], column)) > width:
-            tables.append(first.copy())
+            tables.append(list(range(repeated)))
         tables[-1].append(column)
     return tables
 
@@ -174,17 +177,16 @@ def listed(names: Iterable[str], length: int = 600) -> str:
 
 def is_file(path: str | Path) -> bool:
     """Whether ``path`` is a file; False for a path that no file can have (too long, a zero byte)."""
-    try:
+    with suppress(OSError, ValueError):
         return Path(path).is_file()
-    except (OSError, ValueError):
-        return False
+    return False
 
 
 def _name(path: str | Path) -> str:
     return shortened(path, 300)
 
 
-def _reason(error: Exception) -> str:
+def reason_of(error: Exception) -> str:
     """An error's own words on one line, without Python's advice to programmers."""
     text = getattr(error, "strerror", None) or str(error) or type(error).__name__
     return shortened(re.sub(r"\s+", " ", re.sub(r"; use sys\.set_int_max_str_digits\(\).*", "", text)), 200)

@@ -11,8 +11,10 @@ import difflib
 import math
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
+from contextlib import suppress
 from dataclasses import MISSING, dataclass, field, fields, is_dataclass, make_dataclass, replace
-from functools import cache, partial
+from functools import cache, partial, reduce
+from operator import getitem
 from pathlib import Path
 from typing import Annotated, Any, TypeVar, cast, dataclass_transform, get_args, get_origin, get_type_hints
 
@@ -108,8 +110,8 @@ class Unit:
 
     def holds(self, value: float) -> bool:
         """Whether a number in SI is within the bounds."""
-        low, high = ((-self.most if self.least is None else self.least), self.most)
-        low, high = low * self.scale / self.per, high * self.scale / self.per
+        ends = (-self.most if self.least is None else self.least), self.most
+        low, high = (end * self.scale / self.per for end in ends)
         return math.isfinite(value) and (low < value if self.above else low <= value) and value <= high
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
@@ -126,14 +128,11 @@ class Unit:
         number = int if self.whole else float
         bounds: Any = {"gt" if self.above else "ge": -self.most if self.least is None else self.least, "le": self.most}
         bounds = {key: number(bound) for key, bound in bounds.items() if math.isfinite(bound)}
-        schema = (
-            core.int_schema(strict=True, **bounds)
-            if self.whole
-            else core.float_schema(strict=True, allow_inf_nan=False, **bounds)
-        )
+        schema = core.float_schema(strict=True, allow_inf_nan=False, **bounds)
         if self.whole:
             schema = core.no_info_before_validator_function(
-                lambda value: int(value) if isinstance(value, float) and value.is_integer() else value, schema
+                lambda value: int(value) if isinstance(value, float) and value.is_integer() else value,
+                core.int_schema(strict=True, **bounds),
             )
         schema = core.custom_error_schema(schema, "wanted", custom_error_message=f"give {self.wanted}")
         if self.scale == self.per == 1.0:
@@ -200,24 +199,16 @@ TO_SI = {unit.name: unit.scale for unit in (DEG, RAD, MM, M)}
 """SI units per unit of a joint or a coordinate."""
 
 
-def _once(values: Any, _context: Any) -> Any:
-    if not values or len(set(values)) < len(values):
-        raise fault("a list of at least one entry, each entry once")
-    return values
+def afterwards(test: Callable[[Any], bool], wanted: str) -> Then:
+    """Annotation of a field with a test of its value in SI, as `Check` tests the file's own."""
+    return Then(lambda value, _: Check(test, wanted).checked(value))
 
 
-ONCE = Then(_once)
+ONCE = afterwards(lambda values: 0 < len(set(values)) == len(values), "a list of at least one entry, each entry once")
 """A list that is not empty and has no entry twice."""
 
-
-def _in_order(ends: Any, _context: Any) -> Any:
-    """Refuse a range that ends before it begins."""
-    if ends[0] > ends[1]:
-        raise fault("the lower number first")
-    return ends
-
-
-IN_ORDER = Then(_in_order)
+IN_ORDER = afterwards(lambda ends: ends[0] <= ends[1], "the lower number first")
+"""A range that does not end before it begins."""
 
 LINE = Check(lambda value: isinstance(value, str) and value.isprintable(), "a text of one line")
 
@@ -247,17 +238,15 @@ def _schema(kind: Any, handler: Any) -> Any:
         if not isinstance(value, Mapping):
             raise fault("a table", "no table")
         keys, thing = dict(_keys(kind).values()), None
-        for key in value:
-            if key not in keys:
-                raise fault("", "unknown", key=str(key), known=sorted(keys))
+        if unknown := [key for key in value if key not in keys]:
+            raise fault("", "unknown", key=str(unknown[0]), known=sorted(keys))
         try:
             thing = inner(value)
         except ValidationError as error:
             if not all(_lacks(fault_of_key) for fault_of_key in error.errors(include_url=False)):
                 raise
-        for key, advice in keys.items():
-            if advice and key not in value:
-                raise fault(advice, "missing", key=key)
+        if absent := [key for key, advice in keys.items() if advice and key not in value]:
+            raise fault(keys[absent[0]], "missing", key=absent[0])
         return thing
 
     return core.no_info_wrap_validator_function(check, handler(kind))
@@ -292,17 +281,15 @@ def units_of(kind: Any) -> dict[str, Unit]:
 def _keys(kind: Any) -> dict[str, tuple[str, str]]:
     """Each field's key in the file, and what to give if the key is missing (empty if it may be missing)."""
     keys, hints = {}, get_type_hints(kind, include_extras=True)
-    for attribute in fields(kind):
-        marks = list(_marks(hints[attribute.name]))
-        unit = units_of(kind).get(attribute.name, NUMBER).name
-        plain = f"{attribute.name}_{unit}" if unit else attribute.name
+    for part in fields(kind):
+        marks = list(_marks(hints[part.name]))
+        unit = units_of(kind).get(part.name, NUMBER).name
+        plain = f"{part.name}_{unit}" if unit else part.name
         key = next((mark.name for mark in marks if isinstance(mark, Key) and mark.name), plain)
-        usual = "this table" if is_dataclass(hints[attribute.name]) else "it"
+        usual = "this table" if is_dataclass(hints[part.name]) else "it"
         advice = next((mark.wanted for mark in marks if isinstance(mark, Unit | Check)), usual)
-        optional = (
-            attribute.name in FILLED_IN or attribute.default is not MISSING or attribute.default_factory is not MISSING
-        )
-        keys[attribute.name] = (key, "" if optional and REQUIRED not in marks else advice)
+        optional = part.name in FILLED_IN or part.default is not MISSING or part.default_factory is not MISSING
+        keys[part.name] = (key, "" if optional and REQUIRED not in marks else advice)
     return keys
 
 
@@ -320,10 +307,8 @@ def _file_of(kind: Any) -> Any:
     members_of_file = groups.pop("", [])
     for section, members in groups.items():
         part = toml_table(make_dataclass(section, members, frozen=True))
-        optional = not any(advice for _, advice in _keys(part).values())
-        members_of_file.append(
-            (section, part, field(default_factory=part, kw_only=True) if optional else field(kw_only=True))
-        )
+        factory: Any = MISSING if any(advice for _, advice in _keys(part).values()) else part
+        members_of_file.append((section, part, field(default_factory=factory, kw_only=True)))
 
     names = {attribute.name for attribute in fields(kind)}
     if "source" not in names:  # every file may say where its numbers come from
@@ -396,25 +381,18 @@ def file_named(kind: str, name: str | Path, folder: Path, endings: str = ".toml"
 def toml_of(path: str | Path) -> tuple[dict[str, Any], str]:
     """The content of a TOML file, unchecked, and its text; an `InputError` says why a file cannot be read."""
     text = read_text(path, "a TOML file")
-
-    def content() -> dict[str, Any]:
-        tables = tomllib.loads(text)
-        _refuse_huge(tables, "")
-        return tables
-
-    return parsed(content, path, "TOML"), text
+    return parsed(lambda: _without_huge(tomllib.loads(text), ""), path, "TOML"), text
 
 
-def _refuse_huge(value: Any, key: str) -> None:
+def _without_huge(value: Any, key: str) -> Any:
     """Refuse integers of more than TOML's 64 bits: Python reads them, but arithmetic with them fails later."""
-    if isinstance(value, Mapping):
-        for name, part in value.items():
-            _refuse_huge(part, str(name))
-    elif isinstance(value, list):
-        for part in value:
-            _refuse_huge(part, key)
-    elif isinstance(value, int) and not -INTEGERS <= value < INTEGERS:
+    for part in value if isinstance(value, list) else ():
+        _without_huge(part, key)
+    for name, part in value.items() if isinstance(value, dict) else ():
+        _without_huge(part, name)
+    if isinstance(value, int) and not -INTEGERS <= value < INTEGERS:
         raise ValueError(f"{key} is an integer of more than 64 bits")
+    return value
 
 
 def made(
@@ -520,12 +498,9 @@ def _table_at(place: list[Any], content: Any) -> str:
 
 def _at(content: Any, place: list[Any]) -> Any:
     """The value at a place in the content; None if there is no value."""
-    for part in place:
-        try:
-            content = content[part]
-        except (LookupError, TypeError):
-            return None
-    return content
+    with suppress(LookupError, TypeError):
+        return reduce(getitem, place, content)
+    return None
 
 
 CLOSING = ("", "]", "]]", "]]]", '"""', "'''")
@@ -560,7 +535,6 @@ def line_of(text: str, place: list[Any]) -> int | None:
 
 
 def _parsed(text: str) -> Any:
-    try:
+    with suppress(tomllib.TOMLDecodeError):
         return tomllib.loads(text)
-    except tomllib.TOMLDecodeError:
-        return None
+    return None

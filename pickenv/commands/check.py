@@ -203,10 +203,9 @@ def _verified(path: Path, kind: str) -> str:
             policy = pickenv.load_policy(path) if kind == "policy" else pickenv.agents.load_remembering(path)
             return f"{policy.algorithm} on arm '{policy.arm}'"
         case "checkpoint":
-            from pickenv.agents.training.checkpoints import check_checkpoint
+            from pickenv.agents.training.checkpoints import read_checkpoint
 
-            if (reason := check_checkpoint(path)) is not None:
-                raise InputError(reason)
+            read_checkpoint(path)
             return "of a training"
         case "chunk of a study":
             remake = "run the study again to make it anew"

@@ -95,13 +95,11 @@ class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
         if "final_obs" in infos:
             final, last = infos["final_obs"].copy(), np.array(self.raw)
             for i in np.flatnonzero(infos["_final_obs"]):
-                last[i] = final[i]
-                final[i] = self.scaling.shown(final[i])
+                last[i], final[i] = final[i], self.scaling.shown(final[i])
             infos = infos | {"final_obs": final}
         if self._shaping is not None:
             after = np.where(terminations, 0.0, self.scaling.potential(last))
-            gained = self._shaping * after - self.scaling.potential(before)
-            rewards = rewards + np.where(self._idle, 0.0, gained)
+            rewards = rewards + np.where(self._idle, 0.0, self._shaping * after - self.scaling.potential(before))
             if self.env.metadata["autoreset_mode"] is AutoresetMode.NEXT_STEP:
                 self._idle = terminations | truncations  # the next step begins an episode
         return self.scaling.shown(self.raw), rewards, terminations, truncations, infos

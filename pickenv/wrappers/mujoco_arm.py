@@ -35,8 +35,7 @@ def geometry_in_mujoco(model: Any, site: str, joints: Sequence[str] | None = Non
         mujoco: Any = import_module("mujoco")
     except ImportError as error:
         raise InputError("MuJoCo is not installed, and the environment is one of it; pip install mujoco") from error
-    number = mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)
-    if number < 0:
+    if (number := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)) < 0:
         raise InputError(f"the model has no site '{site}'; name the one at the arm's tool")
     chain: list[int] = []
     body = int(model.site_bodyid[number])
@@ -59,18 +58,11 @@ def geometry_in_mujoco(model: Any, site: str, joints: Sequence[str] | None = Non
         still.mocap_pos[:], still.mocap_quat[:] = data.mocap_pos, data.mocap_quat
     still.qpos[model.jnt_qposadr[numbers]] = 0.0
     mujoco.mj_kinematics(model, still)
-    ranges = [
-        model.jnt_range[j] if model.jnt_limited[j] and np.ptp(model.jnt_range[j]) else [-np.pi, np.pi] for j in numbers
-    ]
+    ranges = np.array(model.jnt_range[numbers], dtype=float)
+    ranges[~((model.jnt_limited[numbers] != 0) & (np.ptp(ranges, axis=1) > 0.0))] = -np.pi, np.pi
     tool = Pose(still.site_xpos[number].copy(), still.site_xmat[number].reshape(3, 3).copy())
-    return geometry_from_axes(
-        tuple(name for name in names if name in selection),
-        tuple(kind == SLIDE for kind in kinds),
-        still.xanchor[numbers],
-        still.xaxis[numbers],
-        tool,
-        *np.array(ranges, dtype=float).T,
-    )
+    titles, slides = tuple(name for name in names if name in selection), tuple(kind == SLIDE for kind in kinds)
+    return geometry_from_axes(titles, slides, still.xanchor[numbers], still.xaxis[numbers], tool, *ranges.T)
 
 
 def joints_in_mujoco(model: Any, data: Any, geometry: Geometry) -> Array:
@@ -163,10 +155,8 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         error = self.tool_error()
         achieved, desired = (np.asarray(observation[key], dtype=float) for key in ("achieved_goal", "desired_goal"))
         if achieved.shape != (3,) or np.linalg.norm(achieved - self._believed) > FAR:
-            raise InputError(
-                "the goal that is achieved is not the position of the nominal arm's tool; wrap a reaching task, and "
-                "name the site that its goal is of"
-            )
+            wrong = "achieved_goal is not the position of the nominal arm's tool"
+            raise InputError(f"{wrong}; wrap a reaching task, and name the site that its goal is of")
         self._achieved = achieved + error
         inner: Any = self.env.unwrapped
         distance = float(np.linalg.norm(self._achieved - desired))

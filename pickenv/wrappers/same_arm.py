@@ -100,9 +100,8 @@ class _Run:
     """The present run of each arm, one per row; every pose follows from the row's seed and the pick's number."""
 
     def __init__(self, task: Task, rows: int, picks: int, memory: PickMemory, looks: int) -> None:
-        check_count("picks", picks)
-        check_count("window", memory.window)
-        check_count("looks", looks)
+        for name, count in {"picks": picks, "window": memory.window, "looks": looks}.items():
+            check_count(name, count)
         check_number("reach_mm", memory.reach_mm, positive=True)
         if looks > LONGEST_LOOK:
             raise InputError(f"looks is {looks}; give at most {LONGEST_LOOK}")
@@ -148,8 +147,7 @@ class _Run:
         shifts = as_numbers("actions", actions)
         if shifts.shape != (len(self.joints), 3) or not np.isfinite(shifts).all():
             raise InputError(f"actions have shape {shifts.shape}; give {len(self.joints)} times 3 finite numbers")
-        start = self.memory.aim(self.geometry, self.joints, shifts)
-        options = {"start_joints": start, "goal_joints": self.joints}
+        options = {"start_joints": self.memory.aim(self.geometry, self.joints, shifts), "goal_joints": self.joints}
         return options if self.task.arms == "fixed" else options | {"arm": arms}
 
     def seed(self, seeds: Sequence[int | None], generator: np.random.Generator) -> None:
@@ -245,9 +243,8 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         """The arrays of everything that the next step depends on, for a checkpoint."""
         run, inner = self.run, cast(Any, self.env.unwrapped)
         parts = {"seeds": run.seeds, "count": run.count, "tokens": run.tokens, "joints": run.joints, "arms": self._arms}
-        arrays: dict[str, NDArray[Any]] = {f"run/{key}": np.array(value) for key, value in parts.items()}
-        below: dict[str, NDArray[Any]] = inner.state_arrays()
-        return arrays | {"run/pick": np.array(run.pick)} | below
+        arrays = {f"run/{key}": np.array(value) for key, value in (parts | {"pick": run.pick}).items()}
+        return {**arrays, **inner.state_arrays()}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
         """Take over the arrays that `state_arrays` of environments with the same arguments returned."""
@@ -320,11 +317,8 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         RecordConstructorArgs.__init__(self, picks=picks, window=window, looks=looks, reach_mm=reach_mm)
         gym.Wrapper.__init__(self, env)
         task: Any = getattr(env.unwrapped, "task", None)
-        if (
-            not isinstance(task, Task)
-            or not hasattr(env.unwrapped, "arm")
-            or env.observation_space.shape != flat_space(task).shape
-        ):
+        single = isinstance(task, Task) and hasattr(env.unwrapped, "arm")
+        if not single or env.observation_space.shape != flat_space(task).shape:
             raise InputError("SameArm works on flat reach environments; wrap a pickenv/Reach-v0 environment")
         self.run = _Run(task, 1, picks, PickMemory(task.joints, window, reach_mm), looks)
         self.observation_space = self.run.memory.space()

@@ -113,12 +113,9 @@ class Sb3Vec(VecEnv):
             observations: Any = [{key: value[i].copy() for key, value in last.items()} for i in rows]
         else:
             observations = [last[i].copy() for i in rows]
-        columns: dict[str, list[Any]] = {
-            "terminal_observation": observations,
-            "TimeLimit.truncated": cut[rows].tolist(),
-        }
-        names = [key for key, values in final.items() if key[0] != "_" and np.ndim(values) == 1]
-        columns |= {key: np.asarray(final[key])[rows].tolist() for key in names}
+        columns: dict[str, Any] = {"terminal_observation": observations, "TimeLimit.truncated": cut[rows].tolist()}
+        numbers = {key: values for key, values in final.items() if key[0] != "_" and np.ndim(values) == 1}
+        columns |= {key: np.asarray(values)[rows].tolist() for key, values in numbers.items()}
         sums = zip(self._returns[rows].tolist(), self._lengths[rows].tolist(), strict=True)
         columns["episode"] = [{"r": reward, "l": length, "t": 0.0} for reward, length in sums]
         return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
@@ -138,8 +135,7 @@ class Sb3Vec(VecEnv):
         self._returns, self._lengths = state["returns"].copy(), state["lengths"].copy()
         observations = {key[4:]: value.copy() for key, value in state.items() if key.startswith("raw/")}
         self.seen = observations.get("flat", observations)
-        scaled = self._scaled()
-        if scaled is not None:
+        if (scaled := self._scaled()) is not None:
             scaled.raw, self.seen = self.seen, scaled.scaling.shown(self.seen)
         below = {key[4:]: value for key, value in state.items() if key.startswith("env/")}
         self._remembering().take_state_arrays(below)
@@ -166,8 +162,7 @@ class Sb3Vec(VecEnv):
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
         """The environments' common attribute, once per index."""
-        value = getattr(self.envs.unwrapped, attr_name)
-        return [value] * len(list(self._get_indices(indices)))
+        return [getattr(self.envs.unwrapped, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
         """Set an attribute of all environments.
@@ -183,8 +178,7 @@ class Sb3Vec(VecEnv):
         self, method_name: str, *arguments: Any, indices: int | Iterable[int] | None = None, **named: Any
     ) -> list[Any]:
         """Call a method of the environments, once per index."""
-        method = getattr(self.envs.unwrapped, method_name)
-        return [method(*arguments, **named) for _ in self._get_indices(indices)]
+        return [getattr(self.envs.unwrapped, method_name)(*arguments, **named) for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: int | Iterable[int] | None = None) -> list[bool]:
         """Whether a wrapper of this class is around the environments, once per index; never of `gym.Wrapper`."""

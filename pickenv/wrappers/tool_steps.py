@@ -67,6 +67,7 @@ class ToolSteps(Rescaling):
     geometry: Geometry
     increment: Array
     home = "it in pickenv/Pick-v0, with the arm"
+    outputs = MOVES + 1  # of the policy: its steps and the gripper
 
     @property
     def joints(self) -> int:
@@ -95,11 +96,6 @@ class ToolSteps(Rescaling):
         high = np.array([1.0] * n + [1.001] * 4 + [2.0] * 2 + [1.0] * 6, dtype=np.float32)
         low = np.array([-1.0] * n + [-1.001] * 4 + [-2.0] * 2 + [0.0] * 6, dtype=np.float32)
         return spaces.Box(low, high, dtype=np.float32)
-
-    @property
-    def outputs(self) -> int:
-        """Count of numbers in the policy's action: its steps and the gripper."""
-        return MOVES + 1
 
     @property
     def answers(self) -> spaces.Box:
@@ -149,9 +145,8 @@ class ToolSteps(Rescaling):
         far, aside = _length(gap), _length(gap[..., :2])
         holding = (values[..., n + 14 : n + 16] > 0.5).any(axis=-1, keepdims=True)
         share = np.where(holding, 1.0, np.where(far < ARRIVED, 0.0, np.minimum(far / NEAR, 1.0)))
-        sideways = np.where(holding | (share == 0.0), 0.0, gap[..., :2] / np.maximum(aside, NEAR)) * (
-            SERVO + steps[..., :1]
-        )
+        aim = np.where(holding | (share == 0.0), 0.0, gap[..., :2] / np.maximum(aside, NEAR))
+        sideways = aim * (SERVO + steps[..., :1])
         upwards = share * (np.where(holding, 0.0, SERVO * gap[..., 2:] / np.maximum(far, ARRIVED)) + steps[..., 1:])
         tilt = np.clip(values[..., n + 9 : n + 11], -0.2, 0.2)
         task_step = np.concatenate([LARGEST * sideways, LARGEST * upwards, UPRIGHT * tilt * (share > 0)], -1)
@@ -262,8 +257,7 @@ def tool_steps_of(env: Any) -> ToolSteps:
         InputError: If ``env`` is no picking environment.
     """
     inner = env.unwrapped
-    task = getattr(inner, "task", None)
-    if task is None or not isinstance(getattr(inner, "orchard", None), PickSetting):
+    if (task := getattr(inner, "task", None)) is None or not isinstance(getattr(inner, "orchard", None), PickSetting):
         raise InputError("ToolStepping moves a picking arm's tool; wrap a pickenv/Pick-v0 environment")
     return ToolSteps(task.plant.arm.nominal, np.array(task.increment))
 

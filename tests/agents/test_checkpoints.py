@@ -12,7 +12,7 @@ import torch
 from typer import Typer
 from typer.testing import CliRunner
 
-from pickenv.agents import Training, check_checkpoint, make_model, resumed, train
+from pickenv.agents import Training, make_model, resumed, train
 from pickenv.agents.training.checkpoints import read_checkpoint, save_checkpoint
 from pickenv.agents.training.training_setup import check_inputs, inputs_of
 from pickenv.arm import PLANTS, load_plant
@@ -40,11 +40,9 @@ def refused(path, said=None):
         read_checkpoint(path)
     sentence = str(caught.value)
     assert "\n" not in sentence and str(path) in sentence and len(sentence) < 500
-    assert check_checkpoint(path) == sentence
 
 
 def test_a_sound_checkpoint_says_what_it_is_of(checkpoint, trained):
-    assert check_checkpoint(checkpoint) is None
     training, inputs, _, _ = read_checkpoint(checkpoint)
     assert training == resumed(trained) and inputs == inputs_of(training)
 

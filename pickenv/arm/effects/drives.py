@@ -110,8 +110,7 @@ class ThermalGrowth(Effect, place=JOINT + 0.6, spreads={"time_constant": "warm_u
     def drawn(self, draws: Draws) -> ThermalGrowth:
         """The effect of many arms; each final temperature rise is drawn from the tolerance class's range."""
         low, high = draws.temperature_rise
-        rise = low + (high - low) * draws.even["temperature_rise"][:, 0]
-        return replace(super().drawn(draws), final_rise=rise)
+        return replace(super().drawn(draws), final_rise=low + (high - low) * draws.even["temperature_rise"][:, 0])
 
 
 def warmed(m: ModuleType, thermal: ThermalGrowth, rise: Scalar, dt: Scalar) -> Scalar:
@@ -124,8 +123,8 @@ def warmed(m: ModuleType, thermal: ThermalGrowth, rise: Scalar, dt: Scalar) -> S
 # and c g m r: what `pickenv.calibration.model.arm_model.GravityTerm` identifies. Units: rad or m, rad/m or 1.
 
 
-AXES = {"x": 0, "y": 3, "z": 6}
-"""Where each of a link's axes begins among the twelve components of its frame."""
+START = {"x": 0, "y": 3, "z": 6, "m": 9}
+"""Where each of a link's axes, and its origin, begins among the twelve components of its frame."""
 
 
 @register("effect", "gravity_yield")
@@ -152,12 +151,9 @@ class GravityYield(Effect, place=JOINT + 0.2):
         for (joint, link, moment), size in zip(self.moments, self.sizes, strict=True):
             x, y, z = up
             if not at.cold.links[joint].prismatic:
+                a, b, c = links[link + 1][START[moment] :][:3]
                 if moment == "m":
-                    a, b, c = (
-                        end - start for end, start in zip(links[link + 1][9:], links[joint + 1][9:], strict=True)
-                    )
-                else:
-                    a, b, c = links[link + 1][AXES[moment] :][:3]
+                    a, b, c = (end - start for end, start in zip((a, b, c), links[joint + 1][9:], strict=True))
                 x, y, z = b * z - c * y, c * x - a * z, a * y - b * x  # the lever crossed with what is upwards
             zx, zy, zz = links[joint + 1][6:9]
             joints[joint] = joints[joint] - size * (zx * x + zy * y + zz * z)

@@ -17,7 +17,7 @@ from pickenv.arm.effects.structure import turn_horizontally
 from pickenv.arm.files.joint_keys import PER_JOINT
 from pickenv.arm.kinematics.backend import exponential, namespace_of
 from pickenv.arm.kinematics.forward import Scalar
-from pickenv.base import GRAVITY, HOURS, MILLISECONDS, MM, NUMBER, Check, Unit, register, toml_table
+from pickenv.base import GRAVITY, HOURS, MILLISECONDS, MM, NUMBER, Unit, afterwards, register, toml_table
 
 GIVING_WAY = {"stiffness": "ground_stiffness", "creep": "sinkage", "settlement": "sinkage"}
 
@@ -78,10 +78,7 @@ class BaseTilt(Effect, place=BASE, spreads=GIVING_WAY, needs_load=True):
 # through a first-order lag. A held command is integrated exactly, whatever the time step. Units: s, Hz, rad or m.
 
 
-BELOW_ONE = Check(
-    lambda values: not isinstance(values, list) or all(not isinstance(v, int | float) or v < 1 for v in values),
-    "damping ratios from 0 to below 1",
-)
+BELOW_ONE = afterwards(lambda zetas: all(zeta < 1.0 for zeta in zetas), "damping ratios from 0 to below 1")
 
 
 LARGEST_DAMPING = 0.5
@@ -131,8 +128,7 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
             strict=True,
         ):
             omega = math.tau * frequency
-            decay = zeta * omega
-            damped = omega * namespace_of(m, zeta).sqrt(1.0 - zeta * zeta)
+            decay, damped = zeta * omega, omega * namespace_of(m, zeta).sqrt(1.0 - zeta * zeta)
             angle = damped * dt
             space = namespace_of(m, angle)
             envelope = exponential(m, -decay * dt)
@@ -140,8 +136,7 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
             # The profile command + gap exp(-t / lag) forces the part `forced` exp(-t / lag); the rest swings freely.
             gap = profile - command
             forced = -share * gap / (1.0 - 2.0 * decay * lag + (omega * lag) * (omega * lag))
-            free = vibration - forced
-            free_rate = rate + (share * gap + forced) / lag
+            free, free_rate = vibration - forced, rate + (share * gap + forced) / lag
             swung = free * cosine + (free_rate + decay * free) * sine
             swung_rate = free_rate * cosine - (decay * free_rate + omega * omega * free) * sine
             profiles.append(command + gap * faded)

@@ -21,12 +21,12 @@ from numpy.typing import NDArray
 
 from pickenv.arm.effects.effect import DRIVE, TOOL, Components, Draws, Effect, Passage, standard_normal_of
 from pickenv.arm.effects.structure import Harmonic, with_waves
-from pickenv.arm.files.joint_keys import ByJoint, numbers_per_joint
+from pickenv.arm.files.joint_keys import LENGTH, TRAVEL, ByJoint, numbers_per_joint
 from pickenv.arm.kinematics.backend import outside
 from pickenv.arm.kinematics.forward import Scalar
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.kinematics.pose_error import displaced_frame
-from pickenv.base import ARCMIN, DEG, MM, NUMBER, WHOLE, InputError, Then, register, toml_table
+from pickenv.base import MM, NUMBER, WHOLE, InputError, Then, register, toml_table
 
 CHUNK = 64
 """Number of arms or poses that NumPy works on together, so that their waves stay in a core's cache."""
@@ -99,10 +99,8 @@ class ResidualField(Effect, place=TOOL + 0.5, name="residual"):
         """Displace the tool."""
         m, frame = at.m, at.frame
         parts = [part + constant for part, constant in zip(_outputs(m, self, at.motor), self.offset, strict=True)]
-        turned = []
-        for first in range(0, self.features.outputs, 3):
-            x, y, z = parts[first : first + 3]
-            turned += [a * x + b * y + c * z for a, b, c in self.turn]
+        triples = (parts[first : first + 3] for first in range(0, self.features.outputs, 3))
+        turned = [a * x + b * y + c * z for x, y, z in triples for a, b, c in self.turn]
         if len(turned) == 6:
             at.frame = displaced_frame(m, frame, turned)
         else:
@@ -120,8 +118,7 @@ def _outputs(m: ModuleType, field: ResidualField, q: Sequence[Scalar]) -> list[S
     if m.__name__ == "torch":
         return _tensor_outputs(m, field, q)
     components = features.inputs(m, q)
-    traced = outside(m, partial(_fill, field), components, features.outputs)
-    if traced is not None:
+    if (traced := outside(m, partial(_fill, field), components, features.outputs)) is not None:
         return list(traced)
     inputs = np.stack(np.broadcast_arrays(*(np.asarray(value, dtype=float) for value in components)))
     if inputs.ndim == 1 and field.weight.ndim == 3:
@@ -151,18 +148,18 @@ def _weighed(features: Features, inputs: Array, weight: Single) -> Array:
 
 
 def _tensor_outputs(m: ModuleType, field: ResidualField, q: Sequence[Scalar]) -> list[Scalar]:
-    features, like, weight = field.features, q[0], field.weight
-    key = (like.dtype, like.device)
-    if key not in features.tensors:
-        features.tensors[key] = m.as_tensor(features.frequency, dtype=like.dtype, device=like.device)
-    if isinstance(weight, np.ndarray):  # of a single arm, which stays on NumPy
-        if key not in field.tensors:
-            field.tensors[key] = m.as_tensor(weight, dtype=like.dtype, device=like.device)
-        weight = field.tensors[key]
-    angle = m.stack(features.inputs(m, q), -1) @ features.tensors[key]
+    features, key = field.features, (q[0].dtype, q[0].device)
+
+    def tensor(cache: dict[Any, Any], array: NDArray[Any]) -> Any:
+        if key not in cache:
+            cache[key] = m.as_tensor(array, dtype=key[0], device=key[1])
+        return cache[key]
+
+    single = isinstance(field.weight, np.ndarray)  # of one arm, which stays on NumPy
+    weight = tensor(field.tensors, field.weight) if single else field.weight
+    angle = m.stack(features.inputs(m, q), -1) @ tensor(features.tensors, features.frequency)
     angle = angle.unflatten(-1, (features.outputs, features.count))
-    waves = m.cos(angle) * weight[..., 0, :] + m.sin(angle) * weight[..., 1, :]
-    return list(waves.sum(-1).unbind(-1))
+    return list((m.cos(angle) * weight[..., 0, :] + m.sin(angle) * weight[..., 1, :]).sum(-1).unbind(-1))
 
 
 # What no two arms of one design share, and no data sheet tells: waves of the drives, and structure finer than a grid.
@@ -189,13 +186,7 @@ class WavesTable:
     seed: Annotated[int, SEED]
     decay: Annotated[float, NUMBER.not_negative]
     joints: Annotated[
-        tuple[Any, ...],
-        ByJoint(
-            waves=(WHOLE.at_least(1), WHOLE.at_least(1)),
-            amplitude=(ARCMIN.not_negative, MM.not_negative),
-            longest=(DEG.positive, MM.positive),
-            shortest=(DEG.positive, MM.positive),
-        ),
+        tuple[Any, ...], ByJoint(waves=(WHOLE.at_least(1),) * 2, amplitude=TRAVEL, longest=LENGTH, shortest=LENGTH)
     ]
 
 
@@ -261,18 +252,13 @@ def drive_harmonics_of(table: WavesTable) -> DriveHarmonics:
     Raises:
         InputError: If a shortest period is not below the longest.
     """
+    spread: list[WaveSpread] = []
     for entry in table.joints:
         if entry.shortest >= entry.longest:
-            raise InputError(
-                f"the shortest period of joint {entry.joint + 1} in [drive_harmonics] is not below its longest; give a "
-                "shorter one"
-            )
-    spread = tuple(
-        WaveSpread(entry.joint, entry.amplitude, entry.longest, entry.shortest, table.decay)
-        for entry in table.joints
-        for _ in range(entry.waves)
-    )
-    return DriveHarmonics(spread, ()).of_numbers(np.random.default_rng(table.seed).random(3 * len(spread)))
+            where = f"joint {entry.joint + 1} in [drive_harmonics]"
+            raise InputError(f"the shortest period of {where} is not below its longest; give a shorter one")
+        spread += [WaveSpread(entry.joint, entry.amplitude, entry.longest, entry.shortest, table.decay)] * entry.waves
+    return DriveHarmonics(tuple(spread), ()).of_numbers(np.random.default_rng(table.seed).random(3 * len(spread)))
 
 
 @toml_table
@@ -289,7 +275,7 @@ class StructureTable:
     seed: Annotated[int, SEED]
     position: Annotated[float, MM.not_negative]
     waves: Annotated[int, WHOLE.within(1, 1000)]
-    joints: Annotated[tuple[Any, ...], ByJoint(length=(DEG.positive, MM.positive))]
+    joints: Annotated[tuple[Any, ...], ByJoint(length=LENGTH)]
 
 
 @register("effect", "local_structure")

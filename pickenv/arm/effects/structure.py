@@ -10,7 +10,7 @@ from typing import Annotated, Any
 
 from pickenv.arm.effects.effect import BEND, DRIVE, GEAR, JOINT, Components, Draws, Effect, Passage, Weight
 from pickenv.arm.files.arm import Arm
-from pickenv.arm.files.joint_keys import BOOM, PER_JOINT, TRAVEL, ByJoint, joint_table
+from pickenv.arm.files.joint_keys import BOOM, LENGTH, PER_JOINT, TRAVEL, ByJoint, joint_table
 from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Flexure, Frame, Scalar
 from pickenv.arm.kinematics.pose_error import displaced_frame
@@ -103,10 +103,8 @@ class RollerPlay(Boom, place=BEND + 0.8, spreads={"clearance": "roller_clearance
         limit = arm.nominal.upper[self.joint]
         if self.overlap > limit:
             return ""
-        return (
-            f"overlap_mm of [roller_play] is {self.overlap * 1e3:g}; give more than the {limit * 1e3:g} mm that joint "
-            f"{self.joint + 1} runs out"
-        )
+        overlap = f"overlap_mm of [roller_play] is {self.overlap * 1e3:g}"
+        return f"{overlap}; give more than the {limit * 1e3:g} mm that joint {self.joint + 1} runs out"
 
 
 @dataclass(frozen=True)
@@ -126,8 +124,9 @@ class Harmonic:
     phase: Scalar
 
 
-HARMONICS = ByJoint(
-    amplitude=TRAVEL, period=(toml_tables.DEG.positive, toml_tables.MM.positive), phase=(toml_tables.DEG,) * 2
+HARMONICS = toml_tables.Then(
+    lambda entries, _: tuple(Harmonic(**vars(entry)) for entry in entries),
+    Annotated[tuple[Any, ...], ByJoint(amplitude=TRAVEL, period=LENGTH, phase=(toml_tables.DEG,) * 2)],
 )
 
 
@@ -142,7 +141,7 @@ class TransmissionError(Effect, place=DRIVE):
     """
 
     lead: Annotated[tuple[Scalar, ...], toml_tables.NUMBER, PER_JOINT]
-    harmonics: Annotated[tuple[Harmonic, ...], toml_tables.Then(_harmonics, Annotated[tuple[Any, ...], HARMONICS])] = ()
+    harmonics: Annotated[tuple[Harmonic, ...], HARMONICS] = ()
 
     def act(self, at: Passage, memory: Components) -> None:
         """Drive the joints unevenly."""
@@ -153,16 +152,11 @@ class TransmissionError(Effect, place=DRIVE):
     def drawn(self, draws: Draws) -> TransmissionError:
         """Drives of many arms: lead errors and amplitudes spread; phases are arbitrary, as no two gears are alike."""
         amplitudes = draws.scaled([term.amplitude for term in self.harmonics], self.name)
-        phases = 2.0 * math.pi * draws.even["phase"]
-        terms = zip(self.harmonics, amplitudes, phases.T, strict=True)
+        terms = zip(self.harmonics, amplitudes, 2.0 * math.pi * draws.even["phase"].T, strict=True)
         return TransmissionError(
             draws.scaled(self.lead, "lead", spread=self.name),
             tuple(replace(term, amplitude=amplitude, phase=phase) for term, amplitude, phase in terms),
         )
-
-
-def _harmonics(entries: Any, _context: Any) -> tuple[Harmonic, ...]:
-    return tuple(Harmonic(entry.joint, entry.amplitude, entry.period, entry.phase) for entry in entries)
 
 
 def with_waves(
@@ -193,8 +187,7 @@ def turn_horizontally(
     are exact to double precision.
     """
     square = wx * wx + wy * wy
-    first = 1.0 - square * (1.0 / 6.0 - square / 120.0)
-    second = 0.5 - square * (1.0 / 24.0 - square / 720.0)
+    first, second = 1.0 - square * (1.0 / 6.0 - square / 120.0), 0.5 - square * (1.0 / 24.0 - square / 720.0)
     turned: list[Scalar] = []
     for j in starts:
         x, y, z = axes[j : j + 3]
@@ -383,10 +376,7 @@ class Bearing:
     overhang: Annotated[Scalar | None, toml_tables.MM.not_negative] = None
 
 
-def _once(bearings: Any, _context: Any) -> Any:
-    if len({bearing.joint for bearing in bearings}) < len(bearings):
-        raise toml_tables.fault("each joint once")
-    return bearings
+EACH_ONCE = toml_tables.afterwards(lambda slides: len({s.joint for s in slides}) == len(slides), "each joint once")
 
 
 @register("effect", "slide_compliance")
@@ -398,15 +388,14 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
         bearings: One entry per slide that yields.
     """
 
-    bearings: Annotated[tuple[Bearing, ...], toml_tables.Then(_once)]
+    bearings: Annotated[tuple[Bearing, ...], EACH_ONCE]
 
     def flexure(self, at: Passage) -> Flexure:
         """Move and turn each slide in its bearings, under all that hangs on it."""
         weights, by_joint = at.pull[0], {bearing.joint: bearing for bearing in self.bearings}
 
         def give(i: int, frame: Frame) -> Frame:
-            bearing = by_joint.get(i)
-            if bearing is None:
+            if (bearing := by_joint.get(i)) is None:
                 return frame
             zx, zy, zz, px, py, _ = frame[6:]
             span, arm = bearing.span, 0.0
@@ -430,10 +419,8 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
         for bearing in self.bearings:
             limit = arm.nominal.upper[bearing.joint]
             if bearing.overhang is not None and bearing.span <= limit:
-                return (
-                    f"span_mm of joint {bearing.joint + 1} in [slide_compliance] is {bearing.span * 1e3:g}; "
-                    f"give more than the {limit * 1e3:g} mm that it runs out"
-                )
+                span = f"span_mm of joint {bearing.joint + 1} in [slide_compliance] is {bearing.span * 1e3:g}"
+                return f"{span}; give more than the {limit * 1e3:g} mm that it runs out"
         return ""
 
     def drawn(self, draws: Draws) -> SlideCompliance:

@@ -55,8 +55,7 @@ def geometry_arrays(geometry: Geometry) -> dict[str, Array]:
     arrays = {name: getattr(geometry, name) for name in (*LINK_PARAMETERS, "lower", "upper")}
     for key, pose in (("base", geometry.base), ("tool", geometry.tool)):
         arrays |= {f"{key}_position": pose.position, f"{key}_rotation": pose.rotation}
-    if geometry.coupling is not None:
-        coupling = geometry.coupling
+    if (coupling := geometry.coupling) is not None:
         arrays["coupling"] = np.array([coupling.joint, coupling.ratio, coupling.slides], dtype=float)
     return arrays
 
@@ -94,8 +93,7 @@ def geometry_from_arrays(
 
 def _coupling(named: Mapping[str, NDArray[Any]], joints: int, which: str) -> Coupling:
     """The saved `Coupling`, checked: the joint that moves each link."""
-    values = finite(named, "coupling", (3, named["coupling"].shape[-1]), which)
-    joint, ratio, slides = values.tolist()
+    joint, ratio, slides = finite(named, "coupling", (3, named["coupling"].shape[-1]), which).tolist()
     if not set(joint) <= set(range(joints)) or 0.0 in ratio or not set(slides) <= {0.0, 1.0}:
         raise InputError(f"{which}/coupling names a joint that is not there, a ratio of zero, or no kind of link")
     return Coupling(tuple(map(int, joint)), tuple(ratio), tuple(map(bool, slides)))

@@ -23,7 +23,7 @@ from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow
 from pickenv.arm.files.xml_values import xml_number
 from pickenv.arm.kinematics.geometry import Array, Coupling, Geometry, Pose, from_standard_dh, identity_pose
 from pickenv.arm.kinematics.pose_error import rotation_matrix
-from pickenv.base import InputError, read_text, register, registry, shortened, toml_tables, yaml_content
+from pickenv.base import InputError, in_file, read_text, register, registry, shortened, toml_tables, yaml_content
 
 ARMS = Path(__file__).parent / "arms"
 
@@ -119,29 +119,21 @@ class ArmFile:
         numbers = [joint.number for joint in self.joints]
         for number in range(1, self.joint_count + 1):
             if numbers.count(number) != 1:
-                raise InputError(
-                    f"joint {number} {'is given twice' if number in numbers else 'is missing'}; joint_count = "
-                    f"{self.joint_count} asks for joints 1 to {self.joint_count}, once each"
-                )
-        if len(numbers) != self.joint_count:
-            extra = next(number for number in numbers if not 1 <= number <= self.joint_count)
-            raise InputError(f"joint number {extra} is not in 1..{self.joint_count}; correct it or joint_count")
+                state = "given twice" if number in numbers else "missing"
+                raise InputError(f"joint {number} is {state}; joint_count asks for 1 to {self.joint_count}, once each")
+        if extra := [number for number in numbers if not 1 <= number <= self.joint_count]:
+            raise InputError(f"joint number {extra[0]} is not in 1..{self.joint_count}; correct it or joint_count")
         leaders = {joint.number for joint in self.joints if not isinstance(joint, Follower)}
         for joint in self.joints:
             if isinstance(joint, Follower):
                 if joint.follows not in leaders:
-                    raise InputError(
-                        f"joint {joint.number} follows {joint.follows}; give the number of a joint that does not "
-                        "follow another"
-                    )
+                    raise InputError(f"joint {joint.number} follows {joint.follows}; name a joint that follows none")
             elif joint.lower >= joint.upper:
                 raise InputError(f"joint {joint.number} has a lower limit that is not below its upper limit")
             for key in COLUMNS if self.simulated else ():
                 if getattr(joint, f"true_{key}") is None:
                     unit = "mm" if key in ("a", "d") else "deg"
-                    raise InputError(
-                        f"true_{key}_{unit} of joint {joint.number} is missing; give all true_… values or none"
-                    )
+                    raise InputError(f"true_{key}_{unit} of joint {joint.number} is missing; give all true_… or none")
         if self.convention == "standard" and (self.simulated or any(joint.beta for joint in self.joints)):
             raise InputError("true_… values and beta_deg need convention = 'modified'")
 
@@ -160,8 +152,8 @@ def read_arm(path: Path) -> Arm:
     file = toml_tables.read_toml(ArmFile, path)
     links = sorted(file.joints, key=lambda joint: joint.number)
     leaders = [link for link in links if not isinstance(link, Follower)]
-    names = tuple(link.name if link.name is not None else f"J{link.number}" for link in links)
-    slides = tuple(link.type == "P" for link in links)
+    names = tuple(link.name if link.name is not None else f"J{link.number}" for link in leaders)
+    prismatic = tuple(link.type == "P" for link in leaders)
 
     def column(key: str, among: list[Any] = links) -> Array:
         return np.array([getattr(link, key) for link in among], dtype=float)
@@ -171,25 +163,20 @@ def read_arm(path: Path) -> Arm:
     if file.convention == "modified":
         build, numbers["beta"] = Geometry, column("beta")
     limits = {key: column(key, leaders) for key in ("lower", "upper")}
-    nominal: Geometry = build(names, slides, **numbers, **limits, base=file.base.pose(), tool=file.tool.pose())
-    nominal = replace(
-        nominal,
-        joint_names=tuple(names[link.number - 1] for link in leaders),
-        prismatic=tuple(slides[link.number - 1] for link in leaders),
-        coupling=_coupling(links, leaders, slides),
-    )
+    nominal: Geometry = build(names, prismatic, **numbers, **limits, base=file.base.pose(), tool=file.tool.pose())
+    nominal = replace(nominal, coupling=_coupling(links, leaders))
     built: dict[str, Any] = {key: column(f"true_{key}") for key in COLUMNS} if file.simulated else {}
     true = replace(nominal, **built) if built else None
     return Arm(file.name, file.source, nominal, true, column("speed", leaders), file.tolerance_class)
 
 
-def _coupling(links: list[Any], leaders: list[Any], slides: tuple[bool, ...]) -> Coupling | None:
+def _coupling(links: list[Any], leaders: list[Any]) -> Coupling | None:
     """The joint that moves each link, from ``follows`` and ``ratio``; None where each joint moves one link alone."""
     if len(leaders) == len(links) and all(link.ratio == 1.0 for link in links):
         return None
     order = {link.number: i for i, link in enumerate(leaders)}
     owners = (order[link.follows if isinstance(link, Follower) else link.number] for link in links)
-    return Coupling(tuple(owners), tuple(link.ratio for link in links), slides)
+    return Coupling(tuple(owners), tuple(link.ratio for link in links), tuple(link.type == "P" for link in links))
 
 
 # A Universal Robots arm by its kinematics file: `default_kinematics.yaml` of ROS's `ur_description` (format of 2.x).
@@ -200,7 +187,9 @@ def _coupling(links: list[Any], leaders: list[Any], slides: tuple[bool, ...]) ->
 
 UR_LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
-UR_KEYS = ("x", "y", "z", "roll", "pitch", "yaw")
+UR_KEYS = dict.fromkeys("xyz", toml_tables.M.most) | dict.fromkeys(("roll", "pitch", "yaw"), toml_tables.RAD.most)
+"""Keys of a link, each with the largest number that it may have, m and rad."""
+
 LIMITS_OF = "ur10e"
 """The arm that lends its limits and speeds, as a UR kinematics file has none; it is the slowest of its series."""
 
@@ -234,20 +223,17 @@ def ur_row(path: Path) -> tuple[JointRow, str]:
     if not isinstance(links, Mapping):
         raise InputError(f"{path} has no 'kinematics'; give a UR kinematics file as ur_calibration writes it")
     like = read_arm(ARMS / f"{LIMITS_OF}.toml")
-    joints, drives = [], {}
-    for i, (link, name) in enumerate(zip(UR_LINKS, UR_JOINTS, strict=True)):
+    limits = np.stack([like.nominal.lower, like.nominal.upper, like.speed], axis=1).tolist()
+    drives = {name: Drive(False, *numbers) for name, numbers in zip(UR_JOINTS, limits, strict=True)}
+    joints = []
+    for link, name in zip(UR_LINKS, UR_JOINTS, strict=True):
         numbers = links.get(link)
         if not isinstance(numbers, Mapping) or any(key not in numbers for key in UR_KEYS):
             raise InputError(f"{path}: '{link}' of kinematics lacks one of {', '.join(UR_KEYS)}; give all six")
-        try:
-            most = {key: toml_tables.M.most if key in "xyz" else toml_tables.RAD.most for key in UR_KEYS}
-            values = [xml_number(str(numbers[key]), f"{key} of {link}", most[key]) for key in UR_KEYS]
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
+        with in_file(path):
+            values = [xml_number(str(numbers[key]), f"{key} of {link}", most) for key, most in UR_KEYS.items()]
         origin = Pose(np.array(values[:3]), Rotation.from_euler("xyz", values[3:]).as_matrix())
         joints.append(ChainJoint(name, name, 1.0, 0.0, False, origin, np.array([0.0, 0.0, 1.0])))
-        limits = (like.nominal.lower[i], like.nominal.upper[i], like.speed[i])
-        drives[name] = Drive(False, *map(float, limits))
     mark = f", {shortened(links['hash'])}" if "hash" in links else ""
     return JointRow(path.stem, "base", "tool0", tuple(joints), identity_pose(), drives), mark
 

@@ -21,7 +21,7 @@ from scipy.spatial.transform import Rotation
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.kinematics.forward import PARALLEL, geometry_from_axes
 from pickenv.arm.kinematics.geometry import Array, Coupling, Geometry, Pose, behind, identity_pose
-from pickenv.base import InputError, shortened
+from pickenv.base import InputError, in_file, shortened
 
 
 def link_origins(geometry: Geometry) -> list[Pose]:
@@ -94,10 +94,8 @@ def flange(children: Mapping[str, Sequence[Carried]], root: str) -> str:
             if passed > second:
                 break
             names = " and ".join(f"'{shortened(branch.link)}'" for branch in branches[:2])
-            raise InputError(
-                f"the chain branches at link '{shortened(link)}' towards {names}; name the arm's last link, "
-                "as in file#link"
-            )
+            where = f"the chain branches at link '{shortened(link)}' towards {names}"
+            raise InputError(f"{where}; name the arm's last link, as in file#link")
         link, passed = branches[0].link, passed + len(branches[0].joints)
     fixed = [link]
     for end in fixed:
@@ -206,8 +204,7 @@ class JointRow(NamedTuple):
         for joint in self.joints:
             pose = behind(pose, joint.origin)
             if joint.ratio:
-                driver = drives.get(joint.driver, self.drives[joint.driver])
-                drives[joint.driver] = _within(driver, joint)
+                drives[joint.driver] = _within(drives.get(joint.driver, self.drives[joint.driver]), joint)
                 links.append(replace(joint, origin=pose, axis=pose.rotation @ joint.axis))
             pose = behind(pose, joint.motion(joint.offset))
         links = _one_slide_each(links)
@@ -234,10 +231,8 @@ class JointRow(NamedTuple):
         Raises:
             InputError: Where `geometry` raises one; the message names the file.
         """
-        try:
+        with in_file(path):
             geometry, speed = self.geometry()
-        except InputError as error:
-            raise InputError(f"{path}: {error}") from None
         default = "" if by_name else " by default its flange,"
         return Arm(self.name, f"{form} {path.name},{default} tip {self.tip}", geometry, None, speed)
 
@@ -271,10 +266,8 @@ def _within(driver: Drive, joint: ChainJoint) -> Drive:
     ends = sorted(((least - joint.offset) / joint.ratio, (most - joint.offset) / joint.ratio))
     lower, upper = max(driver.lower, ends[0]), min(driver.upper, ends[1])
     if lower >= upper:
-        raise InputError(
-            f"joint '{shortened(joint.name)}' follows '{shortened(joint.driver)}', and their limits leave no motion; "
-            "correct them"
-        )
+        pair = f"joint '{shortened(joint.name)}' follows '{shortened(joint.driver)}'"
+        raise InputError(f"{pair}, and their limits leave no motion; correct them")
     return Drive(driver.slides, lower, upper, min(driver.speed, speed / abs(joint.ratio)))
 
 
@@ -290,12 +283,8 @@ def _one_slide_each(links: list[ChainJoint]) -> list[ChainJoint]:
             continue
         slide = joined[same[0]]
         along = slide.ratio * slide.axis + link.ratio * link.axis
-        length = float(np.linalg.norm(along))
-        if length < PARALLEL:
-            raise InputError(
-                f"joint '{shortened(link.driver)}' moves two slides that cancel each other; correct the "
-                "multiplier of the one that mimics"
-            )
+        if (length := float(np.linalg.norm(along))) < PARALLEL:
+            raise InputError(f"joint '{shortened(link.driver)}' moves two slides that cancel each other; correct one")
         ratio = length if along @ slide.axis >= 0 else -length  # the first slide's direction is kept
         joined[same[0]] = replace(slide, ratio=ratio, axis=along / ratio)
     return joined

@@ -10,7 +10,7 @@ from dataclasses import make_dataclass
 from typing import Annotated, Any, cast
 
 from pickenv.arm.files.arm import Arm
-from pickenv.base import ARCMIN, MM, WHOLE, InputError, Kinds, Then, Unit, fault, toml_table
+from pickenv.base import ARCMIN, DEG, MM, WHOLE, InputError, Kinds, Then, Unit, fault, toml_table
 
 
 def arm_in(context: Mapping[str, Any] | None) -> Arm | None:
@@ -19,8 +19,7 @@ def arm_in(context: Mapping[str, Any] | None) -> Arm | None:
 
 
 def _per_joint(values: Any, context: Any) -> Any:
-    arm = arm_in(context)
-    if arm is not None and len(values) != arm.nominal.joints:
+    if (arm := arm_in(context)) is not None and len(values) != arm.nominal.joints:
         raise fault(f"{arm.nominal.joints} entries, one per joint")
     return values
 
@@ -31,8 +30,7 @@ PER_JOINT = Then(_per_joint)
 
 def joint_index(number: int, context: Any) -> int:
     """The index, from 0, of the arm's joint with this number, from 1."""
-    arm = arm_in(context)
-    if arm is not None and not 1 <= number <= arm.nominal.joints:
+    if (arm := arm_in(context)) is not None and not 1 <= number <= arm.nominal.joints:
         raise fault(f"a joint number from 1 to {arm.nominal.joints}")
     return number - 1
 
@@ -51,6 +49,9 @@ BOOM = Then(_boom)
 TRAVEL = (ARCMIN.not_negative, MM.not_negative)
 """Units of lost motion or error of a joint that turns, and of one that slides."""
 
+LENGTH = (DEG.positive, MM.positive)
+"""Units of a period or a length scale of a joint that turns, and of one that slides."""
+
 
 def numbers_per_joint(table: Any, context: Any, *keys: str) -> tuple[tuple[float, ...], ...]:
     """One number per joint for each key, from the entries of a table; zero for joints that no entry names."""
@@ -59,8 +60,7 @@ def numbers_per_joint(table: Any, context: Any, *keys: str) -> tuple[tuple[float
         if entry.joint in entries:
             raise InputError(f"joint {entry.joint + 1} has two entries in one table; give each joint once")
         entries[entry.joint] = entry
-    arm = arm_in(context)
-    joints = () if arm is None else range(arm.nominal.joints)
+    joints = () if (arm := arm_in(context)) is None else range(arm.nominal.joints)
     return tuple(tuple(getattr(entries.get(joint), key, 0.0) for joint in joints) for key in keys)
 
 

@@ -23,11 +23,11 @@ from scipy.spatial.transform import Rotation
 from pickenv.arm.files.arm import MOST_RATIO, Arm
 from pickenv.arm.files.joint_chain import Carried, ChainJoint, Drive, JointRow, driver_of, flange, link_origins
 from pickenv.arm.files.urdf import ROD_RADIUS, leading_links
-from pickenv.arm.files.xml_values import Element, numbers_text, xml_number, xml_numbers, xml_root
-from pickenv.arm.kinematics.forward import PARALLEL
+from pickenv.arm.files.xml_values import Element, numbers_text, unit_vector, xml_number, xml_numbers, xml_root
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, behind, identity_pose
 from pickenv.arm.kinematics.pose_error import rotation_matrix
-from pickenv.base import InputError, decimal_number, is_file, listed, one_line, register, shortened, toml_tables
+from pickenv.base import DEG, RAD, InputError, M, decimal_number, is_file, listed, one_line, register, shortened
+from pickenv.base.texts import in_file
 
 # MJCF out: any chain as a MuJoCo model with joints, limits, position drives and a site at the tool. Forward
 # kinematics are exact. Masses are not known of an arm's table: each link is a rod of `DENSITY`, so that inertias are
@@ -149,10 +149,8 @@ class MjcfValues:
             part, name, above = waiting.pop()
             for tag in ("joint", "site"):
                 inherited = dict(defaults.get((tag, name), defaults.get((tag, above), {})))
-                attributes = (element.attrib for element in part.iterfind(tag))
-                defaults[tag, name] = reduce(_over, attributes, inherited)
-            inner = [(child, child.get("class", ""), name) for child in part.iterfind("default")]
-            waiting += inner[::-1]
+                defaults[tag, name] = reduce(_over, (element.attrib for element in part.iterfind(tag)), inherited)
+            waiting += [(child, child.get("class", ""), name) for child in reversed(part.findall("default"))]
         return cls(unit == "degree", sequence, settings.get("autolimits", "true") == "true", defaults)
 
     def merged(self, tag: str, element: Element, childclass: str) -> Attributes:
@@ -172,7 +170,7 @@ class MjcfValues:
 
     def pose(self, attributes: Attributes) -> Pose:
         """The pose of a body, frame or site in its parent."""
-        return Pose(xml_numbers(attributes.get("pos", "0 0 0"), "pos", toml_tables.M.most), self._rotation(attributes))
+        return Pose(xml_numbers(attributes.get("pos", "0 0 0"), "pos", M.most), self._rotation(attributes))
 
     def motion(self, joint: _Joint) -> tuple[Drive, float, bool]:
         """A joint as a `Drive`; its reference (MJCF's ``ref``), rad or m; and whether the limits are the file's own.
@@ -183,17 +181,14 @@ class MjcfValues:
         attributes, name = joint.attributes, shortened(joint.name)
         kind, word = attributes.get("type", "hinge"), attributes.get("limited", "auto")
         if kind not in ("hinge", "slide"):
-            raise InputError(
-                f"joint '{name}' of body '{shortened(joint.body)}' is of type {shortened(kind)}; only chains of "
-                "hinges and slides are arms"
-            )
+            owner = f"joint '{name}' of body '{shortened(joint.body)}'"
+            raise InputError(f"{owner} is of type {shortened(kind)}; only chains of hinges and slides are arms")
         slides = kind == "slide"
-        most = toml_tables.M.most if slides else self._most
+        most = M.most if slides else self._most
         ref = xml_number(attributes.get("ref", "0"), f"ref of joint '{name}'", most)
-        low = high = 0.0
-        if word != "false" and "range" in attributes:
-            low, high = map(float, xml_numbers(attributes["range"], "range", most, 2))
-        limited = "range" in attributes and (word == "true" or (word != "false" and self.autolimits and low < high))
+        ranged = "range" in attributes and word != "false"
+        low, high = xml_numbers(attributes["range"], "range", most, 2).tolist() if ranged else (0.0, 0.0)
+        limited = ranged and (word == "true" or (self.autolimits and low < high))
         if slides and not limited:
             raise InputError(f"slide joint '{name}' has no range; give its lower and upper end in m")
         if limited and low >= high:
@@ -205,7 +200,7 @@ class MjcfValues:
 
     @property
     def _most(self) -> float:
-        return toml_tables.DEG.most if self.degrees else toml_tables.RAD.most
+        return DEG.most if self.degrees else RAD.most
 
     def _rotation(self, attributes: Attributes) -> Array:
         ways = [key for key in ORIENTATIONS if key in attributes]
@@ -213,11 +208,11 @@ class MjcfValues:
             raise InputError(f"an orientation is given by both {ways[0]} and {ways[1]}; leave one out")
         match ways:
             case ["quat"]:
-                w, *xyz = _unit(xml_numbers(attributes["quat"], "quat", toml_tables.M.most, 4), "quat")
+                w, *xyz = unit_vector(xml_numbers(attributes["quat"], "quat", M.most, 4), "quat")
                 return np.asarray(Rotation.from_quat([*xyz, w]).as_matrix())
             case ["axisangle"]:
                 turn = xml_numbers(attributes["axisangle"], "axisangle", self._most, 4)
-                return rotation_matrix(_unit(turn[:3], "axisangle") * self.angle(float(turn[3])))
+                return rotation_matrix(unit_vector(turn[:3], "axisangle") * self.angle(float(turn[3])))
             case ["euler"]:
                 turned = np.eye(3)
                 turns = xml_numbers(attributes["euler"], "euler", self._most).tolist()
@@ -226,12 +221,12 @@ class MjcfValues:
                     turned = turned @ step if letter.islower() else step @ turned
                 return turned
             case ["xyaxes"]:
-                numbers = xml_numbers(attributes["xyaxes"], "xyaxes", toml_tables.M.most, 6)
-                x = _unit(numbers[:3], "xyaxes")
-                y = _unit(numbers[3:] - x * (x @ numbers[3:]), "xyaxes")
+                numbers = xml_numbers(attributes["xyaxes"], "xyaxes", M.most, 6)
+                x = unit_vector(numbers[:3], "xyaxes")
+                y = unit_vector(numbers[3:] - x * (x @ numbers[3:]), "xyaxes")
                 return np.column_stack([x, y, np.cross(x, y)])
             case ["zaxis"]:
-                z = _unit(xml_numbers(attributes["zaxis"], "zaxis", toml_tables.M.most), "zaxis")
+                z = unit_vector(xml_numbers(attributes["zaxis"], "zaxis", M.most), "zaxis")
                 across = np.array([-z[1], z[0], 0.0])  # the shortest turn from z to it
                 sine = float(np.linalg.norm(across))
                 axis = across / sine if sine > 1e-10 else np.array([1.0, 0.0, 0.0])
@@ -246,13 +241,6 @@ def _over(below: Attributes, own: Attributes) -> dict[str, str]:
     dropped = {"quat"} if ways == ["quat"] and inherited else set()
     lower = {key: value for key, value in below.items() if not ways or dropped or key not in ORIENTATIONS}
     return {**lower, **{key: value for key, value in own.items() if key not in dropped}}
-
-
-def _unit(values: Array, what: str) -> Array:
-    length = float(np.linalg.norm(values))
-    if length < PARALLEL:
-        raise InputError(f"{what} has no direction; give a unit vector")
-    return values / length
 
 
 WORLD = "world"
@@ -304,14 +292,11 @@ def mjcf_row(path: Path, tip: str | None = None) -> JointRow:
         advice = "name it .urdf" if root.tag == "robot" else "give a MuJoCo model"
         raise InputError(f"{path} is no MJCF: its first element is <{shortened(root.tag)}>; {advice}")
     _follow_includes(root, path)
-    try:
+    with in_file(path):
         values = MjcfValues.of(root)
         bodies = _bodies(root, values)
         last = _end(bodies, tip)
-        chain = _above(bodies, last)[::-1]
-        joints, tool, drives = _joints(chain, bodies, root, values)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+        joints, tool, drives = _joints(_above(bodies, last)[::-1], bodies, root, values)
     mount = None if bodies[last].joints else last
     name = shortened(root.get("model", path.stem))
     return JointRow(name, WORLD, bodies[last].name, tuple(joints), tool, drives, mount)
@@ -338,9 +323,8 @@ def _follow_includes(root: Element, main: Path) -> None:
 def _bodies(root: Element, values: MjcfValues) -> dict[str, _Body]:
     """The world and the bodies by name, and the sites by "site NAME"."""
     bodies = {WORLD: _Body(WORLD, "", identity_pose())}
-    waiting = [
-        (world, WORLD, identity_pose(), world.get("childclass", "")) for world in reversed(root.findall("worldbody"))
-    ]
+    worlds = reversed(root.findall("worldbody"))
+    waiting = [(world, WORLD, identity_pose(), world.get("childclass", "")) for world in worlds]
     while waiting:
         element, owner, within, childclass = waiting.pop()
         deeper = []
@@ -396,11 +380,10 @@ def _joints(
 ) -> tuple[list[ChainJoint], Pose, dict[str, Drive]]:
     """The joints along a chain of bodies, the pose of the tip behind the last joint, and the joints that drive them."""
     joints: dict[str, _Joint] = {}
-    for body in bodies.values():
-        for joint in body.joints:
-            if joint.name in joints:
-                raise InputError(f"joint '{shortened(joint.name)}' is given twice; rename one")
-            joints[joint.name] = joint
+    for joint in (joint for body in bodies.values() for joint in body.joints):
+        if joint.name in joints:
+            raise InputError(f"joint '{shortened(joint.name)}' is given twice; rename one")
+        joints[joint.name] = joint
     ties = _ties(root, values, joints)
     _refuse_loops(root, bodies, {key for key in chain if bodies[key].joints})
     row: list[ChainJoint] = []
@@ -412,9 +395,9 @@ def _joints(
             driver, ratio, offset = driver_of(joint.name, ties.get)
             ratio = 0.0 if driver == WORLD else ratio
             motion, ref, limited = values.motion(joint)
-            anchor = xml_numbers(joint.attributes.get("pos", "0 0 0"), "pos", toml_tables.M.most)
-            axis = xml_numbers(joint.attributes.get("axis", "0 0 1"), "axis", toml_tables.M.most)
-            axis = joint.within.rotation @ _unit(axis, f"axis of joint '{shortened(joint.name)}'")
+            anchor = xml_numbers(joint.attributes.get("pos", "0 0 0"), "pos", M.most)
+            axis = xml_numbers(joint.attributes.get("axis", "0 0 1"), "axis", M.most)
+            axis = joint.within.rotation @ unit_vector(axis, f"axis of joint '{shortened(joint.name)}'")
             if ratio:
                 drives[driver], zero, _ = values.motion(joints[driver])
                 offset -= ratio * zero
@@ -435,22 +418,16 @@ def _ties(root: Element, values: MjcfValues, joints: Mapping[str, _Joint]) -> di
         if tie.get("active", "true") != "true":
             continue
         if name not in joints or (leader != WORLD and leader not in joints):
-            raise InputError(
-                f"an equality constraint ties joint '{shortened(name)}' to '{shortened(leader)}', and one of them is "
-                "no joint of the file; correct its name"
-            )
+            pair = f"'{shortened(name)}' to '{shortened(leader)}'"
+            raise InputError(f"an equality constraint ties {pair}, and one of them is no joint of the file; correct it")
         if name in ties:
             raise InputError(f"two equality constraints tie joint '{shortened(name)}'; leave one active")
-        numbers = [number for number in map(decimal_number, law.split()) if number is not None]
-        numbers = [number for number in numbers if math.isfinite(number) and abs(number) <= MOST_RATIO]
+        numbers = [n for n in map(decimal_number, law.split()) if n is not None and abs(n) <= MOST_RATIO]
         if len(numbers) != len(law.split()) or len(numbers) > 5:
             raise InputError(f"polycoef of joint '{shortened(name)}' is '{shortened(law)}'; give up to five numbers")
         shift, factor, *higher = *numbers, *(0.0, 1.0, 0.0, 0.0, 0.0)[len(numbers) :]  # those left out are MuJoCo's
         if any(higher) and leader != WORLD:
-            raise InputError(
-                f"joint '{shortened(name)}' follows '{shortened(leader)}' by a curve; an arm's joints follow in "
-                "proportion only"
-            )
+            raise InputError(f"joint '{shortened(name)}' follows '{shortened(leader)}' by a curve, not in proportion")
         ties[name] = leader, factor, shift
     return ties
 
@@ -464,7 +441,5 @@ def _refuse_loops(root: Element, bodies: Mapping[str, _Body], moved: set[str]) -
             continue  # a mocap body is a handle by which a program moves the model
         between = reduce(set.symmetric_difference, (set(_above(bodies, end)) for end in bound), set[str]())
         if caught := between & moved:
-            raise InputError(
-                f"a {tie.tag} constraint closes a loop through body '{shortened(min(caught))}'; an arm is an open "
-                "chain, so name a tip before the loop"
-            )
+            loop = f"a {tie.tag} constraint closes a loop through body '{shortened(min(caught))}'"
+            raise InputError(f"{loop}; an arm is an open chain, so name a tip before the loop")

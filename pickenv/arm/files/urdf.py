@@ -18,10 +18,9 @@ from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.arm import MOST_RATIO, Arm
 from pickenv.arm.files.joint_chain import Carried, ChainJoint, Drive, JointRow, driver_of, flange, link_origins
-from pickenv.arm.files.xml_values import Element, numbers_text, xml_number, xml_numbers, xml_root
-from pickenv.arm.kinematics.forward import PARALLEL
+from pickenv.arm.files.xml_values import Element, numbers_text, unit_vector, xml_number, xml_numbers, xml_root
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, behind, identity_pose
-from pickenv.base import M_PER_S, RAD, RAD_PER_S, InputError, M, one_line, register, shortened, write_text
+from pickenv.base import M_PER_S, RAD, RAD_PER_S, InputError, M, in_file, one_line, register, shortened, write_text
 
 # URDF out: a chain as rods from joint to joint, exact, so that forward kinematics agree to rounding. Lengths in
 # metres and angles in radians, as URDF has them; rpy is rotation about fixed x, y, z axes.
@@ -124,8 +123,7 @@ def roll_pitch_yaw(rotation: Array) -> Array:
 
 def _rod(link: Element, end: Array) -> None:
     """Draw a link as a rod from its origin to ``end``, m."""
-    length = float(np.linalg.norm(end))
-    if length < SHORTEST_ROD:
+    if (length := float(np.linalg.norm(end))) < SHORTEST_ROD:
         return
     tilt = np.arccos(end[2] / length), np.arctan2(end[1], end[0])
     visual = ElementTree.SubElement(link, "visual")
@@ -164,12 +162,10 @@ def urdf_row(path: Path, tip: str | None = None) -> JointRow:
         InputError: If the file, a link or a joint is unusable; the message names it.
     """
     root = xml_root(path, ".urdf")
-    try:
+    with in_file(path):
         by_name, above = _unique([joint for joint in root.iter("joint") if joint.find("child") is not None])
         chain, last = _chain(above, tip)
         joints, tool, drives = _joints(chain, by_name)
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
     mount = str(chain[-1].get("name")) if chain[-1].get("type") == "fixed" else None
     name, first = shortened(root.get("name", path.stem)), _link(chain[0], "parent")
     return JointRow(name, first, last, tuple(joints), tool, drives, mount)
@@ -188,21 +184,17 @@ def _joints(chain: list[Element], by_name: Mapping[str, Element]) -> tuple[list[
         if kind == "fixed":
             continue
         if kind not in MOVING:
-            raise InputError(
-                f"joint {_name(joint)} has type '{shortened(kind)}'; only serial R and P chains are supported"
-            )
+            raise InputError(f"joint {_name(joint)} has type '{shortened(kind)}'; only serial R and P chains are arms")
         driver, ratio, offset = _driver(joint, by_name)
         axis = joint.find("axis")
         direction = np.array([1.0, 0.0, 0.0]) if axis is None else _numbers(axis, "xyz", joint)
-        length = float(np.linalg.norm(direction))
-        if length < PARALLEL:
-            raise InputError(f"joint {_name(joint)} has an axis without direction; give a unit vector")
+        direction = unit_vector(direction, f"axis of joint {_name(joint)}")
         name = str(driver.get("name"))
         if ratio:
             drives[name] = Drive(MOVING[str(driver.get("type"))], *_limits(driver))
         free = joint is driver or not ratio or kind == "continuous" or joint.find("limit") is None
         allowed, motion = None if free else _limits(joint), (ratio, offset, MOVING[kind])
-        joints.append(ChainJoint(str(joint.get("name")), name, *motion, before, direction / length, allowed))
+        joints.append(ChainJoint(str(joint.get("name")), name, *motion, before, direction, allowed))
         before = identity_pose()
     return joints, before, drives
 
@@ -216,10 +208,8 @@ def _unique(joints: list[Element]) -> tuple[dict[str, Element], dict[str, Elemen
         if name in by_name:
             raise InputError(f"joint {_name(joint)} is given twice; rename one")
         if child in above:
-            raise InputError(
-                f"link '{shortened(child)}' is the child of joints {_name(above[child])} and {_name(joint)}; "
-                "give each link one joint before it"
-            )
+            pair = f"{_name(above[child])} and {_name(joint)}"
+            raise InputError(f"link '{shortened(child)}' is the child of joints {pair}; give each link one joint")
         by_name[name] = above[child] = joint
     return by_name, above
 
@@ -230,13 +220,10 @@ def _chain(above: Mapping[str, Element], tip: str | None) -> tuple[list[Element]
         TopologicalSorter({link: [_link(joint, "parent")] for link, joint in above.items()}).prepare()
     except CycleError as error:
         link = error.args[1][0]
-        raise InputError(
-            f"joint {_name(above[link])} closes a loop: link '{shortened(link)}' stands on itself; an arm is an open "
-            "chain"
-        ) from None
+        loop = f"joint {_name(above[link])} closes a loop: link '{shortened(link)}' stands on itself"
+        raise InputError(f"{loop}; an arm is an open chain") from None
     tip = tip or _flange(above)
-    chain: list[Element] = []
-    link = tip
+    chain, link = [], tip
     while link in above:
         chain.append(above[link])
         link = _link(above[link], "parent")
@@ -258,18 +245,14 @@ def _driver(joint: Element, by_name: Mapping[str, Element]) -> tuple[Element, fl
     """The joint that drives this one in the end, with the multiplier and the offset between them."""
 
     def mimicked(name: str) -> tuple[str, float, float] | None:
-        mimic = by_name[name].find("mimic")
-        if mimic is None:
+        if (mimic := by_name[name].find("mimic")) is None:
             return None
         leader = mimic.get("joint", "")
+        owner = f"joint {_name(by_name[name])}"
         if leader not in by_name:
-            raise InputError(
-                f"joint {_name(by_name[name])} mimics '{shortened(leader)}', which is no joint of the file; name one "
-                "that is"
-            )
-        owner = f"of joint {_name(by_name[name])}"
-        multiplier = xml_number(mimic.get("multiplier", "1"), f"multiplier {owner}", MOST_RATIO)
-        return leader, multiplier, xml_number(mimic.get("offset", "0"), f"offset {owner}", MOST_RATIO)
+            raise InputError(f"{owner} mimics '{shortened(leader)}', which is no joint of the file; name one that is")
+        multiplier = xml_number(mimic.get("multiplier", "1"), f"multiplier of {owner}", MOST_RATIO)
+        return leader, multiplier, xml_number(mimic.get("offset", "0"), f"offset of {owner}", MOST_RATIO)
 
     driver, ratio, offset = driver_of(str(joint.get("name")), mimicked)
     leader = by_name[driver]
@@ -281,11 +264,10 @@ def _driver(joint: Element, by_name: Mapping[str, Element]) -> tuple[Element, fl
 def _limits(joint: Element) -> tuple[float, float, float]:
     """Lower limit, upper limit and speed of a joint; a continuous joint gets one turn as its range."""
     kind, limit = str(joint.get("type")), joint.find("limit")
-    unit = "m" if MOVING[kind] else "rad"
+    unit, most, fastest = ("m", M.most, M_PER_S.most) if MOVING[kind] else ("rad", RAD.most, RAD_PER_S.most)
     if limit is None and kind != "continuous":
         raise InputError(f"{kind} joint {_name(joint)} has no <limit>; give lower and upper in {unit}, and velocity")
     attributes = {} if limit is None else limit.attrib
-    most, fastest = (M.most, M_PER_S.most) if unit == "m" else (RAD.most, RAD_PER_S.most)
 
     def number(key: str, default: str, most: float) -> float:
         return xml_number(attributes.get(key, default), f"{key} limit of joint {_name(joint)}", most)
@@ -294,16 +276,10 @@ def _limits(joint: Element) -> tuple[float, float, float]:
     if kind != "continuous":
         lower, upper = number("lower", "0", most), number("upper", "0", most)
     if lower >= upper:
-        raise InputError(
-            f"joint {_name(joint)} has a lower limit of {lower:g} {unit}, not below its upper limit of "
-            f"{upper:g} {unit}; correct them"
-        )
-    speed = number("velocity", "1", fastest)
-    if speed <= 0:
-        raise InputError(
-            f"the velocity limit of joint {_name(joint)} is {speed:g}; give the joint's largest speed in "
-            f"{unit}/s, above zero"
-        )
+        ends = f"a lower limit of {lower:g} {unit}, not below its upper limit of {upper:g} {unit}"
+        raise InputError(f"joint {_name(joint)} has {ends}; correct them")
+    if (speed := number("velocity", "1", fastest)) <= 0:
+        raise InputError(f"the velocity limit of joint {_name(joint)} is {speed:g}; give it in {unit}/s, above zero")
     return lower, upper, speed
 
 

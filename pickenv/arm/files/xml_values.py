@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pickenv.arm.kinematics.forward import PARALLEL
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.base import InputError, decimal_number, read_text, shortened
 from pickenv.base.texts import parsed
@@ -24,13 +25,10 @@ def xml_root(path: Path, ending: str) -> Element:
         InputError: If the file cannot be read or is no XML.
     """
     text = read_text(path, f"a {ending} file")
-    declared = re.match(r"""<\?xml[^>]*?encoding\s*=\s*["']([^"']*)""", text)
-    if declared:
+    if declared := re.match(r"""<\?xml[^>]*?encoding\s*=\s*["']([^"']*)""", text):
         encoding = parsed(lambda: codecs.lookup(declared[1]).name, path, "XML")
         if encoding != "utf-8" and not text.isascii():
-            raise InputError(
-                f"{path} says that its encoding is '{declared[1]}', but it is UTF-8; correct its first line"
-            )
+            raise InputError(f"{path} says its encoding is '{declared[1]}', but it is UTF-8; correct its first line")
     if "<!ENTITY" in text:
         raise InputError(f"{path} declares XML entities, which no arm needs; write their text out")
     return parsed(lambda: ElementTree.fromstring(text), path, "XML")
@@ -42,8 +40,7 @@ def xml_numbers(text: str, key: str, most: float, count: int = 3) -> Array:
     Raises:
         InputError: If the text is not ``count`` finite numbers, or one of them is too large.
     """
-    parts = [decimal_number(part) for part in text.split()]
-    values = np.array([np.nan if part is None else part for part in parts])
+    values = np.array([decimal_number(part) for part in text.split()], dtype=float)  # not a number where it is none
     if values.shape != (count,) or not np.isfinite(values).all():
         counted = {2: "two", 3: "three", 4: "four", 6: "six"}[count]
         raise InputError(f"'{shortened(text)}' is not {counted} numbers ({key})")
@@ -64,6 +61,17 @@ def xml_number(text: str, owner: str, most: float) -> float:
     if abs(value) > most:
         raise InputError(f"the {owner} is {value:g}; no arm has more than {most:g} there")
     return value
+
+
+def unit_vector(values: Array, what: str) -> Array:
+    """The vector of length 1 in the direction of ``values``.
+
+    Raises:
+        InputError: If it has no direction.
+    """
+    if (length := float(np.linalg.norm(values))) < PARALLEL:
+        raise InputError(f"{what} has no direction; give a unit vector")
+    return values / length
 
 
 def numbers_text(numbers: ArrayLike) -> str:

@@ -88,15 +88,13 @@ def geometry_from_axes(
 def _common_normal(near: Array, z: Array, point: Array, next_z: Array, previous: Array) -> tuple[Array, Array]:
     """The foot on axis (near, z) of its common normal with axis (point, next_z), and the direction of that normal."""
     cross = np.cross(z, next_z)
-    sine = float(np.linalg.norm(cross))
-    if sine < PARALLEL:  # any normal will do: take the one at ``near``
+    if (sine := float(np.linalg.norm(cross))) < PARALLEL:  # any normal will do: take the one at ``near``
         across = point - near - z * (z @ (point - near))
         distance = float(np.linalg.norm(across))
         return near, across / distance if distance > PARALLEL else _perpendicular(z, previous)
     if sine < NEARLY_PARALLEL:  # from ``near`` straight to the other axis
         across = point - near - next_z * (z @ (point - near)) / (z @ next_z)
-        distance = float(np.linalg.norm(across))
-        if distance > PARALLEL:
+        if (distance := float(np.linalg.norm(across))) > PARALLEL:
             return near, across / distance
     # Distance along z from ``near`` to the foot: volume of (point - near, next_z, cross) over sine squared.
     along = float(np.cross(point - near, next_z) @ cross) / sine**2

@@ -182,12 +182,11 @@ class Geometry:
 
     def difference(self, other: Geometry) -> Array:
         """The ``delta`` (5L + 12,) that turns this geometry into ``other`` (inverse of `displaced`)."""
-        links = [getattr(other, name) - getattr(self, name) for name in LINK_PARAMETERS]
-        frames = []
+        parts = [getattr(other, name) - getattr(self, name) for name in LINK_PARAMETERS]
         for mine, theirs in ((self.base, other.base), (self.tool, other.tool)):
             turn = Rotation.from_matrix(theirs.rotation @ mine.rotation.T).as_rotvec()
-            frames += [theirs.position - mine.position, turn]
-        return np.concatenate(links + frames)
+            parts += [theirs.position - mine.position, turn]
+        return np.concatenate(parts)
 
 
 def geometry_fingerprint(geometry: Geometry) -> str:
@@ -201,8 +200,7 @@ def geometry_fingerprint(geometry: Geometry) -> str:
 
 def move_pose(pose: Pose, delta: Array) -> Pose:
     """Add ``delta[:3]`` (m) to the position and turn the pose by the rotation vector ``delta[3:]`` (rad)."""
-    turn = Rotation.from_rotvec(delta[3:]).as_matrix()
-    return Pose(pose.position + delta[:3], turn @ pose.rotation)
+    return Pose(pose.position + delta[:3], Rotation.from_rotvec(delta[3:]).as_matrix() @ pose.rotation)
 
 
 def from_standard_dh(
@@ -235,19 +233,9 @@ def from_standard_dh(
         base: Base pose; identity when left out.
         tool: Tool pose behind the last standard frame; identity when left out.
     """
-    a, alpha = np.asarray(a, dtype=float), np.asarray(alpha, dtype=float)
-    tool = tool or identity_pose()
+    a, alpha, theta, d, lower, upper = (np.asarray(v, dtype=float) for v in (a, alpha, theta, d, lower, upper))
+    base, tool = base or identity_pose(), tool or identity_pose()
     last = Rotation.from_rotvec([alpha[-1], 0.0, 0.0]).as_matrix()
-    return Geometry(
-        joint_names=joint_names,
-        prismatic=prismatic,
-        alpha=np.concatenate([[0.0], alpha[:-1]]),
-        a=np.concatenate([[0.0], a[:-1]]),
-        theta=np.asarray(theta, dtype=float),
-        d=np.asarray(d, dtype=float),
-        beta=np.zeros(len(a)),
-        lower=np.asarray(lower, dtype=float),
-        upper=np.asarray(upper, dtype=float),
-        base=base or identity_pose(),
-        tool=Pose(np.array([a[-1], 0.0, 0.0]) + last @ tool.position, last @ tool.rotation),
-    )
+    hand = Pose(np.array([a[-1], 0.0, 0.0]) + last @ tool.position, last @ tool.rotation)
+    twist, length = (np.concatenate([[0.0], values[:-1]]) for values in (alpha, a))
+    return Geometry(joint_names, prismatic, twist, length, theta, d, np.zeros(len(a)), lower, upper, base, hand)

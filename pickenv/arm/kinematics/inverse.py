@@ -18,15 +18,10 @@ from scipy.optimize import minimize
 from scipy.spatial import cKDTree
 from scipy.stats import qmc
 
+from pickenv.arm.kinematics import task_space
 from pickenv.arm.kinematics.forward import forward
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
 from pickenv.arm.kinematics.pose_error import pose_error
-from pickenv.arm.kinematics.task_space import (
-    DIRECTION_TOLERANCE,
-    joint_jacobian,
-    noncompensable_error,
-    truncated_inverse,
-)
 from pickenv.base import InputError
 
 STEP_LIMIT = 0.4
@@ -75,7 +70,7 @@ def inverse(
     *,
     position_tolerance: float = 1e-5,
     attitude_tolerance: float = 1e-5,
-    rank_tolerance: float = DIRECTION_TOLERANCE,
+    rank_tolerance: float = task_space.DIRECTION_TOLERANCE,
     max_iterations: int = 100,
     restarts: int = 4,
     position_only: bool = False,
@@ -104,10 +99,8 @@ def inverse(
     if not (np.isfinite(position).all() and np.isfinite(rotation).all()):
         raise ValueError("the target pose is not finite; give finite positions (m) and rotation matrices")
     shape = np.broadcast_shapes(position.shape[:-1], rotation.shape[:-2])
-    goals = Pose(
-        np.broadcast_to(position, (*shape, 3)).reshape(-1, 3),
-        np.broadcast_to(rotation, (*shape, 3, 3)).reshape(-1, 3, 3),
-    )
+    places, turns = np.broadcast_to(position, (*shape, 3)), np.broadcast_to(rotation, (*shape, 3, 3))
+    goals = Pose(places.reshape(-1, 3), turns.reshape(-1, 3, 3))
     n = geometry.joints
     middle, half = (geometry.lower + geometry.upper) / 2, (geometry.upper - geometry.lower) / 2
     first = middle if start is None else np.asarray(start, dtype=float)
@@ -121,16 +114,11 @@ def inverse(
     def judge(goals: Pose, q: Array) -> InverseSolution:
         """The joints ``(K, n)`` as an `InverseSolution` for the goals."""
         error = pose_error(forward(geometry, q), goals)
-        impossible = noncompensable_error(geometry, q, error, rank_tolerance)
-        distance = np.linalg.norm(error[:, :3], axis=-1)
-        possible = np.linalg.norm((error - impossible)[:, 3:], axis=-1)
-        return InverseSolution(
-            joints=q,
-            reached=(distance <= position_tolerance) & (possible <= attitude_limit),
-            position_error=distance,
-            attitude_error=np.linalg.norm(error[:, 3:], axis=-1),
-            noncompensable_attitude=np.linalg.norm(impossible[:, 3:], axis=-1),
-        )
+        impossible = task_space.noncompensable_error(geometry, q, error, rank_tolerance)
+        parts = error[:, :3], error[:, 3:], impossible[:, 3:], (error - impossible)[:, 3:]
+        distance, attitude, lost, possible = (np.linalg.norm(part, axis=-1) for part in parts)
+        reached = (distance <= position_tolerance) & (possible <= attitude_limit)
+        return InverseSolution(q, reached, distance, attitude, lost)
 
     solution = judge(goals, _descend(geometry, goals, first, rank_tolerance, max_iterations, parts))
     # None: from the best joints so far, using the directions near a singular pose that the truncation left alone.
@@ -184,7 +172,7 @@ def _descend_damped(geometry: Geometry, goals: Pose, q: Array, parts: slice) -> 
     damping = np.full(len(q), 1e-3)
     error = pose_error(forward(geometry, q), goals)[:, parts]
     for _ in range(DAMPED_STEPS):
-        jacobian = joint_jacobian(geometry, q)[:, parts]
+        jacobian = task_space.joint_jacobian(geometry, q)[:, parts]
         downhill = np.einsum("kij,ki->kj", jacobian, error)
         locked = ((q <= geometry.lower) & (downhill < 0)) | ((q >= geometry.upper) & (downhill > 0))
         free = jacobian * ~locked[:, None, :]
@@ -201,12 +189,7 @@ def _descend_damped(geometry: Geometry, goals: Pose, q: Array, parts: slice) -> 
 
 
 def _descend(
-    geometry: Geometry,
-    goals: Pose,
-    q: Array,
-    rank_tolerance: float,
-    max_iterations: int,
-    parts: slice,
+    geometry: Geometry, goals: Pose, q: Array, rank_tolerance: float, max_iterations: int, parts: slice
 ) -> Array:
     """Descend by Gauss-Newton steps with a pull in the null space; rows that have settled are left alone."""
     middle, half = (geometry.lower + geometry.upper) / 2, (geometry.upper - geometry.lower) / 2
@@ -215,7 +198,7 @@ def _descend(
     for _ in range(max_iterations):
         joints, some = q[active], Pose(goals.position[active], goals.rotation[active])
         error = pose_error(forward(geometry, joints), some)[:, parts]
-        jacobian = joint_jacobian(geometry, joints)[:, parts]
+        jacobian = task_space.joint_jacobian(geometry, joints)[:, parts]
         step = _step(jacobian, error, (middle - joints) / half**2, half, rank_tolerance)
         # A joint at its limit that would be pushed outwards is locked, and the others take over its share.
         outward = ((joints <= geometry.lower) & (step < 0)) | ((joints >= geometry.upper) & (step > 0))
@@ -233,13 +216,12 @@ def _descend(
 
 def _step(jacobian: Array, error: Array, pull: Array, half: Array, rank_tolerance: float) -> Array:
     """One Gauss-Newton step plus the null-space pull along the gradient of the mid-range cost."""
-    back = truncated_inverse(jacobian, rank_tolerance)
+    back = task_space.truncated_inverse(jacobian, rank_tolerance)
     step = np.einsum("...ij,...j->...i", back, error)
     null = np.eye(jacobian.shape[-1]) - back @ jacobian
     toward = np.einsum("...ij,...j->...i", null, pull)
     # Exact minimiser of sum(((q - middle) / half)^2) along that direction, were the null space straight.
-    curvature = np.sum((toward / half) ** 2, axis=-1)
-    along = np.sum(toward * pull, axis=-1)
+    curvature, along = np.sum((toward / half) ** 2, axis=-1), np.sum(toward * pull, axis=-1)
     step = step + toward * np.divide(along, curvature, out=np.zeros_like(along), where=curvature > 1e-18)[..., None]
     largest = np.max(np.abs(step) / np.minimum(half, 1.0), axis=-1, keepdims=True)
     return np.asarray(step * np.minimum(1.0, STEP_LIMIT / np.maximum(largest, 1e-12)))
@@ -314,9 +296,7 @@ def largest_cube(geometry: Geometry, rotation: Array | None = None, *, steps: in
     within[near] = solution.reached
     corner, size = _largest_filled(within.reshape(grid.shape[:-1]))
     if size == 0:
-        raise InputError(
-            f"this arm reaches no cube of {1e3 * step:.0f} mm with one tool attitude; give another attitude"
-        )
+        raise InputError(f"this arm reaches no cube of {1e3 * step:.0f} mm with one tool attitude; give another one")
     edge = size * step
     return Cube(grid[corner] + edge / 2.0, edge, np.asarray(rotation, dtype=float), free)
 
@@ -333,8 +313,7 @@ def farthest(geometry: Geometry) -> float:
         return -float(np.linalg.norm(forward(geometry, q).position - foot))
 
     first = joints[np.argmax(np.linalg.norm(forward(geometry, joints).position - foot, axis=-1))]
-    limits = list(zip(geometry.lower, geometry.upper, strict=True))
-    return -float(minimize(nearness, first, bounds=limits).fun)
+    return -float(minimize(nearness, first, bounds=list(zip(geometry.lower, geometry.upper, strict=True))).fun)
 
 
 def halton_joints(geometry: Geometry, count: int) -> Array:

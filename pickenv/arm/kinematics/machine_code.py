@@ -12,7 +12,7 @@ import math
 import os
 import struct
 from collections.abc import Callable, Mapping, Sequence
-from functools import lru_cache
+from functools import lru_cache, partial
 from types import SimpleNamespace
 from typing import Any, NamedTuple, cast
 
@@ -207,8 +207,7 @@ def _function(name: str, plain: Callable[..., Any]) -> Callable[..., Any]:
     """Make a function of `Traced` and plain numbers; for plain numbers alone it calls NumPy's function ``plain``."""
 
     def function(*values: Scalar) -> Scalar:
-        trace = _trace_of(values)
-        if trace is None:
+        if (trace := _trace_of(values)) is None:
             return float(plain(*values))
         return trace.note(name, DOUBLE, *(trace.of(value, DOUBLE) for value in values))
 
@@ -233,8 +232,7 @@ def _set_aside(condition: Scalar) -> bool:
 
 
 def _outside(function: Fill, values: Sequence[Scalar], rows: int) -> list[Traced] | None:
-    trace = _trace_of(values)
-    if trace is None:
+    if (trace := _trace_of(values)) is None:
         return None
     trace.calls.append((function, values, rows))
     return trace.inputs(f"found{len(trace.calls) - 1}", rows)
@@ -373,6 +371,7 @@ class _Body:
     def __init__(self, operations: Sequence[Operation], goals: Goals, arrays: Sequence[str], lanes: int) -> None:
         self.lines: list[str] = []
         self._operations, self._arrays, self._lanes = operations, arrays, lanes
+        self._type = partial(_type, lanes=lanes)
         self._turn = "wide" if lanes > 1 else "narrow"
         self._bases: dict[str, str] = {}
         self._values: dict[int, str] = {}
@@ -422,9 +421,6 @@ class _Body:
         name = f"%{self._turn[0]}{len(self.lines)}"
         self.lines.append(f"  {name} = {instruction}")
         return name
-
-    def _type(self, kind: str) -> str:
-        return _type(kind, self._lanes)
 
     def _place(self, array: str, row: int, kind: str) -> tuple[str, str]:
         """The pointer to the entries of a row that this pass of the loop works on, and their type in memory."""

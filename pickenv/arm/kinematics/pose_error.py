@@ -32,15 +32,13 @@ ARC_SINE = tuple(math.comb(2 * k, k) / 4.0**k / (2 * k + 1) for k in range(8))
 def rotation_vector(rotation: ArrayLike) -> Array:
     """Rotation vectors ``(..., 3)`` in rad of rotation matrices ``(..., 3, 3)``."""
     rotation = np.asarray(rotation, dtype=float)
-    flat = Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec()
-    return flat.reshape(*rotation.shape[:-2], 3)
+    return Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec().reshape(*rotation.shape[:-2], 3)
 
 
 def rotation_matrix(vector: ArrayLike) -> Array:
     """Rotation matrices ``(..., 3, 3)`` of rotation vectors ``(..., 3)`` in rad."""
     vector = np.asarray(vector, dtype=float)
-    flat = Rotation.from_rotvec(vector.reshape(-1, 3)).as_matrix()
-    return flat.reshape(*vector.shape[:-1], 3, 3)
+    return Rotation.from_rotvec(vector.reshape(-1, 3)).as_matrix().reshape(*vector.shape[:-1], 3, 3)
 
 
 def rotation_between(m: ModuleType, reference: Sequence[Scalar], actual: Sequence[Scalar]) -> tuple[Scalar, ...]:
@@ -54,8 +52,7 @@ def rotation_between(m: ModuleType, reference: Sequence[Scalar], actual: Sequenc
     axx, axy, axz, ayx, ayy, ayz, azx, azy, azz = actual[:9]
     bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz = reference[:9]
     (sx, sy, sz), (xx, yy, zz) = _turn(reference, actual)
-    cosine = 0.5 * (xx + yy + zz - 1.0)
-    sine = m.sqrt(sx * sx + sy * sy + sz * sz)
+    cosine, sine = 0.5 * (xx + yy + zz - 1.0), m.sqrt(sx * sx + sy * sy + sz * sz)
     angle = m.atan2(sine, cosine)
     scale = angle / (sine + 1e-30)
     vector = scale * sx, scale * sy, scale * sz
@@ -140,8 +137,7 @@ def pose_error(reference: Pose, actual: Pose) -> Array:
         in world axes.
     """
     m = math if reference.position.ndim == actual.position.ndim == 1 else np
-    error = frame_error(m, frame_of(reference), frame_of(actual))
-    return np.stack(np.broadcast_arrays(*error), axis=-1)
+    return np.stack(np.broadcast_arrays(*frame_error(m, frame_of(reference), frame_of(actual))), axis=-1)
 
 
 def displace_pose(pose: Pose, error: ArrayLike) -> Pose:

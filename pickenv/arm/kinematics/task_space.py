@@ -54,10 +54,8 @@ def link_column(
 def jacobian_columns(geometry: Geometry, links: Sequence[Frame], tool: Frame) -> list[Column]:
     """Columns of the joint Jacobian, one per joint, from the frames of base, links and tool in components."""
     hand = tool[9:]
-    columns = [
-        link_column("d" if slides else "theta", (), link, hand, ())
-        for slides, link in zip(geometry.slides, links[1:], strict=True)
-    ]
+    pairs = zip(geometry.slides, links[1:], strict=True)
+    columns = [link_column("d" if slides else "theta", (), link, hand, ()) for slides, link in pairs]
     if geometry.coupling is None:
         return columns
     gathered: list[Column] = [(0.0,) * 6] * geometry.joints
@@ -101,8 +99,7 @@ def parameter_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
     for i, frame in enumerate(frame_list):
         for component, value in enumerate(frame):
             links[component, i] = value
-    for component, value in enumerate(tool_frame[9:]):
-        tool[component] = value
+    tool[0], tool[1], tool[2] = tool_frame[9:]
     jacobian = np.zeros((6, 5 * n + 12, *shape))
     angles = np.cos(geometry.alpha), np.sin(geometry.alpha), geometry.a
     twist = [np.moveaxis(np.broadcast_to(values, (*shape, n)), -1, 0) for values in angles]
@@ -216,8 +213,7 @@ def damped_step(m: ModuleType, columns: Sequence[Column], twist: Sequence[Scalar
     for i in rows:
         factor.append([])
         for j in range(i):
-            known = sum(factor[i][k] * factor[j][k] for k in range(j))
-            factor[i].append((square[i][j] - known) / factor[j][j])
+            factor[i].append((square[i][j] - sum(factor[i][k] * factor[j][k] for k in range(j))) / factor[j][j])
         factor[i].append(m.sqrt(square[i][i] + least - sum(part * part for part in factor[i])))
     solved = list(twist)
     for i in rows:

@@ -193,11 +193,8 @@ def normal_draws(plant: Plant, poses: int, rng: np.random.Generator) -> NormalDr
     (child,) = rng.spawn(1)
     band, shape = plant.effect("stick_band"), (poses, 2, plant.geometry.joints)
     scatters = band is not None and band.scatter
-    return NormalDraws(
-        reading=rng.normal(size=(poses, 6)),
-        mounting=child.normal(size=3),
-        stops=child.normal(size=shape) if scatters else np.broadcast_to(0.0, shape),
-    )
+    reading, mounting = rng.normal(size=(poses, 6)), child.normal(size=3)
+    return NormalDraws(reading, mounting, child.normal(size=shape) if scatters else np.broadcast_to(0.0, shape))
 
 
 def switched_on(plant: Plant, m: ModuleType, joints: Array, warm_up: float, place: Place | None = None) -> PlantState:
@@ -243,8 +240,7 @@ def visited(
 def measured_poses(plant: Plant, joints: Array, instrument: Instrument, draws: NormalDraws) -> Pose:
     """The poses of one arm as an instrument reports them, at joint commands ``(P, n)`` in their order."""
     frame = visited(plant, np, joints, instrument, draws.stops)
-    noise = instrument.noise_on(plant)
-    if noise is None:
+    if (noise := instrument.noise_on(plant)) is None:
         return pose_of(frame)
     reading = split_joints(6, draws.reading)
     return pose_of(read_frame(np, noise, instrument.stand, frame, reading, draws.mounting.tolist()))
@@ -315,13 +311,9 @@ def effect_shares(
 
     shares = {name: share(name) for name in causes}
     means = [single["mean"] for single in shares.values()]
+    run = {"plant": plant.name, "reaches": len(joints), "running_hours": running_time / 3600.0, "dwell": pace.dwell}
     return {
-        "unit": "mm",
-        "plant": plant.name,
-        "reaches": len(joints),
-        "running_hours": running_time / 3600.0,
-        "dwell": pace.dwell,
-        "alone": shares,
+        **{"unit": "mm", **run, "alone": shares},
         "without": {name: share(*(cause for cause in causes if cause != name)) for name in causes},
         "all": share(*causes),
         "sum_of_means": float(np.sum(means)),
@@ -331,7 +323,6 @@ def effect_shares(
 
 def shares_report(shares: dict[str, Any]) -> str:
     """What `effect_shares` found, as a table for people."""
-    head = f"{'effect':<20}{'alone: mean':>13}{'varying':>10}{'p95':>9}{'max':>9}{'without: mean':>17}"
 
     def row(name: str, share: dict[str, float], left: float) -> str:
         figures = f"{share['mean']:13.3f}{share['varying']:10.3f}{share['p95']:9.3f}{share['max']:9.3f}"
@@ -343,7 +334,7 @@ def shares_report(shares: dict[str, Any]) -> str:
         f"alone would make {shares['alone'][largest]['mean']:.2f} mm",
         f"Tip error in mm: {shares['reaches']} reaches, {shares['dwell']:g} s after arrival, "
         f"{shares['running_hours']:g} h after start",
-        head,
+        f"{'effect':<20}{'alone: mean':>13}{'varying':>10}{'p95':>9}{'max':>9}{'without: mean':>17}",
         *(row(name, share, shares["without"][name]["mean"]) for name, share in shares["alone"].items()),
         row("all", shares["all"], 0.0),
         "alone: the only effect that is on; without: what all the others leave",

@@ -104,21 +104,11 @@ class Iso9283Result:
 
     def as_dict(self) -> dict[str, Any]:
         """The result for JSON; the unit of each number is in its key."""
-        settings = {
-            "cycles": self.settings.cycles,
-            "speed_share": self.settings.pace.speed,
-            "dwell_s": self.settings.pace.dwell,
-            "warm_up_h": self.settings.warm_up / 3600.0,
-            "drift_h": self.settings.drift_time / 3600.0,
-        }
-        return {
-            "standard": "ISO 9283:1998",
-            "plant": self.plant,
-            "settings": settings,
-            "cube": {"centre_mm": (1e3 * self.cube.centre).tolist(), "edge_mm": 1e3 * self.cube.edge},
-            "instrument_repeatability_mm": self.instrument_mm,
-            **self.performances(),
-        }
+        s, cube = self.settings, {"centre_mm": (1e3 * self.cube.centre).tolist(), "edge_mm": 1e3 * self.cube.edge}
+        settings = {"cycles": s.cycles, "speed_share": s.pace.speed, "dwell_s": s.pace.dwell}
+        settings |= {"warm_up_h": s.warm_up / 3600.0, "drift_h": s.drift_time / 3600.0}
+        parts = {"standard": "ISO 9283:1998", "plant": self.plant, "settings": settings, "cube": cube}
+        return {**parts, "instrument_repeatability_mm": self.instrument_mm, **self.performances()}
 
     def report(self) -> str:
         """The test report, for people."""
@@ -178,8 +168,7 @@ def iso9283(
     Raises:
         InputError: If a test pose cannot be reached.
     """
-    settings = settings or Iso9283Settings()
-    cube = cube or _largest_cube(plant.arm.nominal)
+    settings, cube = settings or Iso9283Settings(), cube or _largest_cube(plant.arm.nominal)
     seed = int(rng.integers(2**63))
     targets = _joints_for(plant, cube.inclined_plane(), None, cube.free)
     approaches = _approaches(plant, cube.inclined_plane(), targets, settings.approach, cube.free)
@@ -191,14 +180,10 @@ def iso9283(
         same = np.random.default_rng(seed)
         return _performance(plant, settings, instrument, change(targets), change(approaches), goals, same)
 
-    return Iso9283Result(
-        plant=plant.name,
-        cube=cube,
-        settings=settings,
-        instrument_mm=NORM_OF_NOISE * 1e3 * (0.0 if noise is None else float(noise.position_std_at(ranges).mean())),
-        raw=performance(lambda joints: joints),
-        calibrated=None if compensate is None else performance(compensate),
-    )
+    scatter = NORM_OF_NOISE * 1e3 * (0.0 if noise is None else float(noise.position_std_at(ranges).mean()))
+    raw = performance(lambda joints: joints)
+    calibrated = None if compensate is None else performance(compensate)
+    return Iso9283Result(plant.name, cube, settings, scatter, raw, calibrated)
 
 
 def _largest_cube(geometry: Geometry) -> Cube:
@@ -214,9 +199,7 @@ def _largest_cube(geometry: Geometry) -> Cube:
 def _joints_for(plant: Plant, poses: Pose, start: Array | None, free: bool) -> Array:
     solution = inverse(plant.arm.nominal, poses, start, position_only=free)
     if not solution.reached.all():
-        raise InputError(
-            f"arm '{plant.arm.name}' does not reach all test poses of this cube; give a smaller one or another attitude"
-        )
+        raise InputError(f"arm '{plant.arm.name}' does not reach all test poses of this cube; give another cube")
     return solution.joints
 
 
@@ -247,14 +230,12 @@ def _performance(
         """Move from P1 through stops; return the state, and errors ``(..., 6)``, m and rad, at stops with a pose."""
         errors, start = [], home
         for target, i in stops:
-            normal = rng.normal(size=(2, len(target)))
-            state, frame = moved(plant, math, state, start, target, pace, normal=normal)
+            state, frame = moved(plant, math, state, start, target, pace, normal=rng.normal(size=(2, len(target))))
             start = target
             if i is None:
                 continue
             if noise is not None:
-                reading = rng.normal(size=6).tolist()
-                frame = read_frame(math, noise, instrument.stand, frame, reading, mounting)
+                frame = read_frame(math, noise, instrument.stand, frame, rng.normal(size=6).tolist(), mounting)
             errors.append(pose_error(Pose(goals.position[i], goals.rotation[i]), pose_of(frame)))
         return state, np.array(errors)
 
@@ -287,14 +268,11 @@ def _performance(
     errors = errors.reshape(cycles, len(ORDER), 6)
     poses = [pose_performance(f"P{i + 1}", errors[:, ORDER.index(i)]) for i in sorted(ORDER)]
     return {
-        "poses": poses,
-        "variation_mm": variation_mm,
-        "variation_deg": variation_deg,
+        **{"poses": poses, "variation_mm": variation_mm, "variation_deg": variation_deg},
         "drift_mm": 1e3 * float(np.abs(accuracy - accuracy[0]).max()),
         "drift_deg": math.degrees(float(np.abs(turn - turn[0]).max())),
         "wander_mm": 1e3 * float(wander.max()),
-        "drift_hours": hours,
-        "drift_accuracy_mm": (1e3 * accuracy).tolist(),
+        **{"drift_hours": hours, "drift_accuracy_mm": (1e3 * accuracy).tolist()},
         "worst_accuracy_mm": max(pose["accuracy_mm"] for pose in poses),
         "worst_repeatability_mm": max(pose["repeatability_mm"] for pose in poses),
     }

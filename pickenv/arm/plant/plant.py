@@ -23,7 +23,7 @@ from pickenv.arm.effects.residual_field import ResidualField
 from pickenv.arm.files.arm import Arm
 from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, chain_of, pose_of, split_joints
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
-from pickenv.base import registry, toml_tables
+from pickenv.base import InputError, registry, toml_tables
 
 CONSTANTS = toml_tables.Check(
     lambda names: isinstance(names, list) and all(isinstance(name, str) and "." in name for name in names),
@@ -181,11 +181,11 @@ class Plant:
         """This plant with an effect, or several, switched off, by name.
 
         Raises:
-            ValueError: If there is no such effect, in this plant or another.
+            InputError: If there is no such effect, in this plant or another.
         """
         off, registered = {effects} if isinstance(effects, str) else set(effects), registry.names("effect")
         for name in sorted(off - {*registered, *(effect.name for effect in self.effects)}):
-            raise ValueError(f"unknown effect '{name}'; a plant has {', '.join(registered)}")
+            raise InputError(f"unknown effect '{name}'; a plant has {', '.join(registered)}")
         return replace(self, effects=tuple(effect for effect in self.effects if effect.name not in off))
 
     @cached_property

@@ -74,8 +74,7 @@ def with_links(geometry: Geometry, change: Callable[..., Any], *others: Geometry
     values: dict[str, Any] = {name: change(*(getattr(table, name) for table in tables)) for name in LINK_PARAMETERS}
     for name in ("base", "tool"):
         if getattr(geometry, name).position.ndim > 1:
-            poses = zip(*(getattr(table, name) for table in tables), strict=True)
-            values[name] = Pose(*(change(*parts) for parts in poses))
+            values[name] = Pose(*map(change, *(getattr(table, name) for table in tables)))
     return replace(geometry, **values)
 
 

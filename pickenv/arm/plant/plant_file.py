@@ -95,8 +95,7 @@ def read_plant(name: str | Path) -> Plant:
     Raises:
         InputError: If the plant is unknown or a number is impossible; the message names the file and the key.
     """
-    draw = NUMBERED.fullmatch(str(name))
-    if draw and not is_file(str(name)):
+    if (draw := NUMBERED.fullmatch(str(name))) and not is_file(str(name)):
         return with_drawn_constants(read_plant(draw[1]), int(draw[2]))
     if Path(name).suffix == ".npz":
         return read_twin(name)
@@ -105,8 +104,7 @@ def read_plant(name: str | Path) -> Plant:
     foreign = (name for name in registry.names("effect") if name in tables)
     kind = plant_file(tuple(dict.fromkeys((*shipped_effects(), *foreign))))
     parts = dict(vars(toml_tables.read_toml(kind, path, context={})))
-    del parts["source"]
-    arm, called, load, unmeasured = (parts.pop(key) for key in ("arm", "name", "load", "unmeasured"))
+    arm, called, load, unmeasured, _ = (parts.pop(key) for key in ("arm", "name", "load", "unmeasured", "source"))
     effects = tuple(effect for effect in parts.values() if effect is not None)
     for effect in effects:
         if effect.needs_load and load is None:
@@ -213,14 +211,9 @@ def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
     if kind == IDEAL:
         arm = load_arm(arm_name)
         plant = Plant(name=IDEAL, arm=arm, geometry=arm.nominal)
-    elif kind:
-        plant = replace(_design(arm_name, load_tolerances(kind)), name=str(name))
     else:
-        plant = read_plant(name)
-    try:
-        return plant.without(without)
-    except ValueError as error:
-        raise InputError(str(error)) from error
+        plant = replace(_design(arm_name, load_tolerances(kind)), name=str(name)) if kind else read_plant(name)
+    return plant.without(without)
 
 
 def class_of(name: str | Path) -> Tolerances | None:
@@ -256,17 +249,10 @@ def bare_plant(arm: Arm, sizes: SizesTable, final_rise: float) -> Plant:
     torques[torques == 0] = 1.0  # gravity loads no joint of the kind: whatever the stiffness, none yields
     sags = [sizes.sliding_sag if slide else sizes.turning_sag for slide in slides]
     gaps = tuple(sizes.sliding_gap if slide else sizes.turning_gap for slide in slides)
-    return Plant(
-        name=arm.name,
-        arm=arm,
-        geometry=arm.nominal,
-        load=load,
-        effects=(
-            Backlash(gaps, tuple((sizes.preload_share * torques).tolist())),
-            JointCompliance(tuple((torques / sags).tolist())),
-            ThermalGrowth((sizes.expansion,) * len(slides), 0.0, final_rise, sizes.warm_up),
-        ),
-    )
+    backlash = Backlash(gaps, tuple((sizes.preload_share * torques).tolist()))
+    compliance = JointCompliance(tuple((torques / sags).tolist()))
+    growth = ThermalGrowth((sizes.expansion,) * len(slides), 0.0, final_rise, sizes.warm_up)
+    return Plant(arm.name, arm, arm.nominal, load, (backlash, compliance, growth))
 
 
 def rods(arm: Arm) -> Load:
@@ -295,10 +281,8 @@ def _split(name: str | Path) -> tuple[str, str]:
     if kind == IDEAL or (colon and (kind in shipped_tolerances() or kind.endswith(".toml"))):
         return kind, arm_name or FIRST_ARM
     if colon and not is_file(str(name)) and (arm_name in (*shipped_arms(), *shipped_plants())):
-        raise InputError(
-            f"unknown tolerance class '{shortened(kind)}'; give one of {', '.join((IDEAL, *shipped_tolerances()))}, or "
-            "a path to its file (.toml), before the colon"
-        )
+        names = ", ".join((IDEAL, *shipped_tolerances()))
+        raise InputError(f"unknown tolerance class '{shortened(kind)}'; give one of {names}, or a path (.toml)")
     return "", arm_name
 
 
@@ -309,8 +293,6 @@ def _design(name: str, tolerances: Tolerances) -> Plant:
     if plant_file or file in shipped_plants() or name.endswith(".npz"):
         return read_plant(name)
     if tolerances.sizes is None:
-        raise InputError(
-            f"tolerance class '{tolerances.name}' has no [sizes], which arm '{shortened(name)}' needs as it comes "
-            "without a plant; give them, or a plant file"
-        )
+        needs = f"[sizes], which arm '{shortened(name)}' needs as it comes without a plant"
+        raise InputError(f"tolerance class '{tolerances.name}' has no {needs}; give them, or a plant file")
     return bare_plant(load_arm(name), tolerances.sizes, sum(tolerances.temperature_rise) / 2)

@@ -102,8 +102,7 @@ class Tolerances:
 def it_tolerance(grade: int, length: Array | float) -> Array:
     """The width of the tolerance zone of ISO 286-1, m, for lengths in m."""
     millimetres = np.abs(np.asarray(length, dtype=float)) * 1e3
-    small = 0.45 * np.cbrt(millimetres) + 0.001 * millimetres
-    large = 0.004 * millimetres + 2.1
+    small, large = 0.45 * np.cbrt(millimetres) + 0.001 * millimetres, 0.004 * millimetres + 2.1
     return np.asarray(GRADES[grade] * 1e-6 * np.where(millimetres <= 500.0, small, large))
 
 
@@ -203,8 +202,7 @@ def half_widths(tolerances: Tolerances, nominal: Geometry) -> Array:
 
 def standard_deviations(tolerances: Tolerances, nominal: Geometry) -> Array:
     """The standard deviations of a geometry's parameters ``(5n + 12,)`` over arms of the class, m and rad."""
-    share = math.sqrt(3.0) if tolerances.distribution == "uniform" else 3.0
-    return half_widths(tolerances, nominal) / share
+    return half_widths(tolerances, nominal) / (math.sqrt(3.0) if tolerances.distribution == "uniform" else 3.0)
 
 
 def _geometry(nominal: Geometry, tolerances: Tolerances, even: Array) -> Geometry:

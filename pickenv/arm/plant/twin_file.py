@@ -79,10 +79,7 @@ def _carried(arm: Arm, posterior: Posterior, geometries: Sequence[Geometry]) -> 
     base, tool = posterior.aligned
     nominal = arm.nominal
     first, last = behind(nominal.base, inverse_pose(base)), behind(inverse_pose(tool), nominal.tool)
-    frames = {
-        "base": [behind(first, geometry.base) for geometry in geometries],
-        "tool": [behind(geometry.tool, last) for geometry in geometries],
-    }
+    frames = {"base": [behind(first, g.base) for g in geometries], "tool": [behind(g.tool, last) for g in geometries]}
     links = {name: [getattr(geometry, name) for geometry in geometries] for name in LINK_PARAMETERS}
     parts: dict[str, Any] = {name: rows[0] for name, rows in (links | frames).items()}
     if geometries[0] is not posterior.identified:
@@ -150,35 +147,23 @@ def write_twin(plant: Plant, path: str | Path) -> Path:
     noise = plant.effect("measurement_noise")
     names = twin_plant(plant.name, plant.arm, posterior, noise).names
     if plant.names != names:
-        raise InputError(
-            f"plant '{plant.name}' has the effects {', '.join(plant.names)}, its calibration found {', '.join(names)}; "
-            "write it as it was made"
-        )
+        effects = f"{', '.join(plant.names)}, its calibration found {', '.join(names)}"
+        raise InputError(f"plant '{plant.name}' has the effects {effects}; write it as it was made")
     base, tool = posterior.aligned
-    geometries = {
-        **{"arm": nominal, "identified": posterior.identified},
-        "aligned": replace(nominal, base=base, tool=tool),
-    }
+    aligned = replace(nominal, base=base, tool=tool)
+    geometries = {"arm": nominal, "identified": posterior.identified, "aligned": aligned}
     arrays: dict[str, NDArray[Any]] = {}
     for key, geometry in geometries.items():
         arrays |= named_part(f"{key}/", geometry_arrays(geometry))
     parts = ("coefficients", "factor", "unseen", "traces", "field_factor", "rough")
     arrays |= {"speed": plant.arm.speed} | {name: getattr(posterior, name) for name in parts}
-    field = posterior.field
-    if field is not None:
+    if (field := posterior.field) is not None:
         arrays |= {"frequency": field.features.frequency, "centre": np.array(field.features.centre)}
         arrays |= {name: np.array(getattr(field, name)) for name in ("weight", "offset", "turn")}
-    header = {
-        "name": plant.name,
-        "arm": plant.arm.name,
-        "source": plant.arm.source,
-        "joint_names": nominal.joint_names,
-        "prismatic": nominal.prismatic,
-        "layout": asdict(posterior.layout),
-        "periodic": None if field is None else field.features.periodic,
-        "noise": None if noise is None else vars(noise),
-        "notes": posterior.notes,
-    }
+    header: dict[str, Any] = {"name": plant.name, "arm": plant.arm.name, "source": plant.arm.source}
+    header |= {"joint_names": nominal.joint_names, "prismatic": nominal.prismatic, "layout": asdict(posterior.layout)}
+    header |= {"periodic": None if field is None else field.features.periodic}
+    header |= {"noise": None if noise is None else vars(noise), "notes": posterior.notes}
     return write_container(path, TWIN, header, arrays, version=TWIN_FORMAT)
 
 
@@ -200,26 +185,16 @@ def _plant_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> 
     nominal, identified, aligned = (geometry_from_arrays(p, names, prismatic, key) for key, p in parts.items())
     layout = _layout(header["layout"], nominal)
     unseen = arrays["unseen"].astype(np.int64)
-    count = sum(layout.sizes)
-    size = len(nominal.parameter_names) + count
+    count, size = sum(layout.sizes), len(nominal.parameter_names) + sum(layout.sizes)
     if np.any((unseen < 0) | (unseen >= len(nominal.parameter_names))):
         raise InputError("it names parameters that its arm does not have")
     field = None if header["periodic"] is None else _field(header["periodic"], arrays, nominal.joints)
-    outputs = 0 if field is None else field.features.outputs
-    smooth = arrays["field_factor"].shape[-1]
-    posterior = Posterior(
-        identified=identified,
-        aligned=(Pose(*aligned.base), Pose(*aligned.tool)),
-        layout=layout,
-        coefficients=finite(arrays, "coefficients", (count,), TWIN),
-        factor=finite(arrays, "factor", (size, arrays["factor"].shape[-1]), TWIN),
-        unseen=unseen,
-        traces=finite(arrays, "traces", (size, len(unseen)), TWIN),
-        field=field,
-        field_factor=finite(arrays, "field_factor", (outputs, smooth, smooth), TWIN),
-        rough=finite(arrays, "rough", (outputs,), TWIN),
-        notes=tuple(str(note) for note in header["notes"]),
-    )
+    outputs, smooth = 0 if field is None else field.features.outputs, arrays["field_factor"].shape[-1]
+    shapes = {"coefficients": (count,), "factor": (size, arrays["factor"].shape[-1]), "traces": (size, len(unseen))}
+    shapes |= {"field_factor": (outputs, smooth, smooth), "rough": (outputs,)}
+    numbers = {name: finite(arrays, name, shape, TWIN) for name, shape in shapes.items()}
+    frames, notes = (aligned.base, aligned.tool), tuple(map(str, header["notes"]))
+    posterior = Posterior(identified, frames, layout, unseen=unseen, field=field, notes=notes, **numbers)
     if field is not None and smooth > 2 * field.features.count:
         raise InputError("its residual has fewer features than its posterior")
     speed = finite(arrays, "speed", (nominal.joints,), TWIN)

@@ -167,7 +167,7 @@ BAD = {
         r"'0.1 up 0.7' is not three numbers \(xyz of joint '\w+'\)",
     ),
     "a limit in words": (FOREIGN.replace('lower="-0.1"', 'lower="low"'), r"the lower limit of joint 'lift' is 'low'"),
-    "an axis of length zero": (FOREIGN.replace("0.6 0 0.8", "0 0 0"), r"'roll' has an axis without direction"),
+    "an axis of length zero": (FOREIGN.replace("0.6 0 0.8", "0 0 0"), r"axis of joint 'roll' has no direction"),
     "no moving joint": (FOREIGN, r"has no moving joint"),
     "a link that stands on itself": (
         FOREIGN.replace('<parent link="l3"/>', '<parent link="l4"/>'),
