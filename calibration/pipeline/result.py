@@ -600,15 +600,5 @@ def assess(
         rows=(len(test.joints), held_out.rows),
     )
     return Result(
-        arm,
-        fit,
-        bare,
-        train,
-        test,
-        held_out,
-        quality,
-        uncertainty,
-        base_frame,
-        left_out=left_out,
-        pixels=pixels,
+        arm, fit, bare, train, test, held_out, quality, uncertainty, base_frame, left_out=left_out, pixels=pixels
     )
