@@ -14,19 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm import (
-    Arm,
-    Array,
-    Geometry,
-    Pose,
-    displace_pose,
-    forward,
-    identity_pose,
-    joint_jacobian,
-    parameter_jacobian,
-)
+from pickenv.arm import Arm, Array, Geometry, Pose, displace_pose, identity_pose, joint_jacobian, parameter_jacobian
 from pickenv.arm.effects.effect import Load, gravity_torques
-from pickenv.arm.kinematics.forward import NEARLY_PARALLEL, Scalar, attach, chain_of, frames, split_joints
+from pickenv.arm.kinematics.forward import NEARLY_PARALLEL, Scalar, attach, chain_of, forward, frames, split_joints
 from pickenv.base import InputError
 
 

@@ -17,19 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
-from pickenv.arm import (
-    Array,
-    Geometry,
-    Instrument,
-    Plant,
-    Pose,
-    load_instrument,
-    pose_error,
-    rotation_matrix,
-    rotation_vector,
-)
+from pickenv.arm import Array, Geometry, Plant, Pose, pose_error, rotation_matrix, rotation_vector
 from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, move_pose
-from pickenv.arm.plant.campaign import TRACKER, NormalDraws, measured_poses, normal_draws
+from pickenv.arm.plant.campaign import TRACKER, Instrument, NormalDraws, load_instrument, measured_poses, normal_draws
 from pickenv.base import InputError, register, write_whole
 from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, Conditions
 from pickenv.calibration.model.observations import Observations, Origins, Rows, hash_of, origins_of, worked_out

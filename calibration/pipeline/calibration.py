@@ -15,16 +15,8 @@ from scipy.spatial import KDTree
 from pickenv.arm import Arm, Array, Geometry, Pose
 from pickenv.arm.files.arm import finite, geometry_arrays, geometry_from_arrays
 from pickenv.arm.kinematics.geometry import geometry_fingerprint
-from pickenv.base import (
-    DO_NOT_USE,
-    FITTED_FRAMES,
-    InputError,
-    npz_path,
-    read_container,
-    refusing_damage,
-    write_container,
-)
-from pickenv.base.container import named_part, part_of
+from pickenv.base import DO_NOT_USE, FITTED_FRAMES, InputError
+from pickenv.base.container import named_part, npz_path, part_of, read_container, refusing_damage, write_container
 from pickenv.base.registry import Origin, get, origin
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.compensation.compensator import Compensator
@@ -246,7 +238,7 @@ def joint_features(joints: Array, slides: tuple[bool, ...]) -> Array:
 
 
 def region_of(sure: PoseUncertainty, model: ArmModel, data: Observations) -> dict[str, Any]:
-    """The measured region, for a record: some rows' joints, the distance that is near, and the uncertainty there.
+    """A record's entry of the measured region: some rows' joints, the distance that is near, and the uncertainty there.
 
     Args:
         sure: Uncertainty of the arm.
@@ -257,11 +249,9 @@ def region_of(sure: PoseUncertainty, model: ArmModel, data: Observations) -> dic
     joints = data.joints[equally_spaced(len(data.joints), ANCHORS)]
     places = joint_features(joints, model.geometry.prismatic)
     apart = np.asarray(KDTree(places).query(places, k=2)[0])[:, 1]
-    return {
-        "joints": np.round(joints, 4).tolist(),
-        "near": max(NEARBY, SPACING * float(np.percentile(apart, 95))),
-        "position_p95_m": float(np.percentile(std, 95)),
-    }
+    near = max(NEARBY, SPACING * float(np.percentile(apart, 95)))
+    region = {"joints": np.round(joints, 4).tolist(), "near": near, "position_p95_m": float(np.percentile(std, 95))}
+    return {MEASURED_REGION: region}
 
 
 def measured_there(record: Mapping[str, Any], model: ArmModel, data: Observations) -> NDArray[np.bool_] | None:

@@ -27,13 +27,7 @@ from pickenv.calibration.model.arm_model import CARRIER, ArmModel, fitted_model
 from pickenv.calibration.model.measurements import joint_columns, random_joints
 from pickenv.calibration.model.observations import MISS_UNITS, Observations, equally_spaced
 from pickenv.calibration.pipeline import fitting
-from pickenv.calibration.pipeline.calibration import (
-    MEASURED_REGION,
-    Calibration,
-    PoseUncertainty,
-    pose_uncertainty,
-    region_of,
-)
+from pickenv.calibration.pipeline.calibration import Calibration, PoseUncertainty, pose_uncertainty, region_of
 from pickenv.calibration.pipeline.twin import SCATTER, SCATTER_PARTS, scatter_of, twin
 from pickenv.calibration.reading.read import NoiseFloor, floor_record, floor_text, joints_of, read_targets
 from pickenv.calibration.residuals.gate import GateVerdict, position_rms, selected, verdicts_record
@@ -141,7 +135,7 @@ class Result:
         record = {**self.fit.calibration.record, "verdict": self.quality.as_dict()}
         record["uncertainty"] = self.uncertainty.as_record()
         if np.isfinite(self.uncertainty.covariance).all():
-            record[MEASURED_REGION] = region_of(self.uncertainty, self.fit.calibration.model, self.train)
+            record |= region_of(self.uncertainty, self.fit.calibration.model, self.train)
         if self.base_frame is not None:
             record["base_frame"] = self.base_frame.as_dict()
         if self.unit is not None:
