@@ -528,10 +528,9 @@ class ReflectorObservations(Observations):
         lever = np.einsum("nij,kj->nki", tool.rotation, numbers.reshape(-1, 3))
         by_arm = observations.point_jacobian(pose[:, None], lever)
         by_place = np.einsum("nij,kl->nkilj", tool.rotation, np.eye(count)).reshape(len(self.joints), count, 3, -1)
-        by_arm, by_place = (
-            np.einsum("nkij,nkjp->nkip", self._whitening(), part)[self.seen] for part in (by_arm, by_place)
-        )
-        return by_arm, by_place
+        white = self._whitening()
+        by_arm = np.einsum("nkij,nkjp->nkip", white, by_arm)[self.seen]
+        return by_arm, np.einsum("nkij,nkjp->nkip", white, by_place)[self.seen]
 
     def _whitening(self) -> Array:
         """The inverse of each covariance's Cholesky factor, a matrix W with W C W^T = 1 ``(N, k, 3, 3)``."""

@@ -346,11 +346,6 @@ class Stacked(Observations):
 
     stations: tuple[InstrumentStation, ...]
 
-    @worked_out
-    def rounding(self) -> float:
-        """Rounding of the first station's data."""
-        return self.parts[0].rounding
-
     @property
     def parts(self) -> tuple[Observations, ...]:
         """The data sets of the stations."""
@@ -448,10 +443,6 @@ class Stacked(Observations):
         """Misses of all stations ``(R, 3)``, m; misses with fewer components are padded with zeros."""
         parts = [station.misses(model, values) for station, values in self._with(unknowns)]
         return np.concatenate([np.pad(part, ((0, 0), (0, WIDEST - part.shape[1]))) for part in parts])
-
-    def rough_poses(self, prismatic: tuple[bool, ...]) -> Any:
-        """Rough poses of the first station, whose frames are the arm's."""
-        return self.parts[0].rough_poses(prismatic)
 
     def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
         """Derivatives ``(E, 6)`` of all stations' equations, each by the tool pose of its own station."""

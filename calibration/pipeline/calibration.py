@@ -130,13 +130,6 @@ class PoseUncertainty:
             if radius is not None
         }
 
-    def within95_record(self) -> dict[str, Any]:
-        """The factor of the bound and the share that it covers (JSON), for position and attitude.
-
-        An entry is None if there were too few held-out errors to find it.
-        """
-        return {name: self.factors.get(name) for name in QUANTITIES}
-
     def as_record(self) -> dict[str, Any]:
         """The uncertainty for a calibration's record (JSON)."""
         return {
@@ -216,10 +209,8 @@ def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None
         return None
     ratio = np.zeros(count)
     for number in numbers:
-        inside_block = blocks == number
-        ratio[inside_block] = np.sqrt(squares[inside_block]) / np.sqrt(
-            squares[~inside_block].mean() + variance[inside_block]
-        )
+        rows = blocks == number
+        ratio[rows] = np.sqrt(squares[rows]) / np.sqrt(squares[~rows].mean() + variance[rows])
     inside = [ratio[blocks == number] <= _quantile(ratio[blocks != number]) for number in numbers]
     return {"factor": _quantile(ratio), "covered": float(np.concatenate(inside).mean())}
 

@@ -27,7 +27,13 @@ from pickenv.calibration.model.arm_model import CARRIER, ArmModel, fitted_model
 from pickenv.calibration.model.measurements import joint_columns, random_joints
 from pickenv.calibration.model.observations import MISS_UNITS, Observations, equally_spaced
 from pickenv.calibration.pipeline import fitting
-from pickenv.calibration.pipeline.calibration import Calibration, PoseUncertainty, pose_uncertainty, region_of
+from pickenv.calibration.pipeline.calibration import (
+    QUANTITIES,
+    Calibration,
+    PoseUncertainty,
+    pose_uncertainty,
+    region_of,
+)
 from pickenv.calibration.pipeline.twin import SCATTER, SCATTER_PARTS, scatter_of, twin
 from pickenv.calibration.reading.read import NoiseFloor, floor_record, floor_text, joints_of, read_targets
 from pickenv.calibration.residuals.gate import GateVerdict, position_rms, selected, verdicts_record
@@ -424,7 +430,7 @@ class Result:
             "unit": self.unit,
             "kind": solution.kind,
             "frames": "known" if self.known_frames else "fitted",
-            "within95": self.uncertainty.within95_record(),
+            "within95": {name: self.uncertainty.factors.get(name) for name in QUANTITIES},
             "within95_by_pose": self.uncertainty.bounds(
                 self.fit.calibration.model, self.test.joints, self.test.conditions
             ),
