@@ -207,7 +207,17 @@ def checked_rows(
         far[1] = far[1][:0]  # not these rows are far off, but what so few told; and nothing else is there to judge by
     listed: list[LeftOut] = []
     for data, size, rows in zip(sets, sizes, far, strict=True):
-        listed += _far_rows(arm, found, scales, data, size, rows, held_out=data is test, kept=not robust)
+        if not len(rows):
+            continue
+        missed, turned, why = misses_of(found, data), None, None
+        if data.poses is not None:
+            why = mixed_unit(arm, partial(sigma_of, found, scales=scales), data.poses, rows)
+            if data.poses.rotation is not None:
+                turned = np.linalg.norm(data.poses.difference(found.arm_model)[:, 3:], axis=1)
+        for row in rows.tolist():
+            attitude, place = None if turned is None else float(turned[row]), origins_of(data).place(row)
+            size_and_miss = float(missed[row]), attitude, float(size[row])
+            listed.append(LeftOut(*place, data is test, *size_and_miss, why, not robust, data.miss_unit))
     train = train.weighed(scales)
     sets = (train, *sets[1:])
     if robust:
@@ -215,40 +225,6 @@ def checked_rows(
         remaining = [data.select(rows) for data, rows in zip(sets, near, strict=True)]
         train, test = remaining[0], remaining[1] if len(sets) > 1 else test
     return train, test, tuple(sorted(listed, key=lambda item: -(item.sigma or 0.0)))
-
-
-def _far_rows(
-    arm: Arm,
-    found: Identification,
-    scales: Array,
-    data: Observations,
-    sigma: Array,
-    rows: Rows,
-    *,
-    held_out: bool,
-    kept: bool,
-) -> list[LeftOut]:
-    """Entries for the rows far off, with the reason that they have in common."""
-    if not len(rows):
-        return []
-    missed, attitude, why = misses_of(found, data), None, None
-    if data.poses is not None:
-        why = mixed_unit(arm, partial(sigma_of, found, scales=scales), data.poses, rows)
-        if data.poses.rotation is not None:
-            attitude = np.linalg.norm(data.poses.difference(found.arm_model)[:, 3:], axis=1)
-    return [
-        LeftOut(
-            *origins_of(data).place(row),
-            held_out,
-            float(missed[row]),
-            None if attitude is None else float(attitude[row]),
-            float(sigma[row]),
-            why,
-            kept,
-            data.miss_unit,
-        )
-        for row in rows.tolist()
-    ]
 
 
 def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Said:

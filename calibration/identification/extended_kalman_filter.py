@@ -1,22 +1,21 @@
 """Extended Kalman filter on the identifiable parameters: the recursive twin of the least squares (Qiao 2026, "EKF").
 
 One pose at a time, online. Covariances are updated in Joseph's form (Bucy and Joseph
-1968), which stays symmetric and positive; drift enters as process noise; an innovation gate may refuse outliers. SI.
+1968), which stays symmetric and positive; drift enters as process noise. SI.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.special import gammaincinv
 
 from pickenv.arm import Array, Geometry, Pose, pose_error
 from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.base import InputError
 from pickenv.calibration.identification.least_squares import identifiability
-from pickenv.calibration.model.arm_model import ArmModel, Conditions, ErrorModel
+from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
 
 PRIOR = 10.0
 """Prior standard deviation of a parameter, in its tolerances: 10 mm and 0.6 deg for geometry."""
@@ -34,20 +33,12 @@ class FilterState:
         columns: Indices ``(p,)`` of the estimated parameters in ``arm_model.parameter_names``.
         tolerance: Scale of each estimated parameter ``(p,)``, m or rad.
         covariance: Covariance of the parameters' errors ``(p, p)``, m and rad.
-        updates: Number of poses accepted.
-        rejected: Number of poses refused by the innovation gate.
-        innovation: Last measured minus predicted pose ``(6,)`` or ``(3,)``, m and rad; empty before the first pose.
-        nis: Last normalised innovation squared (NIS); 1 per coordinate is expected.
     """
 
     arm_model: ArmModel
     columns: NDArray[np.int64]
     tolerance: Array
     covariance: Array
-    updates: int = 0
-    rejected: int = 0
-    innovation: Array = field(default_factory=lambda: np.empty(0))
-    nis: float = 0.0
 
     @property
     def geometry(self) -> Geometry:
@@ -63,10 +54,6 @@ class FilterState:
     def standard_deviation(self) -> Array:
         """Standard deviation of the estimated parameters ``(p,)``, m or rad."""
         return np.asarray(np.sqrt(np.diag(self.covariance)))
-
-    def pose_covariance(self, joints: ArrayLike) -> Array:
-        """Covariance of the predicted pose ``(..., 6, 6)``, m and rad, at joints ``(..., n)``: J P J^T."""
-        return self.arm_model.pose_covariance(self.columns, self.covariance, joints)
 
 
 def start_filter(
@@ -115,15 +102,7 @@ def random_walk(state: FilterState, tolerances: float) -> Array:
     return np.asarray(np.diag((tolerances * state.tolerance) ** 2) / HOUR)
 
 
-def update(
-    state: FilterState,
-    joints: ArrayLike,
-    observed: Pose | ArrayLike,
-    noise: MeasurementNoise,
-    *,
-    conditions: Conditions | None = None,
-    gate: float | None = None,
-) -> FilterState:
+def update(state: FilterState, joints: ArrayLike, observed: Pose | ArrayLike, noise: MeasurementNoise) -> FilterState:
     """Update the filter with one measured pose.
 
     Args:
@@ -131,17 +110,12 @@ def update(
         joints: Commanded joints ``(n,)``, rad or m.
         observed: The tool's pose as it was seen, or its position ``(3,)`` in m.
         noise: Standard deviations of one coordinate, m and rad, including errors that the model cannot explain.
-        conditions: Payload, temperature and torques of this pose, if the model has terms that need them.
-        gate: Refuse the pose if its innovation is less likely than 1 - gate (say 0.9999); None accepts all.
-
-    Returns:
-        The state after the pose; a refused pose only counts in ``rejected``.
 
     Raises:
         InputError: If joints or the observation are not finite.
     """
     joints = np.asarray(joints, dtype=float)[None]
-    predicted = state.arm_model.pose(joints, conditions)
+    predicted = state.arm_model.pose(joints)
     if isinstance(observed, Pose):
         innovation = pose_error(predicted, Pose(observed.position[None], observed.rotation[None]))[0]
     else:
@@ -149,24 +123,12 @@ def update(
     rows = len(innovation)
     if not np.isfinite(innovation).all():
         raise InputError("the observed pose or its joints are not finite; leave the pose out")
-    jacobian = state.arm_model.jacobian(joints, conditions)[0, :rows][:, state.columns]
+    jacobian = state.arm_model.jacobian(joints)[0, :rows][:, state.columns]
     variance = np.repeat([noise.position_std, noise.attitude_std], 3)[:rows] ** 2
     crossed = jacobian @ state.covariance
-    expected = crossed @ jacobian.T + np.diag(variance)
-    solved = np.linalg.solve(expected, np.column_stack([crossed, innovation]))
-    nis = float(innovation @ solved[:, -1])
-    if gate is not None and nis > 2.0 * gammaincinv(rows / 2.0, gate):  # quantile of chi squared
-        return replace(state, rejected=state.rejected + 1, innovation=innovation, nis=nis)
-    gain = solved[:, :-1].T
+    gain = np.linalg.solve(crossed @ jacobian.T + np.diag(variance), crossed).T
     shrink = np.eye(len(gain)) - gain @ jacobian
     covariance = shrink @ state.covariance @ shrink.T + (gain * variance) @ gain.T
     delta = np.zeros(len(state.arm_model.parameter_names))
     delta[state.columns] = gain @ innovation
-    return replace(
-        state,
-        arm_model=state.arm_model.displaced(delta),
-        covariance=(covariance + covariance.T) / 2.0,
-        updates=state.updates + 1,
-        innovation=innovation,
-        nis=nis,
-    )
+    return replace(state, arm_model=state.arm_model.displaced(delta), covariance=(covariance + covariance.T) / 2.0)

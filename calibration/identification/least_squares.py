@@ -99,7 +99,9 @@ class Identification:
     @property
     def standard_deviation(self) -> Array:
         """Standard deviation of every parameter, m or rad; NaN for dropped ones."""
-        return self.identifiability.of_all(np.sqrt(np.diag(self.covariance)))
+        std = np.full(len(self.identifiability.names), np.nan)
+        std[self.identifiability.kept] = np.sqrt(np.diag(self.covariance))
+        return std
 
     @property
     def prior_std(self) -> Array:
@@ -253,20 +255,19 @@ def identify(
                 break
             base = larger
         damping = damping / 10.0 if damping > 1e-6 else 0.0
-    chi_square, freedom = float(weighted @ weighted), len(weighted) - base.rank
+    rows = weighted
     if every:  # of the rows alone, as stated
         measured = [(part, values) for part, values in zip(sets, unknowns, strict=True) if len(part.joints)]
-        stated = np.concatenate([part.residual(arm, values) for part, values in measured])
-        chi_square, freedom = float(stated @ stated), len(stated) - base.rank
+        rows = np.concatenate([part.residual(arm, values) for part, values in measured])
+    chi_square, freedom = float(rows @ rows), len(rows) - base.rank
+    variance = 1.0 if every else chi_square / freedom if freedom > 0 else np.nan  # of residuals: GUM, type A
     end = np.concatenate(unknowns)
     return Identification(
         arm_model=arm,
         unknowns=dict(zip(own_names, end.tolist(), strict=True)),
         identifiability=base,
         delta=np.concatenate([end - unknown_iterates[0], iterates[0].difference(arm)[model.columns]]),
-        covariance=_posterior(matrix[:, base.kept], tolerance[base.kept])
-        if every
-        else _covariance(matrix, weighted, base, tolerance),
+        covariance=_covariance(matrix[:, base.kept], tolerance[base.kept], variance),
         chi_square=chi_square,
         degrees_of_freedom=freedom,
         converged=converged,
@@ -376,18 +377,10 @@ def rms_of(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-def _covariance(matrix: Array, weighted: Array, found: Identifiability, tolerance: Array) -> Array:
-    """Covariance of the kept parameters, with the residual's own scatter as the noise (GUM type A); else NaN."""
-    freedom = len(weighted) - found.rank
-    if freedom <= 0:
-        return np.full((found.rank, found.rank), np.nan)
-    return (weighted @ weighted) / freedom * _posterior(matrix[:, found.kept], tolerance[found.kept])
-
-
-def _posterior(matrix: Array, scale: Array) -> Array:
-    """Covariance of parameters from rows of unit variance, which include the rows of the priors."""
+def _covariance(matrix: Array, scale: Array, variance: float) -> Array:
+    """Covariance of parameters from rows of this variance, the rows of priors among them; their columns are scaled."""
     inverse_r = np.linalg.inv(np.linalg.qr(matrix, mode="r"))
-    return np.asarray(inverse_r @ inverse_r.T * np.outer(scale, scale))
+    return np.asarray(variance * (inverse_r @ inverse_r.T * np.outer(scale, scale)))
 
 
 def _enough_poses(
@@ -448,12 +441,6 @@ class Identifiability:
     def condition(self) -> float:
         """Condition number of the kept, scaled parameters."""
         return float(self.singular_values[0] / self.singular_values[-1])
-
-    def of_all(self, kept: Array) -> Array:
-        """Values ``(P,)`` of all parameters from those of the kept ones; NaN for dropped parameters."""
-        values = np.full(len(self.names), np.nan)
-        values[self.kept] = kept
-        return values
 
     @property
     def kept_names(self) -> tuple[str, ...]:

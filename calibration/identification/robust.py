@@ -54,14 +54,12 @@ def align(geometry: Geometry, measurements: Measurements, frames: ErrorModel, *,
     Raises:
         InputError: If the data do not fit the arm at all, which means wrong units, joint signs or conventions.
     """
-    best: Identification | None = None
+    tried: list[Identification] = []
     for start in _starts(geometry, measurements):
-        solution = identify(frames, start, measurements, max_iterations=100)
-        if best is None or solution.chi_square < best.chi_square:
-            best = solution
+        tried.append(identify(frames, start, measurements, max_iterations=100))
+        best = min(tried, key=lambda solution: solution.chi_square)
         if max(misfit(best.geometry, measurements)) < GOOD:
             break
-    assert best is not None
     if judge:
         refuse_another_arm(best.geometry, measurements, "after fitting base and tool", geometry)
     return best
@@ -86,9 +84,8 @@ def _starts(geometry: Geometry, measurements: Measurements) -> Iterator[Geometry
     yield from ranked([geometry.tool, _closed_form_tool(chain, measurements, geometry.tool)])
     rng = np.random.default_rng(0)
     reach = max(float(np.linalg.norm(measurements.position.std(axis=0))), 1e-3)
-    draws = (rng.normal(size=(2, 3)) for _ in range(STARTS * 8))
-    tools = (Pose(place * reach, rotation_matrix(turn * 2.0)) for place, turn in draws)
-    yield from ranked(tools)[: STARTS // 4]
+    draws = rng.normal(size=(STARTS * 8, 2, 3))
+    yield from ranked(Pose(place * reach, rotation_matrix(turn * 2.0)) for place, turn in draws)[: STARTS // 4]
 
 
 def laid_onto(points: Array, targets: Array) -> tuple[Array, Array]:
@@ -535,10 +532,7 @@ def placed(arm: Arm, stations: Stacked, parts: Sequence[Measurements]) -> Stacke
     fit = identify(model, ArmModel.of(robust_frames(arm, references[0].data)), [data], max_iterations=60)
     seats: dict[int, list[Measurements]] = {}
     for part in parts:
-        missed = []
-        for station in references:
-            rows = Stacked((replace(station, data=part),))
-            misses = rows.misses(fit.arm_model, unknowns_of(fit, rows))
-            missed.append(float(np.median(np.linalg.norm(misses, axis=1))))
-        seats.setdefault(int(np.argmin(missed)), []).append(part)
+        rows = [Stacked((replace(station, data=part),)) for station in references]
+        missed = [np.linalg.norm(row.misses(fit.arm_model, unknowns_of(fit, row)), axis=1) for row in rows]
+        seats.setdefault(int(np.argmin(np.median(missed, axis=1))), []).append(part)
     return Stacked(tuple(replace(references[i], data=rows_together(seats[i])) for i in sorted(seats)))

@@ -16,13 +16,8 @@ from scipy.linalg import solve_triangular
 
 from pickenv.arm import Array
 from pickenv.base import single_threaded
-from pickenv.calibration.identification.least_squares import (
-    Identification,
-    identify,
-    identify_converged,
-    triangle,
-    unknowns_of,
-)
+from pickenv.calibration.identification import least_squares
+from pickenv.calibration.identification.least_squares import Identification, identify, identify_converged
 from pickenv.calibration.model.noise import RowNoise, noise_of, stated_noise
 from pickenv.calibration.model.observations import Observations, equally_spaced
 from pickenv.calibration.model.prior import LENGTHS, MADE, PriorModel
@@ -94,7 +89,7 @@ def solve(
         solution = replace(solution, prior=weighed, noise=weights)
         solution = replace(solution, degrees_of_freedom=len(weights.scatter) - round(solution.spent))
         start, before = solution.arm_model, (weights, scales)
-        unknowns = unknowns_of(solution, data)
+        unknowns = least_squares.unknowns_of(solution, data)
         by_arm, by_own = data.jacobian(start, unknowns)
         stated = np.hstack([by_own, by_arm[:, model.parameters.columns]])
         if noise is None:
@@ -137,7 +132,7 @@ def averaged_over_scales(
     group = np.r_[np.full(count, ""), model.group][base]
     offset = np.zeros(columns.shape[1])
     offset[count:] = model.start.difference(solution.arm_model)[model.parameters.columns]
-    upper, right = triangle(columns, residual)
+    upper, right = least_squares.triangle(columns, residual)
     upper, right = upper[:, base] * width, right + upper @ offset
     gram, right = upper.T @ upper, upper.T @ right
     member = np.array([group == name for name in free]).reshape(len(free), len(group))

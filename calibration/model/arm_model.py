@@ -14,19 +14,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm import (
-    Arm,
-    Array,
-    Geometry,
-    Pose,
-    displace_pose,
-    forward,
-    identity_pose,
-    joint_jacobian,
-    parameter_jacobian,
-)
+from pickenv.arm import Arm, Array, Geometry, Pose, displace_pose, identity_pose, joint_jacobian, parameter_jacobian
 from pickenv.arm.effects.effect import Load, gravity_torques
-from pickenv.arm.kinematics.forward import NEARLY_PARALLEL, Scalar, attach, chain_of, frames, split_joints
+from pickenv.arm.kinematics.forward import NEARLY_PARALLEL, Scalar, attach, chain_of, forward, frames, split_joints
 from pickenv.base import InputError
 
 
@@ -168,9 +158,8 @@ class ArmModel:
     def displaced(self, delta: Array) -> ArmModel:
         """This model with ``delta`` ``(5n + 12 + k,)`` added to its parameters."""
         count = len(self.geometry.parameter_names)
-        return replace(
-            self, geometry=self.geometry.displaced(delta[:count]), coefficients=self.coefficients + delta[count:]
-        )
+        geometry = self.geometry.displaced(delta[:count])
+        return replace(self, geometry=geometry, coefficients=self.coefficients + delta[count:])
 
     def difference(self, other: ArmModel) -> Array:
         """The ``delta`` that turns this model into ``other``."""
@@ -332,9 +321,8 @@ class ThermalTerm(Term):
         n = geometry.links
         jacobian = parameter_jacobian(geometry, joints)
         travel = joints if geometry.coupling is None else np.stack(geometry.coupling.displacements(list(joints.T)), 1)
-        lengths = np.concatenate(
-            [np.broadcast_to(geometry.a, travel.shape), geometry.d + travel * np.array(geometry.slides)], 1
-        )
+        along_z = geometry.d + travel * np.array(geometry.slides)
+        lengths = np.concatenate([np.broadcast_to(geometry.a, travel.shape), along_z], 1)
         by_length = jacobian[..., np.r_[n : 2 * n, 3 * n : 4 * n]]
         return np.asarray(np.einsum("nip,np->ni", by_length, lengths * conditions.temperature[:, None])[..., None])
 
@@ -400,9 +388,8 @@ class GravityTerm(JointTerm):
         links = frames(np, chain, split_joints(geometry.joints, joints))
         # Axes and origin ``(4, 3, N)`` of each link, and of the tool: of what is carried. About an axis z a lever's
         # weight turns by z . (lever x up) = lever . (up x z).
-        placed = [
-            _repeated(frame, len(joints)).reshape(4, 3, -1) for frame in (*links[1:], attach(links[-1], chain.tool))
-        ]
+        driven = (*links[1:], attach(links[-1], chain.tool))
+        placed = [_repeated(frame, len(joints)).reshape(4, 3, -1) for frame in driven]
         up = geometry.base.rotation @ np.array(self.up)
         about = [np.cross(up, frame[2], axisb=0, axisc=0) for frame in placed]
         torques = []

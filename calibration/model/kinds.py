@@ -16,17 +16,10 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array
 from pickenv.base import register
+from pickenv.calibration.model import observations
 from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, Conditions
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import (
-    NONE_KNOWN,
-    Observations,
-    Origins,
-    Rows,
-    Stated,
-    point_jacobian,
-    worked_out,
-)
+from pickenv.calibration.model.observations import NONE_KNOWN, Observations, Origins, Rows, Stated, worked_out
 
 # The point of the tool that an instrument sees or touches: where a wire is hooked, a ball's centre, a probe's tip. It
 # is stated in the tool's frame, exactly, within an uncertainty, or not at all; every instrument has its own. SI
@@ -49,7 +42,7 @@ def tool_points(model: ArmModel, joints: Array, conditions: Conditions, tip: Arr
 def tool_points_jacobian(model: ArmModel, joints: Array, conditions: Conditions, tip: Array) -> tuple[Array, Array]:
     """Derivatives of `tool_points` by the model's parameters ``(N, 3, P)`` and by ``tip`` ``(N, 3, 3)``."""
     rotation = model.pose(joints, conditions).rotation
-    return point_jacobian(model.jacobian(joints, conditions), rotation @ tip), rotation
+    return observations.point_jacobian(model.jacobian(joints, conditions), rotation @ tip), rotation
 
 
 SurfaceName = Literal["point", "line", "plane"]
@@ -533,12 +526,11 @@ class ReflectorObservations(Observations):
         tool, pose = model.pose(self.joints, self.conditions), model.jacobian(self.joints, self.conditions)
         count = self.points.shape[1]
         lever = np.einsum("nij,kj->nki", tool.rotation, numbers.reshape(-1, 3))
-        by_arm = point_jacobian(pose[:, None], lever)
+        by_arm = observations.point_jacobian(pose[:, None], lever)
         by_place = np.einsum("nij,kl->nkilj", tool.rotation, np.eye(count)).reshape(len(self.joints), count, 3, -1)
-        by_arm, by_place = (
-            np.einsum("nkij,nkjp->nkip", self._whitening(), part)[self.seen] for part in (by_arm, by_place)
-        )
-        return by_arm, by_place
+        white = self._whitening()
+        by_arm = np.einsum("nkij,nkjp->nkip", white, by_arm)[self.seen]
+        return by_arm, np.einsum("nkij,nkjp->nkip", white, by_place)[self.seen]
 
     def _whitening(self) -> Array:
         """The inverse of each covariance's Cholesky factor, a matrix W with W C W^T = 1 ``(N, k, 3, 3)``."""

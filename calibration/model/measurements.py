@@ -17,19 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.linalg import block_diag
 
-from pickenv.arm import (
-    Array,
-    Geometry,
-    Instrument,
-    Plant,
-    Pose,
-    load_instrument,
-    pose_error,
-    rotation_matrix,
-    rotation_vector,
-)
+from pickenv.arm import Array, Geometry, Plant, Pose, pose_error, rotation_matrix, rotation_vector
 from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS, move_pose
-from pickenv.arm.plant.campaign import TRACKER, NormalDraws, measured_poses, normal_draws
+from pickenv.arm.plant.campaign import TRACKER, Instrument, NormalDraws, load_instrument, measured_poses, normal_draws
 from pickenv.base import InputError, register, write_whole
 from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, Conditions
 from pickenv.calibration.model.observations import Observations, Origins, Rows, hash_of, origins_of, worked_out
@@ -356,11 +346,6 @@ class Stacked(Observations):
 
     stations: tuple[InstrumentStation, ...]
 
-    @worked_out
-    def rounding(self) -> float:
-        """Rounding of the first station's data."""
-        return self.parts[0].rounding
-
     @property
     def parts(self) -> tuple[Observations, ...]:
         """The data sets of the stations."""
@@ -458,10 +443,6 @@ class Stacked(Observations):
         """Misses of all stations ``(R, 3)``, m; misses with fewer components are padded with zeros."""
         parts = [station.misses(model, values) for station, values in self._with(unknowns)]
         return np.concatenate([np.pad(part, ((0, 0), (0, WIDEST - part.shape[1]))) for part in parts])
-
-    def rough_poses(self, prismatic: tuple[bool, ...]) -> Any:
-        """Rough poses of the first station, whose frames are the arm's."""
-        return self.parts[0].rough_poses(prismatic)
 
     def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
         """Derivatives ``(E, 6)`` of all stations' equations, each by the tool pose of its own station."""

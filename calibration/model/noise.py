@@ -115,7 +115,8 @@ def noise_of(data: Observations, model: ArmModel, unknowns: Array, leverage: Arr
             sizes[channel] = np.sqrt((STATED + np.sum(residual[member] ** 2)) / (STATED + np.sum(spare[member])))
     scatter = np.where(read, sizes[channels], 1.0)
     if many.any():
-        return _of_pictures(data, model, unknowns, residual, rows, many, leverage, scatter, sizes)
+        tool = data.by_tool(model, unknowns)
+        return _of_pictures(tool, residual, rows, channels, many, leverage, scatter, sizes)
     share, length = _alike(data.joints, residual / scatter, rows)
     if not share:
         return RowNoise(scatter, sizes)
@@ -178,20 +179,17 @@ def _log_likelihood(covariance: Array, columns: Array) -> float:
 
 
 def _of_pictures(
-    data: Observations,
-    model: ArmModel,
-    unknowns: Array,
+    tool: Array,
     residual: Array,
     rows: Rows,
+    channels: Rows,
     many: NDArray[np.bool_],
     leverage: Array,
     scatter: Array,
     sizes: Array,
 ) -> RowNoise:
     """Noise of rows with many equations each: the scatter of every channel, and the pose error that a row shares."""
-    tool = data.by_tool(model, unknowns)
     places = [np.flatnonzero(many & (rows == row)) for row in np.unique(rows[many])]
-    _, channels = data.equations()
     channel = np.array([channels[at[0]] for at in places])
     gram = np.stack([tool[at].T @ tool[at] for at in places])
     right = np.stack([tool[at].T @ residual[at] for at in places])

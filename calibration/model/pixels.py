@@ -61,13 +61,9 @@ def distorted(values: Array, ideal: Array) -> Array:
     x, y = ideal[..., 0], ideal[..., 1]
     r2 = x * x + y * y
     radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-    return np.stack(
-        [
-            x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x),
-            y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y,
-        ],
-        axis=-1,
-    )
+    along = x * radial + 2.0 * p1 * x * y + p2 * (r2 + 2.0 * x * x)
+    down = y * radial + p1 * (r2 + 2.0 * y * y) + 2.0 * p2 * x * y
+    return np.stack([along, down], axis=-1)
 
 
 def undistorted(values: Array, pixels: Array) -> Array:
@@ -196,7 +192,7 @@ class PixelObservations(Observations):
         Only boards that face the camera count.
         """
         tool, points = model.pose(self.joints, self.conditions), self.in_camera(model)
-        values = self.lens_values(unknowns)
+        values = self.numbers.whole(unknowns)
         towards = tool.rotation[..., 2] if self.mount == "world" else tool.rotation[:, 2]  # into the board
         middle = points.mean(axis=1)
         facing = np.sum(towards * middle, axis=1) > SLANT * np.linalg.norm(middle, axis=1)
@@ -208,10 +204,6 @@ class PixelObservations(Observations):
         places = projected(values, points)
         return np.asarray(ahead & near & ((places >= margin) & (places <= size - 1.0 - margin)).all(axis=-1))
 
-    def lens_values(self, unknowns: Array) -> Array:
-        """All numbers of the lens ``(9,)``, with these values of the fitted ones."""
-        return self.numbers.whole(unknowns)
-
     def in_camera(self, model: ArmModel) -> Array:
         """The board's corners in the camera's frame ``(V, K, 3)``, m."""
         tool = model.pose(self.joints, self.conditions)
@@ -221,7 +213,7 @@ class PixelObservations(Observations):
 
     def pixel_errors(self, model: ArmModel, unknowns: Array) -> Array:
         """Found minus predicted pixels ``(R, 2)`` of the corners found, view by view."""
-        return self._errors(model, self.lens_values(unknowns))
+        return self._errors(model, self.numbers.whole(unknowns))
 
     def _errors(self, model: ArmModel, values: Array) -> Array:
         return np.asarray((self.corners - projected(values, self.in_camera(model)))[self.seen])
@@ -291,10 +283,6 @@ def _homography(flat: Array, rays: Array) -> Array:
     middle, size = flat.mean(axis=0), float(np.sqrt(2.0) / np.linalg.norm(flat - flat.mean(axis=0), axis=1).mean())
     points = np.column_stack([(flat - middle) * size, np.ones(len(flat))])
     blank = np.zeros_like(points)
-    rows = np.concatenate(
-        [np.hstack([points, blank, -rays[:, :1] * points]), np.hstack([blank, points, -rays[:, 1:] * points])]
-    )
-    homography = np.linalg.svd(rows)[2][-1].reshape(3, 3)
-    return np.asarray(
-        homography @ np.array([[size, 0.0, -size * middle[0]], [0.0, size, -size * middle[1]], [0.0, 0.0, 1.0]])
-    )
+    rows = np.block([[points, blank, -rays[:, :1] * points], [blank, points, -rays[:, 1:] * points]])
+    scaled = np.array([[size, 0.0, -size * middle[0]], [0.0, size, -size * middle[1]], [0.0, 0.0, 1.0]])
+    return np.asarray(np.linalg.svd(rows)[2][-1].reshape(3, 3) @ scaled)

@@ -17,18 +17,8 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array, Geometry, Tolerances, load_tolerances
 from pickenv.arm.plant.tolerances import standard_deviations
-from pickenv.calibration.model.arm_model import (
-    CARRIER,
-    ArmModel,
-    ComplianceTerm,
-    ErrorModel,
-    Term,
-    complete_model,
-    fitted_model,
-    frames_model,
-    joint_zeros_model,
-    with_terms,
-)
+from pickenv.calibration.model import arm_model
+from pickenv.calibration.model.arm_model import ArmModel, ComplianceTerm, ErrorModel, Term, frames_model
 from pickenv.calibration.model.observations import Observations, worked_out
 
 FitWord = Literal["auto", "offsets", "full"]
@@ -133,7 +123,7 @@ class PriorModel:
         if not terms:
             return self
         start = ArmModel.of(self.start.geometry, terms)
-        parameters = with_terms(self.parameters, start)
+        parameters = arm_model.with_terms(self.parameters, start)
         std = np.r_[self.std, expected_sizes(start) * start.term_tolerances]
         group = np.r_[self.group, np.full(len(std) - len(self.std), TERMS)]
         return replace(self, parameters=parameters, start=start, std=std, group=group)
@@ -151,7 +141,7 @@ def prior_model(
     """The parameters of an arm with their priors.
 
     Args:
-        arm: The arm's name; for finished poses (`CARRIER`) only base and tool are fitted.
+        arm: The arm's name; for finished poses (`arm_model.CARRIER`) only base and tool are fitted.
         geometry: The arm's nominal geometry, with aligned base and tool.
         known: Whether the instrument measures the arm's own tool in its own base frame. How joint 1 sits on the base
             and the flange on the last link remains unknown: both are expected within the class, as other parts.
@@ -163,13 +153,13 @@ def prior_model(
         InputError: If the class is unknown.
     """
     start = ArmModel.of(geometry)
-    if arm == CARRIER or fit == "full":
-        parameters = fitted_model(arm, geometry, known)
+    if arm == arm_model.CARRIER or fit == "full":
+        parameters = arm_model.fitted_model(arm, geometry, known)
         std = np.full(len(parameters.names), np.inf)
         return PriorModel(parameters, start, std, _groups(parameters, geometry, known), "none: any value is as likely")
     expected = tolerances if isinstance(tolerances, Tolerances) else load_tolerances(tolerances or TOLERANCE_CLASS)
-    zeros = joint_zeros_model(geometry)
-    parameters = complete_model(geometry)
+    zeros = arm_model.joint_zeros_model(geometry)
+    parameters = arm_model.complete_model(geometry)
     if fit == "offsets":
         parameters = zeros if known else frames_model(geometry).joined(zeros)
     group = _groups(parameters, geometry, known)
@@ -190,6 +180,6 @@ def expected_sizes(model: ArmModel) -> Array:
 def _groups(parameters: ErrorModel, geometry: Geometry, known: bool) -> NDArray[np.str_]:
     """The group of each parameter ``(P,)``; base and tool count as parts of the arm if the frames are known."""
     frame = np.array([name.startswith(("base_", "tool_")) for name in parameters.names])
-    zero = np.isin(parameters.columns, joint_zeros_model(geometry).columns)
+    zero = np.isin(parameters.columns, arm_model.joint_zeros_model(geometry).columns)
     part = np.where(geometry.parameter_is_angle[parameters.columns], ANGLES, LENGTHS)
     return np.where(frame & (not known), FRAMES, np.where(zero, ZEROS, part))

@@ -172,10 +172,7 @@ def apply_calibration(
     weight = attitude_weight(arm.nominal.joints)
     impossible = noncompensable_error(calibration.identified, commands, remaining, weight=weight)
     removable = remaining - impossible
-    missed_position, missed_attitude = (
-        np.linalg.norm(removable[:, :3], axis=1),
-        np.linalg.norm(removable[:, 3:], axis=1),
-    )
+    missed_position, missed_attitude = np.linalg.norm(removable.reshape(-1, 2, 3), axis=2).T
     reached = (missed_position <= POSITION_TOLERANCE) & (missed_attitude <= ATTITUDE_TOLERANCE)
     for i in np.flatnonzero(~reached):
         at = (commands[i] <= geometry.lower) | (commands[i] >= geometry.upper)

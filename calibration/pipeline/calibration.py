@@ -15,16 +15,8 @@ from scipy.spatial import KDTree
 from pickenv.arm import Arm, Array, Geometry, Pose
 from pickenv.arm.files.arm import finite, geometry_arrays, geometry_from_arrays
 from pickenv.arm.kinematics.geometry import geometry_fingerprint
-from pickenv.base import (
-    DO_NOT_USE,
-    FITTED_FRAMES,
-    InputError,
-    npz_path,
-    read_container,
-    refusing_damage,
-    write_container,
-)
-from pickenv.base.container import named_part, part_of
+from pickenv.base import DO_NOT_USE, FITTED_FRAMES, InputError
+from pickenv.base.container import named_part, npz_path, part_of, read_container, refusing_damage, write_container
 from pickenv.base.registry import Origin, get, origin
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.compensation.compensator import Compensator
@@ -138,13 +130,6 @@ class PoseUncertainty:
             if radius is not None
         }
 
-    def within95_record(self) -> dict[str, Any]:
-        """The factor of the bound and the share that it covers (JSON), for position and attitude.
-
-        An entry is None if there were too few held-out errors to find it.
-        """
-        return {name: self.factors.get(name) for name in QUANTITIES}
-
     def as_record(self) -> dict[str, Any]:
         """The uncertainty for a calibration's record (JSON)."""
         return {
@@ -224,10 +209,8 @@ def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None
         return None
     ratio = np.zeros(count)
     for number in numbers:
-        inside_block = blocks == number
-        ratio[inside_block] = np.sqrt(squares[inside_block]) / np.sqrt(
-            squares[~inside_block].mean() + variance[inside_block]
-        )
+        rows = blocks == number
+        ratio[rows] = np.sqrt(squares[rows]) / np.sqrt(squares[~rows].mean() + variance[rows])
     inside = [ratio[blocks == number] <= _quantile(ratio[blocks != number]) for number in numbers]
     return {"factor": _quantile(ratio), "covered": float(np.concatenate(inside).mean())}
 
@@ -246,7 +229,7 @@ def joint_features(joints: Array, slides: tuple[bool, ...]) -> Array:
 
 
 def region_of(sure: PoseUncertainty, model: ArmModel, data: Observations) -> dict[str, Any]:
-    """The measured region, for a record: some rows' joints, the distance that is near, and the uncertainty there.
+    """A record's entry of the measured region: some rows' joints, the distance that is near, and the uncertainty there.
 
     Args:
         sure: Uncertainty of the arm.
@@ -257,11 +240,9 @@ def region_of(sure: PoseUncertainty, model: ArmModel, data: Observations) -> dic
     joints = data.joints[equally_spaced(len(data.joints), ANCHORS)]
     places = joint_features(joints, model.geometry.prismatic)
     apart = np.asarray(KDTree(places).query(places, k=2)[0])[:, 1]
-    return {
-        "joints": np.round(joints, 4).tolist(),
-        "near": max(NEARBY, SPACING * float(np.percentile(apart, 95))),
-        "position_p95_m": float(np.percentile(std, 95)),
-    }
+    near = max(NEARBY, SPACING * float(np.percentile(apart, 95)))
+    region = {"joints": np.round(joints, 4).tolist(), "near": near, "position_p95_m": float(np.percentile(std, 95))}
+    return {MEASURED_REGION: region}
 
 
 def measured_there(record: Mapping[str, Any], model: ArmModel, data: Observations) -> NDArray[np.bool_] | None:

@@ -418,7 +418,7 @@ def pixel_figures(fit: Fit, data: PixelObservations, held_out: HeldOut) -> dict[
         "leave_one_out_view_rms_px": by_view,
         "leave_one_out_mean_ci95_px": mean_interval(by_view),
         "leave_one_out_mm": error_statistics(1e3 * held_out.errors[GEOMETRIC], numbers).as_dict(),
-        "lens": dict(zip(LENS_NAMES, data.lens_values(unknowns_of(solution, data)).tolist(), strict=True)),
+        "lens": dict(zip(LENS_NAMES, data.numbers.whole(unknowns_of(solution, data)).tolist(), strict=True)),
     }
 
 
@@ -457,4 +457,4 @@ def lens_of(fit: Fit, data: Observations) -> Lens:
     if data.views is None:
         raise InputError(f"{data.source} holds {data.kind}, no pictures, so there is no lens to write")
     lens: Lens = data.views.camera
-    return replace(lens, values=data.views.lens_values(unknowns_of(fit.identification, data)))
+    return replace(lens, values=data.views.numbers.whole(unknowns_of(fit.identification, data)))

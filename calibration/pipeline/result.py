@@ -28,7 +28,7 @@ from pickenv.calibration.model.measurements import joint_columns, random_joints
 from pickenv.calibration.model.observations import MISS_UNITS, Observations, equally_spaced
 from pickenv.calibration.pipeline import fitting
 from pickenv.calibration.pipeline.calibration import (
-    MEASURED_REGION,
+    QUANTITIES,
     Calibration,
     PoseUncertainty,
     pose_uncertainty,
@@ -141,7 +141,7 @@ class Result:
         record = {**self.fit.calibration.record, "verdict": self.quality.as_dict()}
         record["uncertainty"] = self.uncertainty.as_record()
         if np.isfinite(self.uncertainty.covariance).all():
-            record[MEASURED_REGION] = region_of(self.uncertainty, self.fit.calibration.model, self.train)
+            record |= region_of(self.uncertainty, self.fit.calibration.model, self.train)
         if self.base_frame is not None:
             record["base_frame"] = self.base_frame.as_dict()
         if self.unit is not None:
@@ -430,7 +430,7 @@ class Result:
             "unit": self.unit,
             "kind": solution.kind,
             "frames": "known" if self.known_frames else "fitted",
-            "within95": self.uncertainty.within95_record(),
+            "within95": {name: self.uncertainty.factors.get(name) for name in QUANTITIES},
             "within95_by_pose": self.uncertainty.bounds(
                 self.fit.calibration.model, self.test.joints, self.test.conditions
             ),
@@ -600,15 +600,5 @@ def assess(
         rows=(len(test.joints), held_out.rows),
     )
     return Result(
-        arm,
-        fit,
-        bare,
-        train,
-        test,
-        held_out,
-        quality,
-        uncertainty,
-        base_frame,
-        left_out=left_out,
-        pixels=pixels,
+        arm, fit, bare, train, test, held_out, quality, uncertainty, base_frame, left_out=left_out, pixels=pixels
     )

@@ -25,17 +25,14 @@ from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.robust import by_set_up, placed, stations_of
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
+from pickenv.calibration.model import observations
 from pickenv.calibration.model.arm_model import CARRIER, ArmModel, kind_of_term, pose_carrier
 from pickenv.calibration.model.measurements import FRAMES, OWN, Frames, Measurements, Stacked
 from pickenv.calibration.model.noise import noise_of
 from pickenv.calibration.model.observations import (
-    BLOCKS,
     Observations,
     Rows,
-    choose,
-    contiguous_folds,
     equally_spaced,
-    named,
     origins_of,
     pose_count,
     same_poses,
@@ -252,7 +249,7 @@ def _refuse_no_numbers(arm: Arm, data: Observations) -> None:
     for name, values in {**named_values, "what was read": data.readings()}.items():
         if values is not None and not np.isfinite(values).all():
             rows = np.flatnonzero(~np.isfinite(values).reshape(len(values), -1).all(axis=1)).tolist()
-            places = named([origins_of(data).place(row) for row in rows])
+            places = observations.named([origins_of(data).place(row) for row in rows])
             raise InputError(f"{places}: {name} is no finite number; correct or remove it")
 
 
@@ -380,7 +377,7 @@ def calibrate(
             raise InputError("`test_rows` is for the random split; here every row, or picture, is held out once")
         result = _judged_by_blocks(Draft(arm, choices, train, train.select(np.arange(0)), rng, progress))
     elif test is None:
-        rows = choose(train, test_rows, np.random.default_rng(choices.seed))
+        rows = observations.choose(train, test_rows, np.random.default_rng(choices.seed))
         train, held_out = (train.select(np.sort(part)) for part in rows)
         result = _judged_once(Draft(arm, choices, train, held_out, rng, progress))
     else:
@@ -470,7 +467,7 @@ def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
     """The rows to fit and the rows held out, block by block; each of few pictures, or very few poses, is a block."""
     poses, count = same_poses(train.joints), pose_count(train.joints)
     few = count <= (FEW_VIEWS if train.kind == "pixels" else FEW_ROWS)
-    return contiguous_folds(train.groups, poses, count if few else BLOCKS)
+    return observations.contiguous_folds(train.groups, poses, count if few else observations.BLOCKS)
 
 
 def _chosen(checked: Draft, rows: Rows) -> str | None:

@@ -22,13 +22,7 @@ from pickenv.arm.effects.residual_field import Features, ResidualField
 from pickenv.arm.plant.plant import Layout, Posterior
 from pickenv.arm.plant.twin_file import twin_plant
 from pickenv.base import GRAVITY, InputError
-from pickenv.calibration.model.arm_model import (
-    ArmModel,
-    ComplianceTerm,
-    GravityTerm,
-    PeriodicTerm,
-    Term,
-)
+from pickenv.calibration.model.arm_model import ArmModel, ComplianceTerm, GravityTerm, PeriodicTerm, Term
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, Measurements
 from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
 from pickenv.calibration.residuals.gaussian_process import GaussianProcess, feature_process

@@ -23,14 +23,7 @@ from pickenv.calibration.identification.least_squares import identify
 from pickenv.calibration.identification.robust import OUTLIER_SIGMA, align, apart, registered, sizes_of
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, frames_model, joint_zeros_model
 from pickenv.calibration.model.measurements import OWN, Measurements
-from pickenv.calibration.model.observations import (
-    BLOCKS,
-    Observations,
-    Rows,
-    equally_spaced,
-    origins_of,
-    same_poses,
-)
+from pickenv.calibration.model.observations import BLOCKS, Observations, Rows, equally_spaced, origins_of, same_poses
 from pickenv.calibration.model.prior import Prior
 from pickenv.calibration.pipeline.calibration import Calibration, measured_there, uncertainty_from
 from pickenv.calibration.planning.plan import exchange

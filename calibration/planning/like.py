@@ -78,9 +78,8 @@ def measurable_joints(geometry: Geometry, first: First, count: int, rng: np.rand
     for _ in range(ROUNDS):
         near = seeds[rng.integers(0, len(seeds), count)]
         sizes = 10.0 ** rng.uniform(-2.0, -0.5, (count, 1)) * room
-        trials = np.concatenate(
-            [plan.candidate_joints(geometry, count, rng), near + sizes * rng.normal(size=near.shape)]
-        )
+        drawn = plan.candidate_joints(geometry, count, rng)
+        trials = np.concatenate([drawn, near + sizes * rng.normal(size=near.shape)])
         trials, good = measurable(first, np.clip(trials, lower, upper), geometry)
         good &= ((trials >= lower) & (trials <= upper)).all(axis=1)
         readable, seeds = (np.concatenate([poses, trials[good]]) for poses in (readable, seeds))

@@ -248,7 +248,7 @@ def test_residuals_and_the_counted_share_run_over_all_stations(ur5: Arm, true: G
     assert isinstance(learnt.train, Stacked) and learnt.calibration.learnt is not None
     assert learnt.best.rms < 0.8 * learnt.position["geometric"].rms
     for result in (plain, learnt):
-        share = result.uncertainty.within95_record()["position"]
+        share = result.uncertainty.factors["position"]
         assert share is not None and 0.88 <= share["covered"] <= 1.0
         assert {len(errors) for errors in result.errors.values()} == {len(result.test.joints)}
     blocks = plain.held_out.blocks
