@@ -17,12 +17,7 @@ from scipy import stats
 from pickenv.arm import Array, Geometry
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.diagnosis import Weight
-from pickenv.calibration.identification.least_squares import (
-    Identifiability,
-    Identification,
-    is_angle,
-    observability,
-)
+from pickenv.calibration.identification.least_squares import Identifiability, Identification, is_angle, observability
 from pickenv.calibration.model.arm_model import ArmModel, frames_model
 from pickenv.calibration.model.observations import MISS_UNITS, Rows, equally_spaced
 from pickenv.calibration.model.prior import FRAMES

@@ -21,15 +21,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm import (
-    Array,
-    Geometry,
-    Pose,
-    forward,
-    identity_pose,
-    rotation_matrix,
-    rotation_vector,
-)
+from pickenv.arm import Array, Geometry, Pose, forward, identity_pose, rotation_matrix, rotation_vector
 from pickenv.arm.files.joint_chain import ChainJoint, JointRow
 from pickenv.arm.files.xml_values import numbers_text
 from pickenv.arm.kinematics.forward import NEARLY_PARALLEL, chain_of, frames, pose_of
