@@ -161,9 +161,8 @@ def _new_urdf(calibration: Calibration, arm: Arm) -> document.Document:
     text = urdf_text(replace(calibration.in_own_base, tool=tool), f"{arm.name}_calibrated", arm.speed)
     declaration, _, body = text.partition("\n")
     words = document.xml_comment((*document.provenance(calibration), "written against URDF 1.0, as ROS 2 has it"))
-    return document.Document(
-        "\n".join([declaration, *words, body]).encode(), (*document.left_out(calibration), SKELETON)
-    )
+    data = "\n".join([declaration, *words, body]).encode()
+    return document.Document(data, (*document.left_out(calibration), SKELETON))
 
 
 def _behind_tip(
@@ -192,11 +191,8 @@ def _behind_tip(
         return _moved(data, tags, place, pose)
     origin = f'<origin xyz="{numbers_text(pose.position)}" rpy="{_rpy(pose)}"/>'
     ends = f"<parent link={quoteattr(tip)}/><child link={quoteattr(frame)}/>"
-    elements = (
-        f"<link name={quoteattr(frame)}/>",
-        f'<joint name={quoteattr(joint)} type="fixed">{origin}{ends}</joint>',
-    )
-    return [document.inserted_before(data, tags[_joint(tags, last)], *elements)]
+    mount = f'<joint name={quoteattr(joint)} type="fixed">{origin}{ends}</joint>'
+    return [document.inserted_before(data, tags[_joint(tags, last)], f"<link name={quoteattr(frame)}/>", mount)]
 
 
 def _joint(tags: list[document.StartTag], name: str) -> int:
@@ -292,9 +288,8 @@ def _new_mjcf(calibration: Calibration, order: document.Order) -> document.Docum
     models = [("as calibrated", plant.geometry), ("nominal", arm.nominal)]
     if order.sample:
         arms = draw_plants(plant, load_tolerances("medium"), order.sample, np.random.default_rng(order.seed))
-        models += [
-            (f"one that the data allow, number {i + 1}", plant_at(arms, i).geometry) for i in range(order.sample)
-        ]
+        for i in range(order.sample):
+            models.append((f"one that the data allow, number {i + 1}", plant_at(arms, i).geometry))
     data, *beside = (
         mjcf_text(geometry, f"{arm.name}: {which}", NOTE.format(arm=arm.name, which=which)).encode()
         for which, geometry in models
@@ -351,10 +346,7 @@ def _quaternion(pose: Pose) -> str:
 
 def _files(tags: list[document.StartTag]) -> list[str]:
     """Paths of the meshes and included files that a model names, relative to its folder."""
-    compiler: dict[str, str] = {}
-    for tag in tags:
-        if tag.name == "compiler":
-            compiler |= tag.attributes
+    compiler = dict(item for tag in tags if tag.name == "compiler" for item in tag.attributes.items())
     folder = compiler.get("meshdir", compiler.get("assetdir", ""))
     strips = compiler.get("strippath", "false") == "true"
     files = []
