@@ -219,13 +219,9 @@ def set_ups_of(found: Identification, data: Observations) -> list[dict[str, Any]
         frame = station.seen(found.arm_model, unknowns)[0].geometry
         shifts = {name: apart(getattr(found.geometry, name), getattr(frame, name)) for name in station.frames}
         origins = origins_of(station.data)
-        row: dict[str, Any] = {
-            "number": station.number,
-            "files": [origins.files[i] for i in np.unique(origins.file).tolist()],
-            "rows": len(station.data.joints),
-            "own": {name: {"mm": m * 1e3, "deg": float(np.degrees(angle))} for name, (m, angle) in shifts.items()},
-        }
-        rows.append(row)
+        files = [origins.files[i] for i in np.unique(origins.file).tolist()]
+        own = {name: {"mm": m * 1e3, "deg": float(np.degrees(angle))} for name, (m, angle) in shifts.items()}
+        rows.append({"number": station.number, "files": files, "rows": len(station.data.joints), "own": own})
     return rows if sum(len(row["files"]) for row in rows) > 1 else []
 
 
@@ -238,10 +234,8 @@ def set_up_block(set_ups: Sequence[Mapping[str, Any]], asked: str | None) -> Blo
     """
     rows = []
     for set_up in set_ups:
-        frames = {
-            name: f"{figure(shift['mm'])} mm, {figure(shift['deg'])} deg" for name, shift in set_up["own"].items()
-        }
-        cells = [frames.get(name, "") for name in measurements.OWN]
+        shifts = [set_up["own"].get(name) for name in measurements.OWN]
+        cells = [f"{figure(shift['mm'])} mm, {figure(shift['deg'])} deg" if shift else "" for shift in shifts]
         rows.append((str(set_up["number"]), ", ".join(set_up["files"]), str(set_up["rows"]), *cells))
     note = "as the rows tell" if asked is None else f"as asked by `stations='{asked}'`"
     heads = ("set-up", "files", "rows fitted", "its own base, away by", "its own tool, away by")
@@ -256,16 +250,15 @@ def said_of_conditions(model: ArmModel, learnt: bool, data: Observations) -> Sai
         learnt: Whether a learnt residual takes payload and temperature.
         data: The rows that the arm was fitted to.
     """
+
+    def position(**changed: Array) -> Array:
+        return model.pose(data.joints, replace(data.conditions, **changed)).position
+
     recorded = {name: values for name, values in vars(data.conditions).items() if values is not None and len(values)}
-    before = model.pose(data.joints, data.conditions) if recorded else None
     unused = [
         name
         for name, values in recorded.items()
-        if not (learnt and name != "torque")
-        and before is not None
-        and np.array_equal(
-            model.pose(data.joints, replace(data.conditions, **{name: values + 1.0})).position, before.position
-        )
+        if not (learnt and name != "torque") and np.array_equal(position(**{name: values + 1.0}), position())
     ]
     if unused:
         yield "note", f"nothing that was fitted depends on what was recorded of {' and '.join(unused)} (see `terms`)"

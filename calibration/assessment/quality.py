@@ -17,12 +17,7 @@ from scipy import stats
 from pickenv.arm import Array, Geometry
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.diagnosis import Weight
-from pickenv.calibration.identification.least_squares import (
-    Identifiability,
-    Identification,
-    is_angle,
-    observability,
-)
+from pickenv.calibration.identification.least_squares import Identifiability, Identification, is_angle, observability
 from pickenv.calibration.model.arm_model import ArmModel, frames_model
 from pickenv.calibration.model.observations import MISS_UNITS, Rows, equally_spaced
 from pickenv.calibration.model.prior import FRAMES
@@ -222,14 +217,10 @@ class RegionError:
         """The expected errors for JSON and a calibration's record, mm."""
         mm = {"calibrated_rms_mm": self.calibrated, "nominal_rms_mm": self.nominal, "prior_rms_mm": self.expected}
         ends = {"calibrated_ci95_mm": self.calibrated_ends, "nominal_ci95_mm": self.nominal_ends}
-        return {
-            "region": self.region,
-            **{name: value * 1e3 for name, value in mm.items()},
-            **{name: [value * 1e3 for value in pair] for name, pair in ends.items()},
-            "gain": self.gain,
-            "narrowed": self.narrowed,
-            "better": self.better,
-        }
+        sizes = {name: value * 1e3 for name, value in mm.items()}
+        intervals = {name: [value * 1e3 for value in pair] for name, pair in ends.items()}
+        shares = {"gain": self.gain, "narrowed": self.narrowed, "better": self.better}
+        return {"region": self.region, **sizes, **intervals, **shares}
 
 
 @dataclass(frozen=True)
@@ -285,11 +276,8 @@ class Workspace:
 
     def as_dict(self) -> dict[str, Any]:
         """Both regions' expected errors and the reservation, for JSON and a calibration's record."""
-        return {
-            "measured": self.measured.as_dict(),
-            "declared": self.declared.as_dict(),
-            "reservation": self.reservation,
-        }
+        regions = {"measured": self.measured.as_dict(), "declared": self.declared.as_dict()}
+        return regions | {"reservation": self.reservation}
 
 
 def workspace_error(
@@ -320,12 +308,8 @@ def workspace_error(
         name for name, measured, declared in zip(geometry.joint_names, *span, strict=True) if measured < 0.5 * declared
     )
     some = rows[equally_spaced(len(rows), POSES)]
-    return Workspace(
-        _region("the poses measured", solution, nominal, some),
-        _region(region, solution, nominal, joints),
-        thin,
-        remains,
-    )
+    measured = _region("the poses measured", solution, nominal, some)
+    return Workspace(measured, _region(region, solution, nominal, joints), thin, remains)
 
 
 def _region(region: str, solution: Identification, nominal: Geometry, joints: Array) -> RegionError:
@@ -352,20 +336,14 @@ def _region(region: str, solution: Identification, nominal: Geometry, joints: Ar
     calibrated, by_drawing = (np.sqrt(3.0 * np.mean(errors**2, axis=0)) for errors in (draws, draws + change[:, None]))
     parts = [i for i, place in enumerate(places) if not framed.get(names[place], True)]
     before = effects[:, parts] * solution.prior_std[solution.identifiability.kept][places][parts]
-    return RegionError(
-        region,
-        float(np.sqrt(np.mean(calibrated**2))),
-        _ends(calibrated),
-        float(np.sqrt(np.mean(by_drawing**2))),
-        _ends(by_drawing),
-        float(np.sqrt(np.sum(before**2) / len(joints))),
-        float(np.mean(calibrated < by_drawing)),
-    )
+    expected, better = float(np.sqrt(np.sum(before**2) / len(joints))), float(np.mean(calibrated < by_drawing))
+    return RegionError(region, *_size(calibrated), *_size(by_drawing), expected, better)
 
 
-def _ends(values: Array) -> tuple[float, float]:
-    low, high = np.percentile(values, [2.5, 97.5])
-    return float(low), float(high)
+def _size(errors: Array) -> tuple[float, tuple[float, float]]:
+    """Root mean square of arms' errors, and their 95 % interval."""
+    low, high = np.percentile(errors, [2.5, 97.5]).tolist()
+    return float(np.sqrt(np.mean(errors**2))), (low, high)
 
 
 @dataclass(frozen=True, eq=False)
@@ -479,15 +457,7 @@ def grade_quality(
     if grade == "good":
         fall = "is" if before is None else f"falls from {_rms(before, unit):#.4g} to"
         reason = f"on {count} held-out {called} the error {fall} {_rms(after, unit):#.4g} {unit} RMS"
-    return Quality(
-        grade=grade,
-        reason=reason,
-        findings=tuple(findings),
-        observability=observed,
-        completeness=test,
-        pairs=pairs,
-        workspace=workspace,
-    )
+    return Quality(grade, reason, tuple(findings), observed, test, pairs, workspace)
 
 
 def _rms(errors: Array, unit: str) -> float:
@@ -495,13 +465,7 @@ def _rms(errors: Array, unit: str) -> float:
 
 
 def no_gain(
-    before: Array | None,
-    after: Array,
-    blocks: Rows | None,
-    unit: str,
-    count: int,
-    called: str,
-    because: str = "",
+    before: Array | None, after: Array, blocks: Rows | None, unit: str, count: int, called: str, because: str = ""
 ) -> Iterator[str]:
     """Reasons why held-out rows do not show that the calibrated arm is better than the nominal one.
 

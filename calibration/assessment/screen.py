@@ -135,17 +135,8 @@ def harmonic_rows(found: Identification) -> list[dict[str, Any]]:
     geometry, rows = found.geometry, []
     for joint, order, order_std, amplitude, amplitude_std in harmonics_of(found):
         unit, scale = screen_unit(geometry.prismatic[joint])
-        rows.append(
-            {
-                "joint": joint + 1,
-                "name": geometry.joint_names[joint],
-                "order": order,
-                "order_std": order_std,
-                "unit": unit,
-                "amplitude": amplitude * scale,
-                "amplitude_std": amplitude_std * scale,
-            }
-        )
+        row = {"joint": joint + 1, "name": geometry.joint_names[joint], "order": order, "order_std": order_std}
+        rows.append(row | {"unit": unit, "amplitude": amplitude * scale, "amplitude_std": amplitude_std * scale})
     return rows
 
 

@@ -16,20 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array
-from pickenv.base import (
-    MM,
-    WHOLE,
-    Check,
-    InputError,
-    file_named,
-    is_file,
-    read_text,
-    read_toml,
-    require,
-    toml_table,
-    write_text,
-    write_whole,
-)
+from pickenv.base import InputError, read_text, require, toml_tables, write_text, write_whole, yaml_content
 from pickenv.calibration.model.pixels import Lens
 
 # A camera's lens in the files that others write: ROS camera_info YAML, in and out, and OpenCV's own YAML. Written
@@ -49,12 +36,9 @@ def read_lens(path: str | Path) -> Lens:
         InputError: If the file is missing, is of neither kind, or has another kind of distortion.
     """
     path = Path(path)
-    if not is_file(path):
-        raise InputError(f"camera file {path} does not exist; give a ROS camera_info or OpenCV YAML file")
-    text = read_text(path, "a camera file")
-    if text.startswith("%YAML:1.0"):  # OpenCV's header is no YAML
-        text = text.partition("\n")[2]
-    content = _content(text, path)
+    text = read_text(path, "a ROS camera_info or OpenCV file (.yaml)")
+    # OpenCV's header is no YAML, and its matrices are mappings.
+    content = yaml_content(text.replace("%YAML:1.0", "#", 1).replace("!!opencv-matrix", ""), path)
     if not isinstance(content, dict):
         raise InputError(f"{path}: holds no camera; give a ROS camera_info or OpenCV YAML file")
     model = content.get("distortion_model", "plumb_bob")
@@ -93,25 +77,6 @@ def write_lens(lens: Lens, path: str | Path) -> Path:
         "projection_matrix": {"rows": 3, "cols": 4, "data": projection},
     }
     return write_text(Path(path), yaml.safe_dump(content, sort_keys=False, default_flow_style=None))
-
-
-def _content(text: str, path: Path) -> Any:
-    """Content of a YAML text, which may contain OpenCV's matrices."""
-    import yaml  # late: a camera file is read once
-
-    class Loader(yaml.SafeLoader):
-        """A safe YAML loader that also knows the tag of OpenCV's matrices."""
-
-    def matrix(loader: yaml.SafeLoader, node: yaml.MappingNode) -> Any:
-        return loader.construct_mapping(node, deep=True)
-
-    Loader.add_constructor("tag:yaml.org,2002:opencv-matrix", matrix)
-    try:
-        return yaml.load(text, Loader)
-    except yaml.YAMLError as error:
-        place = getattr(error, "problem_mark", None)
-        line = f", line {place.line + 1}" if place is not None else ""
-        raise InputError(f"{path}{line}: is not YAML; give a ROS camera_info or OpenCV YAML file") from error
 
 
 def _numbers(path: Path, found: dict[str, Any], names: tuple[str, ...]) -> Array:
@@ -155,16 +120,16 @@ PIXELS_PER_SQUARE = 120
 """Pixels per square in a board's picture; the page is drawn from it without smoothing, so edges stay in place."""
 
 
-def one_of(names: Iterable[str]) -> Check:
+def one_of(names: Iterable[str]) -> toml_tables.Check:
     """A check that a value is one of ``names``."""
     allowed = tuple(names)
-    return Check(allowed.__contains__, f"one of {', '.join(allowed)}")
+    return toml_tables.Check(allowed.__contains__, f"one of {', '.join(allowed)}")
 
 
-_COUNT = WHOLE.within(1, 100)
+_COUNT = toml_tables.WHOLE.within(1, 100)
 
 
-@toml_table
+@toml_tables.toml_table
 class Board:
     """[board]: squares of a ChArUco or chessboard, or a grid of AprilTags.
 
@@ -184,9 +149,9 @@ class Board:
     kind: Annotated[str, one_of(KINDS_OF_BOARD)]
     columns: Annotated[int, _COUNT]
     rows: Annotated[int, _COUNT]
-    square: Annotated[float, MM.positive]
-    marker: Annotated[float, MM.positive] | None = None
-    gap: Annotated[float, MM.positive] | None = None
+    square: Annotated[float, toml_tables.MM.positive]
+    marker: Annotated[float, toml_tables.MM.positive] | None = None
+    gap: Annotated[float, toml_tables.MM.positive] | None = None
     dictionary: Annotated[str, one_of(DICTIONARIES)] | None = None
     legacy: bool = False
 
@@ -239,7 +204,7 @@ def load_board(name: str | Path) -> Board:
     Raises:
         InputError: If the board is unknown or malformed; the message names the file and key.
     """
-    return read_toml(Board, file_named("board", name, SHIPPED), section="board")
+    return toml_tables.read_toml(Board, toml_tables.file_named("board", name, SHIPPED), section="board")
 
 
 def opencv() -> Any:

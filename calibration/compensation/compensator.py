@@ -182,12 +182,7 @@ def aimed(nominal: Geometry, filters: Sequence[FilterState], joints: Array) -> A
 
 
 def taught(
-    filters: Sequence[FilterState],
-    joints: Array,
-    seen: Array,
-    noise: MeasurementNoise,
-    wander: float,
-    seconds: float,
+    filters: Sequence[FilterState], joints: Array, seen: Array, noise: MeasurementNoise, wander: float, seconds: float
 ) -> list[FilterState]:
     """Filters after a pause and one measurement of each tool.
 
@@ -316,24 +311,24 @@ class Compensator:
 
     def _corrected(self, m: ModuleType, target: Sequence[Scalar]) -> Sequence[Scalar]:
         """Commands for targets, joint by joint: floats with ``m`` = math, arrays ``(N,)`` with ``m`` = numpy."""
-        learnt = None if self.residual is None else partial(self._learnt, m)
+        learnt = None if self.residual is None else partial(_learnt, m, self.residual)
         return corrected(m, self.nominal, self._chains, target, self.iterations, learnt)
 
-    def _learnt(self, m: ModuleType, joints: Sequence[Scalar]) -> list[Scalar]:
-        """Components of the learnt residual at joints, six numbers or arrays ``(N,)``."""
-        assert self.residual is not None
-        if m is math:
-            return list(self.residual(np.array(joints)).tolist())
-        noted = outside(m, self._fill, joints, 6)
-        if noted is not None:
-            return list(noted)
-        rows = np.stack(joints)
-        return list(np.ascontiguousarray(self.residual(rows.T).T, dtype=rows.dtype))
 
-    def _fill(self, joints: Array, found: Array) -> None:
+def _learnt(m: ModuleType, residual: Residual, joints: Sequence[Scalar]) -> list[Scalar]:
+    """Components of the learnt residual at joints, six numbers or arrays ``(N,)``."""
+    if m is math:
+        return list(residual(np.array(joints)).tolist())
+
+    def fill(joints: Array, found: Array) -> None:
         """Write the residual ``(6, N)`` at joints ``(n, N)`` into ``found``."""
-        assert self.residual is not None
-        found[:] = self.residual(joints.T).T
+        found[:] = residual(joints.T).T
+
+    noted = outside(m, fill, joints, 6)
+    if noted is not None:
+        return list(noted)
+    rows = np.stack(joints)
+    return list(np.ascontiguousarray(residual(rows.T).T, dtype=rows.dtype))
 
 
 def corrected(

@@ -21,15 +21,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm import (
-    Array,
-    Geometry,
-    Pose,
-    forward,
-    identity_pose,
-    rotation_matrix,
-    rotation_vector,
-)
+from pickenv.arm import Array, Geometry, Pose, forward, identity_pose, rotation_matrix, rotation_vector
 from pickenv.arm.files.joint_chain import ChainJoint, JointRow
 from pickenv.arm.files.xml_values import numbers_text
 from pickenv.arm.kinematics.forward import NEARLY_PARALLEL, chain_of, frames, pose_of
@@ -221,14 +213,11 @@ def _laid(mine: list[_Axis], theirs: list[_Axis]) -> Pose:
         warnings.filterwarnings("ignore", message="Optimal rotation is not uniquely")
         turn = Rotation.align_vectors([axis.direction for axis in theirs], [axis.direction for axis in mine])[0]
     rotation = turn.as_matrix()
-    across = [np.eye(3) - np.outer(axis.direction, axis.direction) for axis in theirs if not axis.slides]
-    gaps = [
-        their_axis.point - rotation @ axis.point
-        for axis, their_axis in zip(mine, theirs, strict=True)
-        if not their_axis.slides
-    ]
-    if not gaps:
+    turning = [(axis, their_axis) for axis, their_axis in zip(mine, theirs, strict=True) if not their_axis.slides]
+    if not turning:
         return Pose(np.zeros(3), rotation)
+    across = [np.eye(3) - np.outer(axis.direction, axis.direction) for _, axis in turning]
+    gaps = [their_axis.point - rotation @ axis.point for axis, their_axis in turning]
     apart = np.concatenate([matrix @ gap for matrix, gap in zip(across, gaps, strict=True)])
     return Pose(np.linalg.lstsq(np.concatenate(across), apart, rcond=None)[0], rotation)
 
@@ -421,8 +410,7 @@ def correction(calibration: Calibration, own: JointRow, path: Path, frame: str =
     retooled = max(apart(calibration.arm.tool, calibration.identified.tool)) > NOTHING
     tool, tip = behind(root, forward(calibration.arm, zero)), forward(geometry, np.zeros(geometry.joints))
     near, turned = apart(tool, tip)
-    at_tip = near <= NEAR and turned <= TURNED
-    corrects = at_tip and retooled and not fitted
+    corrects = near <= NEAR and turned <= TURNED and retooled and not fitted
     mount = tool_mount if corrects and own.mount is not None else None
     beside = apart(behind(inverse_pose(tip), tool), hand)
     lies_beside = max(beside) > NOTHING
@@ -488,16 +476,14 @@ def _notes(calibration: Calibration, own: JointRow, origins: list[Pose], same: S
         for joint, new in zip(own.joints, origins, strict=True)
         if any(is_moved(joint.origin, new))
     }
-    notes = []
+    notes = ["no joint origin differs from what the file has; nothing is changed"]
     if moves:
         far = max(moves, key=lambda name: moves[name][0])
         turned = max(moves, key=lambda name: moves[name][1])
-        notes.append(
+        notes = [
             f"{len(moves)} of {len(own.joints)} joint origins corrected: by up to {moves[far][0] * 1e3:.3g} mm ({far}) "
             f"and {math.degrees(moves[turned][1]):.3g} deg ({turned}); everything else is as it was"
-        )
-    else:
-        notes.append("no joint origin differs from what the file has; nothing is changed")
+        ]
     _, signs, zeros = same
     if not ((signs == 1).all() and (zeros == 0).all()):
         drivers = dict.fromkeys(joint.driver for joint in own.joints if joint.ratio)  # in the file's order

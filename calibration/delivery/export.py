@@ -89,10 +89,8 @@ def _onnx_model(learnt: LearntResidual, network: Bpnn, geometry: Geometry, words
         helper.make_tensor_value_info(name, TensorProto.DOUBLE, ["N", width]) for name, width in widths.items()
     )
     value = node("Concat", parts, "inputs", axis=1)
-    for stage, mean, std in (
-        ("of_training", inputs.mean, inputs.std),
-        ("of_network", network.input_mean, network.input_std),
-    ):
+    scalings = {"of_training": (inputs.mean, inputs.std), "of_network": (network.input_mean, network.input_std)}
+    for stage, (mean, std) in scalings.items():
         centred = node("Sub", [value, constant(f"mean_{stage}", mean)], f"centred_{stage}")
         value = node("Div", [centred, constant(f"std_{stage}", std)], f"scaled_{stage}")
     for i, (weight, bias) in enumerate(zip(network.weights, network.biases, strict=True)):
@@ -114,13 +112,9 @@ def _onnx_model(learnt: LearntResidual, network: Bpnn, geometry: Geometry, words
 BY_ENDING = {".toml": "toml", ".urdf": "urdf", ".xml": "mjcf", ".onnx": "onnx"}
 """Kind of a new file by its name's ending."""
 
-BY_OWN_ENDING = {
-    ".urdf": "urdf",
-    ".xml": "mjcf",
-    ".yaml": "kinematics-yaml",
-    ".yml": "kinematics-yaml",
-    ".json": "lerobot",
-}
+BY_OWN_ENDING = {".urdf": "urdf", ".xml": "mjcf", ".json": "lerobot"} | dict.fromkeys(
+    (".yaml", ".yml"), "kinematics-yaml"
+)
 """Kind of file to write by the ending of the robot's own file."""
 
 

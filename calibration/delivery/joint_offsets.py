@@ -48,10 +48,8 @@ class JointOffsets:
     """Offsets of the joints' readings: a joint stands at its reading plus its offset.
 
     Attributes:
-        names: Names of the joints.
-        slides: Whether each joint slides.
-        offsets: Offsets (n,), rad or m.
-        told: Whether the data tell each offset (n,); an offset that they do not tell is zero.
+        offsets: Offsets (n,), rad or m; an offset that the data do not tell is zero.
+        untold: Names of the joints whose offsets the data do not tell.
         deviation: Standard deviations of the offsets (n,), rad or m; NaN if the calibration knows none.
         without: Mean position difference between nominal and calibrated arm over the poses, m.
         left: Mean position difference that remains with the offsets, m: what a file of offsets leaves out.
@@ -60,10 +58,8 @@ class JointOffsets:
         region: What these poses are, in words.
     """
 
-    names: tuple[str, ...]
-    slides: tuple[bool, ...]
     offsets: Array
-    told: NDArray[np.bool_]
+    untold: tuple[str, ...]
     deviation: Array
     without: float
     left: float
@@ -74,8 +70,7 @@ class JointOffsets:
     def note(self) -> str:
         """A sentence on how much the offsets correct and what they leave out."""
         turn = "" if self.left_turn is None else f" and {np.degrees(self.left_turn):.3g} deg"
-        free = np.array(self.names)[~self.told]
-        untold = f"; of {', '.join(free)} these data tell none" if len(free) else ""
+        untold = f"; of {', '.join(self.untold)} these data tell none" if self.untold else ""
         return (
             f"joint offsets alone: over {self.poses} {self.region} the nominal arm lies {self.without * 1e3:.3g} mm "
             f"from the calibrated one, with these offsets {self.left * 1e3:.3g} mm{turn} (means); the rest of the "
@@ -119,18 +114,10 @@ def joint_offsets(calibration: Calibration, joints: Array | None = None) -> Join
             delta[columns] = np.linalg.lstsq(frames, missed - effect @ step, rcond=LOST)[0]
             nominal = nominal.displaced(delta)
     errors = pose_error(forward(nominal, joints + offsets), target)
-    return JointOffsets(
-        calibration.arm.joint_names,
-        calibration.arm.prismatic,
-        offsets,
-        np.asarray(way.any(axis=1)),
-        _deviation(calibration, joints, rows, columns),
-        float(without),
-        float(np.linalg.norm(errors[:, :3], axis=1).mean()),
-        None if rows.stop == 3 else float(np.linalg.norm(errors[:, 3:], axis=1).mean()),
-        len(joints),
-        region,
-    )
+    left, turn = (float(np.linalg.norm(part, axis=1).mean()) for part in (errors[:, :3], errors[:, 3:]))
+    untold = tuple(name for name, row in zip(nominal.joint_names, way, strict=True) if not row.any())
+    deviation, left_turn = _deviation(calibration, joints, rows, columns), None if rows.stop == 3 else turn
+    return JointOffsets(offsets, untold, deviation, float(without), left, left_turn, len(joints), region)
 
 
 def _way(nominal: Geometry, joints: Array, rows: slice, columns: NDArray[np.int64]) -> tuple[Array, Array, Array]:
@@ -242,7 +229,7 @@ def lerobot_document(calibration: Calibration, order: document.Order) -> documen
     shift, servos = joint_offsets(calibration), _lerobot_motors(path)
     data = path.read_bytes()
     roundings, counts = [0.0], [0]
-    for name, slides, offset in zip(shift.names, shift.slides, shift.offsets, strict=True):
+    for name, slides, offset in zip(calibration.arm.joint_names, calibration.arm.prismatic, shift.offsets, strict=True):
         servo = servos.get(name)
         if servo is None:
             raise InputError(
@@ -293,14 +280,11 @@ def offset_table(calibration: Calibration, order: document.Order) -> document.Do
     """
     rows: list[dict[str, Any]] = []
     shift = joint_offsets(calibration)
-    for name, slides, value, deviation in zip(shift.names, shift.slides, shift.offsets, shift.deviation, strict=True):
+    joints = zip(calibration.arm.joint_names, calibration.arm.prismatic, shift.offsets, shift.deviation, strict=True)
+    for name, slides, value, deviation in joints:
         unit, scale = screen_unit(slides)
-        row: dict[str, Any] = {
-            "joint": name,
-            "unit": unit,
-            "add_to_reading": float(value * scale),
-            "standard_deviation": None if np.isnan(deviation) else float(deviation * scale),
-        }
+        row: dict[str, Any] = {"joint": name, "unit": unit, "add_to_reading": float(value * scale)}
+        row["standard_deviation"] = None if np.isnan(deviation) else float(deviation * scale)
         if order.counts_per_turn is not None:
             row["counts"] = None if slides else round(value * order.counts_per_turn / (2.0 * np.pi))
         rows.append(row)
@@ -337,11 +321,9 @@ def ros2_offsets(calibration: Calibration, order: document.Order) -> document.Do
     notes = (shift.note(),)
     if onto is None:
         rule = "reported = raw - offset, rad and m; take each off the offset that your joint has, if any"
-        lines = document.xml_comment(
-            (*document.provenance(calibration), f"for dynamixel_hardware of July 2026: {rule}")
-        )
-        lines.append("<ros2_control>")
-        for name, value in zip(shift.names, shift.offsets, strict=True):
+        origin = (*document.provenance(calibration), f"for dynamixel_hardware of July 2026: {rule}")
+        lines = [*document.xml_comment(origin), "<ros2_control>"]
+        for name, value in zip(calibration.arm.joint_names, shift.offsets, strict=True):
             lines.append(f"  <joint name={quoteattr(one_line(name))}>\n    {_param(value)}\n  </joint>")
         return document.Document(("\n".join([*lines, "</ros2_control>"]) + "\n").encode(), notes)
     read_text(onto, "a robot description")
@@ -354,7 +336,7 @@ def ros2_offsets(calibration: Calibration, order: document.Order) -> document.Do
         if tag.name == "joint" and tag.parent in controls
     }
     edits: list[document.Edit] = []
-    for name, value in zip(shift.names, shift.offsets, strict=True):
+    for name, value in zip(calibration.arm.joint_names, shift.offsets, strict=True):
         if name not in joints:
             names = "no <ros2_control> joint at all" if not joints else f"only {', '.join(map(shortened, joints))}"
             raise InputError(
@@ -389,6 +371,7 @@ def _param(offset: float) -> str:
 DH_TABLES_TABLE_FORMAT = "pickenv DH parameters 1"
 BEHIND = ("alpha", "a", "beta")
 """DH parameters that stand one row earlier in a standard table than in a modified one."""
+KEPT = "parameters without a standard deviation were not identified and keep their nominal values; others absorb them"
 
 
 @register("exporter", "table")
@@ -397,31 +380,19 @@ def dh_table(calibration: Calibration, order: document.Order) -> document.Docume
 
     Angles are in degrees, lengths in mm. A parameter that kept its nominal value has no standard deviation.
     """
-    notes = [
-        "parameters without a standard deviation were not identified and keep their nominal values; others absorb them",
-    ]
-    notes += document.left_out(calibration, "not in the table, because no geometry can hold it")
+    notes = (KEPT, *document.left_out(calibration, "not in the table, because no geometry can hold it"))
     sure = uncertainty_from(calibration.record)
     std = {} if sure is None else dict(zip(sure.names, np.sqrt(np.diag(sure.covariance)), strict=True))
     nominal, identified = _parameters(calibration.nominal), _parameters(calibration.identified)
     rows = []
-    for table, number, joint, name in _table_rows(calibration.identified):
+    heads = ("table", "row", "joint", "parameter", "unit", "nominal", "corrected", "change", "standard_deviation")
+    for *place, name in _table_rows(calibration.identified):
         unit, scale = screen_unit(not is_angle(name))
         before, after = (float(values.get(name, 0.0) * scale) for values in (nominal, identified))
-        rows.append(
-            {
-                "table": table,
-                "row": number,
-                "joint": joint,
-                "parameter": name.rstrip("0123456789"),
-                "unit": unit,
-                "nominal": before,
-                "corrected": after,
-                "change": after - before,
-                "standard_deviation": float(std[name] * scale) if name in std else None,
-            }
-        )
-    return _table(rows, order.out, DH_TABLES_TABLE_FORMAT, calibration, tuple(notes))
+        deviation = float(std[name] * scale) if name in std else None
+        cells = (*place, name.rstrip("0123456789"), unit, before, after, after - before, deviation)
+        rows.append(dict(zip(heads, cells, strict=True)))
+    return _table(rows, order.out, DH_TABLES_TABLE_FORMAT, calibration, notes)
 
 
 def _parameters(geometry: Geometry) -> dict[str, float]:

@@ -28,16 +28,7 @@ from pickenv.arm.files.urdf import leading_links, roll_pitch_yaw, urdf_row, urdf
 from pickenv.arm.files.xml_values import numbers_text, xml_numbers, xml_root
 from pickenv.arm.kinematics.geometry import behind, inverse_pose
 from pickenv.base import RAD, InputError, M, command_line, one_line, register, shortened
-from pickenv.calibration.delivery import document
-from pickenv.calibration.delivery.corrected_chain import (
-    Z,
-    changed,
-    corrected_chain,
-    correction,
-    is_moved,
-    own_origin,
-    refuse_lost_files,
-)
+from pickenv.calibration.delivery import corrected_chain, document
 from pickenv.calibration.model.measurements import screen_unit
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.pipeline.twin import twin
@@ -147,17 +138,19 @@ def urdf_document(calibration: Calibration, order: document.Order) -> document.D
     path = order.onto
     chain = urdf_row(path, order.tip)
     frame = f"{chain.tip}_calibrated"
-    new = correction(calibration, chain, path, frame)
+    new = corrected_chain.correction(calibration, chain, path, frame)
     data = path.read_bytes()
     tags = document.start_tags(data)
-    refuse_lost_files(path, order.out, [tag.attributes.get("filename", "") for tag in tags if tag.name == "mesh"])
+    corrected_chain.refuse_lost_files(
+        path, order.out, [tag.attributes.get("filename", "") for tag in tags if tag.name == "mesh"]
+    )
     moves = [(joint.name, joint.origin, origin) for joint, origin in zip(chain.joints, new.origins, strict=True)]
     if new.mount is not None and chain.mount is not None:
         moves.append((chain.mount, chain.tool, new.mount))
     edits: list[document.Edit] = []
     for name, old, corrected in moves:
         joint = _joint(tags, name)
-        edits += _moved(data, tags, joint, own_origin(_origin(tags, joint), old, corrected))
+        edits += _moved(data, tags, joint, corrected_chain.own_origin(_origin(tags, joint), old, corrected))
     if new.frame is not None:
         edits += _behind_tip(data, tags, chain.joints[-1].name, chain.tip, frame, new.frame, path)
     return document.Document(document.edited(data, edits), new.notes)
@@ -168,9 +161,8 @@ def _new_urdf(calibration: Calibration, arm: Arm) -> document.Document:
     text = urdf_text(replace(calibration.in_own_base, tool=tool), f"{arm.name}_calibrated", arm.speed)
     declaration, _, body = text.partition("\n")
     words = document.xml_comment((*document.provenance(calibration), "written against URDF 1.0, as ROS 2 has it"))
-    return document.Document(
-        "\n".join([declaration, *words, body]).encode(), (*document.left_out(calibration), SKELETON)
-    )
+    data = "\n".join([declaration, *words, body]).encode()
+    return document.Document(data, (*document.left_out(calibration), SKELETON))
 
 
 def _behind_tip(
@@ -199,11 +191,8 @@ def _behind_tip(
         return _moved(data, tags, place, pose)
     origin = f'<origin xyz="{numbers_text(pose.position)}" rpy="{_rpy(pose)}"/>'
     ends = f"<parent link={quoteattr(tip)}/><child link={quoteattr(frame)}/>"
-    elements = (
-        f"<link name={quoteattr(frame)}/>",
-        f'<joint name={quoteattr(joint)} type="fixed">{origin}{ends}</joint>',
-    )
-    return [document.inserted_before(data, tags[_joint(tags, last)], *elements)]
+    mount = f'<joint name={quoteattr(joint)} type="fixed">{origin}{ends}</joint>'
+    return [document.inserted_before(data, tags[_joint(tags, last)], f"<link name={quoteattr(frame)}/>", mount)]
 
 
 def _joint(tags: list[document.StartTag], name: str) -> int:
@@ -229,7 +218,7 @@ def _rpy(pose: Pose) -> str:
 
 def _moved(data: bytes, tags: list[document.StartTag], joint: int, new: Pose) -> list[document.Edit]:
     """Edits that give a joint a new origin; position or attitude keeps its text if it does not change."""
-    values, tag = changed(_origin(tags, joint), new, "xyz", "rpy", _rpy), _origin_tag(tags, joint)
+    values, tag = corrected_chain.changed(_origin(tags, joint), new, "xyz", "rpy", _rpy), _origin_tag(tags, joint)
     if tag is not None or not values:
         return [] if tag is None else document.attribute_edits(data, tag, values)
     attributes = " ".join(f'{key}="{value}"' for key, value in values.items())
@@ -257,15 +246,15 @@ def mjcf_document(calibration: Calibration, order: document.Order) -> document.D
     path = order.onto
     row = mjcf_row(path, order.tip)
     frame = f"{row.tip}_calibrated"
-    new = correction(calibration, row, path, frame)
+    new = corrected_chain.correction(calibration, row, path, frame)
     values = MjcfValues.of(xml_root(path, "MJCF (.xml)"))
     data = path.read_bytes()
     tags = document.start_tags(data)
-    refuse_lost_files(path, order.out, _files(tags))
+    corrected_chain.refuse_lost_files(path, order.out, _files(tags))
     edits: list[document.Edit] = []
     taken: set[str] = set()
     for joint, origin in zip(row.joints, new.origins, strict=True):
-        if not any(is_moved(joint.origin, origin)):
+        if not any(corrected_chain.is_moved(joint.origin, origin)):
             continue
         if joint.body in taken:
             raise InputError(
@@ -273,13 +262,15 @@ def mjcf_document(calibration: Calibration, order: document.Order) -> document.D
                 "cannot hold corrections of both; give each joint a body of its own"
             )
         tag, place = _named(tags, "body", joint.body, path), Pose(joint.within, np.eye(3))
-        corrected = own_origin(behind(values.pose(tag.attributes), place), joint.origin, origin)
+        corrected = corrected_chain.own_origin(behind(values.pose(tag.attributes), place), joint.origin, origin)
         edits += _moved_body(data, tag, values, behind(corrected, inverse_pose(place)))
         taken.add(joint.body)
     if new.mount is not None and row.mount is not None:
         kind, _, name = row.mount.rpartition(" ") if row.mount.startswith("site ") else ("body", "", row.mount)
         tag = _named(tags, kind, name, path)
-        edits += _moved_body(data, tag, values, own_origin(values.pose(tag.attributes), row.tool, new.mount))
+        edits += _moved_body(
+            data, tag, values, corrected_chain.own_origin(values.pose(tag.attributes), row.tool, new.mount)
+        )
     if new.frame is not None:
         earlier = [tag for tag in tags if tag.is_named("site", frame)]
         if earlier:
@@ -297,9 +288,8 @@ def _new_mjcf(calibration: Calibration, order: document.Order) -> document.Docum
     models = [("as calibrated", plant.geometry), ("nominal", arm.nominal)]
     if order.sample:
         arms = draw_plants(plant, load_tolerances("medium"), order.sample, np.random.default_rng(order.seed))
-        models += [
-            (f"one that the data allow, number {i + 1}", plant_at(arms, i).geometry) for i in range(order.sample)
-        ]
+        for i in range(order.sample):
+            models.append((f"one that the data allow, number {i + 1}", plant_at(arms, i).geometry))
     data, *beside = (
         mjcf_text(geometry, f"{arm.name}: {which}", NOTE.format(arm=arm.name, which=which)).encode()
         for which, geometry in models
@@ -339,7 +329,7 @@ def _named(tags: list[document.StartTag], kind: str, name: str, path: Path) -> d
 
 def _moved_body(data: bytes, tag: document.StartTag, values: MjcfValues, new: Pose) -> list[document.Edit]:
     """Edits that give a body or site a new pose; position or attitude keeps its text if it does not change."""
-    texts = changed(values.pose(tag.attributes), new, "pos", "quat", _quaternion)
+    texts = corrected_chain.changed(values.pose(tag.attributes), new, "pos", "quat", _quaternion)
     orientation = next((key for key in ORIENTATIONS if key in tag.attributes), "quat")
     edits: list[document.Edit] = []
     if orientation != "quat" and "quat" in texts:
@@ -356,10 +346,7 @@ def _quaternion(pose: Pose) -> str:
 
 def _files(tags: list[document.StartTag]) -> list[str]:
     """Paths of the meshes and included files that a model names, relative to its folder."""
-    compiler: dict[str, str] = {}
-    for tag in tags:
-        if tag.name == "compiler":
-            compiler |= tag.attributes
+    compiler = dict(item for tag in tags if tag.name == "compiler" for item in tag.attributes.items())
     folder = compiler.get("meshdir", compiler.get("assetdir", ""))
     strips = compiler.get("strippath", "false") == "true"
     files = []
@@ -399,11 +386,11 @@ def kinematics_yaml_document(calibration: Calibration, order: document.Order) ->
         return _new_kinematics_yaml(calibration)
     path = order.onto
     row, _ = ur_row(path)
-    new = correction(calibration, row, path)
+    new = corrected_chain.correction(calibration, row, path)
     data = path.read_bytes()
     edits: list[document.Edit] = []
     for link, joint, origin in zip(UR_LINKS, row.joints, new.origins, strict=True):
-        changes = is_moved(joint.origin, origin)
+        changes = corrected_chain.is_moved(joint.origin, origin)
         values = {key: value for key, value in _ur_values(origin).items() if changes[key not in LENGTHS]}
         edits += _edits(data, link, values, path)
     return document.Document(document.edited(data, edits), (*new.notes, "the hash is the robot's own and stays"))
@@ -458,11 +445,11 @@ def _new_kinematics_yaml(calibration: Calibration) -> document.Document:
     lines += ["kinematics:"]
     based = replace(arm, base=identity_pose())
     drawing = zip(UR_LINKS, link_origins(based), strict=True)
-    joints = [ChainJoint(link, link, 1.0, 0.0, False, pose, Z) for link, pose in drawing]
+    joints = [ChainJoint(link, link, 1.0, 0.0, False, pose, corrected_chain.Z) for link, pose in drawing]
     alike = identity_pose(), np.ones(len(UR_LINKS)), np.zeros(len(UR_LINKS))
     robot = calibration.in_own_base
     robot = replace(robot, base=behind(inverse_pose(arm.base), robot.base))
-    origins, _ = corrected_chain(based, robot, joints, alike)
+    origins, _ = corrected_chain.corrected_chain(based, robot, joints, alike)
     for link, origin in zip(UR_LINKS, origins, strict=True):
         lines.append(f"  {link}:")
         lines += [f"    {key}: {yaml_number(value)}" for key, value in _ur_values(origin).items()]
@@ -497,7 +484,7 @@ def static_transforms(calibration: Calibration, order: document.Order) -> docume
         if path.suffix.lower() != ".urdf":
             raise InputError(f"{path} has no named frames; give `onto` the robot's URDF, or leave it out")
         row = urdf_row(path, order.tip)
-        robot = correction(calibration, row, path)
+        robot = corrected_chain.correction(calibration, row, path)
         names, measured, hand = (row.root, row.tip), behind(robot.root, measured), robot.hand
     for name in names:
         if not re.fullmatch(r"[\w./-]+", name):

@@ -14,6 +14,7 @@ import json
 import operator
 import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -192,13 +193,9 @@ class Table:
 
         Odd column names stand in backticks in an expression.
         """
-        if expression in self.header:
-            return self.column(expression)
         tree, quoted = expression_tree(expression)
-        if tree is None:
-            raise InputError(
-                f"{self.where}: column '{shortened(expression)}' is missing; the file has {listed(self.header)}"
-            )
+        if expression in self.header or tree is None:
+            return self.column(expression)  # refused if the file has no such column
         try:
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                 values = np.broadcast_to(self._evaluate(tree, expression, quoted), len(self.rows)).astype(float)
@@ -240,12 +237,10 @@ def expression_tree(expression: str) -> tuple[ast.expr | None, list[str]]:
     text = expression
     for i, name in enumerate(quoted):
         text = text.replace(f"`{name}`", f"__quoted_{i}")
-    if len(text) > LONGEST_EXPRESSION:
-        return None, quoted
-    try:
-        return ast.parse(text.strip(), mode="eval").body, quoted
-    except (SyntaxError, ValueError, RecursionError, MemoryError):
-        return None, quoted
+    with suppress(SyntaxError, ValueError, RecursionError, MemoryError):
+        if len(text) <= LONGEST_EXPRESSION:
+            return ast.parse(text.strip(), mode="eval").body, quoted
+    return None, quoted
 
 
 def refuse_repeated(paths: Sequence[str | Path]) -> None:
@@ -345,9 +340,14 @@ def _yaml_table(path: Path, text: str) -> Table:
     flat = parsed(lambda: [dict(_flattened(entry, "")) for entry in entries], path, "YAML") if plain else []
     if not flat:
         raise InputError(f"{path} holds no list of entries; give one entry with joints and a pose per measurement")
-    header = list(dict.fromkeys(name for entry in flat for name in entry))
-    rows = [[entry.get(name, "") for name in header] for entry in flat]
-    return Table(str(path), header, rows, list(range(1, len(rows) + 1)), ".")
+    return table_of(str(path), flat)
+
+
+def table_of(where: str, entries: Sequence[Mapping[str, str]]) -> Table:
+    """The table of entries with cells by name, one row each; cells that an entry lacks are empty."""
+    header = list(dict.fromkeys(name for entry in entries for name in entry))
+    rows = [[entry.get(name, "") for name in header] for entry in entries]
+    return Table(where, header, rows, list(range(1, len(rows) + 1)), ".")
 
 
 def _flattened(value: Any, name: str) -> Iterator[tuple[str, str]]:

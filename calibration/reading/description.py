@@ -15,23 +15,7 @@ from pathlib import Path
 from typing import Annotated, Any, get_args, get_type_hints
 
 from pickenv.arm import Geometry
-from pickenv.base import (
-    DEG,
-    MM,
-    NUMBER,
-    TO_SI,
-    WHOLE,
-    Check,
-    InputError,
-    Key,
-    Then,
-    Unit,
-    fault,
-    file_named,
-    read_toml,
-    shortened,
-    toml_table,
-)
+from pickenv.base import DEG, MM, NUMBER, WHOLE, Check, InputError, Key, Then, Unit, shortened, toml_table, toml_tables
 from pickenv.base.registry import load_all, names
 from pickenv.calibration.camera.boards import Board, one_of
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, joint_columns
@@ -58,7 +42,7 @@ COLUMNS = Check(
 def _lost(found: Any, _context: Any) -> tuple[str, ...]:
     marks = [found] if isinstance(found, str) else found
     if not isinstance(marks, list) or any(mark not in LOST for mark in marks):
-        raise fault(f"how lost reflectors are marked, of {', '.join(LOST)}")
+        raise toml_tables.fault(f"how lost reflectors are marked, of {', '.join(LOST)}")
     return tuple(marks)
 
 
@@ -491,14 +475,14 @@ def load_description(name: str | Path) -> DescriptionFile:
         InputError: If the description is unknown or malformed; the message names the file and key.
     """
     path = description_path(name)
-    description = read_toml(description_file(), path)
+    description = toml_tables.read_toml(description_file(), path)
     _refuse_repeats(description, path)
     return description
 
 
 def description_path(name: str | Path) -> Path:
     """The file of a column description that is given by name or by path."""
-    return file_named("column description", name, DESCRIPTIONS)
+    return toml_tables.file_named("column description", name, DESCRIPTIONS)
 
 
 def _refuse_repeats(description: DescriptionFile, path: Path) -> None:
@@ -567,20 +551,3 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> Descri
             PayloadTable(mass, "kg") if mass in header else None,
         ),
     )
-
-
-def joint_scales(description: DescriptionFile, where: str, geometry: Geometry) -> tuple[float, ...]:
-    """Factors that turn the joint columns into rad and m; ``where`` is the description's place, for messages.
-
-    Raises:
-        InputError: If the number or the units of the joints are not the arm's.
-    """
-    n = geometry.joints
-    if len(description.joint_units) != n:
-        raise InputError(f"{where}: {len(description.joint_units)} joint columns are named, but the arm has {n} joints")
-    for i, unit in enumerate(description.joint_units):
-        units = LENGTHS if geometry.prismatic[i] else ANGLES
-        if unit not in units:
-            kind = "prismatic" if geometry.prismatic[i] else "revolute"
-            raise InputError(f"{where}: joint {i + 1} is {kind}, but its unit is '{unit}'; give {' or '.join(units)}")
-    return tuple(TO_SI[unit] for unit in description.joint_units)

@@ -17,30 +17,12 @@ import numpy as np
 from pickenv.arm import Array, Geometry, Pose
 from pickenv.base import LIMITS, TO_SI, InputError, check_limit, read_text, register, yaml_content
 from pickenv.calibration.camera.boards import Board, Corners, Grey, corners_at, find_corners, opencv, read_lens
+from pickenv.calibration.model import kinds
 from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_poses
-from pickenv.calibration.model.kinds import (
-    DistanceObservations,
-    ReflectorObservations,
-    SocketObservations,
-    TiltObservations,
-)
 from pickenv.calibration.model.observations import Observations, Origins, Rows, origins_of
 from pickenv.calibration.model.pixels import LENS_NAMES, Lens, PixelObservations
-from pickenv.calibration.reading.csv_table import Table, read_table, rotations
-from pickenv.calibration.reading.description import (
-    BarTable,
-    ContactTable,
-    DescriptionFile,
-    DialTable,
-    LensTable,
-    PixelsTable,
-    RadiusTable,
-    ReflectorsTable,
-    SocketsTable,
-    TiltTable,
-    WireTable,
-    joint_scales,
-)
+from pickenv.calibration.reading import description
+from pickenv.calibration.reading.csv_table import Table, read_table, rotations, table_of
 
 # Files of one layout as columns of numbers, with their descriptions: what the readers of all kinds begin with.
 
@@ -60,7 +42,7 @@ class Files:
     """
 
     tables: list[Table]
-    given: list[DescriptionFile]
+    given: list[description.DescriptionFile]
     where: str
     geometry: Geometry
     joints: Array
@@ -68,7 +50,7 @@ class Files:
     origins: Origins
 
     @property
-    def first(self) -> DescriptionFile:
+    def first(self) -> description.DescriptionFile:
         """The first file's description; those of the other files differ from it in units at most."""
         return self.given[0]
 
@@ -80,7 +62,7 @@ class Files:
         """File and line of a row, in the words of messages."""
         return "{}: row {}".format(*self.origins.place(row))
 
-    def pairs(self) -> Iterator[tuple[Table, DescriptionFile]]:
+    def pairs(self) -> Iterator[tuple[Table, description.DescriptionFile]]:
         """Each file's table with its description."""
         return zip(self.tables, self.given, strict=True)
 
@@ -95,7 +77,7 @@ FARTHEST = 1e4
 """No instrument sees a tool from farther away than this, m."""
 
 
-def refuse_repeated_joints(description: DescriptionFile, where: str, joints: Array, geometry: Geometry) -> None:
+def refuse_repeated_joints(layout: description.DescriptionFile, where: str, joints: Array, geometry: Geometry) -> None:
     """Refuse two joints with the same number in every row: most likely one column read twice.
 
     Joints that never move, and files of two rows or fewer, are not checked.
@@ -103,7 +85,7 @@ def refuse_repeated_joints(description: DescriptionFile, where: str, joints: Arr
     for i in range(geometry.joints):
         for j in range(i):
             if len(joints) > 2 and np.ptp(joints[:, i]) > 0 and np.array_equal(joints[:, i], joints[:, j]):
-                columns = description.joint_columns
+                columns = layout.joint_columns
                 names = [f"joint {k + 1} ({geometry.joint_names[k]}, column '{columns[k]}')" for k in (j, i)]
                 raise InputError(
                     f"{where}: {names[0]} and {names[1]} hold the same number in every row; name each "
@@ -111,19 +93,18 @@ def refuse_repeated_joints(description: DescriptionFile, where: str, joints: Arr
                 )
 
 
-def refuse_far(table: Table, description: DescriptionFile) -> None:
-    """Refuse a coordinate beyond `FARTHEST`: no instrument measures a tool from there."""
-    values = table.values(description.columns)
-    for row, column in np.argwhere(np.abs(values) * TO_SI[description.unit] > FARTHEST)[:1]:
+def refuse_unseen(table: Table, layout: description.DescriptionFile) -> None:
+    """Refuse positions that no instrument saw: beyond `FARTHEST`, or at exactly 0, 0, 0 unless all rows are there.
+
+    Trackers write zeros for a lost reflector.
+    """
+    values = table.values(layout.columns)
+    for row, column in np.argwhere(np.abs(values) * TO_SI[layout.unit] > FARTHEST)[:1]:
         raise InputError(
-            f"{table.cell(row, description.columns[column])} is {values[row, column]:.6g} {description.unit}, farther "
+            f"{table.cell(row, layout.columns[column])} is {values[row, column]:.6g} {layout.unit}, farther "
             "than any instrument sees; correct or remove the row"
         )
-
-
-def refuse_origin(table: Table, description: DescriptionFile) -> None:
-    """Refuse rows at exactly 0, 0, 0, which trackers write for a lost reflector, unless all rows are there."""
-    zero = (table.values(description.columns) == 0).all(axis=1)
+    zero = (values == 0).all(axis=1)
     if zero.any() and not zero.all():
         raise InputError(
             f"{table.where}: row {table.lines[int(np.argmax(zero))]} holds the position 0, 0, 0, which usually means "
@@ -146,17 +127,21 @@ def refuse_duplicates(joints: Array, found: Observations, origins: Origins) -> N
         )
 
 
-def read_joints(table: Table, description: DescriptionFile, where: str, geometry: Geometry) -> Array:
+def read_joints(table: Table, layout: description.DescriptionFile, where: str, geometry: Geometry) -> Array:
     """Joints of every row ``(N, n)``, rad or m.
 
     Raises:
-        InputError: If a joint lies far beyond its limits: almost always degrees read as radians, or millimetres as
-            metres.
+        InputError: If the number or the units of the joints are not the arm's, or if a joint lies far beyond its
+            limits: almost always degrees read as radians, or millimetres as metres.
     """
-    columns = []
-    for i, scale in enumerate(joint_scales(description, where, geometry)):
-        column, unit = description.joint_columns[i], description.joint_units[i]
-        lower, upper = geometry.lower[i], geometry.upper[i]
+    columns, n = [], geometry.joints
+    if len(layout.joint_units) != n:
+        raise InputError(f"{where}: {len(layout.joint_units)} joint columns are named, but the arm has {n} joints")
+    for i, (column, unit) in enumerate(zip(layout.joint_columns, layout.joint_units, strict=True)):
+        kind, units = ("prismatic", description.LENGTHS) if geometry.prismatic[i] else ("revolute", description.ANGLES)
+        if unit not in units:
+            raise InputError(f"{where}: joint {i + 1} is {kind}, but its unit is '{unit}'; give {' or '.join(units)}")
+        scale, lower, upper = TO_SI[unit], geometry.lower[i], geometry.upper[i]
         values = table.value(column) * scale
         room = upper - lower if geometry.prismatic[i] else max(upper - lower, 2 * np.pi)
         outside = (values < lower - room) | (values > upper + room)
@@ -202,7 +187,7 @@ It is below the first value in the right unit, and at or above the second in a w
 
 
 @register("instrument", "reflectors")
-def _reflectors(files: Files, section: ReflectorsTable) -> ReflectorObservations:
+def _reflectors(files: Files, section: description.ReflectorsTable) -> kinds.ReflectorObservations:
     """Read positions of several reflectors; one counts as lost only if it is marked as the description says."""
     first = files.first
     points, visible_parts = [], []
@@ -224,7 +209,7 @@ def _reflectors(files: Files, section: ReflectorsTable) -> ReflectorObservations
     if (visible.sum(axis=0) < 3).any():
         which = int(np.argmin(visible.sum(axis=0)))
         raise InputError(f"{files.source}: reflector {which + 1} was seen in fewer than three poses; leave it out")
-    return ReflectorObservations(
+    return kinds.ReflectorObservations(
         joints=files.joints,
         points=np.concatenate(points),
         seen=visible,
@@ -235,11 +220,14 @@ def _reflectors(files: Files, section: ReflectorsTable) -> ReflectorObservations
 
 
 @register("instrument", "wire")
-def _wire(files: Files, section: WireTable) -> DistanceObservations:
+def _wire(files: Files, section: description.WireTable) -> kinds.DistanceObservations:
     length = files.values()[:, 0]
     for row in np.flatnonzero(length <= 0.0)[:1]:
         raise InputError(f"{files.place(row)}: a length of {length[row] * 1e3:.6g} mm is not above zero; correct it")
-    data = _distances(files, section, length, zero=section.zero, zero_std=section.zero_std, scale_std=section.scale_std)
+    contact, scale = _contact(files, section), section.scale_std
+    data = kinds.DistanceObservations(
+        length=length, zero=section.zero, zero_std=section.zero_std, scale_std=scale, **contact
+    )
     _refuse_other_unit(files, data)
     return data
 
@@ -248,33 +236,31 @@ def _wire(files: Files, section: WireTable) -> DistanceObservations:
 @register("instrument", "edge")
 @register("instrument", "sphere")
 @register("instrument", "bar")
-def _kept(files: Files, section: ContactTable) -> DistanceObservations:
+def _kept(files: Files, section: description.ContactTable) -> kinds.DistanceObservations:
     """Read contacts at a ball bar, a sphere, an edge or a plane: one distance for all rows, known or to be fitted."""
     length, zero_std = 0.0, 0.0
-    if isinstance(section, BarTable | RadiusTable):
+    if isinstance(section, description.BarTable | description.RadiusTable):
         length, zero_std = (section.length, section.length_std) if section.length else (0.0, np.inf)
-    surface = {"edge": "line", "plane": "plane"}.get(files.first.kind, "point")
-    data = _distances(files, section, np.full(len(files.joints), length), zero_std=zero_std, surface=surface)
+    surface: Any = {"edge": "line", "plane": "plane"}.get(files.first.kind, "point")
+    lengths, contact = np.full(len(files.joints), length), _contact(files, section)
+    data = kinds.DistanceObservations(length=lengths, zero_std=zero_std, surface=surface, **contact)
     _refuse_one_pose(files, np.arange(len(files.joints)))
     return data
 
 
 @register("instrument", "dial")
-def _dial(files: Files, section: DialTable) -> DistanceObservations:
+def _dial(files: Files, section: description.DialTable) -> kinds.DistanceObservations:
     reading = files.values()[:, 0]
     for row in np.flatnonzero(np.isclose(reading, section.free, rtol=0.0, atol=1e-9))[:1]:
         raise InputError(
             f"{files.place(row)}: the dial reads {reading[row] * 1e3:.6g} mm, as one that touches nothing; remove "
             "the row, or say in [dial] what it reads then (free_mm)"
         )
-    return _distances(files, section, reading, surface="plane", scale_std=section.scale_std)
+    contact = _contact(files, section)
+    return kinds.DistanceObservations(length=reading, surface="plane", scale_std=section.scale_std, **contact)
 
 
-def _distances(files: Files, section: ContactTable, readings: Array, **more: Any) -> DistanceObservations:
-    return DistanceObservations(length=readings, **_contact(files, section), **more)
-
-
-def _contact(files: Files, section: ContactTable) -> dict[str, Any]:
+def _contact(files: Files, section: description.ContactTable) -> dict[str, Any]:
     """The fields that all contact measurements share: joints, uncertainty, kind and tool point.
 
     Raises:
@@ -289,13 +275,13 @@ def _contact(files: Files, section: ContactTable) -> dict[str, Any]:
 
 
 @register("instrument", "touches")
-def _touches(files: Files, section: ContactTable) -> SocketObservations:
+def _touches(files: Files, section: description.ContactTable) -> kinds.SocketObservations:
     """Read touches of one single place, the same in every row."""
     return _rests(files, section, np.zeros(len(files.joints), dtype=np.int64), [], None, places=("point",))
 
 
 @register("instrument", "sockets")
-def _sockets(files: Files, section: SocketsTable) -> SocketObservations:
+def _sockets(files: Files, section: description.SocketsTable) -> kinds.SocketObservations:
     """Read touches of several sockets, and which two of them make a pair of known spacing.
 
     If a column numbers the sockets, consecutive numbers make a pair. Otherwise each file holds one socket, and the two
@@ -322,12 +308,17 @@ def _sockets(files: Files, section: SocketsTable) -> SocketObservations:
 
 
 def _rests(
-    files: Files, section: ContactTable, socket: Rows, pairs: list[list[int]], spacing: float | None, **more: Any
-) -> SocketObservations:
+    files: Files,
+    section: description.ContactTable,
+    socket: Rows,
+    pairs: list[list[int]],
+    spacing: float | None,
+    **more: Any,
+) -> kinds.SocketObservations:
     contact = _contact(files, section)
     for place in np.unique(socket):
         _refuse_one_pose(files, np.flatnonzero(socket == place))
-    return SocketObservations(
+    return kinds.SocketObservations(
         socket=np.asarray(socket, dtype=np.int64),
         pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
         spacing=np.full(len(pairs), spacing or 0.0),
@@ -337,7 +328,7 @@ def _rests(
 
 
 @register("instrument", "tilt")
-def _tilt(files: Files, section: TiltTable) -> TiltObservations:
+def _tilt(files: Files, section: description.TiltTable) -> kinds.TiltObservations:
     """Read components of the downward direction along the sensor's axes; of an inclination in deg or rad, its sine."""
     values = np.concatenate([table.values(section.columns) for table in files.tables])
     std = np.full(values.shape, section.std)
@@ -357,7 +348,7 @@ def _tilt(files: Files, section: TiltTable) -> TiltObservations:
             "gravity, or remove rows in which the arm still moved"
         )
     _refuse_one_pose(files, np.arange(len(files.joints)))
-    return TiltObservations(files.joints, values, std, axes_std=section.axes_std, down_std=section.down_std)
+    return kinds.TiltObservations(files.joints, values, std, axes_std=section.axes_std, down_std=section.down_std)
 
 
 def _refuse_one_pose(files: Files, rows: Rows) -> None:
@@ -369,7 +360,7 @@ def _refuse_one_pose(files: Files, rows: Rows) -> None:
         )
 
 
-def _refuse_other_unit(files: Files, data: DistanceObservations) -> None:
+def _refuse_other_unit(files: Files, data: kinds.DistanceObservations) -> None:
     """Refuse lengths of a wire that fit no anchor in the stated unit, but do in the other one (m or mm)."""
 
     def left(factor: float) -> float:
@@ -406,7 +397,9 @@ DEFAULT_STD = 0.3
 """Standard uncertainty, px, of corners in a table if the description states none."""
 
 
-def read_views(paths: Sequence[str | Path], geometry: Geometry, file: DescriptionFile, where: str) -> PixelObservations:
+def read_views(
+    paths: Sequence[str | Path], geometry: Geometry, file: description.DescriptionFile, where: str
+) -> PixelObservations:
     """Read views of a board.
 
     Args:
@@ -457,19 +450,16 @@ def read_views(paths: Sequence[str | Path], geometry: Geometry, file: Descriptio
     return data
 
 
-def _table(path: Path, pixels: PixelsTable, description: DescriptionFile) -> tuple[Table, Path]:
+def _table(path: Path, pixels: description.PixelsTable, layout: description.DescriptionFile) -> tuple[Table, Path]:
     """The table of the views, one row each or one per corner, and the folder that the pictures' paths start from."""
     if not path.is_dir():
-        return read_table(path, description.separator, description.decimal, description.names), path.parent
+        return read_table(path, layout.separator, layout.decimal, layout.names), path.parent
     if pixels.files is None:
         raise InputError(f"{path} is a folder; give a file, or say in [pixels] which files it holds (files)")
     files = sorted(path.glob(pixels.files), key=_by_number)
     if not files:
         raise InputError(f"{path} holds no file {pixels.files}; give another folder, or correct files of [pixels]")
-    entries = [_entry(file) for file in files]
-    header = [*dict.fromkeys(name for entry in entries for name in entry)]
-    rows = [[entry.get(name, "") for name in header] for entry in entries]
-    return Table(str(path), header, rows, list(range(1, len(rows) + 1)), "."), path
+    return table_of(str(path), [_entry(file) for file in files]), path
 
 
 def _entry(file: Path) -> dict[str, str]:
@@ -486,7 +476,7 @@ def _by_number(file: Path) -> list[tuple[int, str]]:
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", file.name)]
 
 
-def _pictures(table: Table, pixels: PixelsTable, home: Path) -> list[Path]:
+def _pictures(table: Table, pixels: description.PixelsTable, home: Path) -> list[Path]:
     """The path of each row's picture."""
     pattern = str(pixels.picture)
     if STEM in pattern:
@@ -536,7 +526,7 @@ def _grey(path: Path) -> Grey:
     return np.asarray(picture, dtype=np.uint8)
 
 
-def _found_in_table(table: Table, pixels: PixelsTable, board: Board) -> tuple[list[int], list[Corners]]:
+def _found_in_table(table: Table, pixels: description.PixelsTable, board: Board) -> tuple[list[int], list[Corners]]:
     """The first row of each view, and its corners, read from a table of corners."""
     assert pixels.view is not None and pixels.corner is not None
     views, numbers, places = table.texts(pixels.view), table.value(pixels.corner), table.values(pixels.columns)
@@ -555,7 +545,7 @@ def _found_in_table(table: Table, pixels: PixelsTable, board: Board) -> tuple[li
     return rows, corners
 
 
-def _lens(given: LensTable, home: Path) -> Lens:
+def _lens(given: description.LensTable, home: Path) -> Lens:
     if given.file is not None:
         return read_lens(home / given.file)
     values = np.zeros(len(LENS_NAMES))
@@ -564,7 +554,7 @@ def _lens(given: LensTable, home: Path) -> Lens:
     return Lens(values, (given.width or 0, given.height or 0))
 
 
-def _lens_std(given: LensTable) -> Array:
+def _lens_std(given: description.LensTable) -> Array:
     """Standard uncertainty of each number of the lens: 0 if fixed, infinite if free, or the stated prior."""
     if given.lens == "prior":
         return np.array([given.prior_px] * 4 + [given.prior_distortion] * 5)

@@ -17,32 +17,10 @@ from pickenv.arm import Array, Geometry, Pose, inverse, rotation_matrix
 from pickenv.base import TO_SI, InputError, listed, register
 from pickenv.base.registry import get
 from pickenv.calibration.model.arm_model import Conditions
-from pickenv.calibration.model.measurements import (
-    ATTITUDE_STD,
-    FRAMES,
-    FRAMES_COLUMN,
-    Frames,
-    Measurements,
-    joint_columns,
-)
+from pickenv.calibration.model.measurements import FRAMES, FRAMES_COLUMN, Frames, Measurements, joint_columns
 from pickenv.calibration.model.observations import Observations, Origins
-from pickenv.calibration.reading import kind_readers
-from pickenv.calibration.reading.csv_table import (
-    Table,
-    columns_of,
-    convention_table,
-    read_table,
-    refuse_repeated,
-    rotations,
-)
-from pickenv.calibration.reading.description import (
-    LENGTHS,
-    RotationTable,
-    description_path,
-    load_description,
-    own_description,
-)
-from pickenv.calibration.reading.kind_readers import Files, read_views
+from pickenv.calibration.reading import csv_table, description, kind_readers
+from pickenv.calibration.reading.kind_readers import Files
 
 NoiseFloor = tuple[float | None, float | None]
 """The noise that a file itself states, twice, each as the RMS of a position error's norm, m, or None if not stated.
@@ -114,35 +92,31 @@ def read_observations(
     """
     if not paths:
         raise InputError("no measurement file was given; give at least one")
-    refuse_repeated(paths)
-    description = None if columns is None else load_description(columns)
-    where = "" if columns is None else str(description_path(columns))
-    if description is not None and description.pixels is not None:
-        return FileReading(read_views(paths, geometry, description, where), (None, None))
-    layout = () if description is None else (description.separator, description.decimal, description.names)
-    tables = [read_table(path, *layout) for path in paths]
-    descriptions = [description or own_description(geometry, table.header, table.where) for table in tables]
-    joints = np.concatenate(
-        [
-            kind_readers.read_joints(table, layout_of_file, where or table.where, geometry)
-            for table, layout_of_file in zip(tables, descriptions, strict=True)
-        ]
-    )
+    csv_table.refuse_repeated(paths)
+    given = None if columns is None else description.load_description(columns)
+    where = "" if columns is None else str(description.description_path(columns))
+    if given is not None and given.pixels is not None:
+        return FileReading(kind_readers.read_views(paths, geometry, given, where), (None, None))
+    form = () if given is None else (given.separator, given.decimal, given.names)
+    tables = [csv_table.read_table(path, *form) for path in paths]
+    layouts = [given or description.own_description(geometry, table.header, table.where) for table in tables]
+    pairs = zip(tables, layouts, strict=True)
+    joints = np.concatenate([kind_readers.read_joints(*pair, where or pair[0].where, geometry) for pair in pairs])
     source = tables[0].where if len(tables) == 1 else f"{tables[0].where} and {len(tables) - 1} more"
     file = np.repeat(np.arange(len(tables)), [len(table.lines) for table in tables])
     lines = np.concatenate([np.array(table.lines, dtype=np.int64) for table in tables])
     origins = Origins(tuple(table.where for table in tables), file, lines)
     where = where or tables[0].where
-    files = Files(tables, descriptions, where, geometry, joints, source, origins)
+    files = Files(tables, layouts, where, geometry, joints, source, origins)
     kind_readers.refuse_repeated_joints(files.first, where, joints, geometry)
-    frames = {"frames": _frames(tables)} if description is None else {}
+    frames = {"frames": _frames(tables)} if given is None else {}
     rows: Any = get("instrument", files.first.kind)(files, files.first.measured)
     rows = replace(rows, source=source, conditions=_conditions(files), origins=origins, **frames)
     kind_readers.refuse_duplicates(joints, rows, origins)
     return FileReading(rows, _floor(files))
 
 
-def _frames(tables: list[Table]) -> Frames:
+def _frames(tables: list[csv_table.Table]) -> Frames:
     """The word "known" or "fitted" that files in our own format have for base and tool; "fitted" if they have none.
 
     Raises:
@@ -169,8 +143,8 @@ def _conditions(files: Files) -> Conditions:
     conditions: dict[str, Array] = {}
     for name in ("temperature", "payload", "torque"):
         parts = []
-        for table, description in files.pairs():
-            recorded = description.conditions.recorded(description.joint_units)
+        for table, layout in files.pairs():
+            recorded = layout.conditions.recorded(layout.joint_units)
             if name in recorded:
                 columns, scales, reference = recorded[name]
                 values = (table.values(columns) - reference) * np.array(scales)
@@ -190,38 +164,31 @@ def _poses(files: Files, _section: Any) -> Measurements:
             that each convention would leave.
     """
     first, position = files.first, files.values()
-    for table, description in files.pairs():
-        kind_readers.refuse_far(table, description)
-        kind_readers.refuse_origin(table, description)
+    for table, layout in files.pairs():
+        kind_readers.refuse_unseen(table, layout)
     rotation, attitudes = None, first.rotation
     if attitudes is not None:
-        parts = [_attitudes(table, description.rotation, files.where) for table, description in files.pairs()]
-        values = np.concatenate(parts)
+        values = np.concatenate([_attitudes(table, layout.rotation, files.where) for table, layout in files.pairs()])
         if attitudes.convention is None:
-            fits = convention_table(files.geometry, files.joints, position, values, files.source)
+            fits = csv_table.convention_table(files.geometry, files.joints, position, values, files.source)
             raise InputError(
                 f"{files.where}: [rotation] names no convention, and none is guessed; after fitting base and tool "
                 f"each would leave, on average:\n{fits}\n"
                 "name one of them, or the maker's, as convention in [rotation]"
             )
-        rotation = rotations(attitudes.convention, values)
-    return Measurements(
-        joints=files.joints,
-        position=position,
-        rotation=rotation,
-        prismatic=files.geometry.prismatic,
-        position_std=first.std,
-        std_stated=first.measured.std is not None,
-        attitude_std=ATTITUDE_STD if attitudes is None else attitudes.std,
+        rotation = csv_table.rotations(attitudes.convention, values)
+    rows = Measurements(
+        files.joints, position, rotation, files.geometry.prismatic, first.std, std_stated=first.measured.std is not None
     )
+    return rows if attitudes is None else replace(rows, attitude_std=attitudes.std)
 
 
-def _attitudes(table: Table, described: RotationTable | None, where: str) -> Array:
+def _attitudes(table: csv_table.Table, described: description.RotationTable | None, where: str) -> Array:
     """The checked values ``(N, 3 or 4)`` of a file's attitude columns: angles in rad, or quaternions."""
     assert described is not None
     columns, unit = described.columns, described.checked_unit()
     values = table.values(columns) * TO_SI[unit]
-    count = len(columns) if described.convention is None else columns_of(described.convention)
+    count = len(columns) if described.convention is None else csv_table.columns_of(described.convention)
     if values.shape[1] != count:
         raise InputError(f"{where}: convention '{described.convention}' needs {count} columns")
     if count == 4 and np.any(np.abs(np.linalg.norm(values, axis=1) - 1.0) > 0.01):
@@ -240,16 +207,15 @@ def _attitudes(table: Table, described: RotationTable | None, where: str) -> Arr
 def _floor(files: Files) -> NoiseFloor:
     """The noise floor of all files together, from repeat sigma and from the last digit."""
     repeat, digits = [], []
-    for table, description in files.pairs():
-        if description.unit not in LENGTHS or not description.columns:
+    for table, layout in files.pairs():
+        if layout.unit not in description.LENGTHS or not layout.columns:
             continue
-        unit = TO_SI[description.unit]
-        if std_columns := getattr(description.measured, "std_columns", ()):
+        unit = TO_SI[layout.unit]
+        if std_columns := getattr(layout.measured, "std_columns", ()):
             std = table.values(std_columns) * unit
             repeat.append(np.sum(std**2, axis=1) / (std.shape[1] / min(std.shape[1], 3)))
-        step = table.resolution(description.columns) * unit
-        if step:
-            digits.append(step * np.sqrt(min(len(description.columns), 3) / 12.0))
+        if step := table.resolution(layout.columns) * unit:
+            digits.append(step * np.sqrt(min(len(layout.columns), 3) / 12.0))
     return (
         float(np.sqrt(np.mean(np.concatenate(repeat)))) if repeat else None,
         float(max(digits)) if digits else None,
@@ -294,7 +260,7 @@ def read_targets(path: str | Path, geometry: Geometry) -> Targets:
     Raises:
         InputError: Names the file, and the row and column at fault.
     """
-    table = read_table(path)
+    table = csv_table.read_table(path)
     columns = joint_columns(geometry.prismatic)
     as_joints = all(name in table.header for name in columns)
     if not as_joints and not all(name in table.header for name in POSE_COLUMNS):

@@ -174,15 +174,8 @@ def _trial(measurements: Measurements, refit: Refit, train_rows: Rows, test_rows
 def _left_by(name: str, seed: int, fitter: Fitter | None, trial: Trial) -> Array:
     """Residual of the trial's held-out rows after subtracting a model that learns from its training rows."""
     train, test, to_learn, untouched, _ = trial
-    model = fit_residual(
-        name,
-        train.joints,
-        to_learn,
-        train.prismatic,
-        np.random.default_rng(seed),
-        conditions=train.conditions.inputs(),
-        fitter=fitter,
-    )
+    rows, rng = (train.joints, to_learn, train.prismatic), np.random.default_rng(seed)
+    model = fit_residual(name, *rows, rng, conditions=train.conditions.inputs(), fitter=fitter)
     return untouched - model.predict(test.joints, test.conditions.inputs())
 
 
@@ -201,12 +194,8 @@ def _verdict(
     except InputError as error:
         return replace(verdict, reason=f"not fitted: {error}")
     accepted, reason = _compared(untouched, residual, counts)
-    verdict = replace(
-        verdict,
-        blocked_rms=position_rms(residual, counts),
-        blocked_attitude_rms=_attitude_rms(residual, counts),
-        reason=reason,
-    )
+    rms, turned = position_rms(residual, counts), _attitude_rms(residual, counts)
+    verdict = replace(verdict, blocked_rms=rms, blocked_attitude_rms=turned, reason=reason)
     if not accepted:
         return verdict
     *_, before, counts = map(np.concatenate, zip(*(trial[3:] for trial in inner()), strict=True))
@@ -215,13 +204,9 @@ def _verdict(
     except InputError as error:
         return replace(verdict, accepted=False, reason=f"not fitted to fewer rows: {error}")
     accepted, inside = _compared(before, after, counts)
-    return replace(
-        verdict,
-        inner_rms=position_rms(after, counts),
-        geometric_inner_rms=position_rms(before, counts),
-        accepted=accepted,
-        reason=reason if accepted else f"{inside} cross-validated over the other blocks ({reason})",
-    )
+    reason = reason if accepted else f"{inside} cross-validated over the other blocks ({reason})"
+    rms, without = position_rms(after, counts), position_rms(before, counts)
+    return replace(verdict, inner_rms=rms, geometric_inner_rms=without, accepted=accepted, reason=reason)
 
 
 def _compared(before: Array, after: Array, counts: Array) -> tuple[bool, str]:

@@ -252,24 +252,14 @@ class GaussianProcess(SavedArrays):
         learnt_rows, some = np.sort(order[:rows]), np.sort(order[:likelihood_rows])
         mean, std = targets.mean(axis=0), column_std(targets, 1e-12)
         scaled = (targets - mean) / std
-        lengths, amplitudes, noises, weights = [], [], [], []
+        parts, learnt = [], inputs[learnt_rows]
         with single_threaded():
-            for j in range(targets.shape[1]):
-                amplitude, length, noise = _most_likely(inputs[some], scaled[some, j], rng, starts)
-                factor = _factor(_kernel(inputs[learnt_rows], inputs[learnt_rows], length, amplitude), noise)
-                lengths.append(length)
-                amplitudes.append(amplitude)
-                noises.append(noise)
-                weights.append(cho_solve((factor, True), scaled[learnt_rows, j]))
-        return GaussianProcess(
-            rows=inputs[learnt_rows],
-            length_scales=np.array(lengths),
-            amplitude=np.array(amplitudes),
-            noise=np.array(noises),
-            weights=np.array(weights),
-            output_mean=mean,
-            output_std=std,
-        )
+            for output in scaled.T:
+                amplitude, length, noise = _most_likely(inputs[some], output[some], rng, starts)
+                factor = _factor(_kernel(learnt, learnt, length, amplitude), noise)
+                parts.append((length, amplitude, noise, cho_solve((factor, True), output[learnt_rows])))
+        lengths, amplitudes, noises, weights = map(np.array, zip(*parts, strict=True))
+        return GaussianProcess(learnt, lengths, amplitudes, noises, weights, mean, std)
 
     def predict(self, inputs: ArrayLike) -> Array:
         """Mean outputs ``(..., k)`` (m, rad) at standardised inputs ``(..., F)``."""
@@ -312,14 +302,10 @@ def _search(start: Array, inputs: Array, target: Array, precision: float) -> tup
     """The optimum ``(F + 2,)`` that one start leads to, and the negative log marginal likelihood there."""
     from scipy.optimize import fmin_l_bfgs_b
 
-    bounds = np.log([AMPLITUDES, *[LENGTH_SCALES] * inputs.shape[1], NOISES])
+    bounds = np.log([AMPLITUDES, *[LENGTH_SCALES] * inputs.shape[1], NOISES]).tolist()
+    factr = precision / np.finfo(float).eps
     optimum, value, _ = fmin_l_bfgs_b(
-        negative_log_likelihood,
-        start,
-        args=(inputs, target),
-        bounds=[(low, high) for low, high in bounds.tolist()],
-        factr=precision / np.finfo(float).eps,
-        maxiter=ITERATIONS,
+        negative_log_likelihood, start, args=(inputs, target), bounds=bounds, factr=factr, maxiter=ITERATIONS
     )
     return optimum, float(value)
 

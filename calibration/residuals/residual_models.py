@@ -20,12 +20,7 @@ from pickenv.arm import Array
 from pickenv.base import InputError, require
 from pickenv.base.container import named_part, part_of
 from pickenv.base.registry import get
-from pickenv.calibration.residuals.gaussian_process import (
-    Fitter,
-    GaussianProcess,
-    Regressor,
-    column_std,
-)
+from pickenv.calibration.residuals.gaussian_process import Fitter, GaussianProcess, Regressor, column_std
 
 PERIODIC_SPAN = 1.5 * np.pi
 """A revolute joint that spans more than this, rad, enters by sine and cosine, so that full turns close."""

@@ -82,7 +82,7 @@ def test_bad_camera_files_are_refused(change: dict[str, object], words: str, web
         read_lens(path)
 
 
-@pytest.mark.parametrize(("text", "words"), [("a: [1", "line 2: is not YAML"), ("[1, 2]", "holds no camera")])
+@pytest.mark.parametrize(("text", "words"), [("a: [1", "is not valid YAML: .* line 2"), ("[1, 2]", "holds no camera")])
 def test_what_is_no_camera_file(text: str, words: str, tmp_path: Path) -> None:
     (tmp_path / "a.yaml").write_text(text + "\n")
     with pytest.raises(InputError, match=words):

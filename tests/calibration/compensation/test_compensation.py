@@ -11,7 +11,7 @@ from hypothesis import given, settings, strategies as st
 from pickenv.arm import chain_of, displace_pose, forward, load_arm, noncompensable_error, pose_error
 from pickenv.base import InputError
 from pickenv.calibration import Compensator, random_joints
-from pickenv.calibration.compensation.compensator import NEGLIGIBLE, _expected, _nearer, corrected
+from pickenv.calibration.compensation.compensator import NEGLIGIBLE, _expected, _learnt, _nearer, corrected
 from tests.calibration.compensation.networks import fast_network
 
 
@@ -248,8 +248,7 @@ def test_without_a_residual_too_single_precision_is_a_rounding_and_only_where_it
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
 def test_what_is_learnt_has_the_precision_that_it_is_asked_in(qiao, dtype):
-    compensator = Compensator(qiao.nominal, qiao.true, Drift().predict)
-    found = compensator._learnt(np, list(interior(qiao.nominal, 5).T.astype(dtype)))
+    found = _learnt(np, Drift().predict, list(interior(qiao.nominal, 5).T.astype(dtype)))
     assert len(found) == 6 and {part.dtype for part in found} == {np.dtype(dtype)}
     np.testing.assert_allclose(np.stack(found, -1), np.tile(DRIFT, (5, 1)), rtol=1e-6)
 
