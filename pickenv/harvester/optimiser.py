@@ -1,7 +1,7 @@
-"""Plans, who picks what in which order, by the name of the method, and a makespan that no plan beats.
+"""Plans of a zone: which arm picks which fruit in which order, by several methods, and a lower bound of the makespan.
 
-Li's rule and the baselines that the field expects say it at once; a local search takes milliseconds and keeps the
-no-overlap constraints of `Work.conflict`. Fruit out of every arm's reach is left out. Units: s.
+Li's rule and the usual baselines of the field need no search. The local search takes milliseconds and keeps apart the
+excursions that must not overlap (`Work.conflict`). Plans leave out fruit that no arm reaches. Units: s.
 """
 
 from __future__ import annotations
@@ -21,17 +21,20 @@ from pickenv.harvester.zones import SHIPPED
 
 
 def li_rule(work: Work) -> Plan:
-    """Columns, and the order of Li 2016, section 5.2: middle arms by falling height, side arms by rising height."""
+    """Plan of Li 2016, section 5.2: columns; middle arms pick by falling height, side arms by rising height."""
     return _ordered(work, _columns(work), lambda arm, height: -height if arm % 2 else height)
 
 
 def static_columns(work: Work) -> Plan:
-    """Every arm picks the column before it, from below."""
+    """Plan in which every arm picks the column before it from below."""
     return _ordered(work, _columns(work), lambda _arm, height: height)
 
 
 def nearest_neighbour(work: Work) -> Plan:
-    """The arm that is free first takes the fruit that it can finish first."""
+    """Plan in which the arm that is free first takes the fruit that it can finish first.
+
+    Conflicts are not considered.
+    """
     remaining = set(np.flatnonzero(work.reachable).tolist())
     plan: list[list[int]] = [[] for _ in range(work.arms)]
     free = np.zeros(work.arms)
@@ -49,7 +52,10 @@ def nearest_neighbour(work: Work) -> Plan:
 
 
 def hungarian_waves(work: Work) -> Plan:
-    """Wave after wave, at most one fruit an arm, at the least sum of times."""
+    """Plan in waves: in each wave every arm takes at most one fruit, so that the sum of their times is least.
+
+    The time of a fruit is its travel and its excursion. Conflicts are not considered.
+    """
     remaining = np.flatnonzero(work.reachable).tolist()
     plan: list[list[int]] = [[] for _ in range(work.arms)]
     never = 1e6
@@ -69,11 +75,12 @@ def hungarian_waves(work: Work) -> Plan:
 
 
 def lower_bound(work: Work, *, integral: bool = True) -> float:
-    """A makespan that no plan beats: fruit shared out evenly, each with its least travel, and no conflicts.
+    """Lower bound of the makespan of every plan, s; fruit is shared out evenly, with its least travel and no conflicts.
 
     Args:
         work: The zone.
-        integral: Whether fruit is whole (a mixed-integer programme, 0.2 s at most) or may be shared in fractions.
+        integral: Whether a fruit belongs to one arm (a mixed-integer programme of at most 0.2 s). Otherwise arms may
+            share it.
     """
     some = np.flatnonzero(work.reachable)
     if not some.size:
@@ -104,7 +111,7 @@ def lower_bound(work: Work, *, integral: bool = True) -> float:
 
 
 def _columns(work: Work) -> list[list[int]]:
-    """Fruit by the arm that turns least to it, of those that reach it: the parts of the zone before each arm."""
+    """Fruit of each arm by columns: of the arms that reach a fruit, it belongs to the one that turns least."""
     turn = np.where(work.reached, np.abs(work.joints[..., 1]), np.inf)
     owner = turn.argmin(axis=0)
     some = np.flatnonzero(work.reachable)
@@ -112,6 +119,7 @@ def _columns(work: Work) -> list[list[int]]:
 
 
 def _ordered(work: Work, parts: list[list[int]], key: Callable[[int, float], float]) -> Plan:
+    """Plan of the arms' fruit, each sorted by ``key`` of the arm's number and the fruit's height."""
     height: Array = work.joints[0, :, 0]
     return tuple(
         tuple(sorted(part, key=lambda j, arm=arm: (key(arm, float(height[j])), j)))  # type: ignore[misc]
@@ -122,13 +130,15 @@ def _ordered(work: Work, parts: list[list[int]], key: Callable[[int, float], flo
 def local_search(
     work: Work, rng: np.random.Generator | None = None, *, bound: float | None = None, patience: float = 1.0
 ) -> Plan:
-    """Improve the best of the greedy plans by moving and exchanging fruit, mostly of the arm that ends last.
+    """Plan by simulated annealing: the best of three greedy plans is changed by moving and exchanging fruit.
+
+    Half of the changes take a fruit of the arm that ends last.
 
     Args:
         work: The zone.
-        rng: Chooses what is tried; a fixed seed when left out.
-        bound: Stop here; `lower_bound` when left out.
-        patience: Rounds, as a multiple of the strategy file's.
+        rng: Source of the changes; a fixed seed by default.
+        bound: Makespan at which the search stops once it is within 1 %, s; `lower_bound` by default.
+        patience: Number of rounds, as a multiple of the strategy file's.
     """
     rng = np.random.default_rng(0) if rng is None else rng
     starts = [_by_height(work), nearest_neighbour(work), hungarian_waves(work)]
@@ -160,7 +170,10 @@ def local_search(
 
 
 def _by_height(work: Work) -> Plan:
-    """Fruit of each arm from below, shared so that the loads are even: a good start where fruit hangs dense."""
+    """Plan in which the arms pick from below and share the fruit so that their loads are even.
+
+    It is a good start where fruit hangs dense.
+    """
     load = np.zeros(work.arms)
     parts: list[list[int]] = [[] for _ in range(work.arms)]
     some = sorted(np.flatnonzero(work.reachable).tolist(), key=lambda j: (int(work.reached[:, j].sum()), j))
@@ -174,7 +187,7 @@ def _by_height(work: Work) -> Plan:
 def _changed(
     plan: list[list[int]], reached: list[list[bool]], rng: np.random.Generator, source: int
 ) -> list[list[int]] | None:
-    """The plan with a fruit of arm ``source`` moved or exchanged; None where the draw is impossible."""
+    """The plan with one fruit of arm ``source`` moved or exchanged; None if the draw is impossible."""
     new = [list(fruit) for fruit in plan]
     if not new[source]:
         return None
@@ -197,21 +210,29 @@ def _changed(
 
 @toml_table
 class Effort:
-    """[optimiser] of a strategy file: rounds of the local search per fruit, and seconds of CP-SAT."""
+    """Table [optimiser] of a strategy file.
+
+    Attributes:
+        rounds: Rounds of the local search per fruit.
+        seconds: Time limit of the constraint solver CP-SAT, s.
+    """
 
     rounds: Annotated[float, NUMBER.positive]
     seconds: Annotated[float, NUMBER.positive]
 
 
 load_effort = cache(partial(read_toml, Effort, SHIPPED, section="optimiser"))
-"""Reads how long plans are searched for."""
-
-
-# A plan for a zone by the name of the method that makes it.
+"""Read the table [optimiser] of the strategy file, once."""
 
 
 def assign(work: Work, method: str, rng: np.random.Generator | None = None) -> Plan:
-    """A plan by the name of its method.
+    """Plan of a zone by the method of a given name.
+
+    Args:
+        work: The zone.
+        method: "li": Li's rule; "nearest": nearest neighbour; "columns": columns from below; "hungarian": waves;
+            "search": local search.
+        rng: Source of the search's changes; a fixed seed by default.
 
     Raises:
         InputError: If the method is unknown.
