@@ -131,7 +131,7 @@ Its arguments are the arm, its fruit, the time at which it is ready (s), and the
 """
 
 
-def timetable(work: Work, plan: Plan, *, hold: Hold | None = None, late: ArrayLike | None = None) -> Timetable:
+def timetable(work: Work, plan: Plan, *, hold: Hold | None = None) -> Timetable:
     """Times of a plan's picks.
 
     An excursion starts once its arm is ready and no conflicting excursion is under way.
@@ -141,23 +141,17 @@ def timetable(work: Work, plan: Plan, *, hold: Hold | None = None, late: ArrayLi
         plan: Fruit of each arm, in order.
         hold: Rule by which an arm waits longer, such as `pickenv.harvester.ultrasonic_hold`. With a rule, of two arms
             that could start at the same time the middle arm (odd number) goes first.
-        late: How much longer than planned an arm stays at each fruit, s, (arms, n); the plan does not know of it.
     """
-    delays = None if late is None else np.asarray(late, dtype=float).tolist()
-    return _table(_schedule(work, plan, hold, delays), delays)
+    return _table(_schedule(work, plan, hold))
 
 
-def _table(rows: list[Row], late: list[list[float]] | None) -> Timetable:
-    columns = np.array(rows, dtype=float).reshape(-1, 5)
-    arm, fruit = columns[:, 0].astype(np.int64), columns[:, 1].astype(np.int64)
-    ends = columns[:, 3] if late is None else columns[:, 3] + np.array(late)[arm, fruit]
-    return Timetable(arm, fruit, columns[:, 2], ends, columns[:, 4], float(ends.max()) if len(ends) else 0.0)
+def _table(rows: list[Row]) -> Timetable:
+    arm, fruit, start, end, held = np.array(rows, dtype=float).reshape(-1, 5).T
+    return Timetable(arm.astype(np.int64), fruit.astype(np.int64), start, end, held, float(end.max(initial=0.0)))
 
 
-def _schedule(
-    work: Work, plan: Sequence[Sequence[int]], hold: Hold | None = None, late: list[list[float]] | None = None
-) -> list[Row]:
-    """Picks in the order of their starts, each with its arm, fruit, start, planned end and waiting time."""
+def _schedule(work: Work, plan: Sequence[Sequence[int]], hold: Hold | None = None) -> list[Row]:
+    """Picks in the order of their starts, each with its arm, fruit, start, end and waiting time."""
     (duration, first, travel, barred), arms = work.lists, range(len(plan))
     done: list[Row] = []
     at = [0] * len(plan)
@@ -175,7 +169,7 @@ def _schedule(
                     if b != a and start < end and barred[a][fruit][b][picked]:
                         start, delayed = end, True
                 if hold is not None and not delayed:
-                    later = hold(a, fruit, start, _table(done, late))
+                    later = hold(a, fruit, start, _table(done))
                     start, delayed = later, later > start
             key = (start, 0 if hold is not None and a % 2 else 1, a)
             if best is None or key < best:
@@ -188,15 +182,10 @@ def _schedule(
         done.append((a, fruit, start, end, start - ready[a]))
         at[a] += 1
         if at[a] < len(plan[a]):
-            ready[a] = end + travel[fruit][plan[a][at[a]]] + (late[a][fruit] if late else 0.0)
-
-
-def makespan_of(work: Work, plan: Sequence[Sequence[int]]) -> float:
-    """Makespan of a plan, s."""
-    return max((row[3] for row in _schedule(work, plan)), default=0.0)
+            ready[a] = end + travel[fruit][plan[a][at[a]]]
 
 
 def last_arm(work: Work, plan: Sequence[Sequence[int]]) -> tuple[float, int]:
-    """Makespan of a plan, s, and the number of the arm that ends it."""
-    row = max(_schedule(work, plan), key=lambda row: row[3])
+    """Makespan of a plan, s, and the number of the arm that ends it; zeros for a plan without picks."""
+    row = max(_schedule(work, plan), key=lambda row: row[3], default=(0, 0, 0.0, 0.0, 0.0))
     return row[3], row[0]
