@@ -95,7 +95,6 @@ def slave_joints_at(machine: Machine, work: Work, times: Timetable, at: Array) -
     """
     joints = np.broadcast_to(machine.slave_home, (len(at), machine.arms, 3)).copy()
     speed, acceleration = machine.slaves[0].speed, machine.slave_acceleration
-    fixed = machine.cycle.sense + machine.cycle.cut
     for a in range(machine.arms):
         mine = np.flatnonzero(times.arm == a)
         height, free = float(machine.slave_home[0]), 0.0
@@ -113,7 +112,6 @@ def slave_joints_at(machine: Machine, work: Work, times: Timetable, at: Array) -
             on = at >= begin + stretch
             joints[on, a, 0] = below + profile(at[on] - begin - stretch, goal[0] - below, speed[0], acceleration[0])
             back = end - stretch
-            assert back >= begin + stretch + fixed - 1e-9
             on = at >= back
             share = _share(at[on] - back, moves, speed[1:], acceleration[1:], stretch)
             joints[on, a, 1:] = machine.slave_home[1:] + (1 - share[:, None]) * moves

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pickenv.arm import Array
 from pickenv.base import InputError
 from pickenv.harvester.arm_paths import closest_approach, ultrasonic_hold
-from pickenv.harvester.machine import Machine, master_time
+from pickenv.harvester.machine import Flags, Machine, master_time
 from pickenv.harvester.optimiser import assign
 from pickenv.harvester.pick_points import pick_point
 from pickenv.harvester.picking import Luck, Picking, attempt, displacements, draw_luck
@@ -28,8 +28,6 @@ from pickenv.harvester.true_machine import Controller, TrueMachine
 from pickenv.harvester.work import Timetable, Work, timetable, zone_work
 from pickenv.harvester.zones import Grid, Zone, cut
 from pickenv.orchard import Eyes, draw_chances, load_eyes, next_picture, see
-
-Flags = NDArray[np.bool_]
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,14 +177,12 @@ def harvest(
     for number in range(grid.columns * grid.rows):
         waiting = list(range(len(states)))
         for look in range(strategy.looks):
-            plans = [(i, _plan(machine, strategy, eyes, states[i], sides[i][number], look)) for i in waiting]
+            plans = ((i, _plan(machine, strategy, eyes, states[i], sides[i][number], look)) for i in waiting)
             rounds = {i: plan for i, plan in plans if plan is not None}
             waiting = _execute(true, strategy, model, states, rounds)
-        if not strategy.unload_full:
-            for state in states:
+        for state in states:
+            if not strategy.unload_full or number == grid.columns * grid.rows - 1:
                 _unload(machine, state)
-    for state in states:
-        _unload(machine, state)
     return states
 
 
@@ -196,8 +192,8 @@ def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone
     numbers, places = _seen_in(eyes, state, zone, look)
     if not numbers.size:
         return None
-    master = pick_point(machine, places, strategy.pick_point)
-    master = np.clip(master, machine.master.nominal.lower, machine.master.nominal.upper)
+    low, high = machine.master.nominal.lower, machine.master.nominal.upper
+    master = np.clip(pick_point(machine, places, strategy.pick_point), low, high)
     work = zone_work(machine, master, places)
     can, fruit = work.reachable, numbers >= 0
     state.reachable[numbers[can & fruit]] = True
@@ -345,20 +341,6 @@ def generators_of(
     return [np.random.default_rng(a) for a, _ in pairs], [np.random.default_rng(b) for _, b in pairs]
 
 
-def _some_trees(
-    true: TrueMachine,
-    strategy: Strategy,
-    model: Picking,
-    orchard: Orchard,
-    grid: Grid,
-    vision: str,
-    seeds: Sequence[np.random.SeedSequence],
-) -> list[Harvest]:
-    tree_rngs, rngs = generators_of(seeds)
-    trees = [sample_tree(true.machine, orchard, rng) for rng in tree_rngs]
-    return harvest(true, strategy, model, trees, rngs, grid, load_eyes(vision, orchard.canopy, strategy.detector))
-
-
 def work_trees(
     true: TrueMachine,
     strategy: Strategy,
@@ -394,13 +376,14 @@ def work_trees(
     """
     if count < 1 or workers < 1:
         raise InputError(f"{count} trees on {workers} workers are impossible; give 1 or more of each")
-    seeds = np.random.SeedSequence(seed).spawn(count)
-    job = partial(_some_trees, true, strategy, model, orchard, grid, vision)
+    tree_rngs, rngs = generators_of(np.random.SeedSequence(seed).spawn(count))
+    trees = [sample_tree(true.machine, orchard, rng) for rng in tree_rngs]
+    eyes = load_eyes(vision, orchard.canopy, strategy.detector)
+    job = partial(harvest, true, strategy, model, grid=grid, eyes=eyes)
     if workers == 1 or count < 2 * workers:
-        return job(seeds)
-    parts = [seeds[i::workers] for i in range(workers)]
+        return job(trees, rngs)
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        done = list(pool.map(job, parts))
+        done = list(pool.map(job, *([some[i::workers] for i in range(workers)] for some in (trees, rngs))))
     return [done[i % workers][i // workers] for i in range(count)]
 
 

@@ -19,7 +19,6 @@ from pickenv.arm.kinematics.backend import ONE, chosen
 from pickenv.arm.kinematics.forward import Scalar
 from pickenv.harvester.machine import Machine
 
-Flags = NDArray[np.bool_]
 Point = tuple[Scalar, Scalar]
 
 FEW = 4
@@ -135,9 +134,7 @@ def excursion_distances(machine: Machine, joints: Array, approach: Array) -> Arr
     length = machine.slave_home[2] + (joints[None, ..., 2] - machine.slave_home[2]) * share
     pivot = np.zeros((arms, n, 2))
     pivot[..., 0] = machine.offsets[:, None]
-    tips = pivot + np.stack(
-        [-length * np.sin(swing), length * np.cos(swing)], axis=-1
-    )  # along the way, (4, arms, n, 2)
+    tips = np.stack(_cup(np, pivot[..., 0], swing, length), axis=-1)  # along the way, (4, arms, n, 2)
     starts = np.stack([pivot, pivot, tips[0], tips[1], tips[2]])
     ends = np.stack([tips[0], tips[3], tips[1], tips[2], tips[3]])
     top = joints[..., 0]

@@ -340,7 +340,10 @@ def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spaci
     shifts = (np.arange(int(count)) - (int(count) - 1) / 2) * between
     machine = Machine(
         master=load_arm(head.master),
-        slaves=tuple(shifted(slave, float(shift)) for shift in shifts),
+        slaves=tuple(
+            replace(slave, nominal=shifted(slave.nominal, shift), true=slave.true and shifted(slave.true, shift))
+            for shift in shifts.tolist()
+        ),
         spacing=between,
         master_start=np.zeros(3),
         slave_home=np.array([head.slave_home, 0.0, float(slave.nominal.lower[2])]),
@@ -379,15 +382,9 @@ def refuse_touching_arms(machine: Machine) -> None:
         )
 
 
-def shifted(slave: Arm, offset: float) -> Arm:
-    """A slave arm mounted ``offset`` m farther to the right: a3 grows, in its nominal and its true table."""
-
-    def moved(geometry: Geometry) -> Geometry:
-        a = geometry.a.copy()
-        a[0] += offset
-        return replace(geometry, a=a)
-
-    return replace(slave, nominal=moved(slave.nominal), true=None if slave.true is None else moved(slave.true))
+def shifted(slave: Geometry, offset: float) -> Geometry:
+    """Geometry of a slave mounted ``offset`` m farther to the right: a3 grows."""
+    return replace(slave, a=np.concatenate([slave.a[:1] + offset, slave.a[1:]]))
 
 
 def composed(first: Pose, second: Pose) -> Pose:
@@ -448,6 +445,5 @@ def master_time(machine: Machine, start: ArrayLike, end: ArrayLike) -> Array:
 
 def dense_workspace() -> tuple[tuple[float, ...], ...]:
     """Ranges of x, y and z in the base frame, m, where Li 2016, Fig. 8, finds the cloud of reached points dense."""
-    workspace = read_toml(MachineFile, SHIPPED).workspace
-    assert workspace is not None, SHIPPED
+    workspace = read_toml(WorkspaceTable, SHIPPED, section="workspace")
     return workspace.dense_x, workspace.dense_y, workspace.dense_z

@@ -115,8 +115,9 @@ def searched(machine: Machine, fruit: Array) -> Array:
     if near.any():  # fruit that no arm could ever reach must not pull the pick point away
         fruit = fruit[near]
     heights = _heights(machine, fruit)
-    window = np.abs(fruit[:, 2] - machine.d1 - heights[:, None] - _slide_middle(machine))  # (k, n)
-    inside = window <= (machine.slave.upper[0] - machine.slave.lower[0]) / 2 + 1e-9
+    bottom, top = machine.slave.lower[0], machine.slave.upper[0]
+    window = np.abs(fruit[:, 2] - machine.d1 - heights[:, None] - (top + bottom) / 2)  # (k, n)
+    inside = window <= (top - bottom) / 2 + 1e-9
     most = inside[int(inside.sum(axis=1).argmax())]
     middle = fruit[most if most.any() else slice(None), :2].mean(axis=0)
     distance = float(np.hypot(*middle))
@@ -136,15 +137,11 @@ def searched(machine: Machine, fruit: Array) -> Array:
     return np.asarray(best)
 
 
-def _slide_middle(machine: Machine) -> float:
-    return float(machine.slave.upper[0] + machine.slave.lower[0]) / 2
-
-
 def _heights(machine: Machine, fruit: Array) -> Array:
     """Heights d2 worth trying, m, (k,): for the middle of the fruit, and for each fruit at an end of the slide."""
     z = np.unique(fruit[:, 2]) - machine.d1
-    centre = (z[0] + z[-1]) / 2 - _slide_middle(machine)
-    heights = np.concatenate([[centre], z - machine.slave.lower[0], z - machine.slave.upper[0]])
+    bottom, top = machine.slave.lower[0], machine.slave.upper[0]
+    heights = np.concatenate([[(z[0] + z[-1]) / 2 - (top + bottom) / 2], z - bottom, z - top])
     return np.asarray(np.clip(heights, machine.master.nominal.lower[1], machine.master.nominal.upper[1]))
 
 

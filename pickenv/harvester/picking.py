@@ -11,18 +11,12 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pickenv.arm import Array
 from pickenv.base import MM, NUMBER, SHARE, Key, Then, Unit, fault, read_toml, toml_table
+from pickenv.harvester.machine import Flags
 from pickenv.harvester.trees import SHIPPED
 from pickenv.orchard import Branch, Cup, coupling, load_branch, load_gripper, swing
-
-Flags = NDArray[np.bool_]
-
-
-def _branch(name: str, _context: Any) -> Branch:
-    return load_branch(name)
 
 
 def _cup(name: str, _context: Any) -> Cup:
@@ -50,7 +44,7 @@ class Picking:
     """
 
     cup: Annotated[Cup, Key("gripper"), Then(_cup, str)]
-    branch: Annotated[Branch, Then(_branch, str)]
+    branch: Annotated[Branch, Then(lambda name, _: load_branch(name), str)]
     gather: Annotated[float, MM.positive]
     outer: Annotated[float, Key("cup_outer_mm"), Unit("mm", 0.5e-3, most=MM.most).positive]
     cluster_success: Annotated[float, SHARE]

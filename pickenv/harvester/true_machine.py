@@ -19,7 +19,7 @@ from pickenv.arm import Array, Frame, Geometry, Plant, Pose, forward, load_plant
 from pickenv.arm.kinematics.backend import ONE
 from pickenv.arm.kinematics.forward import Scalar, attach, split_joints
 from pickenv.base import InputError, read_toml
-from pickenv.harvester.machine import SHIPPED, Machine, MachineFile, composed, shifted
+from pickenv.harvester.machine import SHIPPED, Machine, TrueTable, composed, shifted
 
 Rows = NDArray[np.intp]
 
@@ -89,11 +89,10 @@ class TrueMachine:
             arm: Number of the slave of each pick, (picks,).
             joints: Commands of that slave, (picks, 3).
         """
-
-        def cups(i: int, base: Pose, mine: Rows) -> Array:
-            return composed(base, self.slaves[i].tool_pose(joints[mine])).position
-
-        return _arm_by_arm(self.frame3(master), arm, cups)
+        plants = self.slaves
+        return _arm_by_arm(
+            self.frame3(master), arm, lambda i, base, mine: composed(base, plants[i].tool_pose(joints[mine])).position
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -196,29 +195,18 @@ def load_true_machine(machine: Machine, path: str | Path = SHIPPED) -> TrueMachi
     Raises:
         InputError: If the table [true] is missing, a number is impossible, or the master's plant is of another arm.
     """
-    table = read_toml(MachineFile, path).true
-    if table is None:
-        raise InputError(f"{path}: section [true] is missing; name the plants of master and slave there")
+    table = read_toml(TrueTable, path, section="true")
     master, slave = load_plant(table.master), load_plant(table.slave)
     if master.arm.fingerprint() != machine.master.fingerprint():
         raise InputError(f"{path}: plant '{master.name}' is not one of arm '{machine.master.name}'")
-    return TrueMachine(
-        machine=machine,
-        master=master,
-        slaves=tuple(
-            _seated(slave, float(machine.offsets[i]), table.seat_right[i], table.seat_ahead[i], table.seat_up[i])
-            for i in range(machine.arms)
-        ),
-        repeatability=table.repeatability,
-    )
+    seats = zip(machine.offsets.tolist(), table.seat_right, table.seat_ahead, table.seat_up, strict=False)
+    return TrueMachine(machine, master, tuple(_seated(slave, *seat) for seat in seats), table.repeatability)
 
 
 def _seated(plant: Plant, offset: float, right: float, ahead: float, up: float) -> Plant:
     """Plant of a slave at its offset, its true chain displaced by the errors of its seat, m: right, ahead, up."""
-    arm = shifted(replace(plant.arm, true=plant.geometry), offset)  # a calibrated arm's file has no other truth
-    assert arm.true is not None
-    delta = np.zeros(5 * arm.true.joints + 12)
+    delta = np.zeros(5 * plant.geometry.joints + 12)
     delta[-12:-9] = right, -up, ahead
-    arm = replace(arm, true=arm.true.displaced(delta))
-    assert arm.true is not None
-    return replace(plant, arm=arm, geometry=arm.true)
+    geometry = shifted(plant.geometry, offset).displaced(delta)
+    arm = replace(plant.arm, nominal=shifted(plant.arm.nominal, offset), true=geometry)
+    return replace(plant, arm=arm, geometry=geometry)
