@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from pickenv.base import require
-from pickenv.harvester import Work, lower_bound
+from pickenv.harvester import Work, lower_bound, timetable
 from pickenv.harvester.optimiser import load_effort, local_search
-from pickenv.harvester.work import Plan, makespan_of
+from pickenv.harvester.work import Plan
 
 TICKS = 1000
 """CP-SAT counts whole milliseconds."""
@@ -34,7 +34,7 @@ def cp_sat(work: Work, rng: np.random.Generator | None = None, *, seconds: float
     """
     limit = lower_bound(work)
     start = local_search(work, rng, bound=limit, patience=6.0)
-    value = makespan_of(work, start)
+    value = timetable(work, start).makespan
     if sum(len(fruit) for fruit in start) < 2 or value <= limit * 1.01:
         return start
     require("ortools")
@@ -92,7 +92,7 @@ def cp_sat(work: Work, rng: np.random.Generator | None = None, *, seconds: float
         if solver.value(literal):
             starts[arm].append((solver.value(begin[arm, j]), j))
     plan = tuple(tuple(j for _, j in sorted(fruit)) for fruit in starts)
-    return plan if makespan_of(work, plan) < value else start
+    return plan if timetable(work, plan).makespan < value else start
 
 
 def _ticks(seconds: float) -> int:

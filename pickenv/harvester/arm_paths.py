@@ -1,7 +1,8 @@
-"""The arms at any time of a timetable, their least distances, and the echoes of a side arm's ultrasonic ranger.
+"""Paths of the slave arms over time, their least distance, and the echoes that a side arm's ultrasonic rangers receive.
 
-The ranger sits on both flanks of the side arm's cup and looks sideways, level, at the neighbour: it measures the
-surface that is nearest in its cone, as far as its echo carries. It knows no timetable. Units: m, rad, s.
+Arms are numbered from 0, left to right. Arms of odd number are middle arms, arms of even number side arms. A side arm
+has a ranger on each flank of its cup. The ranger looks level and sideways at a middle arm, and measures the nearest
+surface in its cone. It knows nothing of the timetable. Units: m, rad, s.
 """
 
 from __future__ import annotations
@@ -15,13 +16,19 @@ from pickenv.harvester.machine import Machine, profile, travel_time
 from pickenv.harvester.work import Hold, Timetable, Work
 
 ALONG = np.linspace(0.0, 1.0, 25)
-"""Points of a neighbour's centre line that may send an echo."""
+"""Points of a middle arm's centre line, as shares of its length from pivot to cup, that can return an echo."""
 
 
 def echoes(machine: Machine, slaves: ArrayLike, arm: int) -> Array:
-    """Distance from slave ``arm``'s cup to the middle arms' nearest surface in its rangers' cones, (...), m.
+    """Distances that the rangers of a side arm measure: the nearest surface of a middle arm in their cones.
 
-    Infinite where nothing stands in a cone, or nothing within range. ``slaves``: joints of all arms, (..., arms, 3).
+    Args:
+        machine: The machine.
+        slaves: Nominal joints of all slave arms, (..., arms, 3), m and rad.
+        arm: Number of the side arm that measures.
+
+    Returns:
+        Distances from surface to surface, m, (...); infinite where no surface is in a cone and within range.
     """
     slaves, ranger = np.asarray(slaves, dtype=float), machine.ranger
     pivot, cup = plan(machine, slaves)
@@ -41,10 +48,19 @@ def echoes(machine: Machine, slaves: ArrayLike, arm: int) -> Array:
 
 
 def ultrasonic_hold(machine: Machine, work: Work, rng: np.random.Generator) -> Hold:
-    """Li's rule for `timetable`: a side arm (even, from 0) stays at rest while it hears a middle arm (odd) too near.
+    """Li's rule of waiting for `timetable`: a side arm stays at rest while it hears a middle arm too near.
 
-    It listens once a period, with the ranger's noise. What it hears is where the neighbour is, late or not; what no
-    echo comes from, it does not know of.
+    The arm listens once in each period of its ranger, with the ranger's noise. It starts at the first measurement that
+    is not below `Body.guard`. It waits at most until the picks that middle arms have begun are over. A middle arm that
+    returns no echo does not stop it.
+
+    Args:
+        machine: The machine.
+        work: The zone.
+        rng: Source of the ranger's noise.
+
+    Returns:
+        The rule as a function for `timetable`; see `pickenv.harvester.work.Hold`.
     """
 
     def hold(arm: int, fruit: int, start: float, begun: Timetable) -> float:
@@ -64,10 +80,21 @@ def ultrasonic_hold(machine: Machine, work: Work, rng: np.random.Generator) -> H
 
 
 def slave_joints_at(machine: Machine, work: Work, times: Timetable, at: Array) -> Array:
-    """Nominal slave joints (times, arms, 3) at times ``at`` of a timetable: trapezoidal moves, phase by phase."""
+    """Nominal joints of all slave arms at some times of a timetable.
+
+    Each phase of a pick is a move with a trapezoidal speed profile.
+
+    Args:
+        machine: The machine.
+        work: The zone.
+        times: The timetable.
+        at: Times since the start of the timetable, s, (times,).
+
+    Returns:
+        Joints (times, arms, 3), m and rad.
+    """
     joints = np.broadcast_to(machine.slave_home, (len(at), machine.arms, 3)).copy()
     speed, acceleration = machine.slaves[0].speed, machine.slave_acceleration
-    fixed = machine.cycle.sense + machine.cycle.cut
     for a in range(machine.arms):
         mine = np.flatnonzero(times.arm == a)
         height, free = float(machine.slave_home[0]), 0.0
@@ -85,7 +112,6 @@ def slave_joints_at(machine: Machine, work: Work, times: Timetable, at: Array) -
             on = at >= begin + stretch
             joints[on, a, 0] = below + profile(at[on] - begin - stretch, goal[0] - below, speed[0], acceleration[0])
             back = end - stretch
-            assert back >= begin + stretch + fixed - 1e-9
             on = at >= back
             share = _share(at[on] - back, moves, speed[1:], acceleration[1:], stretch)
             joints[on, a, 1:] = machine.slave_home[1:] + (1 - share[:, None]) * moves
@@ -94,7 +120,7 @@ def slave_joints_at(machine: Machine, work: Work, times: Timetable, at: Array) -
 
 
 def _share(time: Array, moves: Array, speed: Array, acceleration: Array, total: float) -> Array:
-    """Share of a joint move done after ``time``: the joint that takes longest leads, the other keeps step."""
+    """Share of a joint move that is done after ``time``; the slower joint leads and the other keeps step."""
     if total <= 0:
         return np.ones_like(time)
     lead = int(np.argmax(travel_time(moves, speed, acceleration)))
@@ -102,7 +128,14 @@ def _share(time: Array, moves: Array, speed: Array, acceleration: Array, total: 
 
 
 def closest_approach(machine: Machine, work: Work, times: Timetable, step: float = 0.1) -> float:
-    """Least distance between the centre lines of two arms over a timetable, sampled every ``step`` seconds, m."""
+    """Least distance between the centre lines of two arms over a timetable, m; infinite with one arm or without picks.
+
+    Args:
+        machine: The machine.
+        work: The zone.
+        times: The timetable.
+        step: Time between two samples, s.
+    """
     if machine.arms < 2 or not len(times.arm):
         return float("inf")
     at = np.arange(0.0, times.makespan + step, step)

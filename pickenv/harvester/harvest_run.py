@@ -1,8 +1,8 @@
-"""Whole trees: zone after zone, image, pick point, plan, picks, second looks, collective unloading, and the clock.
+"""Harvest of whole trees, zone by zone: picture, pick point, plan, picks, further pictures, unloading, and the clock.
 
-Many trees go on in step, so that the true arms of a zone are computed for all of them at once. Each tree draws from a
-generator of its own, so results do not depend on which trees go together. `work_trees` draws the same trees for
-every strategy from one seed, whatever the number of workers. Units: m, rad, s.
+Many trees advance together, so that the true arms are computed for all of them at once. Each tree has a random
+generator of its own, so its result does not depend on the other trees. `work_trees` draws the same trees from one seed
+for every strategy and any number of workers. Units: m, rad, s.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from pickenv.arm import Array
 from pickenv.base import InputError
 from pickenv.harvester.arm_paths import closest_approach, ultrasonic_hold
-from pickenv.harvester.machine import Machine, master_time
+from pickenv.harvester.machine import Flags, Machine, master_time
 from pickenv.harvester.optimiser import assign
 from pickenv.harvester.pick_points import pick_point
 from pickenv.harvester.picking import Luck, Picking, attempt, displacements, draw_luck
@@ -29,22 +29,21 @@ from pickenv.harvester.work import Timetable, Work, timetable, zone_work
 from pickenv.harvester.zones import Grid, Zone, cut
 from pickenv.orchard import Eyes, draw_chances, load_eyes, next_picture, see
 
-Flags = NDArray[np.bool_]
-
 
 @dataclass(frozen=True, eq=False)
 class Strategy:
-    """The way a machine works a tree.
+    """The way in which a machine works a tree.
 
     Attributes:
-        name: As reports print it.
-        controller: What is known of the true machine.
-        pick_point: Method of `pick_point.pick_point`.
-        assignment: Method of `assignment.assign`.
-        guard: Whether side arms hold while their ultrasonic ranger hears the middle arm too near.
-        looks: Images a zone may have: after the first, one more each time a cup came back empty.
-        unload_full: Whether tubes are emptied only when one is full and at the end, rather than after each zone.
-        detector: What reads the pictures, of `pickenv.orchard.DETECTORS`.
+        name: Name for reports.
+        controller: Conversion of nominal joints into commands, with what is known of the true machine.
+        pick_point: Method of `pickenv.harvester.pick_point`.
+        assignment: Method of `pickenv.harvester.assign`.
+        guard: Whether side arms wait while their ultrasonic ranger hears a middle arm too near.
+        looks: Most pictures of a zone. A further one is taken only if some pick of the one before detached no fruit.
+        unload_full: If true, the tubes are emptied only when one is full, and at the end. Otherwise they are emptied
+            after each zone.
+        detector: Detector that reads the pictures, one of `pickenv.orchard.DETECTORS`.
     """
 
     name: str
@@ -59,19 +58,19 @@ class Strategy:
 
 @dataclass(eq=False)
 class Round:
-    """One image and the picks it led to.
+    """One picture of a zone and the picks that follow from it. A detection is a fruit, or a false one.
 
     Attributes:
         zone: The zone.
-        begin: Start of the picking on the tree's clock, s.
-        master: Master joints while picking, (3,).
-        numbers: Tree numbers of what the image showed in the zone, -1 where no fruit hung, (n,).
-        believed: Where it was believed to be, (n, 3), m.
-        work: The scheduling problem.
-        times: When each pick happened.
+        begin: Time at which picking starts on the tree's clock, s.
+        master: Nominal joints of the master while its slaves pick, (3,).
+        numbers: Number of each detected fruit in the tree, -1 for a false detection, (n,).
+        believed: Position of each detection as measured in the picture, base frame, m, (n, 3).
+        work: The scheduling problem; its fruit are the detections.
+        times: Timetable of the picks.
         closest: Least distance between the centre lines of two arms, m; infinite for one arm.
-        skipped: Tree numbers of fruit located but out of every arm's reach.
-        collected: Whether each pick brought an undamaged fruit into a tube, once they are done, (picks,).
+        skipped: Tree numbers of the located fruit that no arm reaches.
+        collected: Whether each pick brought an undamaged fruit into a tube, (picks,); set once the picks are done.
     """
 
     zone: Zone
@@ -87,39 +86,42 @@ class Round:
 
     @property
     def fruit(self) -> NDArray[np.int64]:
-        """Tree numbers of the fruit attempted, in the order of the timetable."""
+        """Tree number of the fruit of each pick, -1 for a false detection, (picks,), in the order of the timetable."""
         return self.numbers[self.times.fruit]
 
     @property
     def aimed(self) -> Array:
-        """Slave joints of each pick, nominal, (picks, 3)."""
+        """Nominal slave joints of each pick, (picks, 3)."""
         return self.work.joints[self.times.arm, self.times.fruit]
 
 
 class Harvest:
-    """A tree being worked, and in the end what was done; stages are per fruit, (n,).
+    """A tree while it is worked, and the record of what was done.
+
+    Flags and numbers of fruit have shape (n,), n being the number of fruit of the tree.
 
     Attributes:
         tree: The tree.
-        rng: Source of what happens to it.
-        looking: Source of what its pictures show.
-        leaves: Its leaves, where pictures are drawn.
-        seen: Fruit of which an image showed anything.
-        located: Fruit whose place was found in one.
-        reachable: Fruit that an arm could reach from a pick point.
-        attempted: Fruit that a cup went to.
+        rng: Source of what happens to the fruit.
+        looking: Source of what the pictures show.
+        leaves: Leaves of the tree, or None unless pictures are rendered.
+        seen: Fruit of which at least a part was in sight in some picture.
+        located: Fruit whose position was measured in some picture.
+        reachable: Fruit that some arm reached from a pick point.
+        attempted: Fruit to which a cup was sent.
         attached: Fruit that was in a cup.
         detached: Fruit whose stalk was cut.
-        collected: Fruit in a tube, undamaged.
-        by_arm: Arm of the last attempt, or -1.
-        load: Fruit in the tube of each arm.
-        master: Joints of the master.
-        rounds: What was done.
-        seconds: Clock of the tree.
-        phases: Seconds by phase: move, image, pick, unload.
-        repicks: Attempts at fruit that was missed before.
-        misled: Attempts where no fruit hung.
-        chances: What chance decided about its fruit in the last picture, where errors are measured ones.
+        collected: Fruit that came into a tube undamaged.
+        by_arm: Arm of the last attempt at each fruit, or -1.
+        load: Number of fruit in the tube of each arm, (arms,).
+        master: Present nominal joints of the master, (3,).
+        rounds: Rounds so far, in order.
+        seconds: Time on the tree's clock, s.
+        phases: Time spent in each phase ("move", "image", "pick", "unload"), s.
+        repicks: Number of attempts at fruit that an earlier attempt had missed.
+        misled: Number of attempts at false detections.
+        chances: Random numbers of the last picture, (n, 5), see `pickenv.orchard.draw_chances`; None unless errors are
+            measured ones.
     """
 
     def __init__(self, machine: Machine, eyes: Eyes, tree: Tree, rng: np.random.Generator) -> None:
@@ -136,7 +138,7 @@ class Harvest:
         self.chances: Array | None = None
 
     def spend(self, phase: str, seconds: float) -> None:
-        """Let the clock run."""
+        """Advance the clock by ``seconds``, on the account of a phase."""
         self.seconds += seconds
         self.phases[phase] += seconds
 
@@ -153,13 +155,16 @@ def harvest(
     """Work trees from the first zone to the last.
 
     Args:
-        true: The machine as built; the controller knows only what the strategy says.
-        strategy: How.
-        model: What becomes of attempts.
+        true: The machine as built. The controller knows of it only what the strategy's controller knows.
+        strategy: Choice of pick points, plans, pictures and unloading.
+        model: Model of what becomes of attempts.
         trees: The trees.
         rngs: One generator per tree.
-        grid: How each side is cut into zones.
-        eyes: How fruit is seen.
+        grid: Zones of each side.
+        eyes: Model of how cameras see fruit.
+
+    Returns:
+        The record of each tree.
 
     Raises:
         InputError: If the numbers of trees and generators differ.
@@ -172,25 +177,23 @@ def harvest(
     for number in range(grid.columns * grid.rows):
         waiting = list(range(len(states)))
         for look in range(strategy.looks):
-            plans = [(i, _plan(machine, strategy, eyes, states[i], sides[i][number], look)) for i in waiting]
+            plans = ((i, _plan(machine, strategy, eyes, states[i], sides[i][number], look)) for i in waiting)
             rounds = {i: plan for i, plan in plans if plan is not None}
             waiting = _execute(true, strategy, model, states, rounds)
-        if not strategy.unload_full:
-            for state in states:
+        for state in states:
+            if not strategy.unload_full or number == grid.columns * grid.rows - 1:
                 _unload(machine, state)
-    for state in states:
-        _unload(machine, state)
     return states
 
 
 def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone: Zone, look: int) -> Round | None:
-    """Image, pick point and plan of a zone; None where the image shows nothing to pick."""
+    """Picture, pick point and plan of a zone; None where the picture shows nothing that an arm reaches."""
     state.spend("image", machine.cycle.image)
     numbers, places = _seen_in(eyes, state, zone, look)
     if not numbers.size:
         return None
-    master = pick_point(machine, places, strategy.pick_point)
-    master = np.clip(master, machine.master.nominal.lower, machine.master.nominal.upper)
+    low, high = machine.master.nominal.lower, machine.master.nominal.upper
+    master = np.clip(pick_point(machine, places, strategy.pick_point), low, high)
     work = zone_work(machine, master, places)
     can, fruit = work.reachable, numbers >= 0
     state.reachable[numbers[can & fruit]] = True
@@ -206,7 +209,7 @@ def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone
 
 
 def _seen_in(eyes: Eyes, state: Harvest, zone: Zone, look: int) -> tuple[NDArray[np.int64], Array]:
-    """Tree numbers (m,) of what an image finds in a zone, -1 where no fruit is, and where it is believed, (m, 3)."""
+    """Detections of a picture in a zone: tree numbers (m,), -1 for false ones, and measured positions, m, (m, 3)."""
     tree, rng = state.tree, state.looking
     hanging = np.flatnonzero(~state.detached)
     chances = None
@@ -229,7 +232,18 @@ def _seen_in(eyes: Eyes, state: Harvest, zone: Zone, look: int) -> tuple[NDArray
 def _execute(
     true: TrueMachine, strategy: Strategy, model: Picking, states: list[Harvest], rounds: dict[int, Round]
 ) -> list[int]:
-    """Let the true machine do the planned picks of the trees; gives those where a cup came back empty."""
+    """Do the planned picks of all trees with the true machine.
+
+    Args:
+        true: The machine as built.
+        strategy: Its controller makes the commands.
+        model: Model of what becomes of attempts.
+        states: All trees.
+        rounds: The planned round of each tree that has one, by the tree's place in ``states``.
+
+    Returns:
+        Places of the trees in which some pick detached no fruit.
+    """
     if not rounds:
         return []
     plans = list(rounds.values())
@@ -244,7 +258,19 @@ def _execute(
 
 
 def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harvest, plan: Round, tips: Array) -> bool:
-    """Outcomes of one tree's round and its time; whether a cup came back empty."""
+    """Enter the outcomes and the time of a round into a tree's record.
+
+    Args:
+        true: The machine as built.
+        strategy: Says when tubes are emptied.
+        model: Model of what becomes of attempts.
+        state: The tree, changed in place.
+        plan: The round.
+        tips: True cups at the end of their rise without the spread of repeated stops, m, (picks, 3).
+
+    Returns:
+        Whether some pick detached no fruit.
+    """
     rng, times, numbers = state.rng, plan.times, plan.fruit
     arm = times.arm
     tips = tips + rng.normal(size=(len(arm), 2, 3)).sum(axis=1) * true.repeatability
@@ -268,9 +294,16 @@ def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harves
 
 
 def _outcome(model: Picking, state: Harvest, numbers: NDArray[np.int64], tips: Array, entry: Array) -> Flags:
-    """What `attempt` says (3, picks) of cups that go to ``tips`` (picks, 3) at times ``entry``, in the order given.
+    """Flags of a round's picks: attached, detached and collected, (3, picks), in the order of the picks.
 
-    A cup that was sent where no fruit is comes back empty, but pushes the foliage all the same.
+    A cup that is sent to a false detection comes back empty, but pushes the foliage all the same.
+
+    Args:
+        model: Model of what becomes of attempts.
+        state: The tree.
+        numbers: Tree number of the fruit of each pick, -1 for a false detection, (picks,).
+        tips: True cups at the end of their rise, m, (picks, 3).
+        entry: Times at which the cups reach the fruit, s, (picks,); earlier cups push the fruit of later ones.
     """
     tree, luck = state.tree, draw_luck(state.rng, len(numbers))
     order = np.argsort(entry, kind="stable")
@@ -291,7 +324,7 @@ def _outcome(model: Picking, state: Harvest, numbers: NDArray[np.int64], tips: A
 
 
 def _unload(machine: Machine, state: Harvest) -> None:
-    """Take the fruit to the start pose and open the lids, if there is any."""
+    """Take the fruit to the start pose and open the lids; without fruit in the tubes, do nothing."""
     if not state.load.any():
         return
     state.spend("move", float(master_time(machine, state.master, machine.master_start)))
@@ -303,23 +336,9 @@ def _unload(machine: Machine, state: Harvest) -> None:
 def generators_of(
     seeds: Sequence[np.random.SeedSequence],
 ) -> tuple[list[np.random.Generator], list[np.random.Generator]]:
-    """For each seed a generator of the tree and one of what happens to it."""
+    """Two random generators for each seed: one draws the tree, the other what happens to it."""
     pairs = [np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key).spawn(2) for seed in seeds]
     return [np.random.default_rng(a) for a, _ in pairs], [np.random.default_rng(b) for _, b in pairs]
-
-
-def _some_trees(
-    true: TrueMachine,
-    strategy: Strategy,
-    model: Picking,
-    orchard: Orchard,
-    grid: Grid,
-    vision: str,
-    seeds: Sequence[np.random.SeedSequence],
-) -> list[Harvest]:
-    tree_rngs, rngs = generators_of(seeds)
-    trees = [sample_tree(true.machine, orchard, rng) for rng in tree_rngs]
-    return harvest(true, strategy, model, trees, rngs, grid, load_eyes(vision, orchard.canopy, strategy.detector))
 
 
 def work_trees(
@@ -334,31 +353,37 @@ def work_trees(
     workers: int = 1,
     vision: str = "measured_errors",
 ) -> list[Harvest]:
-    """Draw ``count`` trees from ``seed`` and work them; equal seeds give equal trees for every strategy and vision.
+    """Draw ``count`` trees from ``seed`` and work them.
+
+    Equal seeds give equal trees for every strategy and every vision.
 
     Args:
         true: The machine as built.
-        strategy: How it works.
-        model: What becomes of attempts.
-        orchard: What trees are drawn from.
-        grid: How each side is cut into zones.
+        strategy: Choice of pick points, plans, pictures and unloading.
+        model: Model of what becomes of attempts.
+        orchard: Model from which trees are drawn.
+        grid: Zones of each side.
         count: Number of trees.
-        seed: Of trees and luck.
-        workers: Processes.
-        vision: What the cameras show, of `pickenv.orchard.VISIONS`.
+        seed: Seed of the trees and of all that happens to them.
+        workers: Number of processes.
+        vision: Model of what the cameras show, one of `pickenv.orchard.VISIONS`.
+
+    Returns:
+        The record of each tree.
 
     Raises:
         InputError: If the count or the number of workers is not above zero.
     """
     if count < 1 or workers < 1:
         raise InputError(f"{count} trees on {workers} workers are impossible; give 1 or more of each")
-    seeds = np.random.SeedSequence(seed).spawn(count)
-    job = partial(_some_trees, true, strategy, model, orchard, grid, vision)
+    tree_rngs, rngs = generators_of(np.random.SeedSequence(seed).spawn(count))
+    trees = [sample_tree(true.machine, orchard, rng) for rng in tree_rngs]
+    eyes = load_eyes(vision, orchard.canopy, strategy.detector)
+    job = partial(harvest, true, strategy, model, grid=grid, eyes=eyes)
     if workers == 1 or count < 2 * workers:
-        return job(seeds)
-    parts = [seeds[i::workers] for i in range(workers)]
+        return job(trees, rngs)
     with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
-        done = list(pool.map(job, parts))
+        done = list(pool.map(job, *([some[i::workers] for i in range(workers)] for some in (trees, rngs))))
     return [done[i % workers][i // workers] for i in range(count)]
 
 
@@ -367,7 +392,13 @@ STAGES = ("present", "visible", "located", "reachable", "attempted", "attached",
 
 @dataclass(frozen=True)
 class Measure:
-    """A number and its 95 % interval; both ends None where it has none."""
+    """A number with its 95 % interval.
+
+    Attributes:
+        value: The number.
+        low: Lower end, or None without an interval.
+        high: Upper end, or None without an interval.
+    """
 
     value: float
     low: float | None = None
@@ -379,12 +410,12 @@ class Measure:
 
 
 def funnel(harvests: Sequence[Harvest]) -> dict[str, int]:
-    """Fruit at each stage, over all harvests."""
+    """Number of fruit that came to each stage of `STAGES`, summed over all trees."""
     return {stage: int(sum(at_stage(h, stage) for h in harvests)) for stage in STAGES}
 
 
 def at_stage(harvest: Harvest, stage: str) -> int:
-    """Fruit of one tree at a stage."""
+    """Number of fruit of one tree that came to a stage, one of `STAGES`."""
     if stage == "present":
         return len(harvest.tree)
     return int(getattr(harvest, "seen" if stage == "visible" else stage).sum())

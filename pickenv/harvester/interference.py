@@ -1,8 +1,9 @@
-"""Arms that may meet: distances between capsules, and which picks must not happen at the same time.
+"""Distances between slave arms, taken as capsules, and the pairs of picks that must not overlap in time.
 
-Slaves are level, so two of them are as far apart as their plan distance and their height difference say. At rest an arm
-points straight ahead and is short; there it is safe from every neighbour (`machine.refuse_touching_arms`), and there
-alone it moves up and down. So only excursions, from rest out to a fruit and back, can meet. Units: m, rad.
+Slave arms are level. The distance between two of them follows from their distance in plan and their difference in
+height. An arm at rest points straight ahead and is short. There no neighbour can touch it
+(`machine.refuse_touching_arms`), and only there it moves up and down between picks. Arms can meet only during
+excursions: from rest out to a fruit and back. Units: m, rad, s.
 """
 
 from __future__ import annotations
@@ -18,21 +19,20 @@ from pickenv.arm.kinematics.backend import ONE, chosen
 from pickenv.arm.kinematics.forward import Scalar
 from pickenv.harvester.machine import Machine
 
-Flags = NDArray[np.bool_]
 Point = tuple[Scalar, Scalar]
 
 FEW = 4
-"""Machines up to which plain floats are faster than calls of NumPy; the bits are the same."""
+"""Number of machines up to which plain floats are faster than NumPy; both give the same bits."""
 
 
 def segment_distance(p: ArrayLike, q: ArrayLike, r: ArrayLike, s: ArrayLike) -> Array:
-    """Distance between the segments p-q and r-s in the plane; all (..., 2), broadcast."""
+    """Distances between the segments p-q and r-s in the plane, from end points (..., 2) that broadcast."""
     ends = [(point[..., 0], point[..., 1]) for point in (np.asarray(end, dtype=float) for end in (p, q, r, s))]
     return np.asarray(np.sqrt(_square_between(np, *ends)))
 
 
 def _square_between(m: Any, p: Point, q: Point, r: Point, s: Point) -> Scalar:
-    """Square of the distance between the segments p-q and r-s."""
+    """Square of the distance between the segments p-q and r-s; ``m`` is NumPy, or `ONE` for single numbers."""
     near = m.minimum(_square_from(m, p, r, s), _square_from(m, q, r, s))
     near = m.minimum(near, m.minimum(_square_from(m, r, p, q), _square_from(m, s, p, q)))
     crossing = (_side(r, s, p) * _side(r, s, q) < 0) & (_side(p, q, r) * _side(p, q, s) < 0)
@@ -54,7 +54,15 @@ def _side(a: Point, b: Point, c: Point) -> Scalar:
 
 
 def plan(machine: Machine, slaves: ArrayLike) -> tuple[Array, Array]:
-    """Pivot and cup of every slave in plan, seen in the master's frame: x right, y ahead; (..., arms, 2) each."""
+    """Pivot and cup of every slave in plan.
+
+    Args:
+        machine: The machine.
+        slaves: Joints of all slaves, (..., arms, 3), m and rad.
+
+    Returns:
+        Pivots and cups in the master's frame, x right and y ahead, m, (..., arms, 2) each.
+    """
     swing, d6 = np.asarray(slaves, dtype=float)[..., 1], np.asarray(slaves, dtype=float)[..., 2]
     pivot, cup = np.zeros((2, *swing.shape, 2))
     pivot[..., 0] = machine.offsets
@@ -68,15 +76,17 @@ def _cup(m: Any, offset: Scalar, swing: Scalar, d6: Scalar) -> Point:
 
 @lru_cache(maxsize=8)
 def pairs_of(arms: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """First and second arm of each pair."""
+    """Numbers of the first and of the second arm of each pair, in the order of ``numpy.triu_indices(arms, 1)``."""
     first, second = np.triu_indices(arms, 1)
     return first, second
 
 
 def arm_distances(machine: Machine, slaves: ArrayLike) -> Array:
-    """Distance between the centre lines of each pair of slaves at joints (..., arms, 3): (..., pairs).
+    """Distances between the centre lines of each pair of slaves, m, (..., pairs); `pairs_of` gives the order.
 
-    Pairs in the order of ``numpy.triu_indices(arms, 1)``.
+    Args:
+        machine: The machine.
+        slaves: Joints of all slaves, (..., arms, 3), m and rad.
     """
     slaves = np.asarray(slaves, dtype=float)
     i, j = pairs_of(machine.arms)
@@ -94,29 +104,29 @@ def arm_distances(machine: Machine, slaves: ArrayLike) -> Array:
 
 
 def _ends(m: Any, offset: Scalar, d4: Scalar, swing: Scalar, d6: Scalar) -> tuple[Scalar, ...]:
-    """A slave's pivot, its cup in plan, and its height."""
+    """Pivot of a slave along x, its cup in plan, x and y, and its height: four numbers."""
     return offset, *_cup(m, offset, swing, d6), d4
 
 
 def _between(m: Any, first: tuple[Scalar, ...], second: tuple[Scalar, ...]) -> Scalar:
-    """Distance between the centre lines of two slaves, each as it is seen."""
+    """Distance between the centre lines of two slaves, each given as `_ends` returns it."""
     (a, x, y, height), (b, u, v, level) = first, second
     return m.sqrt(_square_between(m, (a, 0.0), (x, y), (b, 0.0), (u, v)) + (height - level) * (height - level))
 
 
 def excursion_distances(machine: Machine, joints: Array, approach: Array) -> Array:
-    """Least distance between two excursions, whenever each happens.
+    """Least distances between every two excursions, whenever each happens.
 
-    An excursion sweeps the fan between the arm at rest and the arm at the fruit; its height runs from ``approach``
-    below the fruit up to it.
+    In plan an excursion sweeps a fan, from the arm at rest to the arm at the fruit. Its height runs from ``approach``
+    below the fruit up to the fruit.
 
     Args:
         machine: The machine.
-        joints: Slave joints at each fruit, (arms, n, 3).
-        approach: How far below each fruit the cup starts to rise, (n,).
+        joints: Slave joints at each fruit, (arms, n, 3), m and rad.
+        approach: Distance below each fruit at which the cup starts to rise, m, (n,).
 
     Returns:
-        Distances (arms, n, arms, n), m; infinite for one and the same arm.
+        Distances between centre lines, m, (arms, n, arms, n); infinite between excursions of one arm.
     """
     arms, n = joints.shape[:2]
     share = np.array([0.0, 0.34, 0.67, 1.0])[:, None, None]
@@ -124,9 +134,7 @@ def excursion_distances(machine: Machine, joints: Array, approach: Array) -> Arr
     length = machine.slave_home[2] + (joints[None, ..., 2] - machine.slave_home[2]) * share
     pivot = np.zeros((arms, n, 2))
     pivot[..., 0] = machine.offsets[:, None]
-    tips = pivot + np.stack(
-        [-length * np.sin(swing), length * np.cos(swing)], axis=-1
-    )  # along the way, (4, arms, n, 2)
+    tips = np.stack(_cup(np, pivot[..., 0], swing, length), axis=-1)  # along the way, (4, arms, n, 2)
     starts = np.stack([pivot, pivot, tips[0], tips[1], tips[2]])
     ends = np.stack([tips[0], tips[3], tips[1], tips[2], tips[3]])
     top = joints[..., 0]

@@ -1,9 +1,9 @@
 """The harvester of Li 2016: one master arm (R, P, P) that carries one to six slave arms (P, R, P).
 
-Closed forms of eqs (4), (5) and (6), the last two corrected to the two-argument arctangent. Base frame: z up, the trees
-at negative y; the slaves stand side by side across the master's heading. Joints: master (theta1, d2, d3), slave (d4,
-theta5 counted from -pi/2, d6). Moves have trapezoidal profiles under limits of speed and acceleration (Fig. 9). Units:
-m, rad, s.
+The kinematics are the closed forms of eqs (4), (5) and (6), the last two with the two-argument arctangent. The base
+frame has z up and the trees at negative y. The slaves stand side by side across the master's heading, numbered from
+left to right. Joints of the master are theta1, d2, d3; joints of a slave are d4, theta5 (counted from -pi/2) and d6.
+Moves have trapezoidal speed profiles within limits of speed and acceleration (Fig. 9). Units: m, rad, s.
 """
 
 from __future__ import annotations
@@ -31,9 +31,9 @@ class Body:
     """A slave arm as an obstacle: a capsule around the line from its pivot to its cup.
 
     Attributes:
-        radius: m.
-        margin: Least distance kept between two surfaces, m.
-        guard: Distance between surfaces at which its ultrasonic ranger makes a side arm hold, m.
+        radius: Radius of the capsule, m.
+        margin: Least distance between the surfaces of two arms, m.
+        guard: Distance measured by its ultrasonic ranger below which a side arm waits, surface to surface, m.
     """
 
     radius: Annotated[float, MM.positive]
@@ -42,7 +42,7 @@ class Body:
 
     @property
     def clearance(self) -> float:
-        """Least distance allowed between the centre lines of two arms, m."""
+        """Least allowed distance between the centre lines of two arms, m."""
         return 2 * self.radius + self.margin
 
 
@@ -51,10 +51,10 @@ class Ranger:
     """An ultrasonic ranger on each flank of a side arm's cup, looking sideways at the neighbour.
 
     Attributes:
-        farthest: Longest distance that comes back as an echo, m.
-        beam: Half angle of its cone, rad.
-        noise: Standard deviation of a distance, m.
-        period: Between two measurements, s.
+        farthest: Longest distance from which an echo returns, m.
+        beam: Half angle of the cone that it measures in, rad.
+        noise: Standard deviation of a measured distance, m.
+        period: Time between two measurements, s.
     """
 
     farthest: Annotated[float, Key("range_mm"), MM.positive]
@@ -68,12 +68,12 @@ class Cycle:
     """Times and lengths of a pick.
 
     Attributes:
-        approach: How far below the fruit the cup starts to rise, m.
+        approach: Distance below the fruit at which the cup starts to rise, m.
         sense: Time in which the sensor finds the fruit in the cup, s.
         cut: Time of the blade, s.
         image: Time of a picture and its analysis, s.
         unload: Time in which the tubes empty, s.
-        tube_fruit: Fruit that the tube of one arm holds.
+        tube_fruit: Number of fruit at which the tube of one arm is full.
     """
 
     approach: Annotated[float, MM.not_negative]
@@ -86,20 +86,20 @@ class Cycle:
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """A master arm and its slaves, as the controller believes them to be.
+    """A master arm and its slaves as designed; the controller knows no other machine before a calibration.
 
     Attributes:
         master: The master arm, base frame to frame 3.
-        slaves: The slave arms from left to right, frame 3 to the cup; they differ in a3 alone.
+        slaves: The slave arms from left to right, frame 3 to the cup. They differ in a3 alone.
         spacing: Distance between neighbouring slaves, m.
-        master_start: Joints of the master where it starts and unloads, (3,).
-        slave_home: Joints of a slave at rest, (3,): lowest, straight ahead, shortest.
-        master_acceleration: Per joint, (3,).
-        slave_acceleration: Per joint, (3,).
+        master_start: Joints of the master where it starts and unloads, rad and m, (3,).
+        slave_home: Joints of a slave at rest, m and rad, (3,): lowest, straight ahead, shortest.
+        master_acceleration: Largest acceleration of each joint of the master, rad/s² and m/s², (3,).
+        slave_acceleration: Largest acceleration of each joint of a slave, m/s² and rad/s², (3,).
         base_height: Height of the base frame above the ground, m.
-        body: The arms as obstacles.
-        cycle: Times of a pick.
-        ranger: What side arms hear of their neighbours.
+        body: The slave arms as obstacles.
+        cycle: Times and lengths of a pick.
+        ranger: Ultrasonic rangers of the side arms.
     """
 
     master: Arm
@@ -121,27 +121,27 @@ class Machine:
 
     @cached_property
     def offsets(self) -> Array:
-        """a3 of each slave, m, left (negative) to right, (arms,)."""
+        """a3 of each slave, m, (arms,): its place across the master's heading, negative on the left."""
         return np.array([slave.nominal.a[0] for slave in self.slaves])
 
     @cached_property
     def slave(self) -> Geometry:
-        """Geometry that all slaves share but for their offset."""
+        """Nominal geometry of a slave. Only a3 differs between slaves, and this is the left-most one's."""
         return self.slaves[0].nominal
 
     @property
     def d1(self) -> float:
-        """Height of the master's shoulder, the paper's 290 mm."""
+        """Height of the master's shoulder above the base frame, m: 290 mm in the paper."""
         return float(self.master.nominal.d[0])
 
     @property
     def a2(self) -> float:
-        """Offset of frame 3 from the master's axis, the paper's 155 mm."""
+        """Offset of frame 3 from the master's axis, m: 155 mm in the paper."""
         return float(self.master.nominal.a[2])
 
     @property
     def a4(self) -> float:
-        """From frame 3 ahead to the slaves' pivots, the paper's 52 mm."""
+        """Distance from frame 3 ahead to the pivots of the slaves, m: 52 mm in the paper."""
         return float(self.slave.a[1])
 
     @property
@@ -151,17 +151,17 @@ class Machine:
 
     @cached_property
     def lower(self) -> Array:
-        """Lower limits of all joints, (3 + 3 arms,)."""
+        """Lower limits of all joints, (3 + 3 arms,), rad and m."""
         return np.concatenate([arm.nominal.lower for arm in (self.master, *self.slaves)])
 
     @cached_property
     def upper(self) -> Array:
-        """Upper limits of all joints."""
+        """Upper limits of all joints, (3 + 3 arms,), rad and m."""
         return np.concatenate([arm.nominal.upper for arm in (self.master, *self.slaves)])
 
     @cached_property
     def speed(self) -> Array:
-        """Largest speeds of all joints."""
+        """Largest speeds of all joints, (3 + 3 arms,), rad/s and m/s."""
         return np.concatenate([arm.speed for arm in (self.master, *self.slaves)])
 
     def parted(self, joints: Array) -> tuple[Array, Array]:
@@ -169,7 +169,7 @@ class Machine:
         return joints[..., :3], joints[..., 3:].reshape(*joints.shape[:-1], self.arms, 3)
 
     def frame3(self, master: ArrayLike) -> Array:
-        """Origin of frame 3 for master joints (..., 3): last column of eq (2)."""
+        """Origin of frame 3 in the base frame, m, (..., 3), for master joints (..., 3): last column of eq (2)."""
         master = np.asarray(master, dtype=float)
         theta1, d2, d3 = (master[..., i] for i in range(3))
         sin, cos = np.sin(theta1), np.cos(theta1)
@@ -179,9 +179,13 @@ class Machine:
         return position
 
     def master_inverse(self, position: ArrayLike) -> Array:
-        """Master joints that bring frame 3 to ``position`` (..., 3): eq (5), corrected for y > 0.
+        """Master joints (..., 3) that bring the origin of frame 3 to a position: eq (5), corrected for y > 0.
 
-        Positions nearer to the axis than a2 have no solution and give NaN.
+        Args:
+            position: Positions in the base frame, m, (..., 3).
+
+        Returns:
+            Joints, not limited; NaN for positions nearer to the master's axis than a2. See `master_within_limits`.
         """
         x, y, z = np.moveaxis(np.asarray(position, dtype=float), -1, 0)
         square = x * x + y * y - self.a2**2
@@ -192,11 +196,11 @@ class Machine:
         """Cups of all slaves: eq (4).
 
         Args:
-            master: Joints, (..., 3).
-            slaves: Joints, (..., arms, 3), or of any number of arms whose offset is the machine's.
+            master: Joints of the master, (..., 3).
+            slaves: Joints of the slaves, (..., arms, 3).
 
         Returns:
-            Positions in the base frame, (..., arms, 3).
+            Positions in the base frame, m, (..., arms, 3).
         """
         master, slaves = np.asarray(master, dtype=float), np.asarray(slaves, dtype=float)
         theta1, d2, d3 = (master[..., None, i] for i in range(3))
@@ -213,8 +217,8 @@ class Machine:
         """Joints of every slave for every target: eq (6) with theta5 = -theta1 - atan2(A, B), wrapped.
 
         Args:
-            master: Joints (..., 3).
-            targets: Positions (..., n, 3) in the base frame.
+            master: Joints of the master, (..., 3).
+            targets: Positions in the base frame, m, (..., n, 3).
 
         Returns:
             Joints (..., arms, n, 3), not limited; see `within_limits`.
@@ -230,20 +234,20 @@ class Machine:
         return np.stack([d4, swing, np.hypot(a, b)], axis=-1)
 
     def within_limits(self, slave_joints: ArrayLike) -> Flags:
-        """Whether slave joints (..., 3) are within the limits, (...)."""
+        """Flags (...) of slave joints (..., 3) within the limits; joints that are NaN are not."""
         return _inside(self.slave, slave_joints)
 
     def master_within_limits(self, master_joints: ArrayLike) -> Flags:
-        """Whether master joints (..., 3) are within the limits; NaN is not."""
+        """Flags (...) of master joints (..., 3) within the limits; joints that are NaN are not."""
         return _inside(self.master.nominal, master_joints)
 
     def reach(self, master: ArrayLike, targets: ArrayLike) -> Flags:
-        """Flags of the slaves that reach targets (..., n, 3) from master joints (..., 3): (..., arms, n)."""
+        """Flags (..., arms, n) of the slaves that reach targets (..., n, 3), with the master at joints (..., 3)."""
         return self.within_limits(self.slave_inverse(master, targets))
 
 
 def _inside(geometry: Geometry, joints: ArrayLike) -> Flags:
-    """Whether joints (..., 3) are within the limits, (...); NaN is not."""
+    """Flags (...) of joints (..., 3) within the limits; joints that are NaN are not."""
     q = np.asarray(joints, dtype=float)
     return np.asarray(((q >= geometry.lower - ROUNDING) & (q <= geometry.upper + ROUNDING)).all(axis=-1))
 
@@ -256,7 +260,7 @@ MM_PER_S2, DEG_PER_S2 = Unit("mm_per_s2", 1e-3).positive, Unit("deg_per_s2", np.
 
 @toml_table
 class MachineTable:
-    """[machine] of a machine file; see `Machine`."""
+    """Table [machine] of a machine file; see `Machine`."""
 
     master: Annotated[str, ARM]
     slave: Annotated[str, ARM]
@@ -269,7 +273,7 @@ class MachineTable:
 
 @toml_table
 class AccelerationTable:
-    """[acceleration] of a machine file: the master's turn, its two slides, a slave's two slides, its turn."""
+    """Table [acceleration] of a machine file: the master's turn and two slides, a slave's two slides and turn."""
 
     master_turn: Annotated[float, DEG_PER_S2, Key("master_deg_per_s2")]
     master_slides: Annotated[tuple[float, float], MM_PER_S2, Key("master_mm_per_s2")]
@@ -279,7 +283,7 @@ class AccelerationTable:
 
 @toml_table
 class TrueTable:
-    """[true] of a machine file; see `pickenv.harvester.true_machine.TrueMachine`."""
+    """Table [true] of a machine file; see `pickenv.harvester.true_machine.TrueMachine`."""
 
     master: Annotated[str, PLANT]
     slave: Annotated[str, PLANT]
@@ -291,7 +295,7 @@ class TrueTable:
 
 @toml_table
 class WorkspaceTable:
-    """[workspace] of a machine file: where the cloud of reached points is dense, m, in the base frame."""
+    """Table [workspace] of a machine file: ranges in the base frame, m, where the cloud of reached points is dense."""
 
     dense_x: Annotated[tuple[float, float], MM]
     dense_y: Annotated[tuple[float, float], MM]
@@ -300,7 +304,7 @@ class WorkspaceTable:
 
 @toml_table
 class MachineFile:
-    """The tables of a machine file."""
+    """All tables of a machine file."""
 
     machine: MachineTable
     body: Body
@@ -315,12 +319,13 @@ def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spaci
     """Read a machine from its TOML file.
 
     Args:
-        path: The file; Li's machine when left out.
+        path: The file; Li's machine by default.
         slaves: Number of slave arms, 1 to 6, instead of the file's.
-        spacing: Distance between neighbouring slaves in m, instead of the file's; the paper also implies 0.3 and 0.45.
+        spacing: Distance between neighbouring slaves, m, instead of the file's. The paper also implies 0.3 and 0.45.
 
     Raises:
-        InputError: If a number is impossible, or neighbouring arms would meet at rest.
+        InputError: If a number is impossible, the master does not reach its start, or neighbouring arms would meet at
+            rest.
     """
     file = read_toml(MachineFile, path)
     head, accelerations = file.machine, file.acceleration
@@ -335,7 +340,10 @@ def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spaci
     shifts = (np.arange(int(count)) - (int(count) - 1) / 2) * between
     machine = Machine(
         master=load_arm(head.master),
-        slaves=tuple(shifted(slave, float(shift)) for shift in shifts),
+        slaves=tuple(
+            replace(slave, nominal=shifted(slave.nominal, shift), true=slave.true and shifted(slave.true, shift))
+            for shift in shifts.tolist()
+        ),
         spacing=between,
         master_start=np.zeros(3),
         slave_home=np.array([head.slave_home, 0.0, float(slave.nominal.lower[2])]),
@@ -355,13 +363,13 @@ def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spaci
 
 
 def refuse_touching_arms(machine: Machine) -> None:
-    """Refuse a spacing at which an arm at rest is not safe from its neighbour, however that one swings.
+    """Refuse a spacing at which a swinging slave can come too near a neighbour at rest.
 
-    The arm at rest points straight ahead and is short: its cup is spacing*cos(t) - d6*sin(t) away from a neighbour
-    that swings towards it by t.
+    The arm at rest points straight ahead and is short. If a neighbour swings towards it by t, the cup at rest is
+    spacing*cos(t) - d6*sin(t) away from the neighbour's line.
 
     Raises:
-        InputError: If that is less than two radii and the margin.
+        InputError: If that distance can be less than two radii and the margin.
     """
     swing = float(max(-machine.slave.lower[1], machine.slave.upper[1]))
     distance = machine.spacing * np.cos(swing) - machine.slave_home[2] * np.sin(swing)
@@ -374,36 +382,43 @@ def refuse_touching_arms(machine: Machine) -> None:
         )
 
 
-def shifted(slave: Arm, offset: float) -> Arm:
-    """A slave arm mounted ``offset`` m to the right: a3 grows, in its nominal and its true table."""
-
-    def moved(geometry: Geometry) -> Geometry:
-        a = geometry.a.copy()
-        a[0] += offset
-        return replace(geometry, a=a)
-
-    return replace(slave, nominal=moved(slave.nominal), true=None if slave.true is None else moved(slave.true))
+def shifted(slave: Geometry, offset: float) -> Geometry:
+    """Geometry of a slave mounted ``offset`` m farther to the right: a3 grows."""
+    return replace(slave, a=np.concatenate([slave.a[:1] + offset, slave.a[1:]]))
 
 
 def composed(first: Pose, second: Pose) -> Pose:
-    """The pose ``second`` given in the frame ``first``; batches broadcast."""
+    """Poses ``second``, given in the frames ``first``, as poses in the frame of ``first``; batches broadcast."""
     turned = np.einsum("...ij,...j->...i", first.rotation, second.position)
     return Pose(first.position + turned, first.rotation @ second.rotation)
 
 
 def _wrapped(angle: Array) -> Array:
-    """Angles in [-pi, pi)."""
+    """Angles moved into [-pi, pi)."""
     return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
 def travel_time(distance: ArrayLike, speed: ArrayLike, acceleration: ArrayLike) -> Array:
-    """Time of a move from rest to rest: 2 sqrt(s/a) while the speed is not reached, else s/v + v/a."""
+    """Time of a move from rest to rest, s: 2 sqrt(s/a) while the speed is not reached, else s/v + v/a.
+
+    Args:
+        distance: Lengths s of the moves, m or rad; the sign does not matter. Shapes broadcast.
+        speed: Largest speeds v, m/s or rad/s.
+        acceleration: Largest accelerations a, m/s² or rad/s².
+    """
     s, v, a = (np.asarray(value, dtype=float) for value in (np.abs(distance), speed, acceleration))
     return np.asarray(np.where(s * a < v * v, 2 * np.sqrt(s / a), s / v + v / a))
 
 
 def profile(time: ArrayLike, distance: ArrayLike, speed: ArrayLike, acceleration: ArrayLike) -> Array:
-    """Displacement at ``time`` after the start of such a move, signed as ``distance``. Shapes broadcast."""
+    """Displacement during a move from rest to rest whose speed has a trapezoidal profile.
+
+    Args:
+        time: Time since the start of the move, s; before it and after the end the arm stands. Shapes broadcast.
+        distance: Displacement at the end, m or rad; its sign is that of the result.
+        speed: Largest speed, m/s or rad/s.
+        acceleration: Largest acceleration, m/s² or rad/s².
+    """
     t, s, v, a = np.broadcast_arrays(*(np.asarray(x, dtype=float) for x in (time, distance, speed, acceleration)))
     sign, s = np.sign(s), np.abs(s)
     peak = np.minimum(v, np.sqrt(s * a))  # speed reached
@@ -417,13 +432,18 @@ def profile(time: ArrayLike, distance: ArrayLike, speed: ArrayLike, acceleration
 
 
 def master_time(machine: Machine, start: ArrayLike, end: ArrayLike) -> Array:
-    """Time of a move of the master, its joints starting together, (...)."""
+    """Time of a move of the master, s, (...): all joints start together, and the slowest ends the move.
+
+    Args:
+        machine: The machine.
+        start: Joints at the start, (..., 3).
+        end: Joints at the end, (..., 3).
+    """
     distance = np.asarray(end, dtype=float) - np.asarray(start, dtype=float)
     return np.asarray(travel_time(distance, machine.master.speed, machine.master_acceleration).max(axis=-1))
 
 
 def dense_workspace() -> tuple[tuple[float, ...], ...]:
     """Ranges of x, y and z in the base frame, m, where Li 2016, Fig. 8, finds the cloud of reached points dense."""
-    workspace = read_toml(MachineFile, SHIPPED).workspace
-    assert workspace is not None, SHIPPED
+    workspace = read_toml(WorkspaceTable, SHIPPED, section="workspace")
     return workspace.dense_x, workspace.dense_y, workspace.dense_z

@@ -1,12 +1,12 @@
-"""Plans, who picks what in which order, by the name of the method, and a makespan that no plan beats.
+"""Plans of a zone: which arm picks which fruit in which order, by several methods, and a lower bound of the makespan.
 
-Li's rule and the baselines that the field expects say it at once; a local search takes milliseconds and keeps the
-no-overlap constraints of `Work.conflict`. Fruit out of every arm's reach is left out. Units: s.
+Li's rule and the usual baselines of the field need no search. The local search takes milliseconds and keeps apart the
+excursions that must not overlap (`Work.conflict`). Plans leave out fruit that no arm reaches. Units: s.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import cache, partial
 from typing import Annotated
 
@@ -16,64 +16,73 @@ from scipy.optimize import Bounds, LinearConstraint, linear_sum_assignment, milp
 
 from pickenv.arm import Array
 from pickenv.base import NUMBER, InputError, read_toml, toml_table
-from pickenv.harvester.work import Plan, Work, last_arm, makespan_of
+from pickenv.harvester.work import Plan, Work, last_arm
 from pickenv.harvester.zones import SHIPPED
 
 
-def li_rule(work: Work) -> Plan:
-    """Columns, and the order of Li 2016, section 5.2: middle arms by falling height, side arms by rising height."""
-    return _ordered(work, _columns(work), lambda arm, height: -height if arm % 2 else height)
+def columns(work: Work, *, falling: bool) -> Plan:
+    """Plan in which each fruit belongs to the arm that turns least to it, of the arms that reach it.
 
-
-def static_columns(work: Work) -> Plan:
-    """Every arm picks the column before it, from below."""
-    return _ordered(work, _columns(work), lambda _arm, height: height)
+    Arms pick by rising height. With ``falling``, middle arms (odd numbers) pick by falling height, as in Li 2016,
+    section 5.2.
+    """
+    owner = np.where(work.reached, np.abs(work.joints[..., 1]), np.inf).argmin(axis=0)
+    height, plan = work.joints[0, :, 0], []
+    for arm in range(work.arms):
+        mine = np.flatnonzero(work.reachable & (owner == arm))
+        rank = -height if falling and arm % 2 else height
+        plan.append(tuple(mine[np.argsort(rank[mine], kind="stable")].tolist()))
+    return tuple(plan)
 
 
 def nearest_neighbour(work: Work) -> Plan:
-    """The arm that is free first takes the fruit that it can finish first."""
-    remaining = set(np.flatnonzero(work.reachable).tolist())
+    """Plan in which the arm that is free first takes the fruit that it can finish first.
+
+    Conflicts are not considered.
+    """
+    waiting: list[int] = np.flatnonzero(work.reachable).tolist()
     plan: list[list[int]] = [[] for _ in range(work.arms)]
     free = np.zeros(work.arms)
-    while remaining:
-        for arm in np.argsort(free, kind="stable").tolist():
-            mine = [j for j in remaining if work.reached[arm, j]]
-            if mine:
-                way = work.travel[plan[arm][-1]] if plan[arm] else work.first
-                fruit = min(mine, key=lambda j: (way[j] + work.duration[arm, j], j))
-                free[arm] += way[fruit] + work.duration[arm, fruit]
-                plan[arm].append(fruit)
-                remaining.remove(fruit)
-                break
-    return tuple(tuple(fruit) for fruit in plan)
+    while waiting:
+        times = _next_times(work, plan, waiting)
+        arm = int(np.where(np.isfinite(times).any(axis=1), free, np.inf).argmin())
+        at = int(times[arm].argmin())
+        free[arm] += times[arm, at]
+        plan[arm].append(waiting.pop(at))
+    return tuple(map(tuple, plan))
 
 
 def hungarian_waves(work: Work) -> Plan:
-    """Wave after wave, at most one fruit an arm, at the least sum of times."""
-    remaining = np.flatnonzero(work.reachable).tolist()
+    """Plan in waves: in each wave every arm takes at most one fruit, so that the sum of their times is least.
+
+    The time of a fruit is its travel and its excursion. Conflicts are not considered.
+    """
+    waiting: list[int] = np.flatnonzero(work.reachable).tolist()
     plan: list[list[int]] = [[] for _ in range(work.arms)]
     never = 1e6
-    while remaining:
-        cost = np.full((work.arms, len(remaining)), never)
-        for arm in range(work.arms):
-            way = work.travel[plan[arm][-1]] if plan[arm] else work.first
-            mine = work.reached[arm, remaining]
-            cost[arm, mine] = (way[remaining] + work.duration[arm, remaining])[mine]
-        rows, columns = linear_sum_assignment(cost)
-        taken = [(a, remaining[c]) for a, c in zip(rows.tolist(), columns.tolist(), strict=True) if cost[a, c] < never]
-        for arm, fruit in taken:
-            plan[arm].append(fruit)
-        gone = {fruit for _, fruit in taken}
-        remaining = [fruit for fruit in remaining if fruit not in gone]
-    return tuple(tuple(fruit) for fruit in plan)
+    while waiting:
+        times = np.minimum(_next_times(work, plan, waiting), never)
+        arms, places = linear_sum_assignment(times)
+        for arm, at in zip(arms.tolist(), places.tolist(), strict=True):
+            if times[arm, at] < never:
+                plan[arm].append(waiting[at])
+        waiting = np.delete(waiting, places[times[arms, places] < never]).tolist()
+    return tuple(map(tuple, plan))
+
+
+def _next_times(work: Work, plan: list[list[int]], waiting: list[int]) -> Array:
+    """Time that each arm needs for each waiting fruit after its plan, s, (arms, waiting); infinite out of its reach."""
+    way = np.array([work.travel[fruit[-1]] if fruit else work.first for fruit in plan])
+    return np.where(work.reached, way + work.duration, np.inf)[:, waiting]
 
 
 def lower_bound(work: Work, *, integral: bool = True) -> float:
-    """A makespan that no plan beats: fruit shared out evenly, each with its least travel, and no conflicts.
+    """Lower bound of the makespan of every plan, s; fruit is shared out evenly, with its least travel and no conflicts.
 
     Args:
         work: The zone.
-        integral: Whether fruit is whole (a mixed-integer programme, 0.2 s at most) or may be shared in fractions.
+        integral: Whether a fruit belongs to one arm (a mixed-integer programme of at most 0.2 s). Otherwise arms may
+            share it.
     """
     some = np.flatnonzero(work.reachable)
     if not some.size:
@@ -103,44 +112,27 @@ def lower_bound(work: Work, *, integral: bool = True) -> float:
     return float(max(bound if bound is not None else 0.0, single))
 
 
-def _columns(work: Work) -> list[list[int]]:
-    """Fruit by the arm that turns least to it, of those that reach it: the parts of the zone before each arm."""
-    turn = np.where(work.reached, np.abs(work.joints[..., 1]), np.inf)
-    owner = turn.argmin(axis=0)
-    some = np.flatnonzero(work.reachable)
-    return [some[owner[some] == arm].tolist() for arm in range(work.arms)]
-
-
-def _ordered(work: Work, parts: list[list[int]], key: Callable[[int, float], float]) -> Plan:
-    height: Array = work.joints[0, :, 0]
-    return tuple(
-        tuple(sorted(part, key=lambda j, arm=arm: (key(arm, float(height[j])), j)))  # type: ignore[misc]
-        for arm, part in enumerate(parts)
-    )
-
-
 def local_search(
     work: Work, rng: np.random.Generator | None = None, *, bound: float | None = None, patience: float = 1.0
 ) -> Plan:
-    """Improve the best of the greedy plans by moving and exchanging fruit, mostly of the arm that ends last.
+    """Plan by simulated annealing: the best of three greedy plans is changed by moving and exchanging fruit.
+
+    Half of the changes take a fruit of the arm that ends last.
 
     Args:
         work: The zone.
-        rng: Chooses what is tried; a fixed seed when left out.
-        bound: Stop here; `lower_bound` when left out.
-        patience: Rounds, as a multiple of the strategy file's.
+        rng: Source of the changes; a fixed seed by default.
+        bound: Makespan at which the search stops once it is within 1 %, s; `lower_bound` by default.
+        patience: Number of rounds, as a multiple of the strategy file's.
     """
     rng = np.random.default_rng(0) if rng is None else rng
     starts = [_by_height(work), nearest_neighbour(work), hungarian_waves(work)]
-    values = [makespan_of(work, plan) for plan in starts]
-    best = [list(fruit) for fruit in starts[int(np.argmin(values))]]
-    value, count = min(values), sum(len(fruit) for fruit in best)
-    if count < 2:
-        return tuple(tuple(fruit) for fruit in best)
+    best: Sequence[Sequence[int]] = min(starts, key=lambda plan: last_arm(work, plan)[0])
+    value, count = last_arm(work, best)[0], int(work.reachable.sum())
     limit = lower_bound(work, integral=False) if bound is None else bound
     reached, duration = work.reached.tolist(), work.lists[0]
-    current, current_cost = [list(fruit) for fruit in best], value
-    rounds = int(load_effort().rounds * patience) * count
+    current, current_cost = best, value
+    rounds = int(load_effort().rounds * patience) * count if count > 1 else 0
     last = 0
     for step in range(rounds):
         if value <= limit * 1.01:
@@ -155,12 +147,15 @@ def local_search(
         if cost < current_cost or rng.random() < np.exp(-(cost - current_cost) / max(heat, 1e-9)):
             current, current_cost, last = tried, cost, arm
             if length < value - 1e-9:
-                best, value = [list(fruit) for fruit in tried], length
-    return tuple(tuple(fruit) for fruit in best)
+                best, value = tried, length
+    return tuple(map(tuple, best))
 
 
 def _by_height(work: Work) -> Plan:
-    """Fruit of each arm from below, shared so that the loads are even: a good start where fruit hangs dense."""
+    """Plan in which the arms pick from below and share the fruit so that their loads are even.
+
+    It is a good start where fruit hangs dense.
+    """
     load = np.zeros(work.arms)
     parts: list[list[int]] = [[] for _ in range(work.arms)]
     some = sorted(np.flatnonzero(work.reachable).tolist(), key=lambda j: (int(work.reached[:, j].sum()), j))
@@ -172,23 +167,19 @@ def _by_height(work: Work) -> Plan:
 
 
 def _changed(
-    plan: list[list[int]], reached: list[list[bool]], rng: np.random.Generator, source: int
+    plan: Sequence[Sequence[int]], reached: list[list[bool]], rng: np.random.Generator, source: int
 ) -> list[list[int]] | None:
-    """The plan with a fruit of arm ``source`` moved or exchanged; None where the draw is impossible."""
+    """The plan with one fruit of arm ``source`` moved or exchanged; None if the draw is impossible."""
     new = [list(fruit) for fruit in plan]
     if not new[source]:
         return None
-    place = int(rng.integers(len(new[source])))
-    target = int(rng.integers(len(new)))
+    place, target = int(rng.integers(len(new[source]))), int(rng.integers(len(new)))
     fruit = new[source].pop(place)
     if rng.random() < 0.5 and new[target]:
         position = int(rng.integers(len(new[target])))
-        swapped = new[target][position]
-        if not (reached[target][fruit] and reached[source][swapped]):
-            return None
-        new[target][position] = fruit
+        swapped, new[target][position] = new[target][position], fruit
         new[source].insert(place, swapped)
-        return new
+        return new if reached[target][fruit] and reached[source][swapped] else None
     if not reached[target][fruit]:
         return None
     new[target].insert(int(rng.integers(len(new[target]) + 1)), fruit)
@@ -197,29 +188,37 @@ def _changed(
 
 @toml_table
 class Effort:
-    """[optimiser] of a strategy file: rounds of the local search per fruit, and seconds of CP-SAT."""
+    """Table [optimiser] of a strategy file.
+
+    Attributes:
+        rounds: Rounds of the local search per fruit.
+        seconds: Time limit of the constraint solver CP-SAT, s.
+    """
 
     rounds: Annotated[float, NUMBER.positive]
     seconds: Annotated[float, NUMBER.positive]
 
 
 load_effort = cache(partial(read_toml, Effort, SHIPPED, section="optimiser"))
-"""Reads how long plans are searched for."""
-
-
-# A plan for a zone by the name of the method that makes it.
+"""Read the table [optimiser] of the strategy file, once."""
 
 
 def assign(work: Work, method: str, rng: np.random.Generator | None = None) -> Plan:
-    """A plan by the name of its method.
+    """Plan of a zone by the method of a given name.
+
+    Args:
+        work: The zone.
+        method: "li": Li's rule; "nearest": nearest neighbour; "columns": columns from below; "hungarian": waves;
+            "search": local search.
+        rng: Source of the search's changes; a fixed seed by default.
 
     Raises:
         InputError: If the method is unknown.
     """
     methods: dict[str, Callable[[Work], Plan]] = {
-        "li": li_rule,
+        "li": partial(columns, falling=True),
         "nearest": nearest_neighbour,
-        "columns": static_columns,
+        "columns": partial(columns, falling=False),
         "hungarian": hungarian_waves,
         "search": lambda work: local_search(work, rng),
     }

@@ -1,8 +1,9 @@
-"""Pick points, at which the master stands while its slaves pick: eqs (7) to (12) as printed, corrected, and a search.
+"""Pick points, at which the master stands while its slaves pick: eqs (7) to (12) as printed or corrected, and a search.
 
-The printed equations put frame 3 at polar angle theta2 although theta2 is the arm's heading, and ignore a2; eq (7) also
-swaps the border fruit at negative y. "Master moves much, slaves little": the search takes, among the points from which
-most fruit is reached, the one with the least motion of the slaves. Units: m, rad.
+The printed equations have two faults. They put frame 3 at polar angle theta2 and ignore a2, although theta2 is the
+arm's heading. And eq (7) exchanges the border fruit at negative y. The search follows the paper's "master moves much,
+slaves little". Among the points from which most fruit is reached, it takes the one with the least motion of the slaves.
+Units: m, rad.
 """
 
 from __future__ import annotations
@@ -22,9 +23,13 @@ METHODS = ("as_printed", "equations", "corrected", "search")
 
 
 def border_indices(fruit: Array, printed: bool = False) -> tuple[int, int]:
-    """Left-most fruit P3 and right-most fruit P4 seen from the base: eq (7).
+    """Numbers of the left-most fruit P3 and the right-most fruit P4 as seen from the base: eq (7).
 
-    As printed, arctan(X/Y) is largest on the left; that holds for Y > 0 only, and Li's trees stand at Y < 0.
+    As printed, arctan(X/Y) is largest on the left. That holds for Y > 0 only, and Li's trees stand at Y < 0.
+
+    Args:
+        fruit: Positions in the base frame, m, (n, 3).
+        printed: Whether to take eq (7) as printed.
     """
     if printed:
         angle = np.arctan(fruit[:, 0] / fruit[:, 1])
@@ -34,7 +39,16 @@ def border_indices(fruit: Array, printed: bool = False) -> tuple[int, int]:
 
 
 def pick_heading(fruit: Array, spacing: float, printed: bool = False) -> float:
-    """theta2 of eqs (10) and (11), rad."""
+    """Heading theta2 of eqs (10) and (11), rad.
+
+    Args:
+        fruit: Positions in the base frame, m, (n, 3).
+        spacing: The paper's k0, m: distance from the middle slave to the outermost.
+        printed: Whether to take eqs (7) and (11) as printed.
+
+    Raises:
+        InputError: If a border fruit is not farther from the master's axis than the spacing.
+    """
     first, last = border_indices(fruit, printed)
     (x3, y3), (x4, y4) = fruit[first, :2], fruit[last, :2]
     for x, y in ((x3, y3), (x4, y4)):
@@ -51,12 +65,17 @@ def pick_point(machine: Machine, fruit: ArrayLike, method: str = "search") -> Ar
 
     Args:
         machine: The machine.
-        fruit: Positions in the base frame, (n, 3), m.
-        method: "as_printed": eqs (7)-(12) to the letter; "equations": the same with the border fruit of eq (7) on the
-            right sides; "corrected": theta2 is the heading theta1; "search": most fruit, least motion of the slaves.
+        fruit: Positions in the base frame, m, (n, 3).
+        method: "as_printed" takes eqs (7) to (12) to the letter. "equations" is the same with the border fruit on the
+            right sides. "corrected" takes theta2 as the heading theta1, too. "search" reaches most fruit with least
+            motion.
+
+    Returns:
+        Joints, rad and m. Those of "search" are within the limits; those of the other methods need not be.
 
     Raises:
-        InputError: If there is no fruit, the method is unknown, or the master cannot stand at the point.
+        InputError: If there is no fruit, a coordinate is not finite or the method is unknown. Also if the fruit is too
+            near for the equations (see `pick_heading`), or the point is nearer to the master's axis than a2.
     """
     fruit = np.asarray(fruit, dtype=float)
     if fruit.ndim != 2 or fruit.shape[-1] != 3 or not len(fruit) or not np.isfinite(fruit).all():
@@ -84,10 +103,10 @@ def pick_point(machine: Machine, fruit: ArrayLike, method: str = "search") -> Ar
 
 
 def searched(machine: Machine, fruit: Array) -> Array:
-    """Master joints from which most fruit is reached; of those, where the slaves move least.
+    """Master joints (3,) from which most fruit is reached, and of those the joints with the least motion of the slaves.
 
-    Height is apart from heading and reach: every slave reaches the same heights. So a grid of headings and reaches,
-    made finer once around the best, meets the few heights at which a fruit enters the window of the vertical slide.
+    All slaves reach the same heights, so height can be chosen apart from heading and reach. Two grids of headings and
+    reaches, the second finer and around the best point of the first, meet a few heights: see `_heights`.
     """
     settings = _search()
     low, high = machine.master.nominal.lower, machine.master.nominal.upper
@@ -96,8 +115,9 @@ def searched(machine: Machine, fruit: Array) -> Array:
     if near.any():  # fruit that no arm could ever reach must not pull the pick point away
         fruit = fruit[near]
     heights = _heights(machine, fruit)
-    window = np.abs(fruit[:, 2] - machine.d1 - heights[:, None] - _slide_middle(machine))  # (k, n)
-    inside = window <= (machine.slave.upper[0] - machine.slave.lower[0]) / 2 + 1e-9
+    bottom, top = machine.slave.lower[0], machine.slave.upper[0]
+    window = np.abs(fruit[:, 2] - machine.d1 - heights[:, None] - (top + bottom) / 2)  # (k, n)
+    inside = window <= (top - bottom) / 2 + 1e-9
     most = inside[int(inside.sum(axis=1).argmax())]
     middle = fruit[most if most.any() else slice(None), :2].mean(axis=0)
     distance = float(np.hypot(*middle))
@@ -117,22 +137,24 @@ def searched(machine: Machine, fruit: Array) -> Array:
     return np.asarray(best)
 
 
-def _slide_middle(machine: Machine) -> float:
-    return float(machine.slave.upper[0] + machine.slave.lower[0]) / 2
-
-
 def _heights(machine: Machine, fruit: Array) -> Array:
-    """Heights d2 worth trying: the middle of the fruit, and where a fruit is at an end of the slide; (k,)."""
+    """Heights d2 worth trying, m, (k,): for the middle of the fruit, and for each fruit at an end of the slide."""
     z = np.unique(fruit[:, 2]) - machine.d1
-    centre = (z[0] + z[-1]) / 2 - _slide_middle(machine)
-    heights = np.concatenate([[centre], z - machine.slave.lower[0], z - machine.slave.upper[0]])
+    bottom, top = machine.slave.lower[0], machine.slave.upper[0]
+    heights = np.concatenate([[(z[0] + z[-1]) / 2 - (top + bottom) / 2], z - bottom, z - top])
     return np.asarray(np.clip(heights, machine.master.nominal.lower[1], machine.master.nominal.upper[1]))
 
 
 def _point_costs(machine: Machine, masters: Array, fruit: Array, inside: NDArray[np.bool_]) -> Array:
-    """Cost (m, k) of headings and reaches (m, 3) at heights whose slide reaches ``inside`` (k, n).
+    """Costs (m, k) of headings and reaches, each at every height.
 
-    A fruit out of reach costs one; turning and stretching of the slaves, and arms without work, cost less than that.
+    A fruit out of reach costs one. Motion of the slaves and arms with little fruit in reach cost less than that.
+
+    Args:
+        machine: The machine.
+        masters: Master joints, (m, 3).
+        fruit: Positions in the base frame, m, (n, 3).
+        inside: Whether the vertical slide reaches each fruit at each height, (k, n).
     """
     joints = machine.slave_inverse(masters, fruit)[..., 1:]  # (m, arms, n, 2): height is judged by ``inside``
     low, high = machine.slave.lower[1:], machine.slave.upper[1:]
@@ -150,7 +172,14 @@ def _point_costs(machine: Machine, masters: Array, fruit: Array, inside: NDArray
 
 @toml_table
 class Search:
-    """[search] of a strategy file: half-widths of the first round, rad and m, its steps, and how much is kept."""
+    """Table [search] of a strategy file: the two grids of the search for a pick point.
+
+    Attributes:
+        heading: Half-width of the first grid in heading, rad.
+        reach: Half-width of the first grid in reach, m.
+        steps: Number of headings, and of reaches, of each grid.
+        keep_share: Half-widths of the second grid as a share of the first's.
+    """
 
     heading: Annotated[float, DEG.not_negative]
     reach: Annotated[float, MM.not_negative]

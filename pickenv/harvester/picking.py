@@ -1,7 +1,7 @@
-"""Outcomes of attempts: Li's cup, position sensor and blade, and fruit that a neighbour's cup has pushed away.
+"""Outcomes of attempts with Li's cup, position sensor and blade, and fruit that the cups of other attempts have pushed.
 
-A cup that goes in pushes the foliage; fruit nearby swings on its branch (spring-pendulum) and part of the push stays.
-Units: m, kg, s.
+A cup that goes in pushes the foliage. Fruit nearby then swings on its branch, a spring-pendulum, and part of the push
+stays. Units: m, kg, s.
 """
 
 from __future__ import annotations
@@ -11,18 +11,12 @@ from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pickenv.arm import Array
 from pickenv.base import MM, NUMBER, SHARE, Key, Then, Unit, fault, read_toml, toml_table
+from pickenv.harvester.machine import Flags
 from pickenv.harvester.trees import SHIPPED
 from pickenv.orchard import Branch, Cup, coupling, load_branch, load_gripper, swing
-
-Flags = NDArray[np.bool_]
-
-
-def _branch(name: str, _context: Any) -> Branch:
-    return load_branch(name)
 
 
 def _cup(name: str, _context: Any) -> Cup:
@@ -38,19 +32,19 @@ class Picking:
 
     Attributes:
         cup: Li's cup.
-        branch: What fruit hangs from.
-        gather: Lateral misalignment beyond the cup's clearance at which the gatherer takes no fruit any more, m.
+        branch: Branch that fruit hangs from.
+        gather: Lateral misalignment beyond the cup's clearance from which on the gatherer takes no fruit, m.
         outer: Outer radius of the cup, m.
         cluster_success: Probability that an attempt succeeds although another fruit is in the cup's way.
         cut_success: Probability that the blade meets the stalk.
         undamaged: Probability that picked fruit stays whole.
-        push: Median shift of foliage by a cup that goes in, m.
-        push_spread: Standard deviation of its logarithm.
+        push: Median shift of the foliage by a cup that goes in, m.
+        push_spread: Standard deviation of the natural logarithm of that shift.
         lasting: Share of a push that stays.
     """
 
     cup: Annotated[Cup, Key("gripper"), Then(_cup, str)]
-    branch: Annotated[Branch, Then(_branch, str)]
+    branch: Annotated[Branch, Then(lambda name, _: load_branch(name), str)]
     gather: Annotated[float, MM.positive]
     outer: Annotated[float, Key("cup_outer_mm"), Unit("mm", 0.5e-3, most=MM.most).positive]
     cluster_success: Annotated[float, SHARE]
@@ -63,7 +57,7 @@ class Picking:
 
 @lru_cache(maxsize=4)
 def load_picking(path: str | Path = SHIPPED) -> Picking:
-    """Read the picking model.
+    """Read the picking model from a picking file.
 
     Raises:
         InputError: If a number is impossible or the gripper is not a cup.
@@ -72,15 +66,15 @@ def load_picking(path: str | Path = SHIPPED) -> Picking:
 
 
 class Luck(NamedTuple):
-    """Draws that decide about attempts; each (picks,).
+    """Random numbers that decide about attempts, (picks,) each.
 
     Attributes:
-        grasp: Uniform: whether the cup takes the fruit.
-        cluster: Uniform: whether it does although another fruit is in its way.
-        cut: Uniform: whether the blade meets the stalk.
-        whole: Uniform: whether the fruit stays whole.
-        push: Standard normal: how hard the cup pushes the foliage.
-        heading: Which way, rad.
+        grasp: Uniform from 0 to 1; decides whether the cup takes the fruit.
+        cluster: Uniform from 0 to 1; decides whether it takes a fruit although another one is in its way.
+        cut: Uniform from 0 to 1; decides whether the blade meets the stalk.
+        whole: Uniform from 0 to 1; decides whether the fruit stays whole.
+        push: Standard normal; scales the push on the foliage.
+        heading: Direction of the push in plan, from x towards y, rad; uniform from 0 to 2 pi.
     """
 
     grasp: Array
@@ -92,7 +86,7 @@ class Luck(NamedTuple):
 
 
 def draw_luck(rng: np.random.Generator, count: int) -> Luck:
-    """Six numbers for each of ``count`` attempts."""
+    """Random numbers for ``count`` attempts, six for each."""
     grasp, cluster, cut, whole = rng.random((count, 4)).T
     return Luck(grasp, cluster, cut, whole, rng.normal(size=count), rng.uniform(0.0, 2 * np.pi, count))
 
@@ -100,20 +94,20 @@ def draw_luck(rng: np.random.Generator, count: int) -> Luck:
 def attempt(
     model: Picking, tips: Array, fruit: Array, moved: Array, diameters: Array, others: Array, luck: Luck
 ) -> tuple[Flags, Flags, Flags]:
-    """Let cups go to fruit, one after another.
+    """Outcomes of cups that go to fruit, one after another.
 
     Args:
         model: The picking model.
-        tips: True cups at the end of their rise, (picks, 3).
-        fruit: True fruit at rest, (picks, 3).
-        moved: How far pushes have moved each when its cup comes, (picks, 3).
-        diameters: (picks,).
-        others: Fruit that hangs and is not attempted here, (m, 3).
-        luck: What chance decides.
+        tips: True cups at the end of their rise, m, (picks, 3), in the order of the attempts.
+        fruit: True fruit centres at rest, m, (picks, 3).
+        moved: Displacement of each fruit by earlier pushes when its cup comes, m, (picks, 3).
+        diameters: Diameters of the fruit, m, (picks,).
+        others: Centres of the fruit that hangs and is not attempted here, m, (m, 3).
+        luck: Random numbers that decide.
 
     Returns:
-        Whether each fruit was in the cup, whether its stalk was cut, and whether it came into the tube undamaged;
-        (picks,) each.
+        Three flags of each pick, (picks,) each: the fruit was in the cup, its stalk was cut, it came into the tube
+        undamaged.
     """
     n = len(tips)
     offset = fruit + moved - tips
@@ -134,16 +128,29 @@ def attempt(
 
 
 def in_the_way(model: Picking, fruit: Array, diameter: float, near: Array) -> Flags:
-    """Flags of fruit that the cup's wall meets when it takes ``fruit`` (3,): beside it or just below; (m,)."""
+    """Flags (m,) of fruit that the cup's wall meets when it takes another fruit: beside that fruit or just below it.
+
+    Args:
+        model: The picking model.
+        fruit: Centre of the fruit to take, m, (3,).
+        diameter: Its diameter, m.
+        near: Centres of the other fruit, m, (m, 3).
+    """
     away = near - fruit
     level = np.hypot(away[:, 0], away[:, 1])
     return np.asarray((level < model.outer + diameter / 2) & (away[:, 2] < diameter) & (away[:, 2] > -3 * diameter))
 
 
 def pushes(model: Picking, fruit: Array, others: Array, luck: Luck) -> Array:
-    """Displacements of ``others`` (m, 3) at once, by each cup that goes to ``fruit`` (picks, 3): (picks, m, 3), m.
+    """First displacements of fruit by cups that go in, m, (picks, m, 3); they fall off with distance.
 
-    It falls off with distance. The share `lasting` stays; the rest swings as the branch does, and dies away.
+    The share `Picking.lasting` of a push stays. The rest swings as the branch does and dies away.
+
+    Args:
+        model: The picking model.
+        fruit: Fruit centres that the cups go to, m, (picks, 3).
+        others: Centres of the fruit that is pushed, m, (m, 3).
+        luck: Random numbers of the picks; they give strength and direction of each push.
     """
     push = model.push * np.exp(model.push_spread * luck.push)
     distance = np.linalg.norm(fruit[:, None] - others[None], axis=-1)
@@ -152,14 +159,14 @@ def pushes(model: Picking, fruit: Array, others: Array, luck: Luck) -> Array:
 
 
 def displacements(model: Picking, fruit: Array, masses: Array, entry: Array, luck: Luck) -> Array:
-    """Displacement of each fruit by earlier cups when its own cup comes, (picks, 3), m.
+    """Displacement of each fruit by all earlier cups at the time of its own cup, m, (picks, 3).
 
     Args:
         model: The picking model.
-        fruit: True fruit at rest, (picks, 3).
-        masses: kg, (picks,).
-        entry: Times at which the cups go in, ascending, (picks,), s.
-        luck: What chance decides.
+        fruit: True fruit centres at rest, m, (picks, 3).
+        masses: Masses of the fruit, kg, (picks,).
+        entry: Times at which the cups go in, ascending, s, (picks,).
+        luck: Random numbers of the picks; they give strength and direction of each push.
     """
     n = len(fruit)
     if n < 2:

@@ -1,6 +1,6 @@
-"""The trees that the harvester works: fruit in the machine's base frame, as the orchard has it or as in Li's lab.
+"""Trees that the harvester works, with their fruit in the machine's base frame: of an orchard row or of Li's lab.
 
-The machine's column stands at the canopy's stand-off; the tree is at negative y. Units: m, kg.
+The machine's column stands in front of the canopy at its stand-off, and the tree is at negative y. Units: m, kg.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ class Tree:
     """One side of a tree as the machine meets it.
 
     Attributes:
-        fruit: Centres in the base frame, m, (n, 3).
-        diameters: m, (n,).
-        masses: kg, (n,).
-        side: Left, right, bottom and top of the side that is cut into zones, m.
+        fruit: Fruit centres in the base frame, m, (n, 3).
+        diameters: Diameters of the fruit, m, (n,).
+        masses: Masses of the fruit, kg, (n,).
+        side: Smallest x, largest x, smallest z and largest z of the side that is cut into zones, base frame, m.
     """
 
     fruit: Array
@@ -42,7 +42,14 @@ class Tree:
 
 @toml_table
 class Orchard:
-    """[trees] of a picking file: presets of `pickenv.orchard`, and fruit per metre of row."""
+    """Table [trees] of a picking file: the model that trees are drawn from.
+
+    Attributes:
+        canopy: Canopy, a preset of `pickenv.orchard`.
+        fruit_map: Distribution of the fruit over the canopy, a preset of `pickenv.orchard`.
+        fruit_size: Diameters and density of the fruit, a preset of `pickenv.orchard`.
+        per_metre: Number of fruit per metre of row.
+    """
 
     canopy: Annotated[trees.Canopy, Then(lambda name, _: trees.load_canopy(name), str)]
     fruit_map: Annotated[trees.FruitMap, Then(lambda name, _: trees.load_fruit_map(name), str)]
@@ -52,7 +59,16 @@ class Orchard:
 
 @toml_table
 class Lab:
-    """[lab] of a picking file: canopy, images, fruit in each, size of the image and least distance of fruit, m."""
+    """Table [lab] of a picking file: the experiment of Li 2016, section 5.2.
+
+    Attributes:
+        canopy: Name of the canopy.
+        runs: Number of pictures, each of one zone.
+        fruit: Number of fruit in each picture.
+        width: Width of the zone in a picture, m.
+        height: Height of the zone in a picture, m.
+        apart: Least distance between two fruit, m.
+    """
 
     canopy: str
     runs: Annotated[int, WHOLE.positive]
@@ -69,13 +85,16 @@ def load_orchard(
     fruit_map: str | None = None,
     canopy: str | None = None,
 ) -> Orchard:
-    """Read the trees of a picking file.
+    """Read the model of trees from a picking file.
 
     Args:
         path: The file.
-        per_metre: Fruit per metre of row instead of the file's.
-        fruit_map: A fruit map of `pickenv.orchard` instead of the file's; "v_trellis" hangs fruit in clusters of three.
-        canopy: A canopy of `pickenv.orchard` instead of the file's; "li2016_bare" has no leaves.
+        per_metre: Number of fruit per metre of row, instead of the file's.
+        fruit_map: Fruit map of `pickenv.orchard`, instead of the file's; "v_trellis" hangs fruit in clusters of three.
+        canopy: Canopy of `pickenv.orchard`, instead of the file's; "li2016_bare" has no leaves.
+
+    Raises:
+        InputError: If a preset is unknown or a number impossible.
     """
     orchard = read_toml(Orchard, path, section="trees")
     per_metre = orchard.per_metre if per_metre is None else per_metre
@@ -85,7 +104,7 @@ def load_orchard(
 
 
 def sample_tree(machine: Machine, orchard: Orchard, rng: np.random.Generator) -> Tree:
-    """Draw one tree side."""
+    """Draw one side of a tree."""
     canopy = orchard.canopy
     positions, diameters = trees.sample_fruit(orchard.fruit_map, orchard.fruit_size, canopy, rng)
     half = canopy.width / 2
@@ -96,24 +115,28 @@ def sample_tree(machine: Machine, orchard: Orchard, rng: np.random.Generator) ->
 
 
 def in_base_frame(machine: Machine, canopy: trees.Canopy, positions: Array) -> Array:
-    """Orchard positions (..., 3) in the base frame: x and y turn by half a turn, heights count from the base."""
+    """Positions (..., 3) of the orchard frame in the machine's base frame, m.
+
+    The base frame is turned by 180 degrees about z. Its origin is at the machine's column, at the height of the base
+    above the ground.
+    """
     x, y, z = np.moveaxis(positions, -1, 0)
     return np.stack([-x, -(y + canopy.standoff), z - machine.base_height], axis=-1)
 
 
 def tree_leaves(machine: Machine, eyes: trees.Eyes, rng: np.random.Generator) -> trees.Leaves | None:
-    """A tree's leaves in the base frame; None where the eyes draw no pictures."""
+    """Leaves of a tree in the base frame; None unless the eyes render pictures."""
     leaves = trees.foliage(eyes, rng)
     return None if leaves is None else replace(leaves, places=in_base_frame(machine, eyes.canopy, leaves.places))
 
 
 @cache
 def load_lab() -> Lab:
-    """Read Li's experiment."""
+    """Read the table of Li's experiment, once."""
     return read_toml(Lab, SHIPPED, section="lab")
 
 
 def lab_zone(canopy: trees.Canopy) -> Array:
-    """Width, depth and height of what an image of Li's lab shows, m, (3,)."""
+    """Width, depth and height of the zone that a picture of Li's lab shows, m, (3,)."""
     lab = load_lab()
     return np.array([lab.width, canopy.depth, lab.height])

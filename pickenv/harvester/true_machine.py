@@ -1,7 +1,8 @@
-"""The harvester as built: a plant for the master and one for each slave, and the correction of what is known of them.
+"""The harvester as built, a plant for each of its arms, and the controller that corrects the errors it knows of.
 
-A belief predicts where an arm's frame stands for joint commands; the nominal geometry is the simplest, a calibration's
-compensator another. Frame 3 of the true master carries the true slaves. Units: m, rad.
+A belief predicts the pose of an arm's last frame from joint commands. The nominal geometry is the simplest belief, the
+compensator of a calibration another. In the true machine, frame 3 of the true master carries the true slaves. Units: m,
+rad.
 """
 
 from __future__ import annotations
@@ -18,19 +19,19 @@ from pickenv.arm import Array, Frame, Geometry, Plant, Pose, forward, load_plant
 from pickenv.arm.kinematics.backend import ONE
 from pickenv.arm.kinematics.forward import Scalar, attach, split_joints
 from pickenv.base import InputError, read_toml
-from pickenv.harvester.machine import SHIPPED, Machine, MachineFile, composed, shifted
+from pickenv.harvester.machine import SHIPPED, Machine, TrueTable, composed, shifted
 
 Rows = NDArray[np.intp]
 
 ROUNDS = 3
-"""Corrections; each leaves a hundredth of what was before."""
+"""Number of iterations of a correction; each leaves about a hundredth of the error before it."""
 
 
 class Belief(Protocol):
-    """A controller's knowledge of one arm; a calibration's compensator is one."""
+    """Model by which a controller predicts one arm, such as the compensator of a calibration."""
 
     def predict(self, joints: ArrayLike, /) -> Pose:
-        """Pose of the arm's last frame at joint commands (..., 3)."""
+        """Pose of the arm's last frame in the arm's base frame, at joint commands (..., 3)."""
         ...
 
 
@@ -39,10 +40,10 @@ class TrueMachine:
     """A machine as built.
 
     Attributes:
-        machine: The machine as drawn.
+        machine: The machine as designed.
         master: Plant of the master.
-        slaves: Plant of each slave.
-        repeatability: Standard deviation per axis of each arm's stop, m.
+        slaves: Plants of the slaves, left to right.
+        repeatability: Standard deviation per axis of the position at which an arm stops, m.
     """
 
     machine: Machine
@@ -51,16 +52,21 @@ class TrueMachine:
     repeatability: float
 
     def ideal(self) -> TrueMachine:
-        """The machine if it were as drawn: no errors at all."""
+        """The same machine without any errors: nominal geometry, no effects, exact stops."""
         plants = [replace(plant, geometry=plant.arm.nominal, effects=()) for plant in (self.master, *self.slaves)]
         return replace(self, master=plants[0], slaves=tuple(plants[1:]), repeatability=0.0)
 
     def frame3(self, master: ArrayLike) -> Pose:
-        """True pose of frame 3 for master commands (..., 3)."""
+        """True pose of frame 3 in the base frame, for master commands (..., 3)."""
         return self.master.tool_pose(master)
 
     def tips(self, master: ArrayLike, slaves: ArrayLike) -> Array:
-        """True cups (..., arms, 3) for commands (..., 3) and (..., arms, 3), without the spread of repeated stops."""
+        """True cups of all slaves in the base frame, m, (..., arms, 3), without the spread of repeated stops.
+
+        Args:
+            master: Commands of the master, (..., 3).
+            slaves: Commands of the slaves, (..., arms, 3).
+        """
         master, slaves = np.asarray(master, dtype=float), np.asarray(slaves, dtype=float)
         if master.size == 3:
             cups = self._cups(ONE, master.ravel().tolist(), slaves.reshape(-1, 3).tolist())
@@ -70,32 +76,31 @@ class TrueMachine:
         return np.stack([np.stack(np.broadcast_arrays(*cup), axis=-1) for cup in cups], axis=-2)
 
     def _cups(self, m: Any, master: Sequence[Scalar], slaves: Sequence[Sequence[Scalar]]) -> list[Frame]:
-        """True cups, component by component."""
+        """True cups of all slaves as x, y and z; ``m`` is NumPy, or `ONE` for single numbers."""
         base = self.master.tool_frame(m, master)
         plants = zip(self.slaves, slaves, strict=True)
         return [attach(base, plant.tool_frame(m, joints))[9:] for plant, joints in plants]
 
     def picking_tips(self, master: Array, arm: Array, joints: Array) -> Array:
-        """True cups of picks (picks, 3), without the spread of repeated stops.
+        """True cups of picks in the base frame, m, (picks, 3), without the spread of repeated stops.
 
         Args:
-            master: Master commands at each pick, (picks, 3).
-            arm: Slave of each pick, (picks,).
-            joints: Its command, (picks, 3).
+            master: Commands of the master at each pick, (picks, 3).
+            arm: Number of the slave of each pick, (picks,).
+            joints: Commands of that slave, (picks, 3).
         """
-
-        def cups(i: int, base: Pose, mine: Rows) -> Array:
-            return composed(base, self.slaves[i].tool_pose(joints[mine])).position
-
-        return _arm_by_arm(self.frame3(master), arm, cups)
+        plants = self.slaves
+        return _arm_by_arm(
+            self.frame3(master), arm, lambda i, base, mine: composed(base, plants[i].tool_pose(joints[mine])).position
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Controller:
-    """Turns nominal joints of the whole machine into commands, arm by arm, with what is believed of each.
+    """Conversion of nominal joints of the whole machine into commands, with a belief about each arm.
 
     Attributes:
-        machine: The machine as drawn.
+        machine: The machine as designed.
         master: Belief about the master, or None for the nominal one.
         slaves: Belief about each slave; empty for the nominal ones.
     """
@@ -119,7 +124,7 @@ class Controller:
         return np.concatenate([master, *slaves], axis=-1)
 
     def master_command(self, master: ArrayLike) -> Array:
-        """Master commands (..., 3) that bring the believed frame 3 where the nominal one would be."""
+        """Commands (..., 3) that bring the believed frame 3 to the nominal one of nominal master joints (..., 3)."""
         machine, nominal = self.machine, np.asarray(master, dtype=float)
         if self.master is None:
             return nominal
@@ -131,7 +136,13 @@ class Controller:
         return np.asarray(command)
 
     def pick_commands(self, master: Array, arm: Array, targets: Array) -> Array:
-        """Slave commands (picks, 3) for targets (picks, 3), with the master at the commands ``master``."""
+        """Commands (picks, 3) of the slaves for picks.
+
+        Args:
+            master: Commands of the master at each pick, (picks, 3).
+            arm: Number of the slave of each pick, (picks,).
+            targets: Places for the cups in the base frame, m, (picks, 3).
+        """
         base = self._frame3(master)
         return _arm_by_arm(base, arm, lambda i, here, mine: self._slave_command(i, here, targets[mine]))
 
@@ -140,7 +151,7 @@ class Controller:
         return forward(self.machine.master.nominal, master) if self.master is None else self.master.predict(master)
 
     def _slave_command(self, i: int, base: Pose, targets: Array) -> Array:
-        """Joints that bring the believed cup of slave ``i`` to targets in the base frame, frame 3 at ``base``."""
+        """Commands that bring the believed cup of slave ``i`` to targets in the base frame; frame 3 is at ``base``."""
         geometry = self.machine.slaves[i].nominal
         local = np.einsum("...ji,...j->...i", base.rotation, targets - base.position)
         aim = local
@@ -154,7 +165,13 @@ class Controller:
 
 
 def _arm_by_arm(base: Pose, arm: Array, each: Callable[[int, Pose, Rows], Array]) -> Array:
-    """The rows (picks, 3) that ``each`` gives for the picks of every slave, frame 3 at ``base``."""
+    """Rows (picks, 3), computed by ``each`` for the picks of one slave at a time.
+
+    Args:
+        base: Poses of frame 3 at all picks.
+        arm: Number of the slave of each pick, (picks,).
+        each: Function of a slave's number, the poses of frame 3 at its picks and the numbers of these picks.
+    """
     rows = np.empty((len(arm), 3))
     for i in np.unique(arm).tolist():
         mine = np.flatnonzero(arm == i)
@@ -163,40 +180,33 @@ def _arm_by_arm(base: Pose, arm: Array, each: Callable[[int, Pose, Rows], Array]
 
 
 def _local_inverse(slave: Geometry, local: Array) -> Array:
-    """Eq (6) in frame 3 (x right, y down, z ahead)."""
+    """Joints (..., 3) of a slave for positions (..., 3) in frame 3 (x right, y down, z ahead): eq (6)."""
     right, down, ahead = local[..., 0] - slave.a[0], local[..., 1], local[..., 2] - slave.a[1]
     return np.stack([-down, np.arctan2(-right, ahead), np.hypot(right, ahead)], axis=-1)
 
 
 def load_true_machine(machine: Machine, path: str | Path = SHIPPED) -> TrueMachine:
-    """The machine as built, from the same file as the machine.
+    """Read the machine as built from the file of the machine.
+
+    Args:
+        machine: The machine as designed.
+        path: The file; Li's machine by default.
 
     Raises:
-        InputError: If a number is impossible or a plant is not that of the machine's arm.
+        InputError: If the table [true] is missing, a number is impossible, or the master's plant is of another arm.
     """
-    table = read_toml(MachineFile, path).true
-    if table is None:
-        raise InputError(f"{path}: section [true] is missing; name the plants of master and slave there")
+    table = read_toml(TrueTable, path, section="true")
     master, slave = load_plant(table.master), load_plant(table.slave)
     if master.arm.fingerprint() != machine.master.fingerprint():
         raise InputError(f"{path}: plant '{master.name}' is not one of arm '{machine.master.name}'")
-    return TrueMachine(
-        machine=machine,
-        master=master,
-        slaves=tuple(
-            _seated(slave, float(machine.offsets[i]), table.seat_right[i], table.seat_ahead[i], table.seat_up[i])
-            for i in range(machine.arms)
-        ),
-        repeatability=table.repeatability,
-    )
+    seats = zip(machine.offsets.tolist(), table.seat_right, table.seat_ahead, table.seat_up, strict=False)
+    return TrueMachine(machine, master, tuple(_seated(slave, *seat) for seat in seats), table.repeatability)
 
 
 def _seated(plant: Plant, offset: float, right: float, ahead: float, up: float) -> Plant:
-    """A slave's plant at its offset, its true chain displaced by the error of its seat."""
-    arm = shifted(replace(plant.arm, true=plant.geometry), offset)  # a calibrated arm's file has no other truth
-    assert arm.true is not None
-    delta = np.zeros(5 * arm.true.joints + 12)
+    """Plant of a slave at its offset, its true chain displaced by the errors of its seat, m: right, ahead, up."""
+    delta = np.zeros(5 * plant.geometry.joints + 12)
     delta[-12:-9] = right, -up, ahead
-    arm = replace(arm, true=arm.true.displaced(delta))
-    assert arm.true is not None
-    return replace(plant, arm=arm, geometry=arm.true)
+    geometry = shifted(plant.geometry, offset).displaced(delta)
+    arm = replace(plant.arm, nominal=shifted(plant.arm.nominal, offset), true=geometry)
+    return replace(plant, arm=arm, geometry=geometry)

@@ -1,7 +1,8 @@
-"""The work of one zone as a scheduling problem: which arm can pick which fruit, how long, and what must not overlap.
+"""The work of one zone as a scheduling problem: which arm can pick which fruit, in what time, and which picks conflict.
 
-A pick is: travel up or down at rest, swing and stretch below the fruit, rise, sense, cut, and back to rest. The travel
-is safe; the rest is the excursion. Units: m, rad, s.
+A pick begins with travel: the arm moves up or down while it is at rest. Its excursion follows: it swings and stretches
+below the fruit, rises, senses, cuts, and goes back to rest. Travel is safe. Only excursions of different arms can meet.
+Units: m, rad, s.
 """
 
 from __future__ import annotations
@@ -18,24 +19,24 @@ from pickenv.harvester.interference import excursion_distances
 from pickenv.harvester.machine import Machine, travel_time
 
 Plan = tuple[tuple[int, ...], ...]
-"""For each arm the fruit it picks, in order."""
+"""Numbers of the fruit that each arm picks, in order."""
 
 Row = tuple[int, int, float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Work:
-    """One zone's picks.
+    """The picks that a zone offers.
 
     Attributes:
-        joints: Slave joints at each fruit, (arms, n, 3).
-        reached: Which arm can pick which fruit, (arms, n).
-        out: Time of an excursion's way out and rise, (arms, n), s.
-        duration: Time of a whole excursion, (arms, n).
-        first: Travel from rest at home to below each fruit, (n,).
-        travel: Travel from one fruit's height to below another, (n, n).
-        conflict: Excursions that must not overlap, (arms, n, arms, n).
-        approach: How far below each fruit the cup starts to rise, (n,).
+        joints: Nominal slave joints at each fruit, not limited, (arms, n, 3).
+        reached: Whether each arm reaches each fruit, (arms, n).
+        out: Time from the start of an excursion to the end of its rise, s, (arms, n).
+        duration: Time of a whole excursion, s, (arms, n).
+        first: Time of the travel from rest at home to below each fruit, s, (n,).
+        travel: Time of the travel from one fruit's height to below another, s, (n, n).
+        conflict: Whether two excursions must not overlap in time, (arms, n, arms, n).
+        approach: Distance below each fruit at which the cup starts to rise, m, (n,).
     """
 
     joints: Array
@@ -64,12 +65,18 @@ class Work:
 
     @property
     def reachable(self) -> NDArray[np.bool_]:
-        """Fruit that some arm can pick, (n,)."""
+        """Flags (n,) of the fruit that some arm reaches."""
         return np.asarray(self.reached.any(axis=0))
 
 
 def zone_work(machine: Machine, master: ArrayLike, fruit: ArrayLike) -> Work:
-    """The work of a zone whose fruit is believed at ``fruit`` (n, 3), with the master standing at joints ``master``."""
+    """The scheduling problem of a zone.
+
+    Args:
+        machine: The machine.
+        master: Nominal joints at which the master stands, (3,).
+        fruit: Measured positions of the fruit in the base frame, m, (n, 3).
+    """
     fruit = np.asarray(fruit, dtype=float).reshape(-1, 3)
     joints = machine.slave_inverse(master, fruit)
     reached = machine.within_limits(joints)
@@ -98,15 +105,15 @@ def zone_work(machine: Machine, master: ArrayLike, fruit: ArrayLike) -> Work:
 
 @dataclass(frozen=True, eq=False)
 class Timetable:
-    """The times of picks.
+    """The times of picks, in the order of their starts.
 
     Attributes:
-        arm: Arm of each pick, (picks,).
-        fruit: Fruit of each pick.
-        start: Start of the excursion, s.
-        end: End of the excursion.
-        held: How long the arm waited for another before it started.
-        makespan: End of the last excursion; 0 without picks.
+        arm: Number of the arm of each pick, (picks,).
+        fruit: Number of the fruit of each pick, (picks,).
+        start: Start of each excursion, s, (picks,).
+        end: End of each excursion, s, (picks,).
+        held: Time that the arm waited for other arms before each excursion, s, (picks,).
+        makespan: End of the last excursion, s; 0 without picks.
     """
 
     arm: NDArray[np.int64]
@@ -118,34 +125,33 @@ class Timetable:
 
 
 Hold = Callable[[int, int, float, Timetable], float]
-"""When an arm sets out: from the arm, its fruit, when it is ready, s, and all that has begun before."""
+"""Rule of waiting: a function that gives the time at which an arm starts its excursion, s.
+
+Its arguments are the arm, its fruit, the time at which it is ready (s), and the timetable of earlier picks.
+"""
 
 
-def timetable(work: Work, plan: Plan, *, hold: Hold | None = None, late: ArrayLike | None = None) -> Timetable:
-    """The times of a plan's picks, each as early as its arm is ready and no excursion that it would meet is out.
+def timetable(work: Work, plan: Plan, *, hold: Hold | None = None) -> Timetable:
+    """Times of a plan's picks.
+
+    An excursion starts once its arm is ready and no conflicting excursion is under way.
 
     Args:
         work: The zone.
         plan: Fruit of each arm, in order.
-        hold: Li's rule: side arms (even numbers, from 0) also hold as long as this says, and a middle arm (odd) goes
-            first; see `pickenv.harvester.arm_paths.ultrasonic_hold`.
-        late: How much longer than planned an arm stays at each fruit, s, (arms, n); the plan does not know of it.
+        hold: Rule by which an arm waits longer, such as `pickenv.harvester.ultrasonic_hold`. With a rule, of two arms
+            that could start at the same time the middle arm (odd number) goes first.
     """
-    delays = None if late is None else np.asarray(late, dtype=float).tolist()
-    return _table(_schedule(work, plan, hold, delays), delays)
+    return _table(_schedule(work, plan, hold))
 
 
-def _table(rows: list[Row], late: list[list[float]] | None) -> Timetable:
-    columns = np.array(rows, dtype=float).reshape(-1, 5)
-    arm, fruit = columns[:, 0].astype(np.int64), columns[:, 1].astype(np.int64)
-    ends = columns[:, 3] if late is None else columns[:, 3] + np.array(late)[arm, fruit]
-    return Timetable(arm, fruit, columns[:, 2], ends, columns[:, 4], float(ends.max()) if len(ends) else 0.0)
+def _table(rows: list[Row]) -> Timetable:
+    arm, fruit, start, end, held = np.array(rows, dtype=float).reshape(-1, 5).T
+    return Timetable(arm.astype(np.int64), fruit.astype(np.int64), start, end, held, float(end.max(initial=0.0)))
 
 
-def _schedule(
-    work: Work, plan: Sequence[Sequence[int]], hold: Hold | None = None, late: list[list[float]] | None = None
-) -> list[Row]:
-    """Picks in the order of their starts: (arm, fruit, start, end as planned, held)."""
+def _schedule(work: Work, plan: Sequence[Sequence[int]], hold: Hold | None = None) -> list[Row]:
+    """Picks in the order of their starts, each with its arm, fruit, start, end and waiting time."""
     (duration, first, travel, barred), arms = work.lists, range(len(plan))
     done: list[Row] = []
     at = [0] * len(plan)
@@ -163,7 +169,7 @@ def _schedule(
                     if b != a and start < end and barred[a][fruit][b][picked]:
                         start, delayed = end, True
                 if hold is not None and not delayed:
-                    later = hold(a, fruit, start, _table(done, late))
+                    later = hold(a, fruit, start, _table(done))
                     start, delayed = later, later > start
             key = (start, 0 if hold is not None and a % 2 else 1, a)
             if best is None or key < best:
@@ -176,15 +182,10 @@ def _schedule(
         done.append((a, fruit, start, end, start - ready[a]))
         at[a] += 1
         if at[a] < len(plan[a]):
-            ready[a] = end + travel[fruit][plan[a][at[a]]] + (late[a][fruit] if late else 0.0)
-
-
-def makespan_of(work: Work, plan: Sequence[Sequence[int]]) -> float:
-    """Makespan of a plan; the inner loop of the searches."""
-    return max((row[3] for row in _schedule(work, plan)), default=0.0)
+            ready[a] = end + travel[fruit][plan[a][at[a]]]
 
 
 def last_arm(work: Work, plan: Sequence[Sequence[int]]) -> tuple[float, int]:
-    """Makespan of a plan, and the arm that ends it."""
-    row = max(_schedule(work, plan), key=lambda row: row[3])
+    """Makespan of a plan, s, and the number of the arm that ends it; zeros for a plan without picks."""
+    row = max(_schedule(work, plan), key=lambda row: row[3], default=(0, 0, 0.0, 0.0, 0.0))
     return row[3], row[0]

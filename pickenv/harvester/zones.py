@@ -1,4 +1,4 @@
-"""Zones: the tree's side is cut into a grid of overlapping parts, one image each (Li 2016, section 2.2).
+"""Zones of a tree's side: a grid of overlapping parts, each seen in one picture (Li 2016, section 2.2).
 
 Positions are in the machine's base frame: x along the row, the tree at negative y, z up. Units: m.
 """
@@ -17,15 +17,15 @@ from pickenv.orchard import Viewpoint
 
 SHIPPED = Path(__file__).parent / "strategy.toml"
 AHEAD = np.array([0.0, -1.0, 0.0])
-"""Where the trees are."""
+"""Direction from the machine to the trees, base frame, (3,)."""
 
 
 @dataclass(frozen=True)
 class Zone:
-    """One part of the tree's side, overlap included: m in the base frame.
+    """One part of a tree's side, overlap included; base frame, m.
 
     Attributes:
-        name: Row and column, as reports print it.
+        name: Row and column, for reports.
         left: Smallest x.
         right: Largest x.
         bottom: Smallest z.
@@ -39,25 +39,25 @@ class Zone:
     top: float
 
     def holds(self, positions: ArrayLike) -> NDArray[np.bool_]:
-        """Whether positions (..., 3) lie in the zone's image."""
+        """Flags (...) of positions (..., 3) whose x and z are inside the zone."""
         points = np.asarray(positions, dtype=float)
         x, z = points[..., 0], points[..., 2]
         return np.asarray((x >= self.left) & (x <= self.right) & (z >= self.bottom) & (z <= self.top))
 
     @property
     def view(self) -> Viewpoint:
-        """The viewpoint of its picture: before its middle, at the machine's column."""
+        """Viewpoint of the zone's picture: at y = 0 before the zone's middle, looking at the tree."""
         return np.array([(self.left + self.right) / 2, 0.0, (self.bottom + self.top) / 2]), AHEAD
 
 
 @toml_table
 class Grid:
-    """The cut of a tree's side into zones.
+    """Division of a tree's side into zones.
 
     Attributes:
-        columns: Zones side by side.
-        rows: Zones above one another.
-        overlap: How far neighbouring zones overlap, m.
+        columns: Number of zones side by side.
+        rows: Number of zones above one another.
+        overlap: Overlap of neighbouring zones, m.
     """
 
     columns: Annotated[int, WHOLE.positive]
@@ -71,17 +71,17 @@ def load_grid(path: str | Path = SHIPPED) -> Grid:
 
 
 def cut(grid: Grid, left: float, right: float, bottom: float, top: float) -> list[Zone]:
-    """Zones that cover a side, in the order of work: columns from left to right, up one and down the next.
+    """Zones that cover a tree's side, in the order of work: columns from left to right, up the first, down the next.
 
     Args:
-        grid: How to cut.
+        grid: Numbers of columns and rows, and their overlap.
         left: Smallest x of the side, m.
-        right: Largest x.
-        bottom: Smallest z.
-        top: Largest z.
+        right: Largest x, m.
+        bottom: Smallest z, m.
+        top: Largest z, m.
 
     Raises:
-        InputError: If the side is empty or a zone would be narrower than its overlap.
+        InputError: If the side is empty or a zone would not be larger than its overlap.
     """
     if not (right > left and top > bottom):
         raise InputError(f"the tree's side from x {left} to {right} m and z {bottom} to {top} m is empty")

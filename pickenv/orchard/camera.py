@@ -1,8 +1,9 @@
-"""Fruit as a stereo or RGB-D camera measures it: an error model.
+"""An error model of cameras: the positions of fruit as a stereo or RGB-D camera measures them.
 
-Along the line of sight: bias(d, light) and noise σ_z = sqrt(floor² + (a d²)²), for stereo a = σ_disparity/(f_px b);
-across it: pixel noise × d/f_px, and where fruit is partly hidden its centroid is pulled to the visible side by up to
-r/2. Fruit drops out as it disappears. Units: m, px, lx.
+Along the line of sight an error has a bias, which depends on distance d and light. It also has noise σ_z = sqrt(floor²
++ (a d²)²). A stereo camera of focal length f_px and base line b has a = σ_disparity/(f_px b). Across the line of sight
+it is pixel noise × d/f_px. The centroid of a partly hidden fruit moves to the visible side, by up to its radius. The
+less of a fruit is visible, the more often it is missed. Units: m, px, lx.
 """
 
 from __future__ import annotations
@@ -25,27 +26,27 @@ class Camera:
 
     Attributes:
         name: Name of the preset.
-        source: Where its numbers come from.
-        focal_length: px.
-        image: Width and height, px.
-        nearest: Least distance it measures, m.
-        farthest: Largest distance it measures, m.
-        depth_noise: Depth noise at 1 m, growing with the square of distance, 1/m.
-        pixel_noise: Noise of a centroid in the image, px.
+        source: Source of its numbers.
+        focal_length: Focal length, px.
+        image: Width and height of the image, px.
+        nearest: Least distance that it measures, m.
+        farthest: Largest distance that it measures, m.
+        depth_noise: Standard deviation of depth at 1 m, growing with the square of distance, 1/m.
+        pixel_noise: Standard deviation of a centroid in the image, px.
         depth_noise_floor: Part of the depth noise that does not grow with distance, m.
         noise_light: Light at which the depth noise holds, lx.
-        noise_growth: Growth of depth noise with light, exp(growth × (light − noise_light)), 1/lx.
+        noise_growth: Growth of depth noise with light: factor exp(growth × (light − noise_light)), 1/lx.
         bias: Mean error along the line of sight at ``bias_distance`` and ``bias_light``, m; positive is too far.
-        bias_distance: m.
-        bias_light: lx.
-        bias_per_distance: Change of bias with distance, m/m.
-        bias_per_light: Change of bias with light, m/lx.
+        bias_distance: Distance at which ``bias`` holds, m.
+        bias_light: Light at which ``bias`` holds, lx.
+        bias_per_distance: Change of the bias with distance, m/m.
+        bias_per_light: Change of the bias with light, m/lx.
         dropout: Probability of missing a fruit in full view.
-        lost_below: Visible share below which fruit is never found.
-        found_above: Visible share above which only ``dropout`` loses it; linear between the two.
-        occlusion_pull: Largest pull of the centroid to the visible side, in radii.
-        false_detections: Mean number of detections per image where there is no fruit; environments leave them out.
-        light: Light in which it is used, lx.
+        lost_below: Visible share of a fruit below which it is never found.
+        found_above: Visible share from which on only ``dropout`` loses it. Between the two the probability is linear.
+        occlusion_pull: Largest shift of the centroid to the visible side, as a share of the fruit's radius.
+        false_detections: Mean number of false detections per image; environments leave them out.
+        light: Light in which the camera is used, lx.
     """
 
     name: str
@@ -90,14 +91,20 @@ def depth_noise(camera: Camera, distance: ArrayLike) -> Array:
 
 
 def depth_bias(camera: Camera, distance: ArrayLike) -> Array:
-    """Mean error along the line of sight, m; positive is too far."""
+    """Mean error along the line of sight, m, at distances in m; positive is too far."""
     beyond = np.asarray(distance, dtype=float) - camera.bias_distance
     brighter = camera.light - camera.bias_light
     return np.asarray(camera.bias + camera.bias_per_distance * beyond + camera.bias_per_light * brighter)
 
 
 def detection_probability(camera: Camera, distance: ArrayLike, visible: ArrayLike = 1.0) -> Array:
-    """Probability that a fruit inside the image is reported, by distance in m and visible share."""
+    """Probability that a fruit inside the image is detected.
+
+    Args:
+        camera: Error model.
+        distance: Distance of the fruit, m. Shapes broadcast.
+        visible: Visible share of the fruit.
+    """
     distance, visible = np.asarray(distance, dtype=float), checks.numbers("the visible share", visible, lowest=0.0)
     ramp = np.clip((visible - camera.lost_below) / max(camera.found_above - camera.lost_below, 1e-12), 0.0, 1.0)
     probability = np.where(visible >= camera.found_above, 1.0, ramp) * (1.0 - camera.dropout)
@@ -114,20 +121,23 @@ def measured_positions(
     diameters: ArrayLike = 0.0,
     visible_side: ArrayLike | None = None,
 ) -> Array:
-    """Positions that the camera measures of fruit that it reports.
+    """Positions that the camera measures of the fruit that it detects.
 
     Args:
         camera: Error model.
         positions: True fruit centres, m, shape (..., 3).
         viewpoint: Camera positions, m, shape (..., 3).
-        draws: Standard normal numbers, shape (..., DRAWS): the caller owns the randomness.
+        draws: Standard normal numbers, shape (..., DRAWS), so that the caller owns the randomness.
         visible: Visible share of each fruit, shape (...).
-        diameters: Fruit diameters, m, shape (...); they scale the pull of occlusion.
-        visible_side: Directions in which the visible part lies, shape (..., 3), zero or None where leaves decide at
-            random.
+        diameters: Fruit diameters, m, shape (...); they scale the shift of hidden fruit.
+        visible_side: Directions from the centre to the visible part, shape (..., 3). The direction is random where the
+            vector is zero, and everywhere if it is None: leaves then hide a random side.
 
     Returns:
-        Believed positions, m, shape (..., 3).
+        Measured positions, m, shape (..., 3).
+
+    Raises:
+        InputError: If a number is not finite, a shape is wrong, or a fruit lies at the viewpoint.
     """
     positions, viewpoint = checks.points("fruit positions", positions), checks.points("the viewpoint", viewpoint)
     draws = checks.numbers("the random draws", draws)
@@ -157,7 +167,7 @@ def measured_positions(
 
 
 def in_image(camera: Camera, positions: ArrayLike, viewpoint: ArrayLike, looking: ArrayLike) -> Flags:
-    """Whether positions (..., 3) fall into the picture of a level camera that looks along ``looking``."""
+    """Flags (...) of positions (..., 3) inside the image of a level camera that looks along ``looking``, (..., 3)."""
     local = camera_frame(positions, viewpoint, looking)
     half = np.array(camera.image) / 2 / camera.focal_length
     ahead = local[..., 2] > 0
@@ -165,20 +175,32 @@ def in_image(camera: Camera, positions: ArrayLike, viewpoint: ArrayLike, looking
 
 
 def camera_axes(looking: ArrayLike) -> Array:
-    """Axes of a level camera, rows x right, y down, z ahead, shape (..., 3, 3)."""
+    """Axes of a level camera that looks along ``looking``: rows x right, y down, z ahead, shape (..., 3, 3)."""
     ahead = checks.directions("the direction in which the camera looks", looking)
     right, up = _across(ahead)
     return np.stack([right, -up, ahead], axis=-2)
 
 
 def camera_frame(positions: ArrayLike, viewpoint: ArrayLike, looking: ArrayLike) -> Array:
-    """Positions (..., 3) in the camera's frame: x right, y down, z ahead, m."""
+    """Positions (..., 3) of the orchard frame in the camera's frame: x right, y down, z ahead, m.
+
+    Args:
+        positions: Positions in the orchard frame, m, (..., 3).
+        viewpoint: Position of the camera in the orchard frame, m, (..., 3).
+        looking: Direction in which it looks, (..., 3).
+    """
     offset = checks.points("positions", positions) - checks.points("the viewpoint", viewpoint)
     return np.asarray(np.einsum("...ij,...j->...i", camera_axes(looking), offset))
 
 
 def orchard_frame(positions: ArrayLike, viewpoint: ArrayLike, looking: ArrayLike) -> Array:
-    """Positions (..., 3) in the camera's frame, taken back to the orchard's."""
+    """Positions (..., 3) of the camera's frame in the orchard frame, m: inverse of `camera_frame`.
+
+    Args:
+        positions: Positions in the camera's frame, m, (..., 3).
+        viewpoint: Position of the camera in the orchard frame, m, (..., 3).
+        looking: Direction in which it looks, (..., 3).
+    """
     local = checks.points("positions", positions)
     return np.asarray(
         np.einsum("...ji,...j->...i", camera_axes(looking), local) + checks.points("viewpoint", viewpoint)
@@ -186,7 +208,7 @@ def orchard_frame(positions: ArrayLike, viewpoint: ArrayLike, looking: ArrayLike
 
 
 def _across(ray: Array) -> tuple[Array, Array]:
-    """Two unit vectors across each line of sight: level to the right, and up."""
+    """Two unit vectors across each line of sight, (..., 3) each: level to the right, and up."""
     x, y, z = ray[..., 0], ray[..., 1], ray[..., 2]
     level = np.sqrt(x**2 + y**2)
     upright = level < 1e-9  # looking straight up or down there is no level direction to the right: take the row's

@@ -1,9 +1,9 @@
 """The canopy: a slab of foliage beside the aisle, upright or leaning, in which the fruit hangs.
 
-Orchard frame: x along the row, y from the aisle into the trees, z up from the ground; y = 0 is the canopy's face at
-its lowest height. Foliage dims a line of sight as Beer and Lambert have it: exp(−projection × leaf area per volume ×
-path). To a camera fruit are spheres, so from a viewpoint each is a disc of angular radius asin(r/d); nearer discs cover
-parts of farther ones (area of two circles' overlap). Units: m, rad, m²/m³.
+Orchard frame: x along the row, y from the aisle into the trees, z up from the ground. The face of the canopy has y = 0
+at its lowest height. Foliage dims a line of sight by the law of Beer and Lambert: exp(−projection × leaf area per
+volume × path). Fruit are spheres. From a viewpoint each is a disc of angular radius asin(r/d), and nearer discs cover
+parts of farther ones. Units: m, rad, m²/m³.
 """
 
 from __future__ import annotations
@@ -31,18 +31,18 @@ OVERLAP = 1e-4  # m that two fruit may dent each other
 def sample_fruit(fruit_map: FruitMap, size: FruitSize, canopy: Canopy, rng: np.random.Generator) -> tuple[Array, Array]:
     """Draw the fruit of one canopy.
 
-    The map's rows of blocks are spread over the canopy's height and its width is cut into whole blocks; apples per
-    metre of row stay.
+    The map's rows of blocks are spread over the canopy's height, and its width is cut into whole blocks. The number of
+    fruit per metre of row stays.
 
     Args:
-        fruit_map: How many fruit hang in which row of blocks.
+        fruit_map: Expected numbers of fruit per block, by row of blocks.
         size: Fruit diameters.
         canopy: The volume to fill.
         rng: Source of every random draw.
 
     Returns:
-        Centres (n, 3) in the orchard frame and diameters (n,), m, one cluster after the other; fruit lies inside the
-        canopy and does not overlap.
+        Centres in the orchard frame, m, (n, 3), and diameters, m, (n,), cluster by cluster. All fruit is inside the
+        canopy, and none overlaps another.
 
     Raises:
         InputError: If the canopy is so full that fruit cannot be kept apart.
@@ -68,7 +68,7 @@ def sample_fruit(fruit_map: FruitMap, size: FruitSize, canopy: Canopy, rng: np.r
 
 
 def _rings(diameters: Array, rng: np.random.Generator) -> Array:
-    """Offsets from a cluster's centre, (clusters, size, 3): a regular polygon of touching fruit, tilted at random."""
+    """Offsets of fruit in their cluster, m, (clusters, size, 3): a ring of touching fruit, randomly tilted."""
     count, size = diameters.shape
     if size == 1:
         return np.zeros((count, 1, 3))
@@ -80,7 +80,18 @@ def _rings(diameters: Array, rng: np.random.Generator) -> Array:
 
 
 def _apart(upright: Array, low: Array, high: Array, diameters: Array, canopy: Canopy) -> Array:
-    """Fruit centres in the leaning canopy: pairs that overlap are pushed apart, and each fruit is kept in its block."""
+    """Fruit centres in the leaning canopy, m, (n, 3), with overlapping pairs pushed apart inside their blocks.
+
+    Args:
+        upright: Centres as if the canopy were upright, m, (n, 3).
+        low: Lowest corner of each fruit's block, m, (n, 3).
+        high: Highest corner of each fruit's block, m, (n, 3).
+        diameters: Fruit diameters, m, (n,).
+        canopy: The canopy.
+
+    Raises:
+        InputError: If fruit cannot be kept apart.
+    """
     from scipy.spatial import cKDTree
 
     lean = np.array([0.0, 1.0, 0.0])
@@ -116,20 +127,20 @@ ROUNDING = 1e-9  # m
 
 @toml_table
 class Canopy:
-    """The slab of foliage that one machine stop sees; foliage goes on along the row, fruit is wanted in ``width``.
+    """The slab of foliage in front of one stop of a machine. Along the row, foliage goes on beyond the fruit.
 
     Attributes:
         name: Name of the preset.
-        source: Where its numbers come from.
-        bottom: Height of the lowest fruit, m.
-        top: Height of the highest fruit, m.
+        source: Source of its numbers.
+        bottom: Height of the lowest fruit above the ground, m.
+        top: Height of the highest fruit above the ground, m.
         depth: Horizontal thickness of the slab, m.
-        width: Length of row that one stop serves, m; x runs from −width/2 to width/2.
+        width: Length of row that one stop serves and that bears fruit here, m; x runs from −width/2 to width/2.
         standoff: Distance from the machine's column to the face, m; the column stands at y = −standoff.
         lean: Angle of the face from upright, rad; positive leans away from the aisle, negative hangs over it.
         leaf_area_per_volume: One-sided leaf area, m²/m³.
         leaf_projection: Mean share of a leaf's area that a line of sight meets.
-        approach_elevation: How steeply the tool comes from below, rad above the horizontal; π/2 is straight up.
+        approach_elevation: Angle above the horizontal at which the tool comes up to fruit, rad; π/2 is straight up.
     """
 
     name: str
@@ -159,18 +170,18 @@ load_canopy = preset_files.loader("canopy", Canopy)
 
 
 def face(canopy: Canopy, height: ArrayLike) -> Array:
-    """The canopy's face at a height: y in m, for heights in m of any shape."""
+    """The canopy's face as y in the orchard frame, m, at heights in m of any shape."""
     return np.asarray((np.asarray(height, dtype=float) - canopy.bottom) * np.tan(canopy.lean))
 
 
 def depth_behind_face(canopy: Canopy, positions: ArrayLike) -> Array:
-    """Horizontal distance behind the face, m, for positions (..., 3); negative is in the aisle."""
+    """Horizontal distance behind the canopy's face, m, of positions (..., 3); negative is in the aisle."""
     positions = checks.points("positions", positions)
     return np.asarray(positions[..., 1] - face(canopy, positions[..., 2]))
 
 
 def foliage_path(canopy: Canopy, start: ArrayLike, end: ArrayLike) -> Array:
-    """Length of the straight way from ``start`` to ``end`` (..., 3) that runs through foliage, m."""
+    """Length of the straight line from ``start`` to ``end``, (..., 3) each, that runs through foliage, m."""
     start, end = checks.points("start points", start), checks.points("end points", end)
     start, end = np.broadcast_arrays(start, end)
     slabs = (
@@ -190,30 +201,30 @@ def foliage_path(canopy: Canopy, start: ArrayLike, end: ArrayLike) -> Array:
 
 
 def foliage_transmission(canopy: Canopy, start: ArrayLike, end: ArrayLike) -> Array:
-    """Expected share of a small target at ``end`` (..., 3) that leaves do not hide from ``start``."""
+    """Expected share of a small target at ``end`` that leaves do not hide from ``start``; points (..., 3)."""
     extinction = canopy.leaf_projection * canopy.leaf_area_per_volume
     return np.asarray(np.exp(-extinction * foliage_path(canopy, start, end)))
 
 
 def approach_direction(canopy: Canopy, positions: ArrayLike) -> Array:
-    """Unit vectors along which the tool comes up to fruit, (..., 3): from the aisle and below."""
+    """Unit vectors along which the tool comes up to fruit at positions (..., 3): from the aisle and below."""
     positions = checks.points("positions", positions)
     along = np.array([0.0, np.cos(canopy.approach_elevation), np.sin(canopy.approach_elevation)])
     return np.broadcast_to(along, positions.shape).copy()
 
 
 def occlusion(canopy: Canopy, positions: ArrayLike, diameters: ArrayLike, viewpoint: ArrayLike) -> tuple[Array, Array]:
-    """Share of each fruit that a viewpoint sees, in expectation.
+    """Expected visible share of each fruit from a viewpoint.
 
     Args:
         canopy: The foliage.
-        positions: Fruit centres, m, shape (n, 3).
+        positions: Fruit centres in the orchard frame, m, shape (n, 3).
         diameters: Fruit diameters, m, shape (n,) or a number.
-        viewpoint: Camera positions, m, shape (..., 3).
+        viewpoint: Camera positions in the orchard frame, m, shape (..., 3).
 
     Returns:
-        Share of each fruit's disc that neither leaves nor other fruit hide, shape (..., n); and unit vectors across the
-        line of sight, away from the fruit that hide this one, zero where none does, shape (..., n, 3).
+        Share of each fruit's disc that neither leaves nor other fruit hide, shape (..., n). And unit vectors across the
+        line of sight, away from the fruit that hide this one, shape (..., n, 3); zero where none does.
 
     Raises:
         InputError: If a number is not finite, a diameter not above zero, or a viewpoint lies inside a fruit.
@@ -241,7 +252,13 @@ def occlusion(canopy: Canopy, positions: ArrayLike, diameters: ArrayLike, viewpo
 
 
 def disc_cover(radius: ArrayLike, other: ArrayLike, apart: ArrayLike) -> Array:
-    """Share of a disc's area under another disc, whose centre is ``apart`` away; any shapes that broadcast."""
+    """Share of a disc's area that is under another disc.
+
+    Args:
+        radius: Radius of the disc. Shapes broadcast.
+        other: Radius of the other disc.
+        apart: Distance between the two centres.
+    """
     r, s, d = (np.asarray(value, dtype=float) for value in np.broadcast_arrays(radius, other, apart))
     inside = d <= np.abs(r - s) + 1e-12 * (r + s)
     safe = np.where(inside | (d >= r + s), np.maximum(r, s), d)  # any distance at which the discs cross
@@ -266,6 +283,9 @@ def approach_clear(
 
     Returns:
         Flags, shape (n,).
+
+    Raises:
+        InputError: If a number is impossible or a shape is wrong.
     """
     positions, diameters = checks.fruit_arrays(positions, diameters)
     checks.positive("the tool radius (m)", tool_radius)
@@ -283,29 +303,29 @@ def approach_clear(
 
 @toml_table
 class Station(checks.Preset):
-    """A section of canopy before an arm's base; the arm comes from below.
+    """A section of canopy in front of an arm's base, and the gripper that comes from below.
 
     Attributes:
         middle: x of the section's middle in the base frame, m.
-        face: y of the canopy's face, m.
-        mount: z of its lowest fruit, m.
-        width: Size of the section, m.
-        height: m.
-        depth: m.
+        face: y of the canopy's face in the base frame, m.
+        mount: z of the lowest fruit in the base frame, m.
+        width: Width of the section along the row, m.
+        height: Height of the section, m.
+        depth: Depth of the section, m.
         tool_radius: Outer radius of the gripper, m.
-        tool_length: Its length below the tool's point, m.
-        approach: Straight way from below to a fruit, m.
-        blocked: Fruit nearer than this to the axis of that way blocks it, m.
-        near: The gripper closes only where its fruit is believed to be nearer than this, m.
-        collected_below: A detached fruit is collected once the tool has gone down by this, m.
-        bruise_speed: A tool that hits a fruit faster than this bruises it, m/s.
-        knock: How far a failed grasp pushes its fruit, m.
-        most_push: How far any fruit can be pushed, m.
+        tool_length: Length of the gripper below the tool's point, m.
+        approach: Length of the straight way from below to a fruit, m.
+        blocked: Distance from the axis of that way at which another fruit blocks it, m.
+        near: Distance to the believed fruit below which the gripper closes, m.
+        collected_below: Way down after which a detached fruit counts as collected, m.
+        bruise_speed: Speed of a tool from which on it bruises a fruit that it hits, m/s.
+        knock: Distance by which a failed grasp pushes its fruit, m.
+        most_push: Largest distance by which a fruit can be pushed, m.
         twist: Torque of the gripper at full command, N·m.
         grip: Time in which the gripper takes hold of a fruit, s; counted for each grasp, not simulated.
         deposit: Time of a fruit's way to the bin and of the way back, s; counted for each fruit, not simulated.
         release: Time in which the gripper gives a fruit away, s; counted likewise.
-        source: Where its numbers come from.
+        source: Source of its numbers.
     """
 
     middle: Annotated[float, MM]

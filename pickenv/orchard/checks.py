@@ -1,4 +1,7 @@
-"""Checks of the orchard's numbers and arrays: finite, of the right shape, physically possible. One sentence each."""
+"""Checks of the orchard's numbers and arrays: finite, of the right shape, physically possible.
+
+Each refusal is an `InputError` of one sentence. ``what`` is the name of the number or array in that sentence.
+"""
 
 from __future__ import annotations
 
@@ -19,7 +22,7 @@ MM = Unit("mm", per=1000.0)
 
 
 def bounded(what: str, thing: Any) -> None:
-    """Refuse an object with a number that its class's annotations do not allow."""
+    """Refuse an object with a number that the annotations of its class do not allow; ``what`` names the object."""
     for name, unit in units_of(cast(Any, type(thing))).items():
         for value in np.ravel(getattr(thing, name)).tolist():
             if not unit.holds(value):
@@ -27,13 +30,13 @@ def bounded(what: str, thing: Any) -> None:
 
 
 def measuring_range(what: str, nearest: float, farthest: float) -> None:
-    """Refuse a camera whose range has no end, or ends before it begins, m."""
+    """Refuse a camera whose range of distances, m, has no end or ends before it begins."""
     if not nearest < farthest < np.inf:
         raise InputError(f"the range of {what} ends at {farthest} m; give more than its beginning, {nearest} m")
 
 
 class Preset:
-    """Numbers that stay within the bounds of their annotations, in whatever way they are given."""
+    """Base of preset classes: numbers stay within the bounds of their annotations, however an object is made."""
 
     def __post_init__(self) -> None:
         words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(self).__name__).lower()
@@ -53,7 +56,7 @@ def not_negative(what: str, value: float) -> None:
 
 
 def numbers(what: str, values: ArrayLike, *, lowest: float = -np.inf) -> Array:
-    """An array of finite numbers, none below ``lowest``."""
+    """Array of finite numbers, none below ``lowest``; other input is refused."""
     array = _floats(what, values)
     if not np.isfinite(array).all():
         raise InputError(f"{what} must be finite; at least one of its numbers is NaN or infinite")
@@ -63,7 +66,7 @@ def numbers(what: str, values: ArrayLike, *, lowest: float = -np.inf) -> Array:
 
 
 def points(what: str, values: ArrayLike) -> Array:
-    """Finite points or vectors, shape (..., 3)."""
+    """Array of finite points or vectors, shape (..., 3); other input is refused."""
     array = _floats(what, values)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise InputError(f"{what} must have three coordinates each, not shape {array.shape}")
@@ -71,7 +74,7 @@ def points(what: str, values: ArrayLike) -> Array:
 
 
 def directions(what: str, values: ArrayLike) -> Array:
-    """Vectors of any length above zero, made unit vectors, shape (..., 3)."""
+    """Unit vectors, shape (..., 3), of vectors of any length above zero; other input is refused."""
     array = points(what, values)
     length = np.linalg.norm(array, axis=-1, keepdims=True)
     if (length == 0).any():
@@ -80,7 +83,7 @@ def directions(what: str, values: ArrayLike) -> Array:
 
 
 def fruit_arrays(positions: ArrayLike, diameters: ArrayLike) -> tuple[Array, Array]:
-    """Fruit centres (n, 3) and diameters (n,) in m; one diameter serves all fruit."""
+    """Fruit centres (n, 3) and diameters (n,) in m; one diameter serves all fruit. Other input is refused."""
     centres = points("fruit positions", positions)
     if centres.ndim != 2:
         raise InputError(f"fruit positions must have shape (n, 3), not {centres.shape}")

@@ -1,12 +1,13 @@
-"""Fruit: its numbers along a row, sizes, the loads that detach it, and its swing on the branch.
+"""Fruit: its numbers along a row, its sizes, the loads that detach it, and its swing on the branch.
 
-Fruit is clumped, and a uniform sampler is wrong. Clusters per block of the fruiting wall follow a negative binomial
-whose mean depends on the row of blocks and whose variance/mean is common to all rows; each cluster holds
-``cluster_size`` apples. Blocks are independent: in the field neighbours correlate by 0.1 to 0.3.
+Fruit is clumped, so a uniform distribution is wrong. The number of clusters per block of the fruiting wall has a
+negative binomial distribution. Its mean depends on the row of blocks, and its ratio of variance to mean is the same
+everywhere. Each cluster holds ``cluster_size`` fruit. Blocks are independent, although in the field neighbours
+correlate by 0.1 to 0.3.
 
-Fruit on its branch is a damped spring-pendulum, so that a push displaces fruit, and its neighbours, for a while: each
-axis obeys x'' + 2ζω x' + ω² x = 0 with ω² = g/l + k/m sideways and k/m upright; steps are solved exactly, whatever
-their length. Units: m, s, N, kg. Axes as in canopy.py: x, y sideways, z up.
+Fruit on its branch is a damped spring-pendulum, so a push displaces it and its neighbours for a while. Each axis obeys
+x'' + 2ζω x' + ω² x = 0, with ω² = g/l + k/m sideways and ω² = k/m upright. Steps of any length are solved exactly.
+Units: m, s, N, kg. Axes as in canopy.py: x and y sideways, z up.
 """
 
 from __future__ import annotations
@@ -30,14 +31,14 @@ QUANTILE_95 = 1.6448536269514722  # of the standard normal
 
 @toml_table
 class Detachment(checks.Preset):
-    """Distribution of what holds the fruit.
+    """Distribution of the loads that detach fruit.
 
     Attributes:
         pull_95: Pull that detaches 95 % of fruit, N.
-        twist_95: Twist about the stem that detaches 95 % of fruit, N·m.
-        spread: Standard deviation of the logarithm of both.
+        twist_95: Torque about the stem that detaches 95 % of fruit, N·m.
+        spread: Standard deviation of the natural logarithm of both loads.
         stem: Length of the stem, m.
-        source: Where its numbers come from.
+        source: Source of its numbers.
     """
 
     pull_95: Annotated[float, NEWTON.positive]
@@ -54,21 +55,24 @@ load_detachment = preset_files.loader("detachment", Detachment)
 def sample_strength(
     detachment: Detachment, shape: int | tuple[int, ...], rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Draw the limits of fruit, pull in N and twist in N·m, each of shape (...): one normal number each."""
+    """Draw the loads that detach fruit: pulls, N, and torques, N·m, of ``shape`` each.
+
+    One normal number per fruit scales both.
+    """
     scale = np.exp(detachment.spread * (rng.normal(size=shape) - QUANTILE_95))
     return np.asarray(detachment.pull_95 * scale), np.asarray(detachment.twist_95 * scale)
 
 
 @toml_table
 class FruitMap:
-    """A model of apples per block along a row of trees.
+    """Expected numbers of fruit per block along a row of trees, and their clumping.
 
     Attributes:
         block: Edge of the square blocks of the fruiting wall, m.
-        row_means: Expected apples per block in each row of blocks, from the top row to the bottom row.
-        cluster_size: Apples per cluster.
-        cluster_variance_ratio: Variance/mean of clusters per block; 1 is Poisson, more is clumped.
-        source: Where its numbers come from.
+        row_means: Expected number of fruit per block in each row of blocks, from the top row to the bottom row.
+        cluster_size: Number of fruit per cluster.
+        cluster_variance_ratio: Variance/mean of the number of clusters per block; 1 is Poisson, more is clumped.
+        source: Source of its numbers.
     """
 
     block: Annotated[float, MM.positive]
@@ -84,18 +88,26 @@ class FruitMap:
 
     @property
     def density(self) -> float:
-        """Expected apples per metre of row."""
+        """Expected number of fruit per metre of row."""
         return sum(self.row_means) / self.block
 
     def scaled(self, density: float) -> FruitMap:
-        """This map with ``density`` apples per metre of row, equally clumped and equally bottom-heavy."""
+        """This map with ``density`` fruit per metre of row, its clumping and its profile of height unchanged.
+
+        Raises:
+            InputError: If the density is negative or this map has no fruit.
+        """
         checks.not_negative("the density of a fruit map (apples per m)", density)
         if not self.density:
             raise InputError("a fruit map without apples cannot be scaled; give row_means above zero")
         return replace(self, row_means=tuple(mean * density / self.density for mean in self.row_means))
 
     def with_rows(self, rows: int) -> FruitMap:
-        """This map over another number of block rows: same apples per metre, same profile of height."""
+        """This map with another number of rows of blocks, its fruit per metre and its profile of height unchanged.
+
+        Raises:
+            InputError: If there would be no row.
+        """
         if rows < 1:
             raise InputError(f"a fruit map cannot have {rows} rows of blocks; give 1 or more")
         below = np.concatenate([[0.0], np.cumsum(self.row_means)])
@@ -105,7 +117,17 @@ class FruitMap:
 
 
 def sample_counts(fruit_map: FruitMap, columns: int, rng: np.random.Generator, shape: tuple[int, ...] = ()) -> Integers:
-    """Draw apples per block ``(*shape, rows, columns)``, rows from top to bottom."""
+    """Draw numbers of fruit per block, shape (*shape, rows, columns), rows from top to bottom.
+
+    Args:
+        fruit_map: Expected numbers and clumping.
+        columns: Number of blocks along the row.
+        rng: Source of every random draw.
+        shape: Shape of further samples in front.
+
+    Raises:
+        InputError: If there would be no column.
+    """
     if columns < 1:
         raise InputError(f"a row of trees cannot be {columns} blocks long; give 1 or more")
     means = np.array(fruit_map.row_means)[:, None] / fruit_map.cluster_size
@@ -122,7 +144,7 @@ def sample_counts(fruit_map: FruitMap, columns: int, rng: np.random.Generator, s
 
 @toml_table
 class FruitSize:
-    """Diameters, normal and cut at both ends, and the density that turns them into masses.
+    """Distribution of diameters, a normal one cut at both ends, and the density of fruit.
 
     Attributes:
         mean: Mean diameter before cutting, m.
@@ -130,7 +152,7 @@ class FruitSize:
         smallest: Smallest diameter, m.
         largest: Largest diameter, m.
         density: Mass per volume, kg/m³.
-        source: Where its numbers come from.
+        source: Source of its numbers.
     """
 
     mean: Annotated[float, MM.positive]
@@ -149,7 +171,7 @@ class FruitSize:
 
 
 def sample_diameters(size: FruitSize, count: int, rng: np.random.Generator) -> Array:
-    """Draw ``count`` diameters in m, by inverting the truncated normal: one uniform number each."""
+    """Draw ``count`` diameters, m, by inverting the truncated normal distribution: one uniform number each."""
     from scipy.special import ndtr, ndtri
 
     uniform = rng.random(count)
@@ -161,7 +183,7 @@ def sample_diameters(size: FruitSize, count: int, rng: np.random.Generator) -> A
 
 
 def fruit_masses(size: FruitSize, diameters: ArrayLike) -> Array:
-    """Masses of round fruit in kg."""
+    """Masses of round fruit, kg, from diameters, m, of any shape."""
     return np.asarray(size.density * np.pi / 6.0 * checks.numbers("fruit diameters", diameters, lowest=0.0) ** 3)
 
 
@@ -179,12 +201,12 @@ class Branch(checks.Preset):
 
     Attributes:
         pendulum: Length of the pendulum, m.
-        stiffness_sideways: N/m.
-        stiffness_upright: N/m.
+        stiffness_sideways: Stiffness along x and y, besides the pendulum's, N/m.
+        stiffness_upright: Stiffness along z, N/m.
         wood: Mass of wood that moves with the fruit, kg.
-        damping_ratio: Share of critical damping.
+        damping_ratio: Damping as a share of critical damping.
         coupling: Distance over which a push on one fruit falls to 1/e at its neighbours, m.
-        source: Where its numbers come from.
+        source: Source of its numbers.
     """
 
     pendulum: Annotated[float, MM.positive]
@@ -201,7 +223,7 @@ load_branch = preset_files.loader("branch", Branch)
 
 
 def natural_frequencies(branch: Branch, mass: ArrayLike) -> Array:
-    """Undamped angular frequencies along x, y, z, rad/s, shape (..., 3), for fruit masses (...) in kg."""
+    """Undamped angular frequencies along x, y and z, rad/s, shape (..., 3), for fruit masses (...) in kg."""
     moving = _moving_mass(branch, mass)
     omega = np.empty((*moving.shape, 3))
     omega[..., 0] = omega[..., 1] = np.sqrt(GRAVITY / branch.pendulum + branch.stiffness_sideways / moving)
@@ -212,17 +234,20 @@ def natural_frequencies(branch: Branch, mass: ArrayLike) -> Array:
 def swing(
     branch: Branch, displacement: ArrayLike, velocity: ArrayLike, mass: ArrayLike, dt: ArrayLike
 ) -> tuple[Array, Array]:
-    """Displacement and velocity of fruit that swings freely, after ``dt``.
+    """Displacement and velocity of freely swinging fruit after a time ``dt``.
 
     Args:
-        branch: What the fruit hangs from.
-        displacement: From where the fruit hangs at rest, m, shape (..., 3).
-        velocity: m/s, shape (..., 3).
+        branch: Branch that the fruit hangs from.
+        displacement: Displacement from the position at rest, m, shape (..., 3).
+        velocity: Velocity, m/s, shape (..., 3).
         mass: Fruit masses, kg, shape (...).
-        dt: s, shape (...); exact for any length.
+        dt: Time, s, shape (...); the solution is exact for any length.
 
     Returns:
-        Displacement and velocity, each of shape (..., 3).
+        Displacement, m, and velocity, m/s, of shape (..., 3) each.
+
+    Raises:
+        InputError: If a number is not finite, a mass not above zero, a time negative or a shape wrong.
     """
     x = checks.points("the displacement of fruit", displacement)
     speed = checks.points("the velocity of fruit", velocity)
@@ -231,7 +256,15 @@ def swing(
 
 
 def swung(branch: Branch, x: Array, speed: Array, omega: Array, time: Array) -> tuple[Array, Array]:
-    """`swing` of numbers that are known to be sound, with `natural_frequencies` and times (..., 1)."""
+    """Displacement and velocity as of `swing`, without its checks.
+
+    Args:
+        branch: Branch that the fruit hangs from.
+        x: Displacement from the position at rest, m, shape (..., 3).
+        speed: Velocity, m/s, shape (..., 3).
+        omega: Undamped angular frequencies of `natural_frequencies`, rad/s, shape (..., 3).
+        time: Time, s, shape (..., 1).
+    """
     zeta = branch.damping_ratio
     if zeta < 1.0:
         damped = omega * np.sqrt(1.0 - zeta**2)
@@ -252,18 +285,18 @@ def swung(branch: Branch, x: Array, speed: Array, omega: Array, time: Array) -> 
 
 
 def coupling(branch: Branch, distance: ArrayLike) -> Array:
-    """Share of a push on one fruit that reaches another at ``distance`` m: 1 at the fruit itself, falling off by e."""
+    """Share of a push on one fruit that reaches another at ``distance`` m: exp(−distance/coupling length)."""
     return np.asarray(np.exp(-checks.numbers("the distance between fruit (m)", distance, lowest=0.0) / branch.coupling))
 
 
 def pushed(branch: Branch, positions: ArrayLike, contact: ArrayLike, push: ArrayLike) -> Array:
-    """Displacement of each fruit by a push, neighbours of the touched one included.
+    """Displacement of each fruit by a push on one of them.
 
     Args:
-        branch: What the fruit hangs from.
+        branch: Branch that the fruit hangs from.
         positions: Fruit centres, m, shape (n, 3).
-        contact: Where the arm touches, m, shape (..., 3).
-        push: How far it pushes, m, shape (..., 3).
+        contact: Point that the arm touches, m, shape (..., 3).
+        push: Displacement at that point, m, shape (..., 3).
 
     Returns:
         Displacements, m, shape (..., n, 3): start values for `swing`.

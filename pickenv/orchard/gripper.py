@@ -1,6 +1,6 @@
-"""Grippers and what they forgive: a cup with a hard edge, or a compliant hand that fails ever more often.
+"""Grippers and the misalignment that they tolerate: a cup with a hard edge, or a compliant hand that fails gradually.
 
-Misalignment of the fruit in the tool: lateral (across the tool's axis), axial (along it), angle. Units: m, rad.
+Misalignment of the fruit in the tool is lateral (across the tool's axis), axial (along it) and an angle. Units: m, rad.
 """
 
 from __future__ import annotations
@@ -23,20 +23,27 @@ KIND = Check(lambda value: value in names("gripper"), "'cup' or 'hand'")
 
 
 class Gripper(Protocol):
-    """The members of a gripper; a class of them is registered, and read from files by its field ``kind``."""
+    """The members of a gripper. A class of grippers is registered by name; files choose it by their field ``kind``."""
 
     @property
     def name(self) -> str:
-        """Its name in tables."""
+        """Name of the gripper in tables."""
         ...
 
     @property
     def kind(self) -> str:
-        """The name that its class is registered by."""
+        """Name by which its class is registered."""
         ...
 
     def probability(self, lateral: Array, axial: Array, angle: Array, diameter: ArrayLike | None) -> Array:
-        """Probability that it takes the fruit, from sizes of misalignment, m and rad, of shapes that broadcast."""
+        """Probability that the gripper takes the fruit.
+
+        Args:
+            lateral: Size of the lateral misalignment, m. Shapes broadcast.
+            axial: Size of the axial misalignment, m.
+            angle: Size of the angle, rad.
+            diameter: Fruit diameter, m; None is the fruit that the gripper is meant for.
+        """
         ...
 
     @property
@@ -52,12 +59,12 @@ class Cup(checks.Preset):
 
     Attributes:
         name: Name of the preset.
-        source: Where its numbers come from.
+        source: Source of its numbers.
         opening: Inner diameter, m.
-        fruit: Diameter of the fruit it is meant for, m.
-        axial: Tolerance along the axis, m.
-        angle: Tolerance of the axis' direction, rad.
-        kind: Which table of a file this is.
+        fruit: Diameter of the fruit that the cup is meant for, m.
+        axial: Largest axial misalignment, m.
+        angle: Largest angle between the cup's axis and the wanted one, rad.
+        kind: Kind of gripper in a file.
     """
 
     name: str
@@ -69,14 +76,14 @@ class Cup(checks.Preset):
     kind: Annotated[Literal["cup"], KIND, REQUIRED] = "cup"
 
     def probability(self, lateral: Array, axial: Array, angle: Array, diameter: ArrayLike | None) -> Array:
-        """1 inside the tolerances, 0 outside; without a diameter the fruit is the one that it is meant for."""
+        """Probability: 1 inside the tolerances, 0 outside. Without a diameter, the fruit is the one in ``fruit``."""
         fruit = self.fruit if diameter is None else checks.numbers("the fruit diameter (m)", diameter, lowest=0.0)
         inside = (lateral <= (self.opening - fruit) / 2) & (axial <= self.axial) & (angle <= self.angle)
         return np.asarray(inside, dtype=np.float64)
 
     @property
     def tolerance(self) -> float:
-        """Distance aside up to which a fruit is always taken, m."""
+        """Distance aside up to which the fruit that the cup is meant for is always taken, m."""
         return (self.opening - self.fruit) / 2.0
 
 
@@ -87,12 +94,12 @@ class CompliantHand(checks.Preset):
 
     Attributes:
         name: Name of the preset.
-        source: Where its numbers come from.
+        source: Source of its numbers.
         intercept: Logit without misalignment.
-        lateral: 1/m.
-        axial: 1/m.
-        angle: 1/rad.
-        kind: Which table of a file this is.
+        lateral: Fall of the logit with lateral misalignment, 1/m.
+        axial: Fall of the logit with axial misalignment, 1/m.
+        angle: Fall of the logit with the angle, 1/rad.
+        kind: Kind of gripper in a file.
     """
 
     name: str
@@ -104,7 +111,7 @@ class CompliantHand(checks.Preset):
     kind: Annotated[Literal["hand"], KIND, REQUIRED] = "hand"
 
     def probability(self, lateral: Array, axial: Array, angle: Array, diameter: ArrayLike | None) -> Array:
-        """The logistic curve; the fruit's diameter does not matter."""
+        """Probability by the logistic curve; the fruit's diameter does not matter."""
         logit = self.intercept - self.lateral * lateral - self.axial * axial - self.angle * angle
         return np.asarray(0.5 * (1.0 + np.tanh(logit / 2)))
 
@@ -117,15 +124,16 @@ class CompliantHand(checks.Preset):
 def misalignment(
     offset: ArrayLike, tool_axis: ArrayLike, wanted_axis: ArrayLike | None = None
 ) -> tuple[Array, Array, Array]:
-    """Misalignment of a fruit in the tool from geometry, as `capture_probability` takes it.
+    """Misalignment of a fruit in the tool, as `capture_probability` takes it.
 
     Args:
-        offset: From the tool's point to the fruit's centre, m, shape (..., 3).
+        offset: Vector from the tool's point to the fruit's centre, m, shape (..., 3).
         tool_axis: Direction in which the tool approaches, shape (..., 3).
-        wanted_axis: Direction in which it should approach, shape (..., 3); None means that it does.
+        wanted_axis: Direction in which it should approach, shape (..., 3); None stands for the tool's axis.
 
     Returns:
-        Lateral and axial, m, the latter positive beyond the tool's point, and the angle, rad, each of shape (...).
+        Lateral misalignment, m, axial misalignment, m, and angle, rad, of shape (...) each. Axial is positive beyond
+        the tool's point.
     """
     offset, axis = checks.points("the offset", offset), checks.directions("the tool axis", tool_axis)
     axial = np.einsum("...i,...i->...", offset, axis)
@@ -141,14 +149,14 @@ def misalignment(
 def capture_probability(
     gripper: Gripper, lateral: ArrayLike, axial: ArrayLike, angle: ArrayLike, diameter: ArrayLike | None = None
 ) -> Array:
-    """Probability that the gripper takes the fruit.
+    """Probability that a gripper takes the fruit.
 
     Args:
-        gripper: A cup (0 or 1), a hand, or another package's.
-        lateral: Across the tool's axis, m; sign does not matter. Shapes broadcast.
-        axial: Along the tool's axis, m.
-        angle: Between tool and wanted axis, rad.
-        diameter: Fruit diameter, m; only a cup minds. None is the fruit it is meant for.
+        gripper: A cup (0 or 1), a hand, or a gripper of another package.
+        lateral: Misalignment across the tool's axis, m; its sign does not matter. Shapes broadcast.
+        axial: Misalignment along the tool's axis, m; its sign does not matter.
+        angle: Angle between the tool's axis and the wanted one, rad; its sign does not matter.
+        diameter: Fruit diameter, m; None is the fruit that the gripper is meant for.
 
     Raises:
         InputError: If a misalignment is NaN or infinite.
@@ -160,7 +168,11 @@ def capture_probability(
 
 
 def load_gripper(name: str | Path) -> Gripper:
-    """Read a gripper by name (`shipped("gripper")`), from a path to a TOML file, or a registered one as it is made.
+    """Read a gripper by name or file.
+
+    Args:
+        name: Name of a preset (`shipped("gripper")`), path of a TOML file, or name of a registered gripper that needs
+            no numbers.
 
     Raises:
         InputError: If there is none of that name, it needs a file with its numbers, or the file is at fault.
@@ -176,7 +188,7 @@ def load_gripper(name: str | Path) -> Gripper:
 
 
 def gripper_kind(table: Mapping[str, Any]) -> type[Any]:
-    """The class of gripper that a table of a file describes.
+    """Class of the gripper that a table of a file describes.
 
     Raises:
         InputError: If there is no such kind.
@@ -189,6 +201,6 @@ def gripper_kind(table: Mapping[str, Any]) -> type[Any]:
 
 
 def gripper_file() -> Any:
-    """The type of a gripper file: the union of all registered classes."""
+    """Type of a gripper file: the union of all registered classes."""
     kinds = tuple(kind for kind in load_all("gripper").values() if is_dataclass(kind))
     return Annotated[Union[kinds], Kinds(gripper_kind)]  # noqa: UP007 - their number is not known before

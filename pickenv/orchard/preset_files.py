@@ -1,6 +1,6 @@
-"""Presets are TOML tables beside the code, one file per kind of thing, one table per preset, each with its source.
+"""Presets: TOML tables beside the code, one file per kind of thing, one table per preset, each with its source.
 
-Files give degrees and millimetres and say so in every key; what leaves this module is in radians and metres.
+Files give degrees and millimetres, and every key says so. Objects made from them have radians and metres.
 """
 
 from __future__ import annotations
@@ -29,15 +29,16 @@ def shipped(kind: str) -> list[str]:
 
 
 def load(kind: str, name: str | Path, thing: type[Thing] | Callable[[Mapping[str, Any]], type[Thing]]) -> Thing:
-    """Read a preset by name, or the one preset of a TOML file given by its path.
+    """Read a preset by name, or the one preset of a TOML file by its path.
 
     Args:
-        kind: Name of the file beside this module, such as "camera"; also the word in error messages.
-        name: A shipped preset, or a path that ends in .toml whose keys are those of one preset.
-        thing: The class that the table makes (`pickenv.base.toml_tables.toml_table`), or what tells it from the table.
+        kind: Name of the presets' file, such as "camera"; also the word in error messages.
+        name: A shipped preset, or a path that ends in .toml. The keys of that file are those of one preset.
+        thing: Class of the result (`pickenv.base.toml_tables.toml_table`), or a function that gives the class for a
+            table.
 
     Raises:
-        InputError: If the preset is unknown or a number is missing or impossible; names the file and the key.
+        InputError: If the preset is unknown, or a number is missing or impossible. It names the file and the key.
     """
     path = Path(name)
     if path.suffix == ".toml":
@@ -62,5 +63,5 @@ def load(kind: str, name: str | Path, thing: type[Thing] | Callable[[Mapping[str
 
 
 def loader(kind: str, thing: type[Thing]) -> Callable[[str | Path], Thing]:
-    """`load` of one kind: a function of a preset's name, or of a path."""
+    """Function that reads one kind of preset by `load`, from a name or a path."""
     return partial(load, kind, thing=thing)

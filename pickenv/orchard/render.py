@@ -1,7 +1,7 @@
 """Simple stereo pictures of fruit and leaves, with the truth of what each pixel shows.
 
-Painted from far to near: fruit as shaded spheres, leaves as flat ellipses, each in both images where its depth puts
-it. Camera frame: see stereo.py. Units: m, px.
+Fruit are shaded spheres and leaves flat ellipses. Both are painted from far to near, in both images at the place that
+their depth gives. Camera frame: x right, y down, z ahead, origin at the left camera. Units: m, px.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ Triple = tuple[float, float, float]
 
 @toml_table
 class Look(checks.Preset):
-    """Colours and light; colours are red, green, blue from 0 to 255.
+    """Colours and light of pictures; colours are red, green and blue from 0 to 255.
 
     Attributes:
         fruit: Colour of fruit.
         leaf: Colour of leaves.
-        background: Colour of what is far away.
-        leaf_length: Of a leaf, m.
-        leaf_width: Of a leaf, m.
-        ambient: Light that reaches shaded sides, share.
-        highlight: Strength of the sun's reflection on fruit, share of white.
+        background: Colour of the background.
+        leaf_length: Length of a leaf, m.
+        leaf_width: Width of a leaf, m.
+        ambient: Share of the light that reaches shaded sides.
+        highlight: Strength of the sun's reflection on fruit, as a share of white.
         pixel_noise: Standard deviation of the sensor's noise, grey levels.
-        sun: Direction in which the light falls against, towards the sun, camera frame.
-        source: Where its numbers come from.
+        sun: Direction towards the sun, camera frame.
+        source: Source of its numbers.
         sharpness: Exponent of the sun's reflection (Phong).
-        patch: Edge of the patches of light and dark behind the trees, px.
+        patch: Edge of the patches of light and dark in the background, px.
     """
 
     fruit: Annotated[Triple, Unit("rgb")]
@@ -61,8 +61,8 @@ class Leaves:
 
     Attributes:
         places: Centres, m, shape (m, 3).
-        shapes: What maps each one's ellipse, seen along the camera's axis, to the unit disc, shape (m, 2, 2).
-        colours: Red, green, blue, shape (m, 3).
+        shapes: Matrices that map each leaf's ellipse to the unit disc, seen along the camera's axis, shape (m, 2, 2).
+        colours: Red, green and blue of each leaf, shape (m, 3).
     """
 
     places: Array
@@ -72,13 +72,13 @@ class Leaves:
 
 @dataclass(frozen=True, eq=False)
 class StereoPair:
-    """A rendered pair.
+    """A rendered pair of images.
 
     Attributes:
         left: Left image, red, green, blue, shape (height, width, 3), uint8.
-        right: Right image, likewise.
-        shows: What each pixel of the left image shows: index of a fruit, LEAF or BACKGROUND, shape (height, width).
-        visible: Share of each fruit's disc in the left image that is in sight, shape (n,); 0 outside the image.
+        right: Right image, red, green, blue, shape (height, width, 3), uint8.
+        shows: Content of each pixel of the left image, shape (height, width): number of a fruit, LEAF or BACKGROUND.
+        visible: Visible share of each fruit's disc in the left image, shape (n,); 0 outside the image.
     """
 
     left: NDArray[np.uint8]
@@ -94,7 +94,18 @@ load_look = preset_files.loader("look", Look)
 def sample_leaves(
     low: ArrayLike, high: ArrayLike, leaf_area_per_volume: float, look: Look, rng: np.random.Generator
 ) -> Array:
-    """Leaf centres (m, 3) spread evenly over a box of the camera frame, by leaf area per volume (m²/m³)."""
+    """Draw leaf centres, m, (m, 3), spread evenly over a box.
+
+    Args:
+        low: Corner of the box with the smallest coordinates, m, (3,).
+        high: Corner of the box with the largest coordinates, m, (3,).
+        leaf_area_per_volume: One-sided leaf area, m²/m³.
+        look: Gives the size of a leaf.
+        rng: Source of every random draw.
+
+    Raises:
+        InputError: If a number is impossible or the high corner is below the low corner.
+    """
     low, high = (
         checks.points("the low corner of the foliage", low),
         checks.points("the high corner of the foliage", high),
@@ -121,9 +132,9 @@ def render_stereo(
         camera: The stereo pair.
         positions: Fruit centres in the camera frame, m, shape (n, 3).
         diameters: Fruit diameters, m, shape (n,) or a number.
-        leaves: In the camera frame; or their centres alone, m, shape (m, 3), see `sample_leaves`.
+        leaves: Leaves in the camera frame, or only their centres, m, shape (m, 3); see `sample_leaves`.
         look: Colours and light.
-        rng: Source of background and noise, and of leaf attitudes and shades where centres are given.
+        rng: Source of background and noise. If only centres are given, also of the leaves' attitudes and shades.
 
     Raises:
         InputError: If fruit or leaves lie behind the camera or a number is not finite.
@@ -167,7 +178,16 @@ def render_stereo(
 
 
 def _sphere(look: Look, u: Array, v: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Flags of the pixels that a unit sphere covers, and their colours."""
+    """Flags of the pixels that a unit sphere covers, and their colours.
+
+    Args:
+        look: Colours and light.
+        u: Distances of the columns from the centre, to the right, in radii, (columns,).
+        v: Distances of the rows from the centre, down, in radii, (rows, 1).
+
+    Returns:
+        Flags (rows, columns) and colours (rows, columns, 3).
+    """
     square = np.asarray(u**2 + v**2, dtype=np.float64)
     ahead = np.sqrt(np.clip(1.0 - square, 0.0, None))
     sun = np.array(look.sun) / np.linalg.norm(look.sun)
@@ -179,7 +199,7 @@ def _sphere(look: Look, u: Array, v: Array) -> tuple[NDArray[np.bool_], Array]:
 
 
 def turned_leaves(places: ArrayLike, look: Look, rng: np.random.Generator) -> Leaves:
-    """Leaves of all attitudes and some shades of green at ``places`` (m, 3)."""
+    """Leaves at ``places``, m, (m, 3), of random attitudes and shades of green."""
     places = checks.points("leaf positions", places).reshape(-1, 3)
     count = len(places)
     basis, _ = np.linalg.qr(rng.normal(size=(count, 3, 3)))
@@ -192,7 +212,7 @@ def turned_leaves(places: ArrayLike, look: Look, rng: np.random.Generator) -> Le
 
 
 def _background(look: Look, image: tuple[int, int], rng: np.random.Generator) -> Array:
-    """Patches of light and dark."""
+    """Background image of light and dark patches, (height, width, 3)."""
     coarse = 0.7 + 0.6 * rng.random((image[1] // look.patch + 1, image[0] // look.patch + 1))
     fine = np.kron(coarse, np.ones((look.patch, look.patch)))[: image[1], : image[0]]
     return np.asarray(fine[..., None] * np.array(look.background))

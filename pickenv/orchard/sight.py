@@ -1,10 +1,12 @@
-"""Fruit as a machine's stereo pair sees it: pictures that are drawn and read, or errors measured on such pictures.
+"""Fruit as a machine's stereo pair sees it: in rendered pictures, by errors measured on such pictures, or exactly.
 
-``rendered`` draws both pictures and reads them (exact, and a tenth of a second each); ``measured_errors`` draws errors
-from tables made that way, one for each canopy and detector, by range; ``ideal`` sees all fruit where it is. Errors are
-far from normal: most are small, and behind a leaf they are large; so the located fruit of each range is cut into equal
-parts from the least to the largest error, normal in itself each. `python scripts/studies/measure_sight.py` makes the
-tables. Camera frame: x right, y down, z ahead. Units: m, px.
+There are three visions. ``rendered`` draws both images and reads them. It is exact and takes a tenth of a second each
+time. ``measured_errors`` draws errors from tables that were measured on rendered pictures, one for each canopy and
+detector, by range. ``ideal`` sees all fruit where it is.
+
+Errors are far from normal: most are small, and behind a leaf they are large. So a table cuts the located fruit of each
+range into equal parts, from the least to the largest error. In each part the error is normal. The script
+`scripts/studies/measure_sight.py` makes the tables. Camera frame: x right, y down, z ahead. Units: m, px.
 """
 
 from __future__ import annotations
@@ -23,42 +25,44 @@ from pickenv.orchard.checks import MM, Array, Flags
 from pickenv.orchard.render import Leaves, Look, StereoPair, load_look, render_stereo, sample_leaves, turned_leaves
 
 PAIRS = ((0, 1), (0, 2), (1, 2))
-"""Axes of the three correlations of an error."""
+"""Pairs of axes of the three correlations of an error."""
 
 Lengths = tuple[tuple[float, float, float], ...]
 
 
 @toml_table
 class SightErrors(checks.Preset):
-    """Errors of one detector in one canopy, one entry for each range; see sight.toml.
+    """Errors of one detector in one canopy, one entry for each range of distance; see sight.toml.
+
+    Intervals are of 95 %, over trees.
 
     Attributes:
-        name: Canopy and detector.
+        name: Names of canopy and detector.
         canopy: Preset of the canopy.
         detector: Name of the detector.
-        leaf_area_per_volume: Of the canopy, m²/m³.
-        trees: Rendered trees.
-        pictures: Rendered pictures.
-        fruit: Fruit in them.
-        edges: Distances ahead between which the table is cut, m.
-        visible: Mean share of a fruit's disc in sight.
-        in_sight: Share of fruit of which anything is in sight.
+        leaf_area_per_volume: One-sided leaf area of the canopy, m²/m³.
+        trees: Number of rendered trees.
+        pictures: Number of rendered pictures.
+        fruit: Number of fruit in them.
+        edges: Distances ahead of the camera at which the ranges meet, m.
+        visible: Mean visible share of a fruit's disc.
+        in_sight: Share of fruit of which at least a part is visible.
         recall: Share of fruit that is located.
-        recall_low: Lower end of its 95 % interval over trees.
-        recall_high: Upper end.
-        bias: Mean error along x, y, z, m.
-        bias_low: Lower end of its 95 % interval.
-        bias_high: Upper end.
-        spread: Standard deviation along x, y, z, m.
-        spread_low: Lower end of its 95 % interval.
-        spread_high: Upper end.
-        correlation: Of the errors along x and y, x and z, y and z.
-        part_bias: Mean error of each of some equal parts of the fruit, from the least to the largest error, m.
-        part_spread: Standard deviations of these parts, m.
-        part_correlation: Correlations in these parts.
-        false_per_picture: Detections where there is no fruit.
-        lasting: Correlation of what two pictures of the same fruit miss by.
-        source: How it was made.
+        recall_low: Lower end of its interval.
+        recall_high: Upper end of its interval.
+        bias: Mean error along x, y and z, m.
+        bias_low: Lower end of its interval, m.
+        bias_high: Upper end of its interval, m.
+        spread: Standard deviation of the error along x, y and z, m.
+        spread_low: Lower end of its interval, m.
+        spread_high: Upper end of its interval, m.
+        correlation: Correlations of the errors along x and y, x and z, y and z.
+        part_bias: Mean error in each part of a range, from the least to the largest error, m.
+        part_spread: Standard deviation of the error in each part, m.
+        part_correlation: Correlations of the error in each part.
+        false_per_picture: Mean number of false detections in a picture.
+        lasting: Correlation between the errors of one fruit in two pictures from the same place.
+        source: Source of its numbers.
     """
 
     name: str
@@ -100,37 +104,42 @@ class SightErrors(checks.Preset):
 
 
 load_sight_errors = preset_files.loader("sight", SightErrors)
-"""Reads errors by name (`shipped("sight")`) or from a path to a TOML file."""
+"""Reads a table of errors by name (`shipped("sight")`) or from a path to a TOML file."""
 
 
 def draw_chances(rng: np.random.Generator, count: int) -> Array:
-    """Draws that decide about ``count`` fruit before a camera, (count, 5).
+    """Random numbers that decide about ``count`` fruit in a picture, (count, 5).
 
-    The first is uniform: how well a fruit is seen, among located fruit of its range. The others are standard normal:
-    three of the error, one of whether it is found.
+    The first is uniform and chooses the part of the located fruit. The others are standard normal: three for the error,
+    one for whether the fruit is found.
     """
     return np.column_stack([rng.random(count), rng.normal(size=(count, 4))])
 
 
 def next_picture(errors: SightErrors, before: Array, rng: np.random.Generator) -> Array:
-    """The same fruit from the same place once more, as `draw_chances` gives it: the leaves still hang there."""
+    """Random numbers of the same fruit in a further picture from the same place, (n, 5): leaves still hang there.
+
+    Args:
+        errors: The table; `SightErrors.lasting` says how far the two pictures agree.
+        before: Random numbers of the picture before, (n, 5); see `draw_chances`.
+        rng: Source of the new numbers.
+    """
     chances, fresh = before.copy(), rng.normal(size=(len(before), 4))
     chances[:, 1:] = errors.lasting * before[:, 1:] + np.sqrt(1.0 - errors.lasting**2) * fresh
     return chances
 
 
 def sighted(errors: SightErrors, depth: ArrayLike, chances: Array, looks: int = 1) -> tuple[Flags, Flags, Array]:
-    """Fruit as a table of errors has it.
+    """Sight of fruit by a table of errors.
 
     Args:
         errors: The table.
-        depth: Distance ahead of the camera, m, (n,).
-        chances: What chance decides, from `draw_chances`.
-        looks: Pictures that are averaged: what does not last falls.
+        depth: Distances ahead of the camera, m, (n,).
+        chances: Random numbers that decide, (n, 5); see `draw_chances`.
+        looks: Number of pictures that are averaged; that lessens the part of the error that does not last.
 
     Returns:
-        Whether anything of each fruit is in sight (n,), whether it is located (n,), and its error in the camera frame,
-        m, (n, 3).
+        Flags of fruit in sight (n,), flags of located fruit (n,), and errors in the camera frame, m, (n, 3).
     """
     from scipy.special import ndtr
 
@@ -146,7 +155,7 @@ def sighted(errors: SightErrors, depth: ArrayLike, chances: Array, looks: int = 
 
 
 def _roots(errors: SightErrors) -> Array:
-    """Cholesky factors of the parts' covariances, (ranges, parts, 3, 3)."""
+    """Cholesky factors of the covariances of the parts, m, (ranges, parts, 3, 3)."""
     spread, correlation = np.array(errors.part_spread), np.array(errors.part_correlation)
     matrices = np.broadcast_to(np.eye(3), (*spread.shape, 3)).copy()
     for i, (a, b) in enumerate(PAIRS):
@@ -156,24 +165,24 @@ def _roots(errors: SightErrors) -> Array:
 
 VISIONS = ("rendered", "measured_errors", "ideal")
 DETECTORS = ("li2016", "circles")
-"""Li's regions and centroids, and circles that leaves may hide in part."""
+"""Names of the detectors: Li's regions and their centroids, and circles, of which leaves may hide a part."""
 
 SAME = 1.0
-"""Fruit diameters within which a detection is of this fruit."""
+"""Largest distance between a detection and its fruit, in diameters."""
 
 
 @dataclass(frozen=True, eq=False)
 class Eyes:
-    """The way fruit is seen in one canopy.
+    """Model of how cameras see fruit in one canopy.
 
     Attributes:
         vision: One of `VISIONS`.
         detector: One of `DETECTORS`.
-        canopy: Where the leaves are.
+        canopy: The canopy, with its leaves.
         camera: The stereo pair.
         look: Colours and light of its pictures.
-        search: What the detector of circles goes by.
-        errors: The table, for measured errors.
+        search: Numbers of the circle detector.
+        errors: Table of errors for ``measured_errors``, else None.
     """
 
     vision: str
@@ -186,7 +195,12 @@ class Eyes:
 
 
 def load_eyes(vision: str, canopy: Canopy, detector: str = "li2016") -> Eyes:
-    """Eyes with the stereo pair of Li et al. 2016.
+    """Model of the stereo pair of Li et al. 2016 in a canopy.
+
+    Args:
+        vision: One of `VISIONS`.
+        canopy: The canopy.
+        detector: One of `DETECTORS`.
 
     Raises:
         InputError: If the vision or the detector is unknown, or no errors were measured in this canopy.
@@ -220,20 +234,21 @@ Viewpoint = tuple[Array, Array]
 
 
 def left_eye(camera: stereo.StereoCamera, view: Viewpoint) -> Array:
-    """The place of the left camera, m."""
+    """Position of the left camera of a stereo pair at a viewpoint, m, (3,)."""
     middle, looking = view
     return np.asarray(middle - camera.baseline / 2 * camera_axes(looking)[0])
 
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """Fruit as seen.
+    """Fruit as seen from a viewpoint.
 
     Attributes:
-        in_sight: Whether anything of it is in sight, (n,).
-        located: Whether its place was found, (n,).
-        believed: Where, in the frame of the view, m, (n, 3); says nothing of fruit that is not located.
-        false: Places (m, 3) where fruit was believed and none is.
+        in_sight: Whether at least a part of each fruit is visible, (n,).
+        located: Whether the position of each fruit was measured, (n,).
+        believed: Measured positions in the frame of the viewpoint, m, (n, 3). Only those of located fruit mean
+            something.
+        false: Positions of false detections in the frame of the viewpoint, m, (m, 3).
     """
 
     in_sight: Flags
@@ -243,7 +258,7 @@ class Sight:
 
 
 def foliage(eyes: Eyes, rng: np.random.Generator) -> Leaves | None:
-    """The canopy's leaves in the orchard frame, and those beside it that a picture shows; None where none are drawn."""
+    """Leaves of a canopy in the orchard frame, as far along the row as a picture shows; None unless rendered."""
     if eyes.vision != "rendered":
         return None
     canopy, camera = eyes.canopy, eyes.camera
@@ -263,7 +278,17 @@ def picture(
     rng: np.random.Generator,
     looks: int = 1,
 ) -> StereoPair:
-    """The pair of pictures that the eyes take; ``looks`` of them averaged, which only lowers the sensor's noise."""
+    """Pair of images from a viewpoint.
+
+    Args:
+        eyes: Camera and look.
+        view: The viewpoint.
+        fruit: True fruit centres in the frame of the viewpoint, m, (n, 3).
+        diameters: Fruit diameters, m, (n,).
+        leaves: Leaves in the frame of the viewpoint, or None.
+        rng: Source of background and noise.
+        looks: Number of pictures that are averaged; that lessens only the sensor's noise.
+    """
     camera, eye, looking = eyes.camera, left_eye(eyes.camera, view), view[1]
     if leaves is None:
         leaves = turned_leaves(np.zeros((0, 3)), eyes.look, rng)
@@ -277,7 +302,7 @@ def picture(
 
 
 def read_picture(eyes: Eyes, pair: StereoPair) -> Array:
-    """Places of the fruit that the detector finds, camera frame, m, (k, 3)."""
+    """Positions of the fruit that the detector finds, camera frame, m, (k, 3)."""
     if eyes.detector == "circles":
         return stereo.locate_circles(eyes.camera, eyes.search, pair.left, pair.right)[0]
     return stereo.locate(eyes.camera, pair.left, pair.right)[0]
@@ -289,14 +314,14 @@ def located_fruit(
     """Fruit that the detections of a picture locate.
 
     Args:
-        pair: The pictures.
-        detections: What was found in them, camera frame, m, (k, 3).
-        places: True centres in the camera frame, m, (n, 3).
-        diameters: m, (n,).
+        pair: The images.
+        detections: Positions of detections, camera frame, m, (k, 3).
+        places: True fruit centres, camera frame, m, (n, 3).
+        diameters: Fruit diameters, m, (n,).
 
     Returns:
-        Whether each fruit is located (n,), its place in the camera frame, m, (n, 3), the true one where it is not
-        located, and places of detections that are no fruit, m, (k, 3).
+        Flags of located fruit, (n,); positions, m, (n, 3); and positions of false detections, m, (m, 3). Positions are
+        in the camera frame, and true ones where a fruit is not located.
     """
     located, positions = np.zeros(len(places), dtype=bool), places.copy()
     visible = np.flatnonzero(pair.visible > 0)
@@ -319,17 +344,17 @@ def see(
     chances: Array | None = None,
     looks: int = 1,
 ) -> Sight:
-    """Look at fruit.
+    """Sight of fruit from a viewpoint.
 
     Args:
-        eyes: How.
-        view: From where.
-        fruit: True centres in the view's frame, m, (n, 3).
-        diameters: m, (n,).
-        rng: Source of every draw that is not given.
-        leaves: What hangs before the fruit in a rendered picture, in the view's frame.
-        chances: What decides where errors are measured ones; drawn when left out.
-        looks: Pictures that are averaged.
+        eyes: Model of how fruit is seen.
+        view: The viewpoint.
+        fruit: True fruit centres in the frame of the viewpoint, m, (n, 3).
+        diameters: Fruit diameters, m, (n,).
+        rng: Source of every random number that is not given.
+        leaves: Leaves of a rendered picture, in the frame of the viewpoint.
+        chances: Random numbers that decide where errors are measured ones, (n, 5); drawn by default.
+        looks: Number of pictures that are averaged.
     """
     fruit = np.asarray(fruit, dtype=float).reshape(-1, 3)
     if eyes.vision == "ideal":
@@ -351,7 +376,7 @@ def see(
 
 
 def _phantoms(eyes: Eyes, mean_count: float, rng: np.random.Generator) -> Array:
-    """Detections of no fruit, camera frame: anywhere in the picture, as deep as the canopy."""
+    """False detections, camera frame, m, (m, 3): anywhere in the image, as far away as the canopy."""
     camera, canopy = eyes.camera, eyes.canopy
     count = int(rng.poisson(mean_count))
     depth = canopy.standoff + canopy.depth * rng.random((count, 1))

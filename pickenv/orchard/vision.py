@@ -1,13 +1,13 @@
-"""Fruit read from a stereo pair: as Li et al. 2016 do (section 2.2), by R − G, Otsu, morphology, centroids, disparity.
+"""Detectors of fruit in stereo pictures: by regions as in Li et al. 2016 (section 2.2), or by circles.
 
-Two erosions with a 3 × 3 square remove specks, regions under a fifth of the largest go, two dilations restore the
-rest; the centroids' disparity gives depth. Clusters are not told apart: touching fruit is one region, as in the
-paper.
+Li's detector takes R − G, Otsu's threshold, morphology, centroids and disparity. Two erosions with a 3 × 3 square
+remove specks. Regions under a fifth of the largest are dropped, and two dilations restore the others. The disparity of
+a centroid gives depth. Touching fruit is one region, as in the paper.
 
-Or as circles, for what a leaf leaves of a rim still says where the middle is: the slope of R − G points into the fruit,
-so that every edge pixel votes for centres along it (Hough transform with directions); each circle is fitted to
-sub-pixel edges; and only pixels of fruit colour are matched in the right image, with obstacles counted alike however
-large. Touching fruit are several circles. Units: m, px. Needs scikit-image.
+The other detector finds circles, because the visible part of a rim gives the centre of a fruit behind leaves. The slope
+of R − G points into the fruit, so every edge pixel votes for centres along it (a Hough transform with directions). Each
+circle is then fitted to sub-pixel edges. Only pixels of fruit colour are matched in the right image, and all obstacles
+count alike. Touching fruit are several circles. Units: m, px. Needs scikit-image.
 """
 
 from __future__ import annotations
@@ -25,15 +25,18 @@ from pickenv.orchard.checks import MM, Array, Flags, Integers
 
 
 def match_detections(detections: ArrayLike, positions: ArrayLike, within: float) -> Integers:
-    """The true fruit behind each detection (m,): one to one, least total distance, none farther than ``within`` m.
+    """Number of the true fruit of each detection, (m,): one to one, at the least total distance.
 
     Args:
-        detections: Where fruit was found, m, shape (m, 3).
-        positions: True fruit centres, m, shape (n, 3), in the same frame.
-        within: Largest distance at which a detection counts as this fruit, m.
+        detections: Positions of detections, m, shape (m, 3).
+        positions: True fruit centres in the same frame, m, shape (n, 3).
+        within: Largest distance between a detection and its fruit, m.
 
     Returns:
-        Numbers of fruit, -1 where there is none.
+        Numbers of fruit, -1 for false detections.
+
+    Raises:
+        InputError: If a number is not finite, the distance not above zero or a shape wrong.
     """
     from scipy.optimize import linear_sum_assignment
 
@@ -54,21 +57,21 @@ def match_detections(detections: ArrayLike, positions: ArrayLike, within: float)
 
 @toml_table
 class StereoCamera:
-    """Two parallel cameras.
+    """Two parallel cameras, and the numbers of Li's detector.
 
     Attributes:
         name: Name of the preset.
-        source: Where its numbers come from.
-        focal_length: px.
-        baseline: m.
-        image: Width and height, px.
+        source: Source of its numbers.
+        focal_length: Focal length, px.
+        baseline: Distance between the cameras, m.
+        image: Width and height of an image, px.
         nearest: Least distance that is matched, m.
         farthest: Largest distance that is matched, m.
-        erosions: Erosions of 3 × 3 after the threshold.
-        dilations: Dilations of 3 × 3 at the end.
-        least_area_share: Regions below this share of the largest are noise.
-        least_correlation: Correlation from which a match counts.
-        margin: Surroundings that the matched patch takes along, px: edges carry the match.
+        erosions: Number of erosions with a 3 × 3 square after the threshold.
+        dilations: Number of dilations with a 3 × 3 square at the end.
+        least_area_share: Share of the largest region's area below which a region is noise.
+        least_correlation: Correlation from which on a match counts.
+        margin: Border that the matched patch takes in around a region, px; edges carry the match.
     """
 
     name: str
@@ -97,7 +100,11 @@ load_stereo_camera = preset_files.loader("vision", StereoCamera)
 
 
 def project(camera: StereoCamera, positions: ArrayLike) -> Array:
-    """Column and row in the left image and disparity, px, shape (..., 3), of positions in the camera frame (..., 3)."""
+    """Column, row and disparity in the left image, px, shape (..., 3), of positions in the camera frame, m, (..., 3).
+
+    Raises:
+        InputError: If a position lies behind the camera or is not finite.
+    """
     x, y, z = np.moveaxis(checks.points("positions in the camera frame", positions), -1, 0)
     if (z <= 0).any():
         raise InputError("a position lies behind the camera; positions in the camera frame need z above zero")
@@ -107,7 +114,11 @@ def project(camera: StereoCamera, positions: ArrayLike) -> Array:
 
 
 def triangulate(camera: StereoCamera, pixels: ArrayLike) -> Array:
-    """Positions in the camera frame, m, from column, row and disparity, (..., 3): inverse of `project`."""
+    """Positions in the camera frame, m, from column, row and disparity, px, (..., 3) each: inverse of `project`.
+
+    Raises:
+        InputError: If a disparity is not above zero or a number not finite.
+    """
     column, row, disparity = np.moveaxis(checks.points("pixels", pixels), -1, 0)
     if (disparity <= 0).any():
         raise InputError("a disparity is not above zero; such a point is at infinity")
@@ -121,7 +132,11 @@ SQUARE = np.ones((3, 3), dtype=bool)
 
 
 def red_minus_green(image: ArrayLike) -> Array:
-    """Colour difference R − G of an image (height, width, 3), −255 to 255."""
+    """Colour difference R − G of an image (height, width, 3), from −255 to 255.
+
+    Raises:
+        InputError: If the image is not uint8 of that shape.
+    """
     pixels = np.asarray(image)
     if pixels.ndim != 3 or pixels.shape[-1] != 3 or pixels.dtype != np.uint8:
         raise InputError(f"an image must be uint8 of shape (height, width, 3), not {pixels.dtype} of {pixels.shape}")
@@ -129,7 +144,7 @@ def red_minus_green(image: ArrayLike) -> Array:
 
 
 def fruit_threshold(difference: Array) -> float:
-    """Otsu's threshold of R − G, never below zero; above all of it where it is the same everywhere."""
+    """Otsu's threshold of R − G, at least zero; infinite if R − G is the same everywhere."""
     require("skimage")
     from skimage.filters import threshold_otsu
 
@@ -139,7 +154,7 @@ def fruit_threshold(difference: Array) -> float:
 
 
 def fruit_mask(camera: StereoCamera, image: ArrayLike) -> Flags:
-    """Pixels taken for fruit, shape (height, width): Otsu's threshold of R − G, never below zero, then morphology."""
+    """Flags of the pixels of fruit, (height, width): Otsu's threshold of R − G, never below zero, then morphology."""
     require("skimage")
     from skimage.measure import label
     from skimage.morphology import dilation, erosion
@@ -160,10 +175,10 @@ def fruit_mask(camera: StereoCamera, image: ArrayLike) -> Flags:
 
 
 def fruit_regions(camera: StereoCamera, image: ArrayLike) -> tuple[Array, Integers]:
-    """Regions of fruit in one image.
+    """Regions of fruit in one image (height, width, 3).
 
     Returns:
-        Centroids, column and row, px, (m, 2); and boxes, first row, first column, end row, end column, (m, 4).
+        Centroids, column and row, px, (m, 2). And boxes, px, (m, 4): first row, first column, end row, end column.
     """
     require("skimage")
     from skimage.measure import label, regionprops
@@ -184,15 +199,15 @@ def matched_sizes(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[
 
 
 def locate(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[Array, Array]:
-    """Fruit in the camera frame from a stereo pair.
+    """Fruit in the camera frame from a stereo pair, by Li's detector.
 
     Args:
         camera: The stereo pair.
         left: Left image, uint8, shape (height, width, 3).
-        right: Right image, likewise.
+        right: Right image, uint8, shape (height, width, 3).
 
     Returns:
-        Places of the regions that find their match in the right image, m, (m, 3), and the matches' correlation (m,).
+        Positions of the regions that have a match in the right image, m, (m, 3), and correlations of the matches, (m,).
 
     Raises:
         InputError: If the images are not of the camera's size or are not colour images.
@@ -204,14 +219,19 @@ def locate(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[np.uint
 
 
 def _detections(camera: StereoCamera, matches: Sequence[tuple[float, ...]]) -> tuple[Array, Array]:
-    """Places and agreement of column, row, disparity and agreement, of those that agree well enough."""
+    """Positions in the camera frame, m, (m, 3), and agreements (m,) of the matches that agree well enough.
+
+    Args:
+        camera: The stereo pair.
+        matches: Column, row and disparity, px, and agreement of each match.
+    """
     pixels = np.array(matches, dtype=float).reshape(-1, 4)
     pixels = pixels[pixels[:, 3] >= camera.least_correlation]
     return triangulate(camera, pixels[:, :3]), np.minimum(pixels[:, 3], 1.0)
 
 
 def _disparity(camera: StereoCamera, first: Array, second: Array, box: Integers) -> tuple[float, float]:
-    """Disparity in px, to a fraction by a parabola through the peak, and correlation of the patch around a region."""
+    """Disparity of the patch around a region, px, refined by a parabola, and correlation of the match."""
     require("skimage")
     from skimage.feature import match_template
 
@@ -246,13 +266,13 @@ class CircleSearch(checks.Preset):
         smallest: Least radius, px.
         largest: Largest radius, px.
         blur: Standard deviation of the filter before slopes, px.
-        least_arc: Share of a rim that has to be in sight.
+        least_arc: Share of a rim that has to be visible.
         least_fruit: Share of a disc that has to have the colour of fruit.
-        rim: Edges nearer than this to a circle are taken for its rim, px.
-        tight: Edges farther than this from a circle count ever less in its fit, px.
-        surroundings: What a matched disc takes along, px.
-        contrast: Difference of colour from which an obstacle stands in one of the pictures, grey levels.
-        source: Where its numbers come from.
+        rim: Distance from a circle within which edges belong to its rim, px.
+        tight: Distance from a circle beyond which edges count ever less in its fit, px.
+        surroundings: Border that a matched disc takes in, px.
+        contrast: Difference of colour from which on an obstacle is in one of the images, grey levels.
+        source: Source of its numbers.
     """
 
     smallest: Annotated[int, WHOLE_PX.at_least(3)]
@@ -268,7 +288,7 @@ class CircleSearch(checks.Preset):
 
 
 Edges = tuple[Array, Array]
-"""Sub-pixel edges (k, 2), column and row, and unit slopes (k, 2) towards more red."""
+"""Sub-pixel edges (k, 2), column and row, px, and unit slopes (k, 2) towards more red."""
 
 
 load_circle_search = preset_files.loader("circles", CircleSearch)
@@ -279,7 +299,8 @@ def fruit_circles(search: CircleSearch, image: ArrayLike) -> tuple[Array, Flags]
     """Circles of fruit in one image (height, width, 3).
 
     Returns:
-        Column, row and radius of each, px, (m, 3), the surest first; and pixels of fruit colour, (height, width).
+        Column, row and radius of each circle, px, (m, 3), the surest first. And flags of the pixels of fruit colour,
+        (height, width).
     """
     from scipy import ndimage
 
@@ -300,7 +321,7 @@ def fruit_circles(search: CircleSearch, image: ArrayLike) -> tuple[Array, Flags]
 
 
 def _edges(search: CircleSearch, difference: Array, mask: Flags) -> Edges:
-    """The steepest slopes of the colour, near the rim of the mask."""
+    """Edges at the steepest slopes of the colour, near the rim of the mask."""
     from scipy import ndimage
 
     down, right = (ndimage.gaussian_filter(difference, search.blur, order) for order in ((1, 0), (0, 1)))
@@ -318,7 +339,7 @@ def _edges(search: CircleSearch, difference: Array, mask: Flags) -> Edges:
 
 
 def summit(before: ArrayLike, at: ArrayLike, after: ArrayLike) -> Array:
-    """The extreme of a parabola through three equidistant values, in steps from the middle one, −1 to 1."""
+    """Extreme of a parabola through three equidistant values, in steps from the middle one, −1 to 1."""
     before, at, after = (np.asarray(v, dtype=float) for v in (before, at, after))
     bend = before - 2 * at + after
     flat = np.abs(bend) < 1e-12
@@ -326,7 +347,7 @@ def summit(before: ArrayLike, at: ArrayLike, after: ArrayLike) -> Array:
 
 
 def _voted(search: CircleSearch, edges: Edges, shape: tuple[int, int]) -> list[tuple[float, float, float]]:
-    """Column, row and radius of circles whose rim is in sight for more than the least arc, the fullest first."""
+    """Column, row and radius of circles of whose rim more than the least arc is visible, px, the fullest first."""
     from scipy import ndimage
     from skimage.feature import peak_local_max
 
@@ -350,7 +371,10 @@ def _taken(circles: list[tuple[float, float, float]], column: float, row: float,
 
 
 def _fitted(search: CircleSearch, edges: Edges, column: float, row: float, voted: float) -> tuple[float, float, float]:
-    """A circle through the edges near a voted one, by least squares in which far edges count little."""
+    """Column, row and radius of a circle fitted to the edges near a voted one, px.
+
+    The fit is least squares with weights, in which far edges count little.
+    """
     centre, radius = np.array([column, row]), voted
     near = np.hypot(*(edges[0] - centre).T) < voted + 2 * search.rim
     places, slopes = (part[near] for part in edges)
@@ -374,7 +398,7 @@ def _fitted(search: CircleSearch, edges: Edges, column: float, row: float, voted
 
 
 def _window(shape: tuple[int, ...], column: float, row: float, reach: float) -> tuple[Integers, Integers, Array]:
-    """Rows and columns of the image around a point, and their distances from it."""
+    """Rows and columns of the image around a point, and their distances from it, px."""
     rows = np.arange(max(math.ceil(row - reach), 0), min(math.floor(row + reach) + 1, shape[0]))
     columns = np.arange(max(math.ceil(column - reach), 0), min(math.floor(column + reach) + 1, shape[1]))
     across, down = np.meshgrid(columns, rows)
@@ -390,7 +414,20 @@ def _filled(mask: Flags, column: float, row: float, radius: float) -> float:
 def locate_circles(
     camera: StereoCamera, search: CircleSearch, left: NDArray[np.uint8], right: NDArray[np.uint8]
 ) -> tuple[Array, Array]:
-    """Fruit in the camera frame from a stereo pair; arguments and result as of `pickenv.orchard.vision.locate`."""
+    """Fruit in the camera frame from a stereo pair, by circles.
+
+    Args:
+        camera: The stereo pair.
+        search: Numbers of the search.
+        left: Left image, uint8, shape (height, width, 3).
+        right: Right image, uint8, shape (height, width, 3).
+
+    Returns:
+        Positions of the circles that have a match in the right image, m, (m, 3), and agreements of the matches, (m,).
+
+    Raises:
+        InputError: If the images are not of the camera's size or are not colour images.
+    """
     matched_sizes(camera, left, right)
     (circles, mask), first, second = fruit_circles(search, left), red_minus_green(left), red_minus_green(right)
     matches = [(*circle[:2], *_matched(camera, search, first, second, mask, circle)) for circle in circles.tolist()]
@@ -405,7 +442,10 @@ def _matched(
     mask: Flags,
     circle: Sequence[float],
 ) -> tuple[float, float]:
-    """Disparity of a circle, px, and how much of it agrees: mean squared difference, obstacles cut at the contrast."""
+    """Disparity of a circle, px, and agreement of its match, 0 to 1.
+
+    The agreement is one minus the mean squared difference in units of the contrast, each pixel's limited to one.
+    """
     from scipy import ndimage
 
     column, row, radius = circle

@@ -71,12 +71,11 @@ def duet(machine, late=0.0, beam=None, farthest=None, noise=0.0):
     fruit = np.array([machine.tips(master, joints[:, 0])[1], machine.tips(master, joints[:, 1])[0]])
     work = zone_work(machine, master, fruit)
     assert work.reached[1, 0] and work.reached[0, 1]
-    work = replace(work, first=np.array([0.0, READY]), conflict=np.zeros_like(work.conflict))
     delays = np.zeros((3, 2))
     delays[1, 0] = late
-    times = timetable(
-        work, ((1,), (0,), ()), hold=ultrasonic_hold(machine, work, np.random.default_rng(0)), late=delays
-    )
+    free = np.zeros_like(work.conflict)
+    work = replace(work, first=np.array([0.0, READY]), conflict=free, duration=work.duration + delays)
+    times = timetable(work, ((1,), (0,), ()), hold=ultrasonic_hold(machine, work, np.random.default_rng(0)))
     return float(times.start[times.arm == 0][0]), times, work, machine
 
 

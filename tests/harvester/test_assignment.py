@@ -178,19 +178,6 @@ def test_a_hold_keeps_its_arm_back_and_a_middle_arm_goes_first():
     assert (timetable(work, ((0,), (1,), (2,))).start == 0.0).all()
 
 
-def test_a_late_arm_ends_later_and_is_late_for_its_next_fruit_but_the_plan_does_not_know():
-    work = replace(made_up(np.random.default_rng(0), 2, 3), conflict=np.ones((2, 3, 2, 3), dtype=bool))
-    late = np.zeros((2, 3))
-    late[0, 0] = 2.5
-    on_time, delayed = (timetable(work, ((0, 1), (2,)), late=given) for given in (None, late))
-    first, last = (np.flatnonzero((delayed.arm == 0) & (delayed.fruit == fruit))[0] for fruit in (0, 1))
-    assert delayed.end[first] - delayed.start[first] == pytest.approx(work.duration[0, 0] + 2.5)
-    assert delayed.start[last] >= delayed.end[first] + work.travel[0, 1] - 1e-9
-    other = delayed.start[delayed.arm == 1]
-    if delayed.start[first] < other[0]:
-        assert other == pytest.approx(on_time.start[on_time.arm == 1])
-
-
 def test_an_arm_travels_from_the_height_of_its_last_fruit_to_below_the_next(machine):
     work = zone(machine, np.random.default_rng(5), 6)
     speed, acceleration = machine.slaves[0].speed[0], machine.slave_acceleration[0]
