@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike
 
 from pickenv.arm import Array
 from pickenv.base import InputError, write_whole
-from pickenv.inspect.colours import BLUE, GREEN, RED, Rgb, policy_colours
+from pickenv.inspect.colours import BLUE, GREEN, RED, Rgb, as_sentence, in_words, policy_colours
 
 PIXELS_PER_INCH = 220
 COLUMN, WIDTH = 3.5, 7.2
@@ -150,7 +150,7 @@ def headline(axes: Any, message: str, pad: float | None = None, beside: float = 
         beside: Width that a legend beside the panels takes, inches.
     """
     room = (axes.get_figure().get_figwidth() - beside) / axes.get_subplotspec().get_gridspec().ncols
-    bound = re.sub(r"(\d) (?=mm|deg|kg|px|%)", "\\1\u00a0", message)
+    bound = re.sub(r"(\d) (?=mm|m\b|deg|kg|px|%)", "\\1\u00a0", as_sentence(message))
     axes.set_title("\n".join(wrap(bound, int((room - 0.75) / LETTER))), pad=pad)
 
 
@@ -210,8 +210,8 @@ def shades(names: Iterable[str]) -> dict[str, tuple[float, float, float]]:
 
 
 def coloured(series: Mapping[str, Array]) -> list[tuple[str, Array, tuple[float, float, float]]]:
-    """Label, values and colour of each series, by the policy or method that it belongs to."""
-    return [(label, series[label], colour) for label, colour in shades(series).items()]
+    """Label in words, values and colour of each series, by the policy or method that it belongs to."""
+    return [(in_words(label), series[label], colour) for label, colour in shades(series).items()]
 
 
 def whisker(axis: Any, y: float, value: float, ends: Sequence[float | None] | None, colour: Any) -> None:

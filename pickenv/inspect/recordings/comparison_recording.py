@@ -18,7 +18,7 @@ from rerun.encodings import TensorDimensionIndexSelection
 
 from pickenv.arm import Array, drawn_parts, nominal_points, true_points
 from pickenv.base import InputError
-from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, lane, policy_key
+from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, in_words, lane, policy_key
 from pickenv.inspect.recordings import details
 from pickenv.inspect.recordings.episode_entities import target_view
 from pickenv.inspect.recordings.scribe import (
@@ -292,7 +292,7 @@ def _slice(comparison: Comparison, policy: RecordedPolicy) -> Any:
     return rrb.TensorView(
         origin=entity,
         contents=[f"+ {entity}"],
-        name=f"{policy.label} | error magnitude, mm, at height z (slider)",
+        name=f"{in_words(policy.label)} | error magnitude, mm, at height z (slider)",
         view_fit="FillKeepAspectRatio",
         slice_selection=rrb.TensorSliceSelection(
             width=2, height=1, indices=[TensorDimensionIndexSelection(dimension=0, index=middle)], slider=[0]

@@ -135,7 +135,7 @@ def arrow_tabs(comparison: Comparison) -> dict[str, ArrowTab]:
     if len(policies) > 1:
         before, last = policies[-2:]
         removed = before.field_errors - last.field_errors
-        errors["world/field/removed/vectors"] = f"{before.label} minus {last.label}", "", removed
+        errors["world/field/removed/vectors"] = "what the last model removes", "", removed
     effects = effect_fields(comparison)
     single = {f"world/effect/{name}": (name.replace("_", " "), "", field) for name, field in effects.items()}
     tabs: dict[str, ArrowTab] = {}
