@@ -48,11 +48,11 @@ WORDS: Mapping[str, str] = {
     "compliant_hand": "compliant hand",
 }
 """What is shown in place of the short names of models and grippers."""
-ADDED: Mapping[str, str] = {**LEARNT, "periodic": "harmonics of the drives", "terms": "physical effects"}
-"""The same, for what stands behind a plus sign in lower case."""
+ADDED: Mapping[str, str] = {**LEARNT, "periodic": "drive harmonics", "terms": "physical effects"}
+"""The same, for what stands in lower case behind a plus sign or at the start."""
 PLANTS: Mapping[str, str] = {"qiao2026": "smooth arm", "field": "rough arm", "orchard": "drifting arm"}
 """Words beside the names of plants."""
-SHORT = re.compile(rf"(?<=\+ )(?:{'|'.join(ADDED)})\b|\b(?:{'|'.join(WORDS)})\b")
+SHORT = re.compile(rf"(?:^|(?<=\+ ))(?:{'|'.join(ADDED)})\b|\b(?:{'|'.join(WORDS)})\b")
 ORDER = (("raw", "nominal"), ("ls", "calibrated", "calibrated_geometry"), ("ls_bpnn", "with_residual", "model_used"))
 """The order in which figures and recordings list policies, by their keys; all other policies follow."""
 

@@ -133,7 +133,7 @@ def demo_verdict(
         )
     lateral = [lateral_mm for lateral_mm, _ in gripped(comparison).values()]
     changed = cases or {comparison.plant.name: pick_changes(lateral[0], lateral[-1])}
-    worth = " ".join(matters(name, changes) for name, changes in changed.items())
+    worth = " ".join(matters(in_words(name), changes) for name, changes in changed.items())
     mean = said(after.mean, after.mean_ci95, 2)
     return report_page.PageVerdict(
         tone,
@@ -199,7 +199,7 @@ def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_pag
     return report_page.Section(
         "Reaches, by policy",
         (
-            report_page.PageTable(caption, heads, rows),
+            report_page.PageTable(caption, heads, rows, "close"),
             (drawn["position_error_by_policy"], drawn["reach_errors_cumulative"]),
             drawn["success_against_misalignment"],
         ),
@@ -253,7 +253,7 @@ def _fit(trace: CalibrationTrace, calibration: Calibration, drawn: Mapping[str, 
     dropped = ", ".join(name for name, identified in zip(trace.names, trace.kept, strict=True) if not identified)
     condition = trace.singular_values[0] / trace.singular_values[-1]
     poses = len(next(iter(trace.sets.values())))
-    kind = "" if calibration.learnt is None else f", then {calibration.record['residual']['kind']} on what remains"
+    kind = "" if calibration.learnt is None else f", then {in_words(calibration.record['residual']['kind'])} on what remains"
     return report_page.Section(
         "How the calibration was found",
         (
@@ -300,7 +300,7 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
     eye = _numbers(EYE_DISTANCE * eye_direction(comparison))
     axes = _axes(points, spacing) | {"camera": {"eye": dict(zip("xyz", eye, strict=True))}}
     data: list[dict[str, Any]] = []
-    layout: dict[str, Any] = {"annotations": [], "margin": {"l": 0, "r": 0, "t": 10, "b": 80}, "showlegend": False}
+    layout: dict[str, Any] = {"annotations": [], "margin": {"l": 0, "r": 0, "t": 28, "b": 80}, "showlegend": False}
     for i, policy in enumerate(comparison.policies, start=1):
         scene = "scene" if i == 1 else f"scene{i}"
         shaft, end = _arrows(points, policy.field_errors[rows], gain, scale)
@@ -308,7 +308,7 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
         data += [shaft | {"scene": scene}, end | {"scene": scene, "name": in_words(policy.label)}]
         layout[scene] = axes
         mean, *_, largest = error_spread(field_mm(policy))
-        title = f"<b>{escape(in_words(policy.label))}</b>, ×{gain:g}: mean {mean:.2f}, max {largest:.2f} mm"
+        title = f"<b>{escape(in_words(policy.label))}</b><br>×{gain:g}: mean {mean:.2f}, max {largest:.2f} mm"
         layout["annotations"].append({"text": title})
     return {"data": data, "layout": layout}
 

@@ -71,7 +71,7 @@ class PageTable:
         heads: Column names with units; empty for a table without a head.
         rows: Cells of each row: words, numbers as text, or bars.
         look: ``code`` where the first column holds names of parameters, ``wide`` where the second holds sentences,
-            ``dense`` where there are many columns.
+            ``close`` or ``dense`` where there are many or very many columns.
     """
 
     caption: str
