@@ -113,9 +113,8 @@ def in_words(text: str) -> str:
 
 
 def as_sentence(text: str) -> str:
-    """A sentence in words, as `in_words`; one that began with a capital letter still does."""
-    words = in_words(text)
-    return words[:1].upper() + words[1:] if text[:1].isupper() else words
+    """Sentences in words, as `in_words`, each with a capital letter."""
+    return re.sub(r"(^|\. |# |\n)(least|neural)", lambda match: match[1] + match[2].capitalize(), in_words(text))
 
 
 def lane(name: str) -> str:

@@ -166,10 +166,10 @@ def error_by_condition(sweeps: Mapping[str, Mapping[str, Any]], names: Mapping[s
         for axes, (name, sweep) in zip(panels, sweeps.items(), strict=True):
             levels = np.asarray(sweep["levels"], dtype=float)
             for i, group in enumerate(groups):
-                numbers, label = sweep["methods"][group[0]], " = ".join(group)
+                numbers, label = sweep["methods"][group[0]], in_words(" = ".join(group))
                 colour = rgb([ORANGE if group[0] == "raw" else METHODS[(i - 1) % len(METHODS)]])[0]
                 line: dict[str, Any] = {"linestyle": LINES[i % len(LINES)], "marker": "o", "markersize": 3.0}
-                axes.plot(levels, [number["mean_mm"] for number in numbers], color=colour, label=in_words(label), **line)
+                axes.plot(levels, [number["mean_mm"] for number in numbers], color=colour, label=label, **line)
                 ends = [number["ci95_mm"] for number in numbers]
                 if None not in ends:
                     axes.fill_between(levels, *np.transpose(ends), color=colour, alpha=0.15, linewidth=0.0)

@@ -127,7 +127,8 @@ def success_against_misalignment(
         marks = dict(zip(curves, style.MARKS * len(curves), strict=False))
         for (gripper, (x, y)), line in zip(curves.items(), style.LINES * len(curves), strict=False):
             axes.plot(x, 100.0 * np.asarray(y), linestyle=line, color=style.SOFT)
-            axes.plot([], [], linestyle=line, color=style.SOFT, marker=marks[gripper], markersize=5, label=in_words(gripper))
+            mark: dict[str, Any] = {"marker": marks[gripper], "markersize": 5, "label": in_words(gripper)}
+            axes.plot([], [], linestyle=line, color=style.SOFT, **mark)
         for policy, colour in colours.items():
             look: dict[str, Any] = {"color": colour, "markersize": 6}
             for gripper, (error, (share, ends)) in points[policy].items():

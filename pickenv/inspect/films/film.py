@@ -435,12 +435,9 @@ def film_pictures(film: Film, progress: Progress | None = None) -> Iterator[Pixe
     """The frames of a film, ``(height, width, 3)``."""
     episodes, sides = film.episodes, range(len(film.policies))
     width = len(sides) * (HALF[0] + GAP) - GAP
-    plant = f", {in_words(episodes.plant_name)}" if episodes.plant_name else ""
-    below = strip(
-        f"{episodes.env_id}{plant}, {in_words(episodes.gripper)}: the same fruit, {film.speed:.1f} × as fast as the arm",
-        (width, STRIP),
-        film.dark,
-    )
+    subject = ", ".join(in_words(name) for name in (episodes.env_id, episodes.plant_name, episodes.gripper) if name)
+    words = f"{subject}: the same fruit, {film.speed:.1f} × as fast as the arm"
+    below = strip(words, (width, STRIP), film.dark)
     gap = np.full((HALF[1], GAP, 3), below[0, 0], dtype=np.uint8)
     for number in range(len(film.frames)):
         halves = (painted(film_stage(film, number, side)) for side in sides)

@@ -23,7 +23,7 @@ from pickenv.arm.plant.campaign import alone, causes_of
 from pickenv.base import stream
 from pickenv.calibration import complete_model, start_filter
 from pickenv.calibration.compensation.compensator import aimed, taught
-from pickenv.inspect.colours import GREY, STEEL, Rgb, as_sentence, in_words, policy_colours
+from pickenv.inspect.colours import GREY, STEEL, Rgb, in_words, policy_colours
 from pickenv.inspect.recordings.scribe import Scribe, f32
 from pickenv.inspect.runs import comparison_summary as summary
 from pickenv.inspect.runs.comparison_summary import GAIN
@@ -248,7 +248,7 @@ def day_in_words(comparison: Comparison, day: Day) -> str:
     if len(policies) > 1:
         worth = "no better than" if after >= before else f"{before - after:.2f} mm better than"
         parts.append(
-            f"{as_sentence(last)} ends {worth} {first}: the drift was in nobody's data, and it is larger than "
+            f"{last} ends {worth} {first}: the drift was in nobody's data, and it is larger than "
             "the errors that a calibration takes away."
         )
     if ADAPTED in day:

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from pickenv.arm import Array
 from pickenv.base import InputError, versions, write_whole
-from pickenv.inspect.colours import RED, WHITE, Rgb, in_words, viridis
+from pickenv.inspect.colours import RED, WHITE, Rgb, as_sentence, in_words, viridis
 from pickenv.inspect.runs.comparison_summary import ticks
 from pickenv.inspect.runs.saved import capsules
 
@@ -91,7 +91,7 @@ class Scribe:
 
     def document(self, entity: str, markdown: str) -> None:
         """Send a Markdown text for all time."""
-        self.still(entity, rr.TextDocument(in_words(markdown), media_type="text/markdown"))
+        self.still(entity, rr.TextDocument(as_sentence(markdown), media_type="text/markdown"))
 
     def words(self, entity: str, place: ArrayLike, text: str) -> None:
         """Send a text at a place ``(3,)`` in space, m, for all time."""
@@ -105,7 +105,7 @@ class Scribe:
 
     def lane(self, entity: str, looks: Mapping[str, tuple[str, Rgb]], states: Sequence[str]) -> None:
         """Send states along the time lines ``(T,)``; each state has a label and a colour in ``looks``."""
-        labels, colours = [in_words(label) for label, _ in looks.values()], [(*colour, 255) for _, colour in looks.values()]
+        labels, colours = zip(*((in_words(label), (*colour, 255)) for label, colour in looks.values()), strict=True)
         self.still(entity, rr.StateConfiguration(values=list(looks), labels=labels, colors=colours))
         self.along(entity, rr.StateChange.columns(state=states))
 

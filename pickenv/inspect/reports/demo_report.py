@@ -148,7 +148,9 @@ def demo_verdict(
 def _cases(cases: Mapping[str, Sequence[Change]]) -> report_page.Section:
     """The section on picks without and with calibration, by plant, gripper and perception error."""
     rows = [
-        (f"{in_words(plant)}, {cells[0]}", *cells[1:]) for plant, changes in cases.items() for cells in map(change_cells, changes)
+        (f"{in_words(plant)}, {gripper}", *cells)
+        for plant, changes in cases.items()
+        for gripper, *cells in map(change_cells, changes)
     ]
     heads = ("arm, gripper", "fruit seen to, per axis (mm)", "taken, raw (%)", "calibrated (%)", "change (points)")
     caption = "Share of fruit that a gripper takes, by how well the fruit is seen (standard deviation)"
@@ -253,7 +255,7 @@ def _fit(trace: CalibrationTrace, calibration: Calibration, drawn: Mapping[str, 
     dropped = ", ".join(name for name, identified in zip(trace.names, trace.kept, strict=True) if not identified)
     condition = trace.singular_values[0] / trace.singular_values[-1]
     poses = len(next(iter(trace.sets.values())))
-    kind = "" if calibration.learnt is None else f", then {in_words(calibration.record['residual']['kind'])} on what remains"
+    kind = "" if calibration.learnt is None else f", then {in_words(calibration.learnt.kind)} on what remains"
     return report_page.Section(
         "How the calibration was found",
         (

@@ -18,7 +18,7 @@ from pickenv.arm import Array
 from pickenv.base import clustered_share_interval, mean_interval, paired_share_interval, share_interval
 from pickenv.base.intervals import LEAST
 from pickenv.calibration import Calibration
-from pickenv.inspect.colours import as_sentence, in_words
+from pickenv.inspect.colours import in_words
 from pickenv.inspect.runs.matters import Change, matters, pick_changes
 from pickenv.inspect.runs.number_words import said
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes, RecordedPolicy
@@ -231,7 +231,7 @@ def content_of_comparison(episodes: RecordedEpisodes) -> dict[str, Any]:
 
 def comparison_markdown(episodes: RecordedEpisodes) -> str:
     """The verdict and the tables of policies and of differences, in Markdown, for the recording."""
-    lines = [f"## {as_sentence(outcome_sentence(episodes))}", "", as_sentence(explanation(episodes)), ""]
+    lines = [f"## {outcome_sentence(episodes)}", "", explanation(episodes), ""]
     lines += _table(HEADS, policy_cells(episodes))
     if differences := difference_cells(episodes):
         lines += ["", "Fruit by fruit, later minus earlier policy:", "", *_table(DIFFERENCES, differences)]
@@ -371,7 +371,7 @@ def _better(comparison: Comparison) -> str:
         return ""
     before, last = comparison.policies[-2:]
     share = 100.0 * float(np.mean(field_mm(last) < field_mm(before)))
-    return " " + as_sentence(f"{last.label} errs less than {before.label} at {share:.0f} % of them.")
+    return f" {last.label} errs less than {before.label} at {share:.0f} % of them."
 
 
 def _reach_cells(policy: RecordedPolicy) -> list[str]:
