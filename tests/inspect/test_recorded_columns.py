@@ -13,7 +13,7 @@ import pytest
 from pickenv.arm import Array, drawn_parts, forward, nominal_points, true_points
 from pickenv.base import InputError
 from pickenv.inspect import Comparison, record_comparison
-from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, WHITE, lane
+from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, WHITE, in_words, lane
 from pickenv.inspect.runs.comparison_summary import summary_markdown
 
 GAIN = 20.0
@@ -99,7 +99,7 @@ def test_a_reach_is_an_arrow_a_shot_a_number_and_an_outcome(reading: Any, compar
             reading.holds(
                 f"/metrics/{name}/{lane(policy.key)}",
                 scalars=[float(f"{value:.4g}") for value in values],
-                names=[policy.label],
+                names=[in_words(policy.label)],
                 colors=[colour],
                 widths=[1.8],
             )

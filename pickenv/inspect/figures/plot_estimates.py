@@ -15,7 +15,18 @@ from matplotlib.figure import Figure
 
 from pickenv.base import Estimate, InputError
 from pickenv.inspect.colours import BLUE, GREEN, GREY, ORANGE, OTHERS, in_words, policy_colours, policy_label
-from pickenv.inspect.figures.style import LINES, WIDTH, alike, change, new_figure, plain_decades, rgb, short, whisker
+from pickenv.inspect.figures.style import (
+    LINES,
+    WIDTH,
+    alike,
+    change,
+    legend_below,
+    new_figure,
+    plain_decades,
+    rgb,
+    short,
+    whisker,
+)
 
 Row = Mapping[str, Any]
 UNITS = ("mm", "m", "deg", "rad", "s", "h", "kg", "K", "N")
@@ -86,7 +97,7 @@ def estimates_figure(
             axes[0].plot([], [], color=shade, linewidth=3.0, label=in_words(policy_label(str(key))))
         figure.suptitle(_result(rows, x, colour, panels), x=0.01, ha="left", fontsize=9.0, fontweight="bold")
         if len(colours) > 1:
-            figure.legend(loc="outside lower center", ncols=min(len(colours), 4))
+            legend_below(figure, axes[0], 4)
     return figure
 
 
@@ -181,6 +192,5 @@ def error_by_condition(sweeps: Mapping[str, Mapping[str, Any]], names: Mapping[s
         span = " to ".join(short(end(means[least])) for end in (min, max))
         title = f"{in_words(least)}: {span} mm under conditions that no fit has seen"
         figure.suptitle(title[:1].upper() + title[1:], x=0.01, ha="left", fontweight="bold", fontsize=9.0)
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+        legend_below(figure, panels[0], 3)
     return figure

@@ -32,8 +32,8 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     ranges, settings = result["settings"]["ranges"], result["settings"]
     subtitle = (
         f"Simulated arm {in_words(result['plant'])}; up to {ranges['payload']:g} kg, {ranges['weather']:g} K cooler to "
-        f"warmer, {ranges['hours']:g} h of work; {settings['sessions']} sessions of {settings['poses']} poses; growth with "
-        f"temperature: {result['growth']}"
+        f"warmer, {ranges['hours']:g} h of work; {settings['sessions']} sessions of {settings['poses']} poses; growth "
+        f"with temperature: {result['growth']}"
     )
     return plain_report(run, "Payload, temperature and hour of day", subtitle, verdict, tables, drawings(run))
 
