@@ -27,7 +27,11 @@ TABLES = {
         "error behind least squares (mm)",
         "Orchard: measure in time",
     ),
-    "findings-afar.png": ("One look from afar", "error (mm)", "From afar a Gaussian process pays, from near nothing"),
+    "findings-afar.png": (
+        "One look from afar",
+        "error (mm)",
+        "From afar a Gaussian process pays, from near nothing does",
+    ),
     "findings-constants.png": (
         "What least squares",
         "share of raw error removed (%)",
