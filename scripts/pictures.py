@@ -30,7 +30,7 @@ TABLES = {
     "findings-afar.png": (
         "One look from afar",
         "error (mm)",
-        "From afar a Gaussian process pays, from near nothing does",
+        "From afar a Gaussian process pays, from near nothing",
     ),
     "findings-constants.png": (
         "What least squares",

@@ -252,7 +252,7 @@ def test_every_detail_is_read_back(orchard_reading: Any, comparison: Comparison)
             )
             times = orchard_reading.times(entity, "hours")
             np.testing.assert_allclose(times, 3.6e12 * day_hours(shown), rtol=1e-9)
-    orchard_reading.holds("/about_the_day", text=[day_in_words(shown, day)], media_type=["text/markdown"])
+    orchard_reading.holds("/about_the_day", text=[as_sentence(day_in_words(shown, day))], media_type=["text/markdown"])
 
 
 def test_two_policies_have_a_difference_and_unknown_attitudes_no_field(without_day: Comparison) -> None:

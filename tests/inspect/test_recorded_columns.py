@@ -180,7 +180,7 @@ def test_a_file_says_of_which_arm_and_how_drawn(reading: Any, comparison: Compar
         "plant": ["qiao2026"],
         "policies": ["raw", "ls", "ls_bpnn"],
     }
-    reading.holds("/summary", text=[summary_markdown(comparison)], media_type=["text/markdown"])
+    reading.holds("/summary", text=[as_sentence(summary_markdown(comparison))], media_type=["text/markdown"])
 
 
 def dense(reading: Any, key: str) -> Array:
