@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from pickenv.arm import effect_shares, forward, joint_jacobian, load_plant, noncompensable_error
 from pickenv.inspect import Comparison, RecordedPolicy, record_comparison
-from pickenv.inspect.colours import GREY, STEEL, in_words, policy_colours, viridis
+from pickenv.inspect.colours import GREY, STEEL, as_sentence, in_words, policy_colours, viridis
 from pickenv.inspect.recordings import details as details_module
 from pickenv.inspect.recordings.details import (
     CAMERA_STD,

@@ -13,7 +13,7 @@ import pytest
 from pickenv.arm import Array, drawn_parts, forward, nominal_points, true_points
 from pickenv.base import InputError
 from pickenv.inspect import Comparison, record_comparison
-from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, WHITE, in_words, lane
+from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, WHITE, as_sentence, in_words, lane
 from pickenv.inspect.runs.comparison_summary import summary_markdown
 
 GAIN = 20.0
