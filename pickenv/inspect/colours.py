@@ -6,8 +6,10 @@ Policy colours are Okabe and Ito's, which people with colour vision deficiency c
 from __future__ import annotations
 
 import re
+import tomllib
 import zlib
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -40,18 +42,9 @@ BY_KEY: dict[str, Rgb] = {
 }
 OTHERS: tuple[Rgb, ...] = (PURPLE, (86, 180, 233), (150, 140, 20), (150, 150, 150))
 NAMES = {"ls": "LS", "ls_bpnn": "LS+BPNN", "ls_gp": "LS+GP", "best": "LS+GP"}
-LEARNT = {"bpnn": "neural network", "gp": "Gaussian process", "rbf": "radial basis functions"}
-WORDS: Mapping[str, str] = {
-    "LS": "least squares",
-    **{kind.upper(): words for kind, words in LEARNT.items()},
-    "li_cup": "suction cup",
-    "compliant_hand": "compliant hand",
-}
-"""What is shown in place of the short names of models and grippers."""
-ADDED: Mapping[str, str] = {**LEARNT, "periodic": "drive harmonics", "terms": "physical effects"}
-"""The same, for what stands in lower case behind a plus sign or at the start."""
-PLANTS: Mapping[str, str] = {"qiao2026": "smooth arm", "field": "rough arm", "orchard": "drifting arm"}
-"""Words beside the names of plants."""
+TEXTS: Mapping[str, Mapping[str, str]] = tomllib.loads((Path(__file__).parent / "words.toml").read_text("utf-8"))
+"""What people are shown, by the short names of files and commands."""
+WORDS, ADDED, PLANTS = (TEXTS[table] for table in ("names", "added", "plants"))
 SHORT = re.compile(rf"(?:^|(?<=\+ ))(?:{'|'.join(ADDED)})\b|\b(?:{'|'.join(WORDS)})\b")
 ORDER = (("raw", "nominal"), ("ls", "calibrated", "calibrated_geometry"), ("ls_bpnn", "with_residual", "model_used"))
 """The order in which figures and recordings list policies, by their keys; all other policies follow."""
