@@ -24,10 +24,14 @@ TABLES = {
     "findings-camera.png": ("A camera that looks all", "error (mm)", "With a camera in every period, raw is as good"),
     "findings-instrument.png": (
         "A drifting machine",
-        "error behind LS (mm)",
+        "error behind least squares (mm)",
         "Orchard: measure in time",
     ),
-    "findings-afar.png": ("One look from afar", "error (mm)", "From afar LS+GP pays, from near nothing does"),
+    "findings-afar.png": (
+        "One look from afar",
+        "error (mm)",
+        "From afar a Gaussian process pays, from near nothing",
+    ),
     "findings-constants.png": (
         "What least squares",
         "share of raw error removed (%)",
@@ -83,6 +87,7 @@ def draw_table(picture: str) -> Path:
 
     from pickenv.base import Estimate
     from pickenv.inspect import save_figure
+    from pickenv.inspect.colours import in_words
     from pickenv.inspect.figures.plot_estimates import estimates_figure
 
     start, label, message = TABLES[picture]
@@ -96,7 +101,7 @@ def draw_table(picture: str) -> Path:
                 value, low, high = map(float, match.groups())
                 rows.append(
                     {
-                        "row": ", ".join(words),
+                        "row": ", ".join(map(in_words, words)),
                         "column": f"× {head}" if head[0].isdigit() else head,
                         "estimate": Estimate(value, (low, high)),
                     }

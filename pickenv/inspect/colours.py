@@ -1,12 +1,15 @@
-"""Colours with a fixed meaning: one per policy everywhere, Viridis for error magnitude, red for tolerance and miss.
+"""Colours and names with a fixed meaning: one per policy everywhere, Viridis for errors, red for tolerance and miss.
 
 Policy colours are Okabe and Ito's, which people with colour vision deficiency can tell apart. RGB in 0..255.
 """
 
 from __future__ import annotations
 
+import re
+import tomllib
 import zlib
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -39,6 +42,10 @@ BY_KEY: dict[str, Rgb] = {
 }
 OTHERS: tuple[Rgb, ...] = (PURPLE, (86, 180, 233), (150, 140, 20), (150, 150, 150))
 NAMES = {"ls": "LS", "ls_bpnn": "LS+BPNN", "ls_gp": "LS+GP", "best": "LS+GP"}
+TEXTS: Mapping[str, Mapping[str, str]] = tomllib.loads((Path(__file__).parent / "words.toml").read_text("utf-8"))
+"""What people are shown, by the short names of files and commands."""
+WORDS, ADDED, PLANTS = (TEXTS[table] for table in ("names", "added", "plants"))
+SHORT = re.compile(rf"(?:^|(?<=\+ ))(?:{'|'.join(ADDED)})\b|\b(?:{'|'.join(WORDS)})\b")
 ORDER = (("raw", "nominal"), ("ls", "calibrated", "calibrated_geometry"), ("ls_bpnn", "with_residual", "model_used"))
 """The order in which figures and recordings list policies, by their keys; all other policies follow."""
 
@@ -47,9 +54,10 @@ ARMS: tuple[Rgb, ...] = (BLUE, ORANGE, GREEN, *OTHERS)
 
 
 def policy_key(name: str) -> str:
-    """The key of a policy, given its key or its label: ``LS + BPNN`` and ``ls_bpnn`` both give ``ls_bpnn``."""
-    words = "".join(c if c.isalnum() else " " for c in name.lower()).split()
-    return "_".join(words)
+    """The key of a policy, given its key, label or words: ``ls_bpnn``, ``LS + BPNN`` and their words are alike."""
+    for short, words in WORDS.items():
+        name = name.replace(words, short)
+    return "_".join("".join(c if c.isalnum() else " " for c in name.lower()).split())
 
 
 def policy_colours(names: Sequence[str]) -> list[Rgb]:
@@ -87,6 +95,19 @@ def policy_rank(name: str) -> int:
 def policy_label(key: str) -> str:
     """The name that people use for a policy's key: LS+BPNN for ls_bpnn, ``my policy``."""
     return NAMES.get(key, key.replace("_", " "))
+
+
+def in_words(text: str) -> str:
+    """A text as newcomers are shown it: least squares + neural network for LS+BPNN, words beside a plant's name."""
+    if text in PLANTS:
+        return f"{text} ({PLANTS[text]})"
+    spaced = re.sub(r"(?<=\w) ?\+ ?(?=[A-Za-z])", " + ", text)
+    return SHORT.sub(lambda short: {**ADDED, **WORDS}[short[0]], spaced)
+
+
+def as_sentence(text: str) -> str:
+    """Sentences in words, as `in_words`, each with a capital letter."""
+    return re.sub(r"(^|\. |# |\n)(least|neural)", lambda match: match[1] + match[2].capitalize(), in_words(text))
 
 
 def lane(name: str) -> str:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from pickenv.arm import effect_shares, forward, joint_jacobian, load_plant, noncompensable_error
 from pickenv.inspect import Comparison, RecordedPolicy, record_comparison
-from pickenv.inspect.colours import GREY, STEEL, policy_colours, viridis
+from pickenv.inspect.colours import GREY, STEEL, as_sentence, in_words, policy_colours, viridis
 from pickenv.inspect.recordings import details as details_module
 from pickenv.inspect.recordings.details import (
     CAMERA_STD,
@@ -247,10 +247,12 @@ def test_every_detail_is_read_back(orchard_reading: Any, comparison: Comparison)
             ("p95", below + (place % 1.0) * (above - below), 1.0),
         ):
             entity = f"/day/{name}_mm/{key}"
-            orchard_reading.holds(entity, scalars=values, names=[f"{label}, {name}"], colors=[colour], widths=[width])
+            orchard_reading.holds(
+                entity, scalars=values, names=[in_words(f"{label}, {name}")], colors=[colour], widths=[width]
+            )
             times = orchard_reading.times(entity, "hours")
             np.testing.assert_allclose(times, 3.6e12 * day_hours(shown), rtol=1e-9)
-    orchard_reading.holds("/about_the_day", text=[day_in_words(shown, day)], media_type=["text/markdown"])
+    orchard_reading.holds("/about_the_day", text=[as_sentence(day_in_words(shown, day))], media_type=["text/markdown"])
 
 
 def test_two_policies_have_a_difference_and_unknown_attitudes_no_field(without_day: Comparison) -> None:

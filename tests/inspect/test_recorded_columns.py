@@ -13,7 +13,7 @@ import pytest
 from pickenv.arm import Array, drawn_parts, forward, nominal_points, true_points
 from pickenv.base import InputError
 from pickenv.inspect import Comparison, record_comparison
-from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, WHITE, lane
+from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, WHITE, as_sentence, in_words, lane
 from pickenv.inspect.runs.comparison_summary import summary_markdown
 
 GAIN = 20.0
@@ -99,7 +99,7 @@ def test_a_reach_is_an_arrow_a_shot_a_number_and_an_outcome(reading: Any, compar
             reading.holds(
                 f"/metrics/{name}/{lane(policy.key)}",
                 scalars=[float(f"{value:.4g}") for value in values],
-                names=[policy.label],
+                names=[in_words(policy.label)],
                 colors=[colour],
                 widths=[1.8],
             )
@@ -180,7 +180,7 @@ def test_a_file_says_of_which_arm_and_how_drawn(reading: Any, comparison: Compar
         "plant": ["qiao2026"],
         "policies": ["raw", "ls", "ls_bpnn"],
     }
-    reading.holds("/summary", text=[summary_markdown(comparison)], media_type=["text/markdown"])
+    reading.holds("/summary", text=[as_sentence(summary_markdown(comparison))], media_type=["text/markdown"])
 
 
 def dense(reading: Any, key: str) -> Array:

@@ -160,7 +160,7 @@ def test_the_file_says_what_it_is(reading: Any, comparison: Comparison) -> None:
     assert stated == {"seed": [7], "plant": ["qiao2026"], "gain": [20.0], "policies": list(KEYS)}
     assert reading.values("/__properties/pickenv", "rerun_version")[0].startswith("0.41")
     (text,) = reading.values("/summary", "TextDocument:text")
-    assert "| **LS + BPNN** | 100 % |" in text
+    assert "| **least squares + neural network** | 100 % |" in text
     assert "radius 1 mm" in text
 
 

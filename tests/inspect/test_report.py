@@ -27,6 +27,7 @@ from pickenv.inspect import (
     new_figure,
     trace_drawings,
 )
+from pickenv.inspect.colours import in_words
 from pickenv.inspect.reports.demo_report import demo_verdict, field_spec, page as demo_report, pose_spec
 from pickenv.inspect.reports.report_page import Part, library
 
@@ -136,7 +137,7 @@ def test_the_verdict_comes_first_and_its_numbers_are_the_datas(page: Page, compa
 def test_the_tables_are_the_datas(page: Page, comparison: Comparison, demo_run: Run) -> None:
     rows = {row[0]: row[1:] for row in page.rows}
     for policy in comparison.policies:
-        mm, cells = policy.ends.position_error_mm, rows[policy.label]
+        mm, cells = policy.ends.position_error_mm, rows[in_words(policy.label)]
         assert cells[0].startswith(f"{100 * np.mean(mm <= comparison.tolerance_mm):.0f} (")
         assert cells[3].startswith(f"{mm.mean():.3f} (")
         assert cells[4:7] == [f"{v:.3f}" for v in (np.sqrt(np.mean(mm**2)), np.percentile(mm, 95), mm.max())]

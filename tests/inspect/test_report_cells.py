@@ -108,7 +108,7 @@ def test_a_demonstrations_page_cell_by_cell(
         run = replace(run, command="pickenv demo --quick")
     trace, count = load_part(run, CalibrationTrace), len(shown.fruit)
     page = built(lambda: demo_report.page(run))
-    assert page.title == "Calibration and picking: qiao2026" and page.contents
+    assert page.title == "Calibration and picking: qiao2026 (smooth arm)" and page.contents
     quick = "; a quick run, worse than the paper's protocol" if few else ""
     assert page.subtitle == (
         f"Simulated arm; the same scripted policy reaches for {count} fruit, raw and calibrated; seed 7{quick}"
@@ -148,8 +148,8 @@ def test_a_demonstrations_page_cell_by_cell(
     ]  # fmt: skip
     (cases,) = parts_of(page, "Does it matter?")
     assert cases.parts[0].rows == [
-        ("orchard, li_cup", "0", "51.2", "98.7", "+47.5"),
-        ("orchard, compliant_hand", "2", "90.0", "80.0", "-10.0"),
+        ("orchard (drifting arm), li_cup", "0", "51.2", "98.7", "+47.5"),
+        ("orchard (drifting arm), compliant_hand", "2", "90.0", "80.0", "-10.0"),
     ]
     axes, floors, per_pose, _ = parts_of(page, "Held-out poses")
     wanted = [
@@ -184,13 +184,14 @@ def test_a_demonstrations_page_cell_by_cell(
         f"This one calibration removes {gain.mean():.2f} mm ({said}) of a mean position error of {raw.mean():.2f} mm: "
         f"{100 * gain.mean() / raw.mean():.0f} %."
     )
-    assert matters("orchard", CHANGES) in text
+    assert matters("orchard (drifting arm)", CHANGES) in text
     assert f"{np.count_nonzero(raw <= 1.0)} without calibration." in text
     assert f"What remains is {whole(last, 2)} mm in the mean and at most {last.max():.2f} mm." in text
     lateral = [lateral_mm for lateral_mm, _ in grips.values()]
     own = demo_report.demo_verdict(shown)
     assert (
-        matters("qiao2026", pick_changes(lateral[0], lateral[-1])) in own.text and own.headline == page.verdict.headline
+        matters("qiao2026 (smooth arm)", pick_changes(lateral[0], lateral[-1])) in own.text
+        and own.headline == page.verdict.headline
     )
     worse = replace(policies[-1], position_error_mm=(raw + np.linspace(0.2, 0.4, count))[:, None])
     lost = demo_report.demo_verdict(replace(shown, policies=(policies[0], worse))).text
@@ -216,11 +217,13 @@ def test_a_demonstration_of_positions_with_a_network_and_a_picture(
     monkeypatch.setattr(
         demo_report, "load_part", lambda run, kind: positions if kind is CalibrationTrace else comparison
     )
-    record = {"residual": {"kind": "bpnn"}, "source": "data.csv"}
-    learnt = SimpleNamespace(load=lambda *_: SimpleNamespace(learnt=object(), record=record))
+    record = {"source": "data.csv"}
+    learnt = SimpleNamespace(load=lambda *_: SimpleNamespace(learnt=SimpleNamespace(kind="bpnn"), record=record))
     monkeypatch.setattr(demo_report, "Calibration", learnt)
     page = built(lambda: demo_report.page(demo_run, lambda recording: b"picture"))
-    assert parts_of(page, "How the calibration was found")[0].startswith("Least squares on 40 poses, then bpnn on what")
+    assert parts_of(page, "How the calibration was found")[0].startswith(
+        "Least squares on 40 poses, then neural network on what"
+    )
     assert not any("no motion of" in part for part in parts_of(page, "Held-out poses") if isinstance(part, str))
     assert parts_of(page, "The recording") == []  # the run has none
     folder = tmp_path / "run"

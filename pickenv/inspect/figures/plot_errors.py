@@ -25,14 +25,14 @@ from PIL import Image, ImageOps, UnidentifiedImageError
 
 from pickenv.arm import Array, nominal_points
 from pickenv.base import InputError
-from pickenv.inspect.colours import RED, viridis
+from pickenv.inspect.colours import RED, in_words, viridis
 from pickenv.inspect.figures import style
 from pickenv.inspect.runs import comparison_summary as summary
 from pickenv.inspect.runs.calibration_trace import ViewErrors
 from pickenv.inspect.runs.recorded_episodes import Comparison
 from pickenv.inspect.runs.saved import eye_direction, shown_box
 
-PANEL_WIDTH, BESIDE_PANELS = style.WIDTH / 3.0, 1.5
+PANEL_WIDTH, BESIDE_PANELS = style.WIDTH / 3.0, 1.85
 """Width of one panel, and height of the titles and the colour bar together, inches."""
 MOST_ARROWS = 400
 """More arrows than this would cover each other: only every second, third … cell along each axis is drawn."""
@@ -90,14 +90,14 @@ def error_fields(comparison: Comparison) -> Figure:
             _arrows(axes, view, comparison.grid.points[rows], policy.field_errors[rows], gain, top)
             axes.set(xlim=(view.low[0], view.high[0]), ylim=(view.low[1], view.high[1]), aspect="equal")
             axes.set_axis_off()
-            axes.set_title(policy.label, fontsize=12, weight="bold", pad=15.0)
+            axes.set_title(in_words(policy.label).replace(" + ", "\n+ "), fontsize=12, weight="bold", pad=15.0)
             mean, *_, largest = summary.error_spread(summary.field_mm(policy))
             means[policy.label] = mean
             text = f"mean {mean:.2f} mm, max {largest:.2f} mm"
             axes.text(0.5, 1.01, text, transform=axes.transAxes, ha="center", fontsize=8)
         cast("ConstrainedLayoutEngine", figure.get_layout_engine()).set(h_pad=0.11)
-        title = f"Mean error across the workspace: {style.change(means, 'mm')}; wanted (dot) to true position ×{gain:g}"
-        figure.suptitle(title, fontsize=10)
+        title = in_words(f"Mean error across the workspace: {style.change(means, 'mm')}")
+        figure.suptitle(f"{title}\nwanted (dot) to true position ×{gain:g}", fontsize=10)
         field_colour_bar(figure, panels, top, policies[0].label)
     return figure
 
@@ -283,11 +283,11 @@ def error_slices(points: ArrayLike, errors: Mapping[str, ArrayLike], *, step: fl
                 if row == len(fields) - 1:
                     axes.set_xlabel(f"{'xyz'[across]} (m)")
                 if column == 0:
-                    axes.set_ylabel(f"{label}\n{'xyz'[up]} (m)")
+                    axes.set_ylabel(f"{in_words(label)}\n{'xyz'[up]} (m)")
         field_colour_bar(figure, panels, top, next(iter(fields)))
         rows = np.isin(layer, layers)
         means = style.change({label: float(mm[rows].mean()) for label, mm in lengths.items()}, "mm")
-        figure.suptitle(f"Mean error in slices: {means}; arrows ×{gain:g}", fontweight="bold", fontsize=9.0)
+        figure.suptitle(in_words(f"Mean error in slices: {means}; arrows ×{gain:g}"), fontweight="bold", fontsize=9.0)
     return figure
 
 
@@ -338,7 +338,7 @@ def error_by_method(
         names = []
         for box, (label, values, colour) in zip(boxes["boxes"], style.coloured(series), strict=True):
             box.set(facecolor=(*colour, 0.75), edgecolor=style.SOFT)
-            name = label if len(label) <= WIDEST else label.replace("+", "\n+")
+            name = label if len(label) <= WIDEST else label.replace(" + ", "\n+ ")
             names.append(f"{name}\n({len(values)})")
             axes.annotate(f"{values.mean():.3g}", (len(names) + 0.3, values.mean()), va="center", fontsize=7.5)
         axes.set_xticks(range(1, len(names) + 1), names)

@@ -14,8 +14,19 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from pickenv.base import Estimate, InputError
-from pickenv.inspect.colours import BLUE, GREEN, GREY, ORANGE, OTHERS, policy_colours, policy_label
-from pickenv.inspect.figures.style import LINES, WIDTH, alike, change, new_figure, plain_decades, rgb, short, whisker
+from pickenv.inspect.colours import BLUE, GREEN, GREY, ORANGE, OTHERS, in_words, policy_colours, policy_label
+from pickenv.inspect.figures.style import (
+    LINES,
+    WIDTH,
+    alike,
+    change,
+    legend_below,
+    new_figure,
+    plain_decades,
+    rgb,
+    short,
+    whisker,
+)
 
 Row = Mapping[str, Any]
 UNITS = ("mm", "m", "deg", "rad", "s", "h", "kg", "K", "N")
@@ -67,7 +78,7 @@ def estimates_figure(
     with new_figure(WIDTH, height) as figure:
         axes: Any = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
         for axis, (title, some) in zip(axes, groups.items(), strict=True):
-            axis.set_title(str(title))
+            axis.set_title(in_words(str(title)))
             if x is not None:
                 _lines(axis, some, x, free, colour, colours)
                 axis.set(xlabel=_in_words(x), yscale="log" if log else "linear")
@@ -83,10 +94,10 @@ def estimates_figure(
         else:
             axes[0].set_ylabel(label)
         for key, shade in colours.items():
-            axes[0].plot([], [], color=shade, linewidth=3.0, label=policy_label(str(key)))
+            axes[0].plot([], [], color=shade, linewidth=3.0, label=in_words(policy_label(str(key))))
         figure.suptitle(_result(rows, x, colour, panels), x=0.01, ha="left", fontsize=9.0, fontweight="bold")
         if len(colours) > 1:
-            figure.legend(loc="outside lower center", ncols=min(len(colours), 4))
+            legend_below(figure, axes[0], 4)
     return figure
 
 
@@ -98,8 +109,8 @@ def _result(rows: Sequence[Row], x: str | None, colour: str, panels: str | None)
         first = [row for row in first if float(row[x]) == last]
     values: dict[str, float] = {}
     for row in first:
-        values.setdefault(policy_label(str(row.get(colour, ""))), row["estimate"].value)
-    panel = [] if panels is None else [str(rows[0][panels])]
+        values.setdefault(in_words(policy_label(str(row.get(colour, "")))), row["estimate"].value)
+    panel = [] if panels is None else [in_words(str(rows[0][panels]))]
     return ": ".join([*panel, change(values, "").strip()])
 
 
@@ -144,7 +155,7 @@ def _whiskers(
         key, number = row.get(colour, ""), row["estimate"]
         y = places.index(tuple(row[name] for name in names)) + 0.8 * ((keys.index(key) + 0.5) / len(keys) - 0.5)
         whisker(axis, y, number.value, number.ci95, colours[key])
-    axis.set_yticks(range(len(places)), [", ".join(map(str, place)) for place in places])
+    axis.set_yticks(range(len(places)), [", ".join(in_words(str(name)) for name in place) for place in places])
     axis.set_ylim(len(places) - 0.5, -0.5)
 
 
@@ -166,7 +177,7 @@ def error_by_condition(sweeps: Mapping[str, Mapping[str, Any]], names: Mapping[s
         for axes, (name, sweep) in zip(panels, sweeps.items(), strict=True):
             levels = np.asarray(sweep["levels"], dtype=float)
             for i, group in enumerate(groups):
-                numbers, label = sweep["methods"][group[0]], " = ".join(group)
+                numbers, label = sweep["methods"][group[0]], in_words(" = ".join(group))
                 colour = rgb([ORANGE if group[0] == "raw" else METHODS[(i - 1) % len(METHODS)]])[0]
                 line: dict[str, Any] = {"linestyle": LINES[i % len(LINES)], "marker": "o", "markersize": 3.0}
                 axes.plot(levels, [number["mean_mm"] for number in numbers], color=colour, label=label, **line)
@@ -179,8 +190,7 @@ def error_by_condition(sweeps: Mapping[str, Mapping[str, Any]], names: Mapping[s
         plain_decades(panels[0].yaxis)
         least = min(methods, key=lambda method: max(means[method]))
         span = " to ".join(short(end(means[least])) for end in (min, max))
-        title = f"{least}: {span} mm under conditions that no fit has seen"
+        title = f"{in_words(least)}: {span} mm under conditions that no fit has seen"
         figure.suptitle(title[:1].upper() + title[1:], x=0.01, ha="left", fontweight="bold", fontsize=9.0)
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+        legend_below(figure, panels[0], 3)
     return figure

@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from pickenv.base import Estimate, InputError
-from pickenv.inspect.colours import GREY, RED, policy_colours
+from pickenv.inspect.colours import GREY, RED, as_sentence, in_words, policy_colours
 from pickenv.inspect.figures import style
 from pickenv.inspect.figures.plot_estimates import estimates_figure
 from pickenv.inspect.runs import comparison_summary as summary
@@ -35,10 +35,10 @@ def distance_over_time(episodes: RecordedEpisodes) -> Figure:
             for distance, moments in zip(policy.position_error_mm, policy.moments, strict=True):
                 distance = np.maximum(distance[:moments], SMALLEST)
                 axes.plot(episodes.period * np.arange(moments), distance, color=colour, linewidth=0.7, alpha=0.7)
-            axes.plot([], [], color=colour, linewidth=3.0, label=policy.label)
-        label = f"{episodes.gripper} forgives {episodes.tolerance_mm:g} mm"
+            axes.plot([], [], color=colour, linewidth=3.0, label=in_words(policy.label))
+        label = f"{in_words(episodes.gripper)} forgives {episodes.tolerance_mm:g} mm"
         axes.axhline(episodes.tolerance_mm, color=style.rgb([RED])[0], linestyle="--", label=label)
-        axes.set_title(summary.outcome_sentence(episodes))
+        axes.set_title(as_sentence(summary.outcome_sentence(episodes)))
         style.plain_decades(axes.yaxis)
     return figure
 
@@ -68,9 +68,9 @@ def difference_map(comparison: Comparison) -> Figure:
             axes.grid(visible=False)
         panels[0].set_ylabel("y (m)")
         bar = figure.colorbar(marks, ax=list(panels), location="bottom", shrink=0.6, aspect=40)
-        bar.set_label(f"miss of {last.label} minus {first.label}, mean over the layer (mm)")
+        bar.set_label(in_words(f"miss of {last.label} minus {first.label}, mean over the layer (mm)"))
         title = f"{last.label} misses less than {first.label} at {int(np.sum(change < 0.0))} of {len(change)} goals"
-        figure.suptitle(title, fontsize=9, weight="bold")
+        figure.suptitle(as_sentence(title), fontsize=9, weight="bold")
     return figure
 
 
@@ -127,7 +127,8 @@ def success_against_misalignment(
         marks = dict(zip(curves, style.MARKS * len(curves), strict=False))
         for (gripper, (x, y)), line in zip(curves.items(), style.LINES * len(curves), strict=False):
             axes.plot(x, 100.0 * np.asarray(y), linestyle=line, color=style.SOFT)
-            axes.plot([], [], linestyle=line, color=style.SOFT, marker=marks[gripper], markersize=5, label=gripper)
+            mark: dict[str, Any] = {"marker": marks[gripper], "markersize": 5, "label": in_words(gripper)}
+            axes.plot([], [], linestyle=line, color=style.SOFT, **mark)
         for policy, colour in colours.items():
             look: dict[str, Any] = {"color": colour, "markersize": 6}
             for gripper, (error, (share, ends)) in points[policy].items():
@@ -135,7 +136,7 @@ def success_against_misalignment(
                     interval = [100.0 * (share if end is None else end) for end in ends]
                     axes.plot([error, error], interval, color=colour, lw=2.0)
                 axes.plot([error], [100.0 * share], marks[gripper], markeredgecolor=style.INK, **look)
-            axes.plot([], [], "o", label=f"{policy}: mean error, success", **look)
+            axes.plot([], [], "o", label=in_words(f"{policy}: mean error, success"), **look)
         farthest = max((error for at in points.values() for error, _ in at.values()), default=0.0)
         axes.set(ylim=(-3.0, 103.0), xlim=(0.0, _seen_to(curves, farthest)))
     return figure
@@ -178,14 +179,14 @@ def accuracy_against_cycle_time(
             if policy == first:
                 ends[compensation] = float(error[-1])
         front = np.minimum.accumulate(np.min([error[:shortest] for error in errors], axis=0))
-        policy = f"{first} on {title}" if title else first
+        policy = f"{first} on {in_words(title)}" if title else first
         style.headline(axes, f"{policy} after {period * len(errors[0]):.1f} s: {style.change(ends, 'mm')}", beside=1.2)
         grey = style.rgb([GREY])[0]
         axes.plot(times[:shortest], front, color=grey, linewidth=6, zorder=0, label="best so far")
         for policy, pattern in patterns.items():
-            axes.plot([], [], linestyle=pattern, color=style.SOFT, label=policy)
+            axes.plot([], [], linestyle=pattern, color=style.SOFT, label=in_words(policy))
         for name, colour in colours.items():
-            axes.plot([], [], color=colour, linewidth=3.0, label=name)
+            axes.plot([], [], color=colour, linewidth=3.0, label=in_words(name))
         style.plain_decades(axes.yaxis)
         figure.legend(loc="outside right center")
     return figure

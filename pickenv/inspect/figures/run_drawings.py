@@ -14,6 +14,7 @@ from matplotlib.figure import Figure
 from pickenv.arm import Array
 from pickenv.base import clustered_share_interval
 from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE
+from pickenv.inspect.colours import TEXTS
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_policies
 from pickenv.inspect.figures.style import check_format, save_figure
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, ViewErrors
@@ -21,44 +22,6 @@ from pickenv.inspect.runs.matters import gripped, gripper_curves
 from pickenv.inspect.runs.recorded_episodes import Comparison
 
 CONDITIONS = {"payload": "kg", "temperature": "K above the reference"}
-CAPTIONS = {
-    "error_fields": "Where in the workspace the tool misses, and which way: one arrow per wanted position, drawn "
-    "larger than true and coloured by its true length.",
-    "error_slices": "The same errors within slices of the workspace.",
-    "position_error_by_policy": "Final position errors of the reaches: quartiles, whiskers, outliers, mean and median.",
-    "attitude_error_by_policy": "Final attitude errors of the reaches, likewise.",
-    "reach_errors_cumulative": "Share of reaches whose final position error is at most x.",
-    "success_against_misalignment": "What each gripper forgives, and where the policies' reaches lie on its curve.",
-    "error_per_test_pose": "Position error at each held-out pose, before and after calibration.",
-    "error_by_stage": "Position errors at the held-out poses by stage: quartiles, whiskers, outliers, mean and median.",
-    "error_histogram": "How the position errors at the held-out poses are distributed.",
-    "error_cumulative": "Share of held-out poses whose position error is at most x.",
-    "error_against_extension": "Position error against the distance of the tool from the base.",
-    "error_against_payload": "Position error against payload.",
-    "error_against_temperature": "Position error against temperature.",
-    "least_squares_convergence": "What the identified arm leaves unexplained after each iteration of the least "
-    "squares; where further terms were fitted, those begin at the calibrated geometry.",
-    "network_convergence": "Training loss of the network that learns what the identified arm leaves.",
-    "parameter_spectrum": "What the poses tell about each parameter; those below the threshold cannot be told from "
-    "others.",
-    "singular_values": "Singular values of the scaled Jacobian of the identified parameters.",
-    "corner_errors": "All corners in the picture's plane. Arrows that follow a pattern are a lens that is not yet "
-    "described well enough; arrows without one are noise.",
-    "view_errors": "The views with the largest errors. Where all arrows of a view agree, its pose is at fault.",
-    "joint_coverage": "How the poses fill the joint ranges: each joint's distribution, and each pair of joints.",
-    "distance_over_time": "Distance between tool and fruit in every episode, and what the gripper forgives.",
-    "difference_map": "Which of two policies misses less at each goal, in layers of the workspace seen from above.",
-    "pose_accuracy": "Pose accuracy AP and repeatability RP at the five poses of ISO 9283.",
-    "drift": "Pose accuracy at P1 over the hours after the cold arm was switched on.",
-    "error_by_condition": "Mean position error under each condition, the others as at the reference; bands are 95 % "
-    "intervals.",
-    "gantt": "What each arm did on one tree.",
-    "pick_map": "The fruit of one tree by the arm that collected it, and the zones from which they were picked.",
-    "throughput": "Picks per hour against the number of arms, the machine perfectly known, with 95 % intervals where "
-    "there are ten trees or more.",
-    "joint_curves": "How the joints move from the start to a pick point and on to three fruit.",
-}
-"""Captions of a run's figures, by the figure's name."""
 
 
 @dataclass(frozen=True)
@@ -112,8 +75,8 @@ def norms_mm(errors: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def captioned(name: str, draw: Callable[..., Figure], /, *data: Any, **options: Any) -> Drawing:
-    """A drawing with the caption that `CAPTIONS` has for its name; ``draw`` makes it from the data and options."""
-    return Drawing(name, CAPTIONS[name], partial(draw, *data, **options))
+    """A drawing with the caption that `TEXTS` have for its name; ``draw`` makes it from the data and options."""
+    return Drawing(name, TEXTS["captions"][name], partial(draw, *data, **options))
 
 
 def comparison_drawings(comparison: Comparison) -> Drawings:

@@ -21,13 +21,15 @@ from numpy.typing import ArrayLike
 
 from pickenv.arm import Array
 from pickenv.base import InputError, write_whole
-from pickenv.inspect.colours import BLUE, GREEN, RED, Rgb, policy_colours
+from pickenv.inspect.colours import BLUE, GREEN, RED, Rgb, as_sentence, in_words, policy_colours
 
 PIXELS_PER_INCH = 220
 COLUMN, WIDTH = 3.5, 7.2
 """Widths of one column and of both columns of a journal's page, inches."""
 LETTER = 0.083
 """Mean width of a letter of a title, inches."""
+SMALL_LETTER, KEY = 0.062, 0.55
+"""Mean width of a letter in a legend, and room for a mark and the gap beside it, inches."""
 LINES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
 MARKS = "os^Dv"
 """Line patterns (`LINES`) and marks to tell curves apart, in turn, where colour has another meaning."""
@@ -110,12 +112,23 @@ def new_panel(width: float, height: float, x: str, y: str, *, legend: int = 0) -
         height: Height of the figure, inches.
         x: Words on the panel's x axis.
         y: Words on the panel's y axis.
-        legend: Number of columns of the legend below the panel; 0 for no legend.
+        legend: Largest number of columns of the legend below the panel; 0 for no legend.
     """
     with new_figure(width, height) as figure:
-        yield figure, figure.add_subplot(xlabel=x, ylabel=y)
+        axes = figure.add_subplot(xlabel=x, ylabel=y)
+        yield figure, axes
         if legend:
-            figure.legend(loc="outside lower center", ncols=legend)
+            legend_below(figure, axes, legend)
+
+
+def legend_below(figure: Figure, axes: Any, most: int) -> None:
+    """Set a legend of a panel's names below all panels, in ``most`` columns or as many as there is room for."""
+    marks, names = axes.get_legend_handles_labels()
+    for columns in range(min(most, len(names)), 0, -1):
+        widths = (KEY + SMALL_LETTER * max(map(len, column)) for column in np.array_split(names, columns))
+        if columns == 1 or sum(widths) < figure.get_figwidth():
+            figure.legend(marks, names, loc="outside lower center", ncols=columns)
+            return
 
 
 def colour_bar(figure: Figure, marks: Any, panels: Any, **look: Any) -> Any:
@@ -150,7 +163,7 @@ def headline(axes: Any, message: str, pad: float | None = None, beside: float = 
         beside: Width that a legend beside the panels takes, inches.
     """
     room = (axes.get_figure().get_figwidth() - beside) / axes.get_subplotspec().get_gridspec().ncols
-    bound = re.sub(r"(\d) (?=mm|deg|kg|px|%)", "\\1\u00a0", message)
+    bound = re.sub(r"(\d) (?=mm|m\b|deg|kg|px|%)", "\\1\u00a0", as_sentence(message))
     axes.set_title("\n".join(wrap(bound, int((room - 0.75) / LETTER))), pad=pad)
 
 
@@ -210,8 +223,8 @@ def shades(names: Iterable[str]) -> dict[str, tuple[float, float, float]]:
 
 
 def coloured(series: Mapping[str, Array]) -> list[tuple[str, Array, tuple[float, float, float]]]:
-    """Label, values and colour of each series, by the policy or method that it belongs to."""
-    return [(label, series[label], colour) for label, colour in shades(series).items()]
+    """Label in words, values and colour of each series, by the policy or method that it belongs to."""
+    return [(in_words(label), series[label], colour) for label, colour in shades(series).items()]
 
 
 def whisker(axis: Any, y: float, value: float, ends: Sequence[float | None] | None, colour: Any) -> None:

@@ -19,7 +19,7 @@ import numpy as np
 from pickenv.arm import Array
 from pickenv.arm.kinematics.forward import nominal_points, true_points
 from pickenv.base import InputError, require
-from pickenv.inspect.colours import RED, policy_colours
+from pickenv.inspect.colours import RED, in_words, policy_colours
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
 from pickenv.inspect.runs.run_folder import load_part, read_run
 from pickenv.pictures.arm_shapes import (
@@ -310,7 +310,7 @@ def film_stage(film: Film, number: int, side: int) -> Stage:
         arm_parts(film.episodes, policy, episode, now, colour), _fruit(film, side, episode, now, caption.picked)
     )
     words = (
-        Words(policy.label, large=True),
+        *(Words(line, large=True) for line in in_words(policy.label).replace(" + ", "\n+ ").splitlines()),
         Words(f"picked {caption.picked} of {caption.tried}"),
         Words(f"{caption.distance_mm:.1f} mm to the fruit", "top right"),
         Words(f"ghost: the arm as believed, deviation × {GAIN}", "bottom left"),
@@ -435,12 +435,9 @@ def film_pictures(film: Film, progress: Progress | None = None) -> Iterator[Pixe
     """The frames of a film, ``(height, width, 3)``."""
     episodes, sides = film.episodes, range(len(film.policies))
     width = len(sides) * (HALF[0] + GAP) - GAP
-    plant = f", plant {episodes.plant_name}" if episodes.plant_name else ""
-    below = strip(
-        f"{episodes.env_id}{plant}, gripper {episodes.gripper}: the same fruit, {film.speed:.1f} × as fast as the arm",
-        (width, STRIP),
-        film.dark,
-    )
+    subject = ", ".join(in_words(name) for name in (episodes.env_id, episodes.plant_name, episodes.gripper) if name)
+    words = f"{subject}: the same fruit, {film.speed:.1f} × as fast as the arm"
+    below = strip(words, (width, STRIP), film.dark)
     gap = np.full((HALF[1], GAP, 3), below[0, 0], dtype=np.uint8)
     for number in range(len(film.frames)):
         halves = (painted(film_stage(film, number, side)) for side in sides)

@@ -18,7 +18,7 @@ from rerun.encodings import TensorDimensionIndexSelection
 
 from pickenv.arm import Array, drawn_parts, nominal_points, true_points
 from pickenv.base import InputError
-from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, lane, policy_key
+from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, in_words, lane, policy_key
 from pickenv.inspect.recordings import details
 from pickenv.inspect.recordings.episode_entities import target_view
 from pickenv.inspect.recordings.scribe import (
@@ -254,7 +254,7 @@ def comparison_blueprint(
         reasons.append(_table(policies))
     content = rrb.Vertical(
         rrb.Tabs(*tabs, *reasons, active_tab=0),
-        rrb.Horizontal(*below, column_shares=[3.0, 2.0, 3.0][-len(below) :]),
+        rrb.Horizontal(*below, column_shares=[2.7, 1.8, 3.5][-len(below) :]),
         row_shares=[5.6, 4.4],
     )
     return layout(content, "reach" if has_reaches else None, fps=REACHES_PER_SECOND)
@@ -292,7 +292,7 @@ def _slice(comparison: Comparison, policy: RecordedPolicy) -> Any:
     return rrb.TensorView(
         origin=entity,
         contents=[f"+ {entity}"],
-        name=f"{policy.label} | error magnitude, mm, at height z (slider)",
+        name=f"{in_words(policy.label)} | error magnitude, mm, at height z (slider)",
         view_fit="FillKeepAspectRatio",
         slice_selection=rrb.TensorSliceSelection(
             width=2, height=1, indices=[TensorDimensionIndexSelection(dimension=0, index=middle)], slider=[0]
@@ -368,7 +368,7 @@ def _day(comparison: Comparison, day: details.Day) -> Any:
     plot = view_of(
         rrb.TimeSeriesView,
         "day",
-        f"Position error over {hours[-1]:g} h of warming up, tilting and sinking as in '{plant.name}', mm | "
+        f"Position error over {hours[-1]:g} h of warming up, tilting and sinking as in {in_words(plant.name)}, mm | "
         f"commands as on firm ground | across: reaches, {60.0 * hours[0]:.0f} min apart; or choose 'hours'",
         axis_y=rrb.ScalarAxis(range=(0.0, 1.15 * largest), zoom_lock=True),
         plot_legend=rrb.PlotLegend(rrb.Corner2D.RightBottom, visible=True),

@@ -23,7 +23,7 @@ from pickenv.arm.plant.campaign import alone, causes_of
 from pickenv.base import stream
 from pickenv.calibration import complete_model, start_filter
 from pickenv.calibration.compensation.compensator import aimed, taught
-from pickenv.inspect.colours import GREY, STEEL, Rgb, policy_colours
+from pickenv.inspect.colours import GREY, STEEL, Rgb, in_words, policy_colours
 from pickenv.inspect.recordings.scribe import Scribe, f32
 from pickenv.inspect.runs import comparison_summary as summary
 from pickenv.inspect.runs.comparison_summary import GAIN
@@ -135,7 +135,7 @@ def arrow_tabs(comparison: Comparison) -> dict[str, ArrowTab]:
     if len(policies) > 1:
         before, last = policies[-2:]
         removed = before.field_errors - last.field_errors
-        errors["world/field/removed/vectors"] = f"{before.label} minus {last.label}", "", removed
+        errors["world/field/removed/vectors"] = "removed by the last model", "", removed
     effects = effect_fields(comparison)
     single = {f"world/effect/{name}": (name.replace("_", " "), "", field) for name, field in effects.items()}
     tabs: dict[str, ArrowTab] = {}
@@ -242,7 +242,7 @@ def day_in_words(comparison: Comparison, day: Day) -> str:
     parts = [
         f"# {DAY_HOURS:g} hours without a new calibration",
         "The arm was calibrated cold and on firm ground. Then it warms up, and the machine tilts and sinks as in "
-        f"`{plant.name}`. Each policy repeats the commands that it gave in the morning, without looking.",
+        f"{in_words(plant.name)}. Each policy repeats the commands that it gave in the morning, without looking.",
         "\n".join(["| policy | mean of the day (mm) |", "|---|---|", *rows]),
     ]
     if len(policies) > 1:

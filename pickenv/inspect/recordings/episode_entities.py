@@ -19,7 +19,7 @@ import rerun.blueprint as rrb
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Geometry, drawn_parts, forward, nominal_points, true_points
-from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, lane, policy_colours
+from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, in_words, lane, policy_colours
 from pickenv.inspect.recordings.scribe import Scribe, f32, layout, reading_columns, seen_from, view_of
 from pickenv.inspect.runs.comparison_summary import GAIN
 from pickenv.inspect.runs.recorded_episodes import POSITIONS
@@ -218,7 +218,7 @@ def send_looks(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequenc
 def _name_curves(scribe: Scribe, entity: str, rows: Sequence[Row], names: list[str], colour: Rgb) -> None:
     """Send the look of an entity's series, and of the series of its episodes, which lie over one another."""
     widths = [WIDTHS[min(i, len(WIDTHS) - 1)] for i in range(len(names))]
-    looks = rr.SeriesLines(names=names, colors=[colour] * len(names), widths=widths)
+    looks = rr.SeriesLines(names=list(map(in_words, names)), colors=[colour] * len(names), widths=widths)
     for part in ("", *(f"/{order}" for order in dict.fromkeys(row.order for row in rows) if order < MOST_CURVES)):
         scribe.still(entity + part, looks)
 

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from pickenv.arm import Array
 from pickenv.base import InputError, versions, write_whole
-from pickenv.inspect.colours import RED, WHITE, Rgb, viridis
+from pickenv.inspect.colours import RED, WHITE, Rgb, as_sentence, in_words, viridis
 from pickenv.inspect.runs.comparison_summary import ticks
 from pickenv.inspect.runs.saved import capsules
 
@@ -91,20 +91,21 @@ class Scribe:
 
     def document(self, entity: str, markdown: str) -> None:
         """Send a Markdown text for all time."""
-        self.still(entity, rr.TextDocument(markdown, media_type="text/markdown"))
+        self.still(entity, rr.TextDocument(as_sentence(markdown), media_type="text/markdown"))
 
     def words(self, entity: str, place: ArrayLike, text: str) -> None:
         """Send a text at a place ``(3,)`` in space, m, for all time."""
-        self.still(entity, rr.Points3D([place], labels=[text], colors=[WHITE], radii=0.0, show_labels=True))
+        self.still(entity, rr.Points3D([place], labels=[in_words(text)], colors=[WHITE], radii=0.0, show_labels=True))
 
     def curve(self, entity: str, name: str, colour: Rgb, values: ArrayLike, width: float | None = None) -> None:
         """Send numbers along the time lines ``(T,)``, and how they are drawn; the width is in points."""
-        self.still(entity, rr.SeriesLines(names=[name], colors=[colour], widths=None if width is None else [width]))
+        widths = None if width is None else [width]
+        self.still(entity, rr.SeriesLines(names=[in_words(name)], colors=[colour], widths=widths))
         self.along(entity, rr.Scalars.columns(scalars=values))
 
     def lane(self, entity: str, looks: Mapping[str, tuple[str, Rgb]], states: Sequence[str]) -> None:
         """Send states along the time lines ``(T,)``; each state has a label and a colour in ``looks``."""
-        labels, colours = [label for label, _ in looks.values()], [(*colour, 255) for _, colour in looks.values()]
+        labels, colours = zip(*((in_words(label), (*colour, 255)) for label, colour in looks.values()), strict=True)
         self.still(entity, rr.StateConfiguration(values=list(looks), labels=labels, colors=colours))
         self.along(entity, rr.StateChange.columns(state=states))
 
@@ -234,7 +235,7 @@ def seen_from(
     return rrb.Spatial3DView(
         origin=origin,
         contents=contents,
-        name=name,
+        name=in_words(name),
         background=BACKGROUND,
         eye_controls=rrb.EyeControls3D(position=eye, look_target=look, eye_up=[0.0, 0.0, 1.0]),
         line_grid=rrb.LineGrid3D(**(grid if ground else {"visible": False})),
@@ -244,7 +245,7 @@ def seen_from(
 
 def view_of(kind: Any, entity: str, name: str, **more: Any) -> Any:
     """A view of a given kind that shows everything below an entity."""
-    return kind(origin=f"/{entity}", contents=[f"+ /{entity}/**"], name=name, **more)
+    return kind(origin=f"/{entity}", contents=[f"+ /{entity}/**"], name=in_words(name), **more)
 
 
 def with_colour_bar(views: list[Any], key: str, meaning: str, name: str) -> Any:

@@ -17,6 +17,7 @@ from pickenv.calibration.assessment.quality import axis_errors, base_combination
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.pipeline.fitting import GEOMETRIC, NOMINAL
 from pickenv.calibration.pipeline.result import SIGMAS, has_moved
+from pickenv.inspect.colours import in_words
 from pickenv.inspect.figures.plot_calibration import joint_coverage, uncertainty_map
 from pickenv.inspect.figures.plot_errors import error_cumulative
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned, norms_mm, trace_drawings, view_drawings
@@ -165,7 +166,7 @@ def _sentence(text: str) -> str:
 
 def _table(block: Block, look: str = "") -> PageTable:
     """A block of the terminal's output as a table, with the block's note as caption."""
-    return PageTable(_sentence(block.note), block.header, block.rows, look)
+    return PageTable(_sentence(in_words(block.note)), block.header, block.rows, look)
 
 
 def _errors(r: Result, blocks: Mapping[str, Block]) -> Section:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pickenv.inspect.colours import in_words
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.plot_errors import error_fields
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned
@@ -66,6 +67,6 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
             )
         )
     verdict = PageVerdict("note", summary.outcome_sentence(episodes), summary.explanation(episodes))
-    plant = f" on the plant {episodes.plant_name}" if episodes.plant_name else ""
+    plant = f" on the plant {in_words(episodes.plant_name)}" if episodes.plant_name else ""
     subtitle = f"Simulated; {len(episodes.seeds)} episodes of {episodes.env_id}{plant}, the same for all policies"
     return plain_report(run, "Comparison of policies", subtitle, verdict, tables, policy_drawings(episodes))

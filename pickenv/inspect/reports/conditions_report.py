@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any
 
+from pickenv.inspect.colours import in_words
 from pickenv.inspect.figures import plot_estimates
 from pickenv.inspect.figures.run_drawings import Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
@@ -30,9 +31,9 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     tables = [PageTable(*table, look="dense") for table in condition_tables(result)]
     ranges, settings = result["settings"]["ranges"], result["settings"]
     subtitle = (
-        f"Simulated arm {result['plant']}; up to {ranges['payload']:g} kg, {ranges['weather']:g} K cooler to warmer, "
-        f"{ranges['hours']:g} h of work; {settings['sessions']} sessions of {settings['poses']} poses; growth with "
-        f"temperature: {result['growth']}"
+        f"Simulated arm {in_words(result['plant'])}; up to {ranges['payload']:g} kg, {ranges['weather']:g} K cooler to "
+        f"warmer, {ranges['hours']:g} h of work; {settings['sessions']} sessions of {settings['poses']} poses; growth "
+        f"with temperature: {result['growth']}"
     )
     return plain_report(run, "Payload, temperature and hour of day", subtitle, verdict, tables, drawings(run))
 

@@ -16,7 +16,7 @@ from pickenv.base import InputError, mean_interval, share_interval
 from pickenv.calibration import Calibration
 from pickenv.calibration.assessment.metrics import LEAST_ROWS, error_statistics
 from pickenv.calibration.assessment.quality import axis_errors
-from pickenv.inspect.colours import policy_colours, viridis
+from pickenv.inspect.colours import in_words, policy_colours, viridis
 from pickenv.inspect.figures.plot_errors import field_gain, thinned
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, comparison_drawings, norms_mm, trace_drawings
 from pickenv.inspect.reports import report_page
@@ -86,7 +86,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         _recording(picture(recording) if picture and recording.is_file() else None),
     )
     return report_page.html_of(
-        f"Calibration and picking: {comparison.plant.name}",
+        f"Calibration and picking: {in_words(comparison.plant.name)}",
         f"Simulated arm; the same scripted policy reaches for {len(comparison.fruit)} fruit, raw and calibrated; "
         f"seed {comparison.seed}" + "; a quick run, worse than the paper's protocol" * ("quick" in run.command),
         demo_verdict(comparison, cases),
@@ -133,7 +133,7 @@ def demo_verdict(
         )
     lateral = [lateral_mm for lateral_mm, _ in gripped(comparison).values()]
     changed = cases or {comparison.plant.name: pick_changes(lateral[0], lateral[-1])}
-    worth = " ".join(matters(name, changes) for name, changes in changed.items())
+    worth = " ".join(matters(in_words(name), changes) for name, changes in changed.items())
     mean = said(after.mean, after.mean_ci95, 2)
     return report_page.PageVerdict(
         tone,
@@ -148,7 +148,9 @@ def demo_verdict(
 def _cases(cases: Mapping[str, Sequence[Change]]) -> report_page.Section:
     """The section on picks without and with calibration, by plant, gripper and perception error."""
     rows = [
-        (f"{plant}, {cells[0]}", *cells[1:]) for plant, changes in cases.items() for cells in map(change_cells, changes)
+        (f"{in_words(plant)}, {gripper}", *cells)
+        for plant, changes in cases.items()
+        for gripper, *cells in map(change_cells, changes)
     ]
     heads = ("arm, gripper", "fruit seen to, per axis (mm)", "taken, raw (%)", "calibrated (%)", "change (points)")
     caption = "Share of fruit that a gripper takes, by how well the fruit is seen (standard deviation)"
@@ -199,7 +201,7 @@ def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_pag
     return report_page.Section(
         "Reaches, by policy",
         (
-            report_page.PageTable(caption, heads, rows),
+            report_page.PageTable(caption, heads, rows, "close"),
             (drawn["position_error_by_policy"], drawn["reach_errors_cumulative"]),
             drawn["success_against_misalignment"],
         ),
@@ -253,7 +255,7 @@ def _fit(trace: CalibrationTrace, calibration: Calibration, drawn: Mapping[str, 
     dropped = ", ".join(name for name, identified in zip(trace.names, trace.kept, strict=True) if not identified)
     condition = trace.singular_values[0] / trace.singular_values[-1]
     poses = len(next(iter(trace.sets.values())))
-    kind = "" if calibration.learnt is None else f", then {calibration.record['residual']['kind']} on what remains"
+    kind = "" if calibration.learnt is None else f", then {in_words(calibration.learnt.kind)} on what remains"
     return report_page.Section(
         "How the calibration was found",
         (
@@ -300,15 +302,15 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
     eye = _numbers(EYE_DISTANCE * eye_direction(comparison))
     axes = _axes(points, spacing) | {"camera": {"eye": dict(zip("xyz", eye, strict=True))}}
     data: list[dict[str, Any]] = []
-    layout: dict[str, Any] = {"annotations": [], "margin": {"l": 0, "r": 0, "t": 10, "b": 80}, "showlegend": False}
+    layout: dict[str, Any] = {"annotations": [], "margin": {"l": 0, "r": 0, "t": 28, "b": 80}, "showlegend": False}
     for i, policy in enumerate(comparison.policies, start=1):
         scene = "scene" if i == 1 else f"scene{i}"
         shaft, end = _arrows(points, policy.field_errors[rows], gain, scale)
         end["marker"]["showscale"] = i == 1
-        data += [shaft | {"scene": scene}, end | {"scene": scene, "name": policy.label}]
+        data += [shaft | {"scene": scene}, end | {"scene": scene, "name": in_words(policy.label)}]
         layout[scene] = axes
         mean, *_, largest = error_spread(field_mm(policy))
-        title = f"<b>{escape(policy.label)}</b>, ×{gain:g}: mean {mean:.2f}, max {largest:.2f} mm"
+        title = f"<b>{escape(in_words(policy.label))}</b><br>×{gain:g}: mean {mean:.2f}, max {largest:.2f} mm"
         layout["annotations"].append({"text": title})
     return {"data": data, "layout": layout}
 
@@ -352,11 +354,11 @@ def pose_spec(errors_mm: Mapping[str, Array]) -> dict[str, Any]:
         {
             "type": "scatter",
             "mode": "markers",
-            "name": f"{label}: mean {values.mean():.2f} mm",
+            "name": in_words(f"{label}: mean {values.mean():.2f} mm"),
             "x": list(range(1, len(values) + 1)),
             "y": _numbers(values),
             "marker": {"size": 5, "color": _css(colour)},
-            "hovertemplate": "pose %{x}: <b>%{y:.3f} mm</b><extra>" + escape(label) + "</extra>",
+            "hovertemplate": "pose %{x}: <b>%{y:.3f} mm</b><extra>" + escape(in_words(label)) + "</extra>",
         }
         for (label, values), colour in zip(errors_mm.items(), policy_colours(list(errors_mm)), strict=True)
     ]

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from pickenv.base.intervals import LEAST
 from pickenv.harvester import Measure
 from pickenv.harvester.machine import dense_workspace
+from pickenv.inspect.colours import TEXTS
 from pickenv.inspect.figures import plot_harvest
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
@@ -14,22 +15,7 @@ from pickenv.inspect.runs.harvest_trace import HarvestTrace
 from pickenv.inspect.runs.number_words import percent, said
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part
 
-MEASURES = {
-    "recovery": "of the reachable fruit collected (%)",
-    "harvested": "of the fruit present collected (%)",
-    "picks_per_hour": "picks per hour (1/h)",
-    "seconds_per_tree": "time per tree (s)",
-    "makespan": "time per stand (s)",
-    "idle_share": "arms idle while others work (%)",
-    "parallel_ratio": "two arms or more at work (%)",
-    "held_per_pick": "held back by a neighbour, per pick (s)",
-    "wait_events": "waits per pick (number)",
-    "travel_per_pick": "travel per pick (m)",
-    "repicks_per_tree": "picked again per tree (number)",
-    "misled_per_tree": "picks at no fruit per tree (number)",
-    "collisions": "rounds with arms too near each other (number)",
-    "closest": "nearest that arms came to each other (m)",
-}
+MEASURES = TEXTS["measures"]
 """Words and unit of each measure, by the measure's key."""
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from pickenv.inspect.colours import in_words
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.run_drawings import Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
@@ -62,7 +63,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     heads = ("test pose", "AP (mm)", "RP (mm), 95 % interval over cycles", "AP (deg)", "RP (deg)", "vAP (mm)")
     settings = result["settings"]
     subtitle = (
-        f"Simulated arm {result['plant']}; {result['standard']}, {settings['cycles']} cycles at "
+        f"Simulated arm {in_words(result['plant'])}; {result['standard']}, {settings['cycles']} cycles at "
         f"{100 * settings['speed_share']:.0f} % speed, measured {settings['dwell_s']:g} s after arrival"
     )
     table = PageTable("Accuracy and repeatability of this one arm at each test pose", heads, rows)

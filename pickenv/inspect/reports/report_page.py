@@ -18,10 +18,11 @@ from pathlib import Path
 from typing import Any, TypeAlias
 
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
-from markupsafe import Markup
+from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
 from pickenv.calibration.assessment.screen import is_number
+from pickenv.inspect.colours import as_sentence, in_words
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.figures.style import THEME, style
 from pickenv.inspect.runs.number_words import named_values
@@ -70,7 +71,7 @@ class PageTable:
         heads: Column names with units; empty for a table without a head.
         rows: Cells of each row: words, numbers as text, or bars.
         look: ``code`` where the first column holds names of parameters, ``wide`` where the second holds sentences,
-            ``dense`` where there are many columns.
+            ``close`` or ``dense`` where there are many or very many columns.
     """
 
     caption: str
@@ -153,6 +154,7 @@ def _templates() -> Environment:
         trim_blocks=True,
         lstrip_blocks=True,
         undefined=StrictUndefined,
+        finalize=lambda shown: in_words(shown) if type(shown) is str else shown,
     )
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
     environment.globals |= {
@@ -164,6 +166,7 @@ def _templates() -> Environment:
     environment.filters |= {
         "base64": lambda content: base64.b64encode(content).decode(),
         "drawn": lambda drawing: inline_svg(drawing.draw(), drawing.name),
+        "sentence": lambda text: Markup(escape(as_sentence(text))),
         "kind": lambda part: type(part).__name__,
         "source": lambda name: Markup((HERE / name).read_text(encoding="utf-8")),
     }

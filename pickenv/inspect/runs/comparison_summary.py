@@ -18,6 +18,7 @@ from pickenv.arm import Array
 from pickenv.base import clustered_share_interval, mean_interval, paired_share_interval, share_interval
 from pickenv.base.intervals import LEAST
 from pickenv.calibration import Calibration
+from pickenv.inspect.colours import in_words
 from pickenv.inspect.runs.matters import Change, matters, pick_changes
 from pickenv.inspect.runs.number_words import said
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes, RecordedPolicy
@@ -340,7 +341,7 @@ def summary_markdown(comparison: Comparison) -> str:
         heads = ["picked", "reach mean", "RMS", "p95", "max", "attitude mean", "field mean", "field RMS"]
     cells_of = _reach_cells if has_reaches else _field_cells
     rows = [[f"**{policy.label}**", *cells_of(policy)] for policy in comparison.policies]
-    lines = [f"## {comparison.plant.name}, seed {comparison.seed}", "", *_table(["policy", *heads], rows)]
+    lines = [f"## {in_words(comparison.plant.name)}, seed {comparison.seed}", "", *_table(["policy", *heads], rows)]
     first = comparison.policies[0].label
     reaches = (
         f"{len(comparison.fruit)} reaches, of this one calibration; a pick if the fruit is inside the capture region, "

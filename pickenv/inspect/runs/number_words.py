@@ -5,24 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping, Sequence
 
-LINK_WORDS = {
-    "alpha": "twist between the axes of {before} and {after}",
-    "a": "distance between the axes of {before} and {after}",
-    "beta": "second twist between the parallel axes of {before} and {after}",
-    "theta": "angle offset of {after}",
-    "d": "offset along the axis of {after}",
-}
-FRAME_WORDS = {"base": "base of the arm in the instrument's frame", "tool": "target on the last link"}
-EFFECT_WORDS = {
-    "compliance": "yielding of {after} under load",
-    "bending": "bending of the boom {after}",
-    "lead": "lead error of the drive of {after}",
-    "periodic": "periodic error of the drive of {after}",
-    "reflector": "reflector on the tool",
-    "anchor": "anchor of the wire",
-    "socket": "socket that the ball rests in",
-    "thermal": "growth with temperature",
-}
+from pickenv.inspect.colours import TEXTS
 
 
 def between(low: float | None, high: float | None, digits: int, sign: str = "") -> str:
@@ -82,15 +65,16 @@ def parameter_words(name: str, joint_names: Sequence[str], link_names: Sequence[
         if not 0 <= place < len(links):
             return ""
         before = "the base" if place == 0 else links[place - 1]
-        return LINK_WORDS[kind].format(before=before, after=links[place])
+        return TEXTS["links"][kind].format(before=before, after=links[place])
     frame, _, axis = name.partition("_")
     kind = frame.rstrip("0123456789")
-    if kind in FRAME_WORDS:
+    if kind in TEXTS["frames"]:
         station = f", station {frame[len(kind) :]}" if frame != kind else ""
-        return f"{FRAME_WORDS[kind]}{station}: {'turn about ' if axis.startswith('r') else 'position along '}{axis[-1]}"
+        motion = "turn about" if axis.startswith("r") else "position along"
+        return f"{TEXTS['frames'][kind]}{station}: {motion} {axis[-1]}"
     match = re.match(r"([a-z]+)(\d*)", name)
-    if match and match[1] in EFFECT_WORDS:
+    if match and match[1] in TEXTS["effects"]:
         place = int(match[2] or 1) - 1
         after = joint_names[place] if place < len(joint_names) else ""
-        return EFFECT_WORDS[match[1]].format(after=after)
+        return TEXTS["effects"][match[1]].format(after=after)
     return ""

@@ -28,7 +28,7 @@ from pickenv.inspect import (
     error_fields,
     error_slices,
 )
-from pickenv.inspect.colours import arm_colour, policy_colours, viridis
+from pickenv.inspect.colours import arm_colour, in_words, policy_colours, viridis
 from pickenv.inspect.figures import plot_calibration, plot_errors, plot_harvest, plot_policies
 from pickenv.inspect.figures.plot_errors import field_gain, round_down, thinned
 from pickenv.inspect.figures.style import WIDTH
@@ -70,8 +70,8 @@ def test_error_per_pose() -> None:
     for label, values in ERRORS.items():
         drawn = line_in(axes, COLOURS[label], len(values))
         np.testing.assert_allclose(drawn, np.stack([np.arange(1, len(values) + 1), values], axis=1))
-        (text,) = [text for text in texts if text.startswith(f"{label}: ")]
-        assert text == f"{label}: mean {sum(values) / len(values):.2f} mm, max {max(values):.2f} mm"
+        (text,) = [text for text in texts if text.startswith(f"{in_words(label)}: ")]
+        assert text == f"{in_words(label)}: mean {sum(values) / len(values):.2f} mm, max {max(values):.2f} mm"
         assert same(colour_of(texts[text]), COLOURS[label])
     assert axes.get_xlim()[1] == 50.5 and axes.get_yscale() == "log"
 
@@ -83,7 +83,8 @@ def test_error_by_method(logarithmic: bool) -> None:
     assert axes.get_yscale() == ("log" if logarithmic else "linear")
     assert axes.get_xlabel() == "method (number of reaches)"
     labels = [label.get_text() for label in axes.get_xticklabels()]
-    assert labels == [f"{label}\n({len(values)})" for label, values in ERRORS.items()]
+    names = ("raw", "least squares", "least squares\n+ neural network")
+    assert labels == [f"{name}\n({len(values)})" for name, values in zip(names, ERRORS.values(), strict=True)]
     medians = [
         line.get_ydata() for line in axes.get_lines() if line.get_linewidth() == 1.4 and len(line.get_ydata()) == 2
     ]
@@ -111,7 +112,7 @@ def test_error_histogram() -> None:
             wanted = 100.0 * np.mean((values >= k * width) & (values < (k + 1) * width))
             here = corners[np.isclose(corners[:, 0], k * width)][:, 1]
             assert np.isclose(here, wanted).any()
-        assert same(colour_of(legend(figure)[label]), COLOURS[label])
+        assert same(colour_of(legend(figure)[in_words(label)]), COLOURS[label])
 
 
 def test_error_cumulative() -> None:
@@ -121,7 +122,7 @@ def test_error_cumulative() -> None:
         drawn = line_in(axes, COLOURS[label], len(values) + 1)
         for x, share in drawn[1:]:
             assert share == pytest.approx(np.mean(values <= x + 1e-12))
-        assert same(colour_of(legend(figure)[label]), COLOURS[label])
+        assert same(colour_of(legend(figure)[in_words(label)]), COLOURS[label])
     (line,) = [line for line in axes.get_lines() if line.get_linestyle() == "--"]
     assert list(line.get_xdata()) == [0.7, 0.7] and line.get_label() == "tolerance 0.7 deg"
     assert [float(t.get_text()) for t in axes.get_yticklabels()] == pytest.approx(100 * axes.get_yticks())
@@ -232,7 +233,7 @@ def test_error_slices() -> None:
         if i < 3:
             assert axes.get_title() == f"y = {0.1 * layer:.2f} m"  # across y, where raw errs least
         if i % 3 == 0:
-            assert axes.get_ylabel() == f"{label}\nz (m)"
+            assert axes.get_ylabel() == f"{in_words(label)}\nz (m)"
         here = np.isclose(POINTS[:, 1], 0.1 * layer)
         (arrows,) = [c for c in axes.collections if isinstance(c, Quiver)]
         np.testing.assert_allclose(np.stack([arrows.U, arrows.V], axis=1), gain * FIELDS[label][here][:, [0, 2]])
@@ -247,9 +248,10 @@ def test_error_fields(comparison: Comparison) -> None:
     assert figure.get_figwidth() == pytest.approx(WIDTH)  # three panels beside each other fill a page
     top = np.percentile(1e3 * np.linalg.norm(comparison.policies[0].field_errors, axis=1), 99)
     assert bar.get_xlim()[1] == pytest.approx(top)
+    titles = ["raw", "least squares", "least squares\n+ neural network"]
+    assert [axes.get_title() for axes in panels] == titles
     for axes, policy in zip(panels, comparison.policies, strict=True):
         mm = [1e3 * np.sqrt(x * x + y * y + z * z) for x, y, z in policy.field_errors]
-        assert axes.get_title() == policy.label
         assert f"mean {sum(mm) / len(mm):.2f} mm, max {max(mm):.2f} mm" in [t.get_text() for t in axes.texts]
         (arrows,) = [c for c in axes.collections if isinstance(c, PolyCollection)]
         lengths = 1e3 * np.linalg.norm(policy.field_errors, axis=1)
@@ -330,7 +332,7 @@ def test_success_points_are_the_policies_own(comparison: Comparison) -> None:
     colours = dict(zip(labels, [np.array(c) / 255 for c in policy_colours(labels)], strict=True))
     texts = legend(figure)
     for label, (lateral_mm, success) in gripped(comparison).items():
-        assert same(colour_of(texts[f"{label}: mean error, success"]), colours[label])
+        assert same(colour_of(texts[in_words(f"{label}: mean error, success")]), colours[label])
         points = [
             np.asarray(line.get_xydata())[0]
             for line in axes.get_lines()
@@ -370,7 +372,7 @@ def test_iso9283_bars_and_drift() -> None:
         for label, group in zip(given, bars, strict=True):
             assert [bar.get_height() for bar in group] == given[label]
             assert same(to_rgb(group[0].get_facecolor()), COLOURS[label])
-            assert group.get_label() == f"{label}: worst {max(given[label]):.3f} mm"
+            assert group.get_label() == f"{in_words(label)}: worst {max(given[label]):.3f} mm"
         ends = np.array([[(bar.get_x(), bar.get_x() + bar.get_width()) for bar in group] for group in bars])
         np.testing.assert_allclose(ends.mean(axis=(0, 2)), np.arange(1, 6))  # around their pose's number
         assert (ends[0, :, 1] <= ends[1, :, 0]).all() and (ends[1, :-1, 1] < ends[0, 1:, 0]).all()  # side by side

@@ -292,7 +292,7 @@ def test_conditions_have_a_panel_each_a_line_per_method_and_a_band_where_there_a
         assert axes.get_yscale() == "log" and len(axes.get_lines()) == 3 and len(axes.collections) == 2
         patterns = set()
         for line, name in zip(axes.get_lines(), colours, strict=True):
-            assert line.get_label() == ("LS = LS again" if name == "LS" else name)
+            assert line.get_label() == ("least squares = least squares again" if name == "LS" else name)
             assert to_rgb(line.get_color()) == pytest.approx([part / 255 for part in colours[name]])
             means = [each["mean_mm"] for each in sweep["methods"][name]]
             np.testing.assert_array_equal(line.get_xydata(), np.transpose([sweep["levels"], means]))
@@ -347,7 +347,7 @@ def test_aggregates_are_numbers_with_their_intervals_and_arrows_where_an_end_is_
             assert x == pytest.approx(places) and y == pytest.approx([height] * len(places))
     places = ["scripted, bare", "ppo, bare", "scripted, leafy", "ppo, leafy"]
     assert [label.get_text() for label in figure.axes[0].get_yticklabels()] == places
-    assert title(figure) == "median: raw 2.0, LS 0.50"
+    assert title(figure) == "median: raw 2.0, least squares 0.50"
     for nothing in ({}, {"bare": {}}):
         with pytest.raises(InputError, match="nothing to draw"):
             plot_policies.aggregates(nothing)
@@ -357,7 +357,7 @@ def test_aggregates_of_one_statistic_stand_in_one_panel() -> None:
     line = {"scripted": {"raw": (2.0, (1.5, 2.5)), "LS": (0.5, (0.4, 0.7))}}
     figure = plot_policies.aggregates({"bare": {"median": line}, "leafy": {"median": line}})
     assert [title(axes) for axes in figure.axes] == ["median"]
-    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["raw", "LS"]
+    assert [text.get_text() for text in figure.legends[0].get_texts()] == ["raw", "least squares"]
 
 
 def test_a_harvesters_titles_say_how_wide_how_far_and_how_many() -> None:
@@ -390,11 +390,11 @@ def test_a_harvesters_titles_say_how_wide_how_far_and_how_many() -> None:
 def test_a_policys_titles_say_where_it_ends_drifts_and_is_worst() -> None:
     curves = {("scripted", "raw"): np.geomspace(300, 2, 60), ("ppo", "LS"): np.full(50, 7.0),
               ("scripted", "LS"): np.geomspace(300, 0.25, 60)}  # fmt: skip
-    for said, wanted in (("", "scripted after 3.0 s"), ("field", "scripted on field after 3.0 s")):
+    for said, wanted in (("", "scripted after 3.0 s"), ("field", "scripted on field (rough arm) after 3.0 s")):
         (axes,) = plot_policies.accuracy_against_cycle_time(curves, 0.05, title=said).axes
-        assert title(axes) == f"{wanted}: raw 2.0, LS 0.25 mm"
+        assert title(axes) == f"{wanted}: raw 2.0, least squares 0.25 mm"
     (axes,) = plot_policies.accuracy_drift([0.0, 1.0, 2.0], {"raw": [1.0, 2.5, 2.0], "LS": [0.5, 0.25, 0.4]}).axes
-    assert title(axes) == "Drift of AP at P1: raw 1.5, LS 0.25 mm" and axes.get_ylim()[0] == 0.0
+    assert title(axes) == "Drift of AP at P1: raw 1.5, least squares 0.25 mm" and axes.get_ylim()[0] == 0.0
     figure = plot_policies.accuracy_by_pose({"raw": [1.0, 5.0]}, {"raw": [0.25, 0.125]})
     assert [title(axes) for axes in figure.axes] == ["Worst AP: raw 5.0 mm", "Worst RP: raw 0.25 mm"]
 

@@ -127,7 +127,10 @@ def test_iso_9283(iso: Run, result: dict[str, Any]) -> None:
         assert f"{name}: AP {worst[0]:.3f} mm, RP {worst[1]:.3f} mm, drift dAP {found['drift_mm']:.3f} mm" in page.text
     ap, rp = (result["calibrated"][f"worst_{key}_mm"] for key in ("accuracy", "repeatability"))
     assert f"Accuracy AP {ap:.2f} mm, repeatability RP {rp:.2f} mm" in page.text
-    assert "Simulated arm orchard; ISO 9283:1998, 17 cycles at 40 % speed, measured 2.5 s after arrival" in page.text
+    assert (
+        "Simulated arm orchard (drifting arm); ISO 9283:1998, 17 cycles at 40 % speed, measured 2.5 s after arrival"
+        in page.text
+    )
 
 
 def test_the_figures_of_iso_9283(iso: Run, result: dict[str, Any]) -> None:

@@ -36,8 +36,8 @@ def test_whiskers_stand_at_their_numbers_and_ends(log, panels):
 
 def test_lines_follow_the_column_that_they_are_drawn_along():
     figure = estimates_figure(ROWS, "mean error (mm)", ("plant", "method", "pick"), x="pick", panels="plant")
-    assert figure.get_suptitle() == "field: raw 1.3, LS 0.33"
-    assert [axis.get_title("left") for axis in figure.axes] == ["field", "orchard"]
+    assert figure.get_suptitle() == "field (rough arm): raw 1.3, least squares 0.33"
+    assert [axis.get_title("left") for axis in figure.axes] == ["field (rough arm)", "orchard (drifting arm)"]
     for axis in figure.axes:
         curves = [line for line in axis.get_lines() if len(line.get_xdata())]
         assert [line.get_ydata()[0] for line in curves] == [4.0, 1.0]

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from pickenv.base import InputError
 from pickenv.inspect import Comparison
-from pickenv.inspect.colours import OTHERS, RED, viridis
+from pickenv.inspect.colours import OTHERS, RED, in_words, viridis
 from pickenv.inspect.figures import plot_calibration, plot_errors
 from pickenv.inspect.figures.style import INK, SOFT
 
@@ -47,14 +47,14 @@ def test_error_per_pose() -> None:
     assert figure.get_size_inches() == pytest.approx([7.2, 2.9])
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("test pose (number)", "attitude error (deg)")
     better = int((ERRORS["LS + BPNN"] < ERRORS["raw"]).sum())
-    assert words(axes) == f"LS + BPNN errs less than raw at {better} of 40 poses"
+    assert words(axes) == f"Least squares + neural network errs less than raw at {better} of 40 poses"
     for line, (label, values) in zip(axes.get_lines(), ERRORS.items(), strict=True):
-        assert line.get_label() == f"{label}: mean {values.mean():.2f} deg, max {values.max():.2f} deg"
+        assert line.get_label() == f"{in_words(label)}: mean {values.mean():.2f} deg, max {values.max():.2f} deg"
         np.testing.assert_allclose(line.get_xydata(), np.stack([range(1, 41), values], axis=1))
         assert (line.get_marker(), line.get_linestyle()) == ("o", "None")
     assert axes.get_xlim() == (0.5, 40.5) and axes.get_yscale() == "log"
     (axes,) = plot_errors.error_per_pose({"raw": ERRORS["raw"], "LS": ERRORS["LS"][:30]}).axes
-    assert words(axes) == f"LS at 30 poses: largest {two(ERRORS['LS'][:30].max())}"
+    assert words(axes) == f"Least squares at 30 poses: largest {two(ERRORS['LS'][:30].max())}"
     (axes,) = plot_errors.error_per_pose({"raw": ERRORS["raw"]}).axes
     assert words(axes) == f"raw at 40 poses: largest {two(ERRORS['raw'].max())}"
 
@@ -67,7 +67,7 @@ def test_error_by_method(count: int) -> None:
     assert figure.get_size_inches() == pytest.approx([(3.5, 3.5, 3.9)[count - 1], 2.9])
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("method (number of poses)", "attitude error (deg)")
     means = [values.mean() for values in shown.values()]
-    ends = [f"{label} {two(values.mean())}" for label, values in shown.items()]
+    ends = [f"{in_words(label)} {two(values.mean())}" for label, values in shown.items()]
     assert words(axes) == f"Mean attitude error: {', '.join(ends if count < 3 else [ends[0], ends[-1]])} deg"
     assert axes.get_yscale() == "linear" and axes.get_ylim()[0] == 0.0
     assert axes.get_xticks().tolist() == list(range(1, count + 1))
@@ -101,8 +101,8 @@ def test_error_histogram() -> None:
     assert figure.get_size_inches() == pytest.approx([3.5, 2.9])
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("position error (mm)", f"share of poses in {width:g} mm (%)")
     medians = [two(np.median(ERRORS[label])) for label in ("raw", "LS + BPNN")]
-    assert words(axes) == f"Median: raw {medians[0]}, LS + BPNN {medians[1]} mm"
-    assert legend(figure) == list(ERRORS) and axes.get_xlim()[0] == 0.0
+    assert words(axes) == f"Median: raw {medians[0]}, least squares + neural network {medians[1]} mm"
+    assert legend(figure) == [in_words(label) for label in ERRORS] and axes.get_xlim()[0] == 0.0
     for outline, values in zip(axes.patches, ERRORS.values(), strict=True):
         corners = np.asarray(outline.get_path().vertices)
         assert corners[:, 0].max() == pytest.approx(width * (int(values.max() / width) + 1))
@@ -119,12 +119,12 @@ def test_error_cumulative() -> None:
     assert figure.get_size_inches() == pytest.approx([3.5, 2.9])
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("position error (mm)", "poses within it (%)")
     ends = [two(np.percentile(ERRORS[label], 95)) for label in ("raw", "LS + BPNN")]
-    assert words(axes) == f"95 of 100 poses within: raw {ends[0]}, LS + BPNN {ends[1]} mm"
-    assert legend(figure) == list(ERRORS) and len(axes.get_lines()) == 3
+    assert words(axes) == f"95 of 100 poses within: raw {ends[0]}, least squares + neural network {ends[1]} mm"
+    assert legend(figure) == [in_words(label) for label in ERRORS] and len(axes.get_lines()) == 3
     np.testing.assert_allclose(axes.get_yticks(), [0.0, 0.2, 0.4, 0.6, 0.8, 1.0])
     figure = plot_errors.error_cumulative({"raw": [1.0, 2.0, 2.0, 5.0], "LS": [1.0] * 4}, tolerance=2.0)
-    assert words(figure.axes[0]) == "Within 2 mm: raw 75, LS 100 %"
-    assert legend(figure) == ["raw", "LS", "tolerance 2 mm"]
+    assert words(figure.axes[0]) == "Within 2 mm: raw 75, least squares 100 %"
+    assert legend(figure) == ["raw", "least squares", "tolerance 2 mm"]
     assert figure.axes[0].get_lines()[-1].get_color() == pytest.approx([c / 255 for c in RED])
 
 
@@ -152,11 +152,11 @@ def test_error_against(kind: str) -> None:
         np.testing.assert_allclose(line.get_xydata(), means[label])
     last = means["LS + BPNN"]
     said = ", ".join(f"{two(error)} mm at {two(place) if place else '0'} m" for place, error in (last[0], last[-1]))
-    assert words(axes) == f"LS + BPNN: {said}"
+    assert words(axes) == f"Least squares + neural network: {said}"
     (told,) = axes.texts
     assert told.get_text() == "dots: poses, line: means of groups"
     assert (told.xy, told.xycoords) == ((0.0, 1.02), "axes fraction")
-    assert axes.get_ylim()[0] == 0.0 and legend(figure) == list(errors)
+    assert axes.get_ylim()[0] == 0.0 and legend(figure) == [in_words(label) for label in errors]
     with pytest.raises(InputError, match="has 199 errors for 200 values of extension"):
         plot_errors.error_against(cause, {"raw": errors["raw"][1:]}, name="extension", unit="m")
 

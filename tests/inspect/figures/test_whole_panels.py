@@ -23,7 +23,7 @@ from pickenv.inspect import (
     error_fields,
     error_slices,
 )
-from pickenv.inspect.colours import BLUE, GREEN, GREY, ORANGE, OTHERS, Rgb, viridis
+from pickenv.inspect.colours import BLUE, GREEN, GREY, ORANGE, OTHERS, Rgb, in_words, viridis
 from pickenv.inspect.figures import plot_errors, plot_harvest, plot_policies
 from pickenv.inspect.figures.plot_errors import field_gain
 from pickenv.inspect.figures.style import INK
@@ -257,7 +257,7 @@ def test_aggregates(scenes: int) -> None:
     given: Any = {f"s{i}": {"median": {"scripted": line, "ppo": {"LS": (1.0, (0.9, 1.1))}}} for i in range(scenes)}
     figure = plot_policies.aggregates(given)
     assert sized(figure) == pytest.approx([7.2, 1.0 + 0.17 * 3 * 2 * scenes])
-    assert legend(figure) == ["raw", "LS", "mine"]
+    assert legend(figure) == ["raw", "least squares", "mine"]
     assert figure._suptitle.get_position()[0] == 0.01 and figure._suptitle.get_ha() == "left"
     for handle, colour in zip(figure.legends[0].legend_handles, (ORANGE, BLUE), strict=False):
         assert to_rgb(handle.get_color()) == share(colour)
@@ -287,10 +287,10 @@ def test_success_against_misalignment() -> None:
     assert sized(figure) == pytest.approx([7.2, 2.8])
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("lateral misalignment (mm)", "success (%)")
     assert axes.get_title("left").replace("\u00a0", " ").replace("\n", " ") == (
-        "Taken by cup raw 70, LS 95 %; by hand raw 90 %"
+        "Taken by cup raw 70, least squares 95 %; by hand raw 90 %"
     )
     assert axes.get_ylim() == (-3.0, 103.0) and axes.get_xlim() == pytest.approx((0.0, 13.0))
-    assert legend(figure) == ["cup", "hand", "raw: mean error, success", "LS: mean error, success"]
+    assert legend(figure) == ["cup", "hand", "raw: mean error, success", "least squares: mean error, success"]
     drawn = [(np.round(xy(line), 9).tolist(), line.get_marker(), line.get_linestyle()) for line in axes.get_lines()]
     for (x_, y), pattern in zip(curves.values(), ("-", "--"), strict=True):
         assert (np.stack([x_, 100 * np.asarray(y)], axis=1).round(9).tolist(), "None", pattern) in drawn
@@ -311,9 +311,9 @@ def test_cycle_time() -> None:
     (axes,) = figure.axes
     assert sized(figure) == pytest.approx([7.2, 3.2]) and axes.get_yscale() == "log"
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("cycle time (s)", "mean position error (mm)")
-    said = "ppo on field after 3.0 s: raw 2.0, LS 0.50\u00a0mm"
+    said = "ppo on field (rough arm) after 3.0 s: raw 2.0, least squares 0.50\u00a0mm"
     assert axes.get_title("left").split("\n") == wrap(said, int((7.2 - 1.2 - 0.75) / 0.083))
-    assert legend(figure) == ["best so far", "ppo", "scripted", "raw", "LS"]
+    assert legend(figure) == ["best so far", "ppo", "scripted", "raw", "least squares"]
     for line, error, pattern, colour in zip(
         axes.get_lines(), curves.values(), ("-", "--", "-"), (ORANGE, BLUE, BLUE), strict=False
     ):
@@ -331,7 +331,7 @@ def test_cycle_time() -> None:
     long = "a policy with a rather long name that"
     ends = {(long, name): curves["ppo", name] for name in ("raw", "LS")}
     (axes,) = plot_policies.accuracy_against_cycle_time(ends, 0.05).axes
-    words = f"{long} after 3.0 s: raw 2.0, LS 0.50\u00a0mm"
+    words = f"{long} after 3.0 s: raw 2.0, least squares 0.50\u00a0mm"
     assert axes.get_title("left").split("\n") == wrap(words, 63)
 
 
@@ -347,7 +347,7 @@ def test_accuracy_by_pose_and_its_drift(count: int) -> None:
         assert [tick.get_text() for tick in axes.get_xticklabels()] == ["P1", "P2", "P3", "P4", "P5"]
         assert axes.get_ylim()[1] == pytest.approx(1.35 * max(v.max() for v in series.values()))
         said = [text.get_text() for text in axes.get_legend().get_texts()]
-        assert said == [f"{name}: worst {values.max():.3f} mm" for name, values in series.items()]
+        assert said == [f"{in_words(name)}: worst {values.max():.3f} mm" for name, values in series.items()]
         for i, (group, values) in enumerate(zip(axes.containers, series.values(), strict=True)):
             for k, bar in enumerate(group):
                 centre = k + 1 + 0.35 * (i - (count - 1) / 2)
@@ -358,7 +358,7 @@ def test_accuracy_by_pose_and_its_drift(count: int) -> None:
     assert sized(figure) == pytest.approx([3.5, 2.6])
     assert (axes.get_xlabel(), axes.get_ylabel()) == ("time since switched on (h)", "AP at P1 (mm)")
     assert axes.get_ylim() == pytest.approx((0.0, 1.2 * max(ap[name][:3].max() for name in names)))
-    assert [text.get_text() for text in axes.get_legend().get_texts()] == names
+    assert [text.get_text() for text in axes.get_legend().get_texts()] == [in_words(name) for name in names]
     for line, name in zip(axes.get_lines(), names, strict=True):
         np.testing.assert_allclose(xy(line), np.stack([[0, 4, 8], ap[name][:3]], axis=1))
     assert plot_policies.accuracy_drift([0, 1], {"raw": [0.0, 0.0]}).axes[0].get_ylim() == (0.0, 1.0)
@@ -380,7 +380,7 @@ def test_conditions() -> None:
     assert sized(figure) == pytest.approx([7.2, 3.3]) and len(figure.axes) == 2
     assert [axes.get_xlabel() for axes in figure.axes] == ["payload (kg)", "heat"]
     assert [axes.get_ylabel() for axes in figure.axes] == ["mean position error (mm)", ""]
-    assert figure.axes[0].get_yscale() == "log" and legend(figure)[:3] == ["raw", "LS = twin", "best"]
+    assert figure.axes[0].get_yscale() == "log" and legend(figure)[:3] == ["raw", "least squares = twin", "best"]
     assert figure.get_suptitle() == "Best: 0.20 to 0.25 mm under conditions that no fit has seen"
     assert figure._suptitle.get_position()[0] == 0.01 and figure._suptitle.get_ha() == "left"
     wanted = [ORANGE, BLUE, GREEN, OTHERS[0], OTHERS[1], GREY, BLUE, GREEN]
@@ -421,7 +421,7 @@ def test_slices() -> None:
         row, height = i // 3, numbers[i % 3]
         assert axes.get_title() == (f"z = {height:.2f} m" if row == 0 else "")
         assert axes.get_xlabel() == ("x (m)" if row == 1 else "")
-        assert axes.get_ylabel() == (f"{list(fields)[row]}\ny (m)" if i % 3 == 0 else "")
+        assert axes.get_ylabel() == (f"{in_words(list(fields)[row])}\ny (m)" if i % 3 == 0 else "")
         assert axes.get_xlim() == pytest.approx((0.4, 1.1)) and axes.get_ylim() == pytest.approx((-0.4, 0.2))
         here = np.isclose(points[:, 2], height)
         (arrows,) = [c for c in axes.collections if isinstance(c, Quiver)]
@@ -453,11 +453,11 @@ def test_the_field_figure(comparison: Comparison) -> None:
     rim = 0.15 * radius
     left, bottom = flat.min(axis=0) - rim
     far, high = flat.max(axis=0) + np.array([rim, 0.2 * rim])
-    assert sized(figure) == pytest.approx([7.2, min(0.93 * 2.4 * (high - bottom) / (far - left), 2.4) + 1.5])
+    assert sized(figure) == pytest.approx([7.2, min(0.93 * 2.4 * (high - bottom) / (far - left), 2.4) + 1.85])
     *panels, bar = figure.axes
     means = [1e3 * np.linalg.norm(p.field_errors, axis=1).mean() for p in comparison.policies]
-    said = f"raw {means[0]:#.2g}, LS + BPNN {means[-1]:#.2g} mm"
-    assert figure.get_suptitle() == (f"Mean error across the workspace: {said}; wanted (dot) to true position ×20")
+    said = f"raw {means[0]:#.2g}, least squares + neural network {means[-1]:#.2g} mm"
+    assert figure.get_suptitle() == (f"Mean error across the workspace: {said}\nwanted (dot) to true position ×20")
     for axes in panels:
         assert axes.get_xlim() == pytest.approx((left, far)) and axes.get_ylim() == pytest.approx((bottom, high))
         assert not axes.axison and axes.get_aspect() == 1.0
