@@ -19,25 +19,35 @@ FRUIT = ("collected", "damaged", "attempted", "reachable")
 """Counts of each canopy's fruit."""
 
 
-def pick_canopies(policy: Any, envs: PickVectorEnv, seed: int | Sequence[int]) -> dict[str, Array]:
+def pick_canopies(
+    policy: Any, envs: PickVectorEnv, seed: int | Sequence[int], options: dict[str, Any] | None = None
+) -> dict[str, Array]:
     """Let a policy pick one canopy in each environment.
 
     Args:
         policy: Acts on observations ``(N, k)``.
         envs: The environments, which begin anew by themselves.
         seed: As `reset` takes it.
+        options: As `reset` takes them.
 
     Returns:
-        Arrays ``(N,)``: `FRUIT`, "duration_s" and "steps" of the canopy, and "reward", the sum over these steps.
+        Arrays ``(N,)``: `FRUIT`, "duration_s" and "steps" of the canopy; "reward", the sum over these steps; and sums
+        over grasps, "error_sum_mm" of the distance between fruit and true tool, and "tilt_sum_deg".
     """
     policy.reset()
-    observation, _ = envs.reset(seed=seed)
+    observation, _ = envs.reset(seed=seed, options=options)
     over, steps = np.zeros(envs.num_envs, dtype=np.bool_), 0
-    totals = {name: np.zeros(envs.num_envs) for name in (*FRUIT, "duration_s", "steps", "reward")}
+    sums = ("reward", "error_sum_mm", "tilt_sum_deg")
+    totals = {name: np.zeros(envs.num_envs) for name in (*FRUIT, "duration_s", "steps", *sums)}
+    grasps = np.zeros(envs.num_envs)
     while not over.all():
         fresh, rewards, terminated, truncated, infos = envs.step(policy.act(observation))
         steps += 1
         totals["reward"] += np.where(over, 0.0, rewards)
+        grasped, grasps = ~over & (infos["attempted"] > grasps), np.where(over, grasps, infos["attempted"])
+        error = np.hypot(infos["grasp_lateral_mm"], infos["grasp_axial_mm"])
+        totals["error_sum_mm"] += np.where(grasped, error, 0.0)
+        totals["tilt_sum_deg"] += np.where(grasped, infos["tilt_deg"], 0.0)
         ended = (terminated | truncated) & ~over
         totals["steps"][ended] = steps
         for name in (*FRUIT, "duration_s"):

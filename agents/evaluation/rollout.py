@@ -79,6 +79,7 @@ def roll_out(
     compensators: Sequence[Compensate] | None = None,
     sequential: bool = False,
     steps: int = 60,
+    first: int = 0,
     **arguments: Any,
 ) -> Rollout:
     """Let a policy reach for ``episodes`` fruits on each of ``arms`` arms.
@@ -92,6 +93,7 @@ def roll_out(
         sequential: Whether each arm meets its fruit one after the other, for policies that learn from episode to
             episode.
         steps: Steps of an episode.
+        first: Number of the first arm in its population; the others follow.
         arguments: Further arguments of `pickenv/Reach-v0`.
 
     Raises:
@@ -99,7 +101,7 @@ def roll_out(
     """
     if arms < 1 or episodes < 1:
         raise InputError(f"there are {arms} arms and {episodes} episodes; give at least one of each")
-    arguments |= {"arms": "per_episode", "population": arms}
+    arguments |= {"arms": "per_episode", "population": first + arms}
     numbers = np.arange(arms)
     seeds = np.array(episode_seeds(seed, arms * episodes)).reshape(episodes, arms)
     # One round holds every arm once; rows of several rounds run side by side where nothing is learnt in between.
@@ -117,12 +119,14 @@ def roll_out(
                 env.compensator = per_arm(compensators, rows)
             policy = make(env, seed_words(stream(seed, "policy", first), 1)[0])
         assert policy is not None
-        parts.append(_run(env, policy, rows, block.ravel(), steps))
+        parts.append(_run(env, policy, rows, block.ravel(), steps, first))
     return _joined(parts)
 
 
-def _run(env: ReachVectorEnv, policy: Policy, rows: NDArray[np.int64], seeds: NDArray[np.int64], steps: int) -> Rollout:
-    observation, infos = env.reset(seed=seeds.tolist(), options={"arm": rows})
+def _run(
+    env: ReachVectorEnv, policy: Policy, rows: NDArray[np.int64], seeds: NDArray[np.int64], steps: int, first: int
+) -> Rollout:
+    observation, infos = env.reset(seed=seeds.tolist(), options={"arm": first + rows})
     geometry = env.task.plant.arm.nominal
     reading = read_observation(geometry, getattr(env, "raw", observation))
     target = attitude_after(forward(geometry, reading.joints), reading.turn)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Any, Literal
 
 import typer
 from typer import Option
@@ -97,29 +97,30 @@ def policies(
     episodes: Annotated[int | None, Option(min=1)] = None,
     canopies: Annotated[int | None, Option(min=0)] = None,
     seeds: int = 5,
+    trainings: Annotated[int | None, Option(min=0)] = None,
     quick: Annotated[bool, Option("--quick")] = False,
     executor: Literal["serial", "joblib", "ray"] = "serial",
     workers: Annotated[int | None, Option(min=1)] = None,
 ) -> None:
-    """Policies raw and calibrated, with interquartile means over arms that no two seeds share; picks per hour too.
+    """Policies raw and calibrated on every rung of the ladder, on arms that no two seeds share; picks per hour too.
 
     Args:
         policy: A policy to judge as well: a file of `pickenv train` (.npz), a zip of SB3 or Python, both executed.
         json_file: Write the rows to this file.
         out: Folder for the table and what is done; what was cut off goes on.
-        plant: Plant preset, a task each; may be repeated.
-        rung: Rung of the ladder with its arms to be judged on, or all; may be repeated.
+        plant: Plant preset in place of the ladder; may be repeated.
+        rung: Rung of the ladder with its arms to be judged on; all if left out; may be repeated.
         arms: Arms drawn for each seed.
         episodes: Fruits per arm.
         canopies: Canopies for each arm of the picking task; 0 leaves it out.
         seeds: How many seeds, from 0; at least 5.
+        trainings: Trainings of each learned policy, made first; 5 if left out.
         quick: Three policies on one arm a seed: a minute.
         executor: What computes; it does not change the figures.
         workers: Processes; one per core if left out.
     """
-    from itertools import groupby
-
     from pickenv.experiments import policy_tables
+    from pickenv.inspect.colours import policy_label
     from pickenv.inspect.runs.run_folder import listed_files
 
     page = out / "leaderboard.md"
@@ -131,23 +132,21 @@ def policies(
         policies=(*usual.policies, *dict.fromkeys(policy or [])),
         plants=(*(plant or ()), *policy_tables.rungs(rung or ())) or usual.plants,
         seeds=tuple(range(seeds)),
-        arms=arms or (usual.arms if quick or not rung else policy_tables.ARMS_OF_RUNGS),
+        arms=arms or usual.arms,
         episodes=episodes or usual.episodes,
         canopies=usual.canopies if canopies is None else canopies,
     )
 
     def show() -> None:
-        for task, group in groupby(rows, lambda row: row["task"]):
-            table = list(group)
-            print_table(
-                task,
-                policy_tables.leaderboard_heads(table[0]),
-                map(policy_tables.leaderboard_cells, table),
-                words=policy_tables.WORDS,
-            )
+        heads, cells = policy_tables.leaderboard_summary(board)
+        behind = policy_label(settings.compensations[-1])
+        print_table(f"Mean error (mm), raw / behind {behind}", heads, cells, words=heads[:2])
 
     with locked(out), listed_files(out):
         with progress_bars() as report:
             backend = "loky" if executor == "joblib" else executor
-            rows = policy_tables.run_leaderboard(settings, out, backend=backend, workers=workers, progress=report)
-        deliver([(page, policy_tables.leaderboard_tables(rows)), (json_file, {"rows": rows})], show)
+            count = (0 if quick else 5) if trainings is None else trainings
+            how: dict[str, Any] = {"backend": backend, "workers": workers, "progress": report}
+            board = policy_tables.run_leaderboard(settings, out, count, **how)
+        own = "put a policy of yours beside them: the same command with --policy FILE"
+        deliver([(page, policy_tables.leaderboard_page(board)), (json_file, board)], show, own)

@@ -19,15 +19,16 @@ import numpy as np
 
 from pickenv.agents import Policy, ScriptedPick, roll_out
 from pickenv.agents.evaluation.contenders import Kind, kind_of, maker_of, policy_name
-from pickenv.agents.evaluation.reaches import moments_of
+from pickenv.agents.evaluation.reaches import pick_canopies
 from pickenv.agents.policies.learned import BASELINES
 from pickenv.agents.policies.scripted import HASTY
 from pickenv.arm import Plant, plant_at
+from pickenv.arm.plant.plant_batch import plants_on
 from pickenv.arm.plant.plant_file import draw_arms
 from pickenv.base import InputError, check_limit, file_sha256, seed_words, stream
 from pickenv.base.registry import names, origin
 from pickenv.calibration import Calibration
-from pickenv.envs import PickEnv, ReachVectorEnv
+from pickenv.envs import PickVectorEnv, ReachVectorEnv
 from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.task import FEEDBACK, check_choice, check_number
 from pickenv.experiments import methods
@@ -42,14 +43,8 @@ RUNG = "rung:"
 CYCLE_MM = 2.0
 """Distance to the fruit within which a cycle counts as over, mm, for the cycle time."""
 
-PICK_PLANT = "field"
-"""Plant of the picking task."""
-
 PICKERS: Mapping[str, Callable[[Any], Policy]] = {"scripted": ScriptedPick, "hasty": partial(ScriptedPick, **HASTY)}
 """The picking policies by name: one is gentle and waits for the arm to settle, the other does neither."""
-
-LONGEST_CANOPY = 400
-"""Steps after which a canopy is left, as in `pickenv/Pick-v0`."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +56,8 @@ class PolicySettings:
             several seeds.
         compensations: Methods as for `calibrate_arm`, and "raw".
         feedback: "encoders" (open loop) and "camera".
-        plants: Plant presets; or "rung:orchard" and so on: a rung of the ladder of Reach with its own arms for judging,
-            the same for every seed.
+        plants: Plant presets; or "rung:orchard" and so on: a rung of the ladder with its own arms for judging, of which
+            every seed takes others.
         grippers: Names of grippers.
         arms: Arms drawn for each plant and seed.
         episodes: Fruits per arm.
@@ -71,7 +66,7 @@ class PolicySettings:
         camera_noise_mm: Standard deviation per axis of the camera's view of the gap.
         fruit_noise_mm: Standard deviation per axis of the fruit's position as seen.
         plan: How arms are calibrated; its seed is the comparison's.
-        canopies: Canopies that each of `PICKERS` clears with each arm.
+        canopies: Canopies that each of `PICKERS` clears with each arm and gripper.
     """
 
     policies: tuple[str, ...] = ("scripted", "oracle", "servo", "adaptive")
@@ -101,26 +96,34 @@ class PolicySettings:
         check_limit("episodes", self.episodes, "episodes")
         check_limit("epochs", self.plan.epochs, "epochs")
 
-    def world(self, plant: str, seed: int, feedback: str = "encoders") -> dict[str, Any]:
-        """Arguments of `pickenv/Reach-v0` for a plant whose arms the seed draws, or for a rung of the ladder.
+    def world(self, plant: str, seed: int, feedback: str = "encoders", task: str = "Reach") -> dict[str, Any]:
+        """Arguments of a task for a plant whose arms the seed draws, or for a rung of the ladder.
+
+        On a rung with eyes of its own, a policy that uses no camera sees the fruit as they do.
 
         Raises:
-            InputError: If there is no such rung, or it has fewer arms.
+            InputError: If there is no such rung, or it has fewer arms than all seeds take.
         """
-        noise = self.camera_noise_mm if feedback == "camera" else 0.0
-        own = {"feedback": feedback, "camera_noise_mm": noise, "fruit_noise_mm": self.fruit_noise_mm}
+        sight = {"feedback": feedback, "camera_noise_mm": self.camera_noise_mm if feedback == "camera" else 0.0}
+        own = {**sight, "fruit_noise_mm": self.fruit_noise_mm} if task == "Reach" else {}
         if not plant.startswith(RUNG):
             return own | {"plant": plant, "tolerances": self.tolerances, "population_seed": population_seed(seed)}
-        fixed = on_ladder("Reach", plant.removeprefix(RUNG), "test", {})
-        if self.arms > (most := fixed.get("population", 1)):
-            raise InputError(f"{plant} has {most} arms to be judged on; {self.arms} were asked for")
-        return own | {name: value for name, value in fixed.items() if name not in ("arms", "population")}
+        fixed = on_ladder(task, plant.removeprefix(RUNG), "test", {})
+        if (asked := self.arms * len(self.levels("seeds"))) > (most := fixed.get("population", 1)):
+            raise InputError(f"{plant} has {most} arms to be judged on; {asked} were asked for")
+        arms = {name: value for name, value in fixed.items() if name not in ("arms", "population")}
+        return own | arms | (sight if own and feedback == "encoders" else {})
+
+    def first_arm(self, plant: str, seed: int) -> int:
+        """Number, in its population, of the first arm that a seed takes; on a rung all seeds share one population."""
+        return self.levels("seeds").index(seed) * self.arms if plant.startswith(RUNG) else 0
 
     def population(self, plant: str, seed: int) -> Plant:
-        """The arms of a plant that a seed draws, as the environments draw them; for a rung, the rung's own arms."""
-        world = self.world(plant, seed)
+        """The arms of a plant that a seed draws, as the environments draw them; for a rung, those that it takes."""
+        world, first = self.world(plant, seed), self.first_arm(plant, seed)
         draws = np.random.default_rng(world["population_seed"])
-        return draw_arms(world["plant"], world["tolerances"], self.arms, draws)
+        drawn = draw_arms(world["plant"], world["tolerances"], first + self.arms, draws)
+        return plants_on(drawn, lambda values: values[first:])
 
     def levels(self, name: str) -> tuple[Any, ...]:
         """The values of the field ``name``, without repeats."""
@@ -149,7 +152,7 @@ def run_policies(
         settings: What is compared.
         folder: Where rows are kept for the next time, or None.
         task: "reaching", for every policy with every feedback that it can use; "picking", where each of `PICKERS`
-            clears canopies of `pickenv/Pick-v0` with the arms of `PICK_PLANT`, the same for every compensation.
+            clears canopies of `pickenv/Pick-v0` on the same plants, the same for every compensation.
         cache: Where calibrations are kept for the next time; when None, in "calibrations" below ``folder``, if given.
         backend: Where pieces are computed, as for `pickenv.experiments.run`.
         workers: Processes.
@@ -158,13 +161,13 @@ def run_policies(
 
     Returns:
         Of reaching a row for each episode: plant, compensation, feedback, policy, seed and training (number of the file
-        of one with several), whether it was ``learned``, ``arm`` (no two seeds share a number, but on a rung) and
-        ``episode``; ``error_mm`` and ``attitude_deg`` at the end, ``way_mm`` after each step (NaN after the last),
-        ``cycle_steps`` until the tool is within `CYCLE_MM` to stay (NaN where it never is), ``chance_NAME`` that a
-        gripper takes the fruit, and the fields of `pickenv.agents.Reaches`. Of picking a row for each arm and gripper,
-        over all canopies: grasps ``attempted``, fruit ``collected`` undamaged, ``picks_per_hour`` of these by the
-        environment's `duration_s`, and sums over grasps of the distance between fruit and true tool (``error_sum_mm``)
-        and of the tool's angle with the vertical (``tilt_sum_deg``).
+        of one with several), whether it was ``learned``, ``arm`` (no two seeds share a number) and ``episode``;
+        ``error_mm`` and ``attitude_deg`` at the end, ``way_mm`` after each step (NaN after the last), ``cycle_steps``
+        until the tool is within `CYCLE_MM` to stay (NaN where it never is), ``chance_NAME`` that a gripper takes the
+        fruit, and the fields of `pickenv.agents.Reaches`. Of picking a row for each arm and gripper, over all canopies:
+        grasps ``attempted``, fruit ``collected`` undamaged, the time taken (``duration_s``), and sums over grasps of
+        the distance between fruit and true tool (``error_sum_mm``) and of the tool's angle with the vertical
+        (``tilt_sum_deg``).
 
     Raises:
         InputError: If a name is unknown, no policy can be run as asked, or a kept file is damaged.
@@ -246,8 +249,7 @@ def _reaching(settings: PolicySettings, kept: Path, fits: Callable[..., bool]) -
         kind = kinds[levels["policy"]]
         behind = levels["compensation"] == "raw" or not kind.raw_only
         has_file = levels["feedback"] in kind.feedback and levels["training"] < (len(kind.files) or 1)
-        sees = settings.world(levels["plant"], levels["seed"], levels["feedback"])["feedback"] == levels["feedback"]
-        return behind and has_file and sees and fits(**levels)
+        return behind and has_file and fits(**levels)
 
     experiment = Experiment(
         "reaching",
@@ -303,15 +305,15 @@ def _reaches(
         compensators=methods.compensators(population, compensation, replace(settings.plan, seed=seed), kept),
         sequential=kind.sequential,
         steps=kind.steps,
+        first=settings.first_arm(plant, seed),
         **world,
     )
-    first = 0 if plant.startswith(RUNG) else settings.levels("seeds").index(seed) * settings.arms
     reaches, count = rollout.reaches, len(rollout.arm)
     chances = {f"chance_{name}": rollout.capture(load_gripper(name)) for name in settings.grippers}
     return {
         "policy": np.full(count, policy_name(policy)),
         "learned": np.full(count, bool(kind.files)),
-        "arm": first + rollout.arm,
+        "arm": settings.levels("seeds").index(seed) * settings.arms + rollout.arm,
         "episode": np.arange(count) // settings.arms,
         "error_mm": reaches.position_error_mm,
         "attitude_deg": reaches.attitude_error_deg,
@@ -335,8 +337,8 @@ def reaches_in(rows: Rows) -> Reaches:
 def _picking(settings: PolicySettings, kept: Path, fits: Callable[..., bool]) -> Experiment:
     return Experiment(
         "picking",
-        {"seed": settings.levels("seeds"), "arm": range(settings.arms)},
-        {"plant": (PICK_PLANT,), "gripper": settings.levels("grippers")}
+        {"seed": settings.levels("seeds")},
+        {"plant": settings.levels("plants"), "gripper": settings.levels("grippers")}
         | {"policy": tuple(PICKERS), "compensation": settings.levels("compensations")},
         partial(_picks, settings, kept),
         inputs=partial(_inputs, settings, {}),
@@ -345,37 +347,19 @@ def _picking(settings: PolicySettings, kept: Path, fits: Callable[..., bool]) ->
 
 
 def _picks(
-    settings: PolicySettings,
-    kept: Path,
-    *,
-    rng: np.random.Generator,
-    gripper: str,
-    policy: str,
-    arm: int,
-    **behind: Any,
-) -> list[dict[str, Any]]:
-    """Results of one picker with one arm and gripper, over all its canopies."""
-    seed, seconds, collected, grasps = behind["seed"], 0.0, 0, []
-    env = PickEnv(
-        plant=behind["plant"],
-        gripper=gripper,
-        arms="per_episode",
-        tolerances=settings.tolerances,
-        population=settings.arms,
-        population_seed=population_seed(seed),
-    )
-    if behind["compensation"] != "raw":
-        env.compensator = _calibration(settings, kept, arm=arm, **behind).compensator()
-    picker = PICKERS[policy](env)
-    for canopy in seed_words(stream(seed, "picks", arm), settings.canopies):
-        attempted = 0
-        for moment in moments_of(env, picker, canopy, options={"arm": arm}, steps=LONGEST_CANOPY):
-            info = moment.info
-            if info["attempted"] > attempted:
-                attempted = info["attempted"]
-                grasps.append((np.hypot(info["grasp_lateral_mm"], info["grasp_axial_mm"]), info["tilt_deg"]))
-        seconds, collected = seconds + info["duration_s"], collected + info["collected"]
-    error, tilt = np.reshape(grasps, (-1, 2)).sum(axis=0)
-    row: dict[str, Any] = {"arm": settings.levels("seeds").index(seed) * settings.arms + arm, "attempted": len(grasps)}
-    row |= {"collected": collected, "picks_per_hour": 3600.0 * collected / seconds}
-    return [row | {"error_sum_mm": error, "tilt_sum_deg": tilt}]
+    settings: PolicySettings, kept: Path, *, rng: np.random.Generator, plant: str, gripper: str, policy: str,
+    compensation: str, seed: int,
+) -> Columns:  # fmt: skip
+    """Results of one picker with each arm of a seed, over all its canopies."""
+    first, population = settings.first_arm(plant, seed), settings.population(plant, seed)
+    world = settings.world(plant, seed, task="Pick") | {"arms": "per_episode", "population": first + settings.arms}
+    envs = PickVectorEnv(settings.canopies, gripper=gripper, **world)
+    correct = methods.compensators(population, compensation, replace(settings.plan, seed=seed), kept)
+    arms = []
+    for arm in range(settings.arms):
+        envs.compensator = None if correct is None else correct[arm]
+        canopies = seed_words(stream(seed, "picks", arm), settings.canopies)
+        arms.append(pick_canopies(PICKERS[policy](envs), envs, canopies, {"arm": first + arm}))
+    sums = ("attempted", "collected", "duration_s", "error_sum_mm", "tilt_sum_deg")
+    of_arms = {name: np.array([totals[name].sum() for totals in arms]) for name in sums}
+    return {"arm": settings.levels("seeds").index(seed) * settings.arms + np.arange(settings.arms), **of_arms}

@@ -14,19 +14,18 @@ import numpy as np
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from pickenv.agents import shipped_baselines
+from pickenv.agents import Training
 from pickenv.base import (
     Estimate,
     InputError,
     command_line,
     estimate,
-    interquartile_estimate,
     refusing_damage,
     write_json,
 )
 from pickenv.envs.shared.difficulty import LADDER
 from pickenv.envs.shared.situation import CONTROL_PERIOD
-from pickenv.experiments.engine import Rows, interval_words, read_piece, with_interval, write_piece
+from pickenv.experiments.engine import Experiment, Rows, interval_words, read_piece, run, with_interval, write_piece
 from pickenv.experiments.methods import CalibrationPlan
 from pickenv.experiments.policies import RUNG, PolicySettings, population_seed, run_policies
 from pickenv.inspect import Run
@@ -57,7 +56,7 @@ STATISTICS: Mapping[str, str | float] = {"mean": "mean", "median arm": 0.5, "95t
 
 def estimates(rows: Rows, value: str, of: str | float = "mean", by: Sequence[str] = CELL) -> dict[Any, Estimate]:
     """Estimates over arms, and over trainings where there are several, by the levels of the columns ``by``."""
-    over = ("arm", "training") if "training" in rows.columns and of != "interquartile" else ("arm",)
+    over = ("arm", "training") if "training" in rows.columns else ("arm",)
     lines = estimate(rows.columns, value, by=by, over=over, of=of)
     return {tuple(line[name] for name in by): line["estimate"] for line in lines}
 
@@ -339,128 +338,196 @@ def cycle_figure(rows: Rows, plant: str) -> Figure:
     return plot_policies.accuracy_against_cycle_time(curves, CONTROL_PERIOD, title=plant)
 
 
-# The leaderboard: interquartile means over the arms of several seeds (Agarwal et al. 2021), a table for each task.
+# The leaderboard: every policy on every rung of the ladder, on arms that no two seeds share.
 
 LEAST_SEEDS = 5
 """Fewest seeds that a leaderboard may have."""
 
-ARMS_OF_RUNGS = 16
-"""Number of arms of a rung; all seeds share them."""
+_CAMERA = {"feedback": "camera", "camera_noise_mm": 1.0}
+RECIPES: Mapping[str, Training] = {
+    "ppo": Training("ppo", arguments={"plant": "ideal"}),
+    "ppo_camera": Training("ppo", arguments=_CAMERA),
+    "her_camera": Training("tqc", "pickenv/ReachGoal-v0", arguments=_CAMERA),
+    "window_camera": Training("ppo_history"),
+    "recurrent_camera": Training("ppo_lstm"),
+}
+"""Trainings of the leaderboard's learned policies, by their names on it; each is repeated with several seeds. PPO
+learns on the ideal arm, the others on the smooth arm or, those that remember, on many like it. None knew a delay."""
 
 LEADERBOARD = PolicySettings(
-    policies=("scripted", "servo", "adaptive", *shipped_baselines()), plants=("qiao2026", "field"), arms=2, episodes=16,
-    seeds=tuple(range(LEAST_SEEDS)), canopies=2,
+    policies=("scripted", "servo", "adaptive", "oracle"), compensations=("raw", "ls", "best"), arms=9, episodes=10,
+    plants=tuple(f"{RUNG}{name}" for name in LADDER)[1:], seeds=tuple(range(LEAST_SEEDS)), canopies=4,
 )  # fmt: skip
 QUICK = replace(
-    LEADERBOARD, policies=("scripted", "servo", "ppo_encoders"), plants=("qiao2026",), arms=1, episodes=4,
+    LEADERBOARD, policies=("scripted", "servo", "ppo_encoders"), plants=(f"{RUNG}orchard",), arms=1, episodes=4,
     plan=CalibrationPlan(epochs=20), canopies=0,
 )  # fmt: skip
 """Minutes less, to try things out."""
 
-WORDS = ("policy", "feedback", "compensation")
+PICK_BEHIND = ("raw", "ls")
+"""Compensations behind which picks are counted; residual models change a pick no further."""
 
 
 def rungs(names: Sequence[str]) -> tuple[str, ...]:
     """Rungs of the ladder as `PolicySettings.plants` has them; "all" for each that has more than one arm."""
-    every = [name for name, fixed in LADDER.items() if "arms" in fixed]
-    return tuple(f"{RUNG}{name}" for given in names for name in (every if given == "all" else [given]))
+    return tuple(plant for name in names for plant in (LEADERBOARD.plants if name == "all" else [f"{RUNG}{name}"]))
 
 
-def run_leaderboard(settings: PolicySettings, folder: Path, **how: Any) -> list[dict[str, Any]]:
-    """Run the parts that were not run yet, and return the rows of all tasks; arguments as for `run_policies`.
+def trained(folder: Path, trainings: int, **how: Any) -> tuple[str, ...]:
+    """Train every recipe that the folder does not hold yet, and return the folders of the trainings, one a recipe."""
+    levels = {"training": range(trainings)}
+    pieces = Experiment("trainings", levels, {"policy": tuple(RECIPES)}, partial(_train, folder))
+    run(pieces, **how)
+    return tuple(str(folder / name) for name in RECIPES)
+
+
+def _train(folder: Path, *, rng: np.random.Generator, policy: str, training: int) -> dict[str, NDArray[Any]]:
+    from pickenv.agents.training.training import CHECKPOINT, train
+
+    out = folder / policy / str(training)
+    if not (out / "policy.npz").is_file():
+        train(replace(RECIPES[policy], seed=training), out, resume=(out / CHECKPOINT).is_file())
+    return {"file": np.array([str(out)])}
+
+
+def run_leaderboard(settings: PolicySettings, folder: Path, trainings: int = 0, **how: Any) -> dict[str, Any]:
+    """Run the parts that were not run yet, and return the rows of both tasks; arguments as for `run_policies`.
+
+    Args:
+        settings: What is compared.
+        folder: Where trainings, calibrations and rows are kept.
+        trainings: Trainings of each of `RECIPES`, whose policies join those of ``settings``.
+        how: Where pieces are computed.
 
     Raises:
         InputError: If there are too few seeds, or as `run_policies` does.
     """
     if len(set(settings.seeds)) < max(LEAST_SEEDS, len(settings.seeds)):
         raise InputError(f"seeds are {list(settings.seeds)}; give at least {LEAST_SEEDS}, each once")
-    rows = reaching_rows(run_policies(settings, folder, **how))
-    return rows + (picking_rows(run_policies(settings, folder, task="picking", **how)) if settings.canopies else [])
+    if trainings:
+        learned = trained(folder / "trainings", trainings, **how)
+        settings = replace(settings, policies=(*settings.policies, *learned))
+    reached = run_policies(settings, folder, **how)
+    reach = evaluation_rows(settings, reached)
+    for row in reach:
+        cell = cell_of(reached, [row[name] for name in CELL])
+        for name, share in (("half", 0.5), ("nine_of_ten", 0.9)):
+            within = distance_within(cell, share)
+            row |= {f"{name}_mm": within.value, f"{name}_ci95": within.ends}
+        row["training_mm"] = [float(cell.where(training=of)["error_mm"].mean()) for (of,) in cell.levels("training")]
+    if not settings.canopies:
+        return {"reach": reach, "pick": []}
+    asked = replace(settings, grippers=settings.grippers[:1])
+    counted = tuple(behind for behind in PICK_BEHIND if behind in settings.compensations)
+    picked = run_policies(replace(asked, compensations=counted), folder, task="picking", **how)
+    return {"reach": reach, "pick": picking_rows(picked)}
 
 
-def reaching_rows(rows: Rows) -> list[dict[str, Any]]:
-    """One row per task, policy, feedback and compensation, over all seeds; best interquartile mean of a task first."""
-    table = []
-    for key, middle in estimates(rows, "error_mm", "interquartile").items():
-        cell = cell_of(rows, key)
-        mean, attitude = (float(cell[name].mean()) for name in ("error_mm", "attitude_deg"))
-        success = {name: float(cell[f"chance_{name}"].mean()) for name in grippers_of(rows)}
-        fruit = {"fruit_per_arm": len(cell.levels("arm", "episode")) // len(cell.levels("arm"))}
-        table.append(_board_row("Reach-v0", cell, mean, attitude, middle, success, {}, fruit))
-    return sorted(table, key=lambda row: (row["task"], row["iqm_mm"], *(row[word] for word in WORDS)))
+def distance_within(cell: Rows, share: float) -> Estimate:
+    """Distance within which a share of an arm's reaches end, mm: the mean over arms, and trainings, of one policy."""
+    order, fruit = np.lexsort((cell["training"], cell["arm"])), len(cell) // len(cell.levels("arm", "training"))
+    units = {name: cell[name][order][::fruit] for name in ("arm", "training")}
+    distance = np.quantile(cell["error_mm"][order].reshape(-1, fruit), share, axis=1)
+    return next(iter(estimates(Rows(units | {"error_mm": distance}), "error_mm", by=()).values()))
 
 
 def picking_rows(rows: Rows) -> list[dict[str, Any]]:
-    """One row per picker and compensation, ordered by picks per hour with the first gripper, the most first."""
-    by = ("policy", "compensation", "gripper")
-    rates = estimates(rows, "picks_per_hour", by=by)
+    """One row per picker, compensation, plant and gripper, whose intervals are over arms."""
+    by = ("plant", "policy", "compensation", "gripper")
+    numbers = {
+        "error_mm": estimate(rows.columns, ("error_sum_mm", "attempted"), by, of="ratio"),
+        "success": estimate(rows.columns, ("collected", "attempted"), by, of="share"),
+        "picks_per_second": estimate(rows.columns, ("collected", "duration_s"), by, of="ratio"),
+    }
     table = []
-    for key in rows.levels(*by[:2]):
-        cell = cell_of(rows, key, by[:2])
-        arms = np.unique(cell["arm"], return_inverse=True)[1]
-        grasps, sums = (np.bincount(arms, cell[name]) for name in ("attempted", "error_sum_mm"))
-        errors: NDArray[np.float64] = sums[grasps > 0.0] / grasps[grasps > 0.0]
-        success, per_hour = {}, {}
-        for (name,) in cell.levels("gripper"):
-            with_gripper, per_hour[name] = cell.where(gripper=name), rates[*key, name]
-            success[name] = float(with_gripper["collected"].sum() / max(1, with_gripper["attempted"].sum()))
-        hourly: dict[str, Any] = {"picks_per_hour": {name: rate.value for name, rate in per_hour.items()}}
-        hourly["picks_per_hour_ci95"] = {name: rate.ends for name, rate in per_hour.items()}
-        tilt, attempts = float(cell["tilt_sum_deg"].sum() / grasps.sum()), {"attempts": int(grasps.sum())}
-        middle = interquartile_estimate(errors)
-        table.append(_board_row("Pick-v0", cell, float(errors.mean()), tilt, middle, success, hourly, attempts))
-    return sorted(table, key=lambda row: -next(iter(row["picks_per_hour"].values())))
+    for lines in zip(*numbers.values(), strict=True):
+        key = [lines[0][name] for name in by]
+        cell = cell_of(rows, key, by)
+        row: dict[str, Any] = dict(zip(by, key, strict=True)) | {"arms": len(cell)}
+        row |= {name: int(cell[name].sum()) for name in ("attempted", "collected")}
+        error, success, rate = (line["estimate"] for line in lines)
+        row |= {
+            "error_mm": error.value,
+            "error_ci95": error.ends,
+            "success": success.value,
+            "success_ci95": success.ends,
+        }
+        hourly = None if rate.ends is None else [3600.0 * end for end in rate.ends]
+        table.append(row | {"picks_per_hour": 3600.0 * rate.value, "picks_per_hour_ci95": hourly})
+    return table
 
 
-def _board_row(
-    task: str, cell: Rows, mean: float, attitude: float, middle: Estimate, success: Mapping[str, float],
-    hourly: Mapping[str, Any], counted: Mapping[str, int],
-) -> dict[str, Any]:  # fmt: skip
-    """A row of the leaderboard."""
-    words = {name: str(cell[name][0]) if name in cell.columns else "encoders" for name in WORDS}
-    numbers = {"mean_mm": mean, "iqm_mm": middle.value, "attitude_deg": attitude}
-    shares = {"success": next(iter(success.values())), "success_by_gripper": success, "ci95_mm": middle.ends}
-    sample = {"seeds": sorted(seed for (seed,) in cell.levels("seed")), "arms": len(cell.levels("arm"))}
-    return {"task": f"pickenv/{task}, {cell['plant'][0]}", **words, **numbers, **shares, **hourly, **sample, **counted}
+def leaderboard_tables(board: Mapping[str, Any]) -> dict[str, tuple[list[str], list[list[str]]]]:
+    """Heads and cells of the leaderboard's tables by title: one for each plant of both tasks, and of all trainings."""
+    tables: dict[str, tuple[list[str], list[list[str]]]] = {}
+    for plant, group in groupby(board["reach"], lambda row: row["plant"]):
+        rows = [row for row in group if row["gripper"] == board["reach"][0]["gripper"]]
+        behind = list(dict.fromkeys(row["compensation"] for row in rows))
+        cells = []
+        for mine in _by_policy(rows):
+            first, last = mine["raw"], mine.get(behind[-1])
+            half, most = (
+                with_interval(first[f"{name}_mm"], first[f"{name}_ci95"], 2) for name in ("half", "nine_of_ten")
+            )
+            errors = (with_interval(mine[n]["mean_mm"], mine[n]["ci95"], 2) if n in mine else "" for n in behind)
+            taken = ("" if row is None else _percent(row["success_rate"], row["success_ci95"]) for row in (first, last))
+            cells.append([first["policy"], first["feedback"], *errors, half, most, *taken])
+        named = [policy_label(name) for name in behind]
+        heads = ["policy", "feedback", *named, "half within, raw", "nine of ten within, raw"]
+        tables[f"Reach, {plant}"] = [*heads, "taken, raw (%)", f"taken, {named[-1]} (%)"], cells
+    for plant, group in groupby(board["pick"], lambda row: row["plant"]):
+        cells = [
+            [
+                *(row["policy"], policy_label(row["compensation"]), str(row["attempted"])),
+                with_interval(row["error_mm"], row["error_ci95"], 2),
+                _percent(row["success"], row["success_ci95"]),
+                with_interval(row["picks_per_hour"], row["picks_per_hour_ci95"], 0),
+            ]
+            for row in group
+        ]
+        heads = ["policy", "calibration", "grasps", "error at the grasp (mm)", "success (%)", "picks per hour"]
+        tables[f"Pick, {plant}"] = heads, cells
+    several = {
+        (row["policy"], row["plant"]): " ".join(f"{mm:.2f}" for mm in row["training_mm"])
+        for row in board["reach"]
+        if row["trainings"] not in (None, 1) and row["compensation"] == "raw"
+    }
+    if several:
+        plants = list(dict.fromkeys(plant for _, plant in several))
+        names = dict.fromkeys(policy for policy, _ in several)
+        cells = [[name, *(several[name, plant] for plant in plants)] for name in names]
+        tables["Mean error of each training on raw arms (mm)"] = ["policy", *plants], cells
+    return tables
 
 
-def leaderboard_heads(row: Mapping[str, Any]) -> list[str]:
-    """Column heads of the table that a row belongs to: `WORDS`, then the numbers."""
-    rates = [f"picks per hour, {name}" for name in row.get("picks_per_hour", {})]
-    success = (f"success, {name}" for name in row["success_by_gripper"])
-    mean = "mean (mm) at the grasp" if rates else "mean (mm)"
-    return [*WORDS, mean, "interquartile mean (mm)", "attitude (deg)", *success, *rates]
+def _by_policy(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Mapping[str, Any]]]:
+    """The rows of one plant by policy and feedback, each a mapping by compensation; the nearest raw ones first."""
+    policies: dict[tuple[str, str], dict[str, Mapping[str, Any]]] = {}
+    for row in rows:
+        policies.setdefault((row["policy"], row["feedback"]), {})[row["compensation"]] = row
+    return sorted(policies.values(), key=lambda mine: float(mine["raw"]["mean_mm"]))
 
 
-def leaderboard_cells(row: Mapping[str, Any]) -> list[str]:
-    """The cells of a row as people are shown them, in the order of its heads."""
-    rates, ends = row.get("picks_per_hour", {}), row.get("picks_per_hour_ci95", {})
-    return [
-        *(row["policy"], row["feedback"], policy_label(row["compensation"]), f"{row['mean_mm']:.3f}"),
-        f"{row['iqm_mm']:.3f} ({interval_words(row['ci95_mm'], 3) or 'no interval'})",
-        f"{row['attitude_deg']:.3f}",
-        *(f"{100 * share:.0f} %" for share in row["success_by_gripper"].values()),
-        *(with_interval(rate, ends[name], 0) for name, rate in rates.items()),
-    ]
+def _percent(share: float, ends: Sequence[float | None] | None) -> str:
+    return with_interval(share, ends, 1, 100.0)
 
 
-def leaderboard_tables(rows: Sequence[Mapping[str, Any]]) -> str:
-    """The leaderboard's tables in Markdown, one per task."""
+def leaderboard_summary(board: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
+    """Heads and cells of a screen's one table: mean errors (mm), raw and behind the last compensation, by rung."""
+    plants = list(dict.fromkeys(row["plant"] for row in board["reach"]))
+    cells: dict[tuple[str, str], list[str]] = {}
+    for plant in plants:
+        for mine in _by_policy([row for row in board["reach"] if row["plant"] == plant]):
+            key, last = (mine["raw"]["policy"], mine["raw"]["feedback"]), list(mine.values())[-1]
+            words = f"{mine['raw']['mean_mm']:.2f}" + (f" / {last['mean_mm']:.2f}" if len(mine) > 1 else "")
+            cells.setdefault(key, []).append(words)
+    return ["policy", "feedback", *(plant.removeprefix(RUNG) for plant in plants)], [[*k, *v] for k, v in cells.items()]
+
+
+def leaderboard_page(board: Mapping[str, Any]) -> str:
+    """The leaderboard's tables in Markdown."""
     parts = []
-    for task, group in groupby(rows, lambda row: row["task"]):
-        table = list(group)
-        first, heads = table[0], leaderboard_heads(table[0])
-        each_arm = f"{first['fruit_per_arm']} fruit each" if "fruit_per_arm" in first else f"{first['attempts']} grasps"
-        lines = [
-            " | ".join(heads),
-            "|".join(["---"] * len(heads)),
-            *(" | ".join(leaderboard_cells(row)) for row in table),
-        ]
-        seeds = ", ".join(map(str, first["seeds"]))
-        parts += [
-            f"{task}: {first['arms']} arms over seeds {seeds}, {each_arm}",
-            "",
-            *(f"| {line} |" for line in lines),
-            "",
-        ]
+    for title, (heads, cells) in leaderboard_tables(board).items():
+        lines = (f"| {' | '.join(line)} |" for line in (heads, ["---"] * len(heads), *cells))
+        parts += [f"### {title}", "", *lines, ""]
     return "\n".join(parts)
