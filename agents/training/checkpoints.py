@@ -163,8 +163,8 @@ def _tensor(values: Any) -> torch.Tensor:
 def _tensors(values: Any, rows: int | None = None) -> Any:
     """Tensors of an array's first rows, or of those of a mapping of arrays."""
     if isinstance(values, dict):
-        return {key: _tensor(value[:rows]) for key, value in values.items()}
-    return _tensor(values[:rows])
+        return {key: _tensors(value, rows) for key, value in values.items()}
+    return _tensor(values if rows is None else values[:rows])
 
 
 def _arrays(values: Any) -> Any:

@@ -32,7 +32,6 @@ from .intervals import (
     clustered_share_interval as clustered_share_interval,
     crossed_interval as crossed_interval,
     estimate as estimate,
-    interquartile_estimate as interquartile_estimate,
     mean_interval as mean_interval,
     ordered_interval as ordered_interval,
     paired_share_interval as paired_share_interval,

@@ -21,8 +21,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.base.seeds import stream
-
 Ends = tuple[float, float]
 """Lower and upper end of a 95 % interval."""
 
@@ -364,9 +362,6 @@ def _wilson(share: float, trials: float) -> Ends:
 
 # Numbers with their intervals, of arrays and of rows.
 
-RESAMPLES = 4000
-"""Number of samples of a bootstrap."""
-
 MANY = 30
 """Fewest arms for `mean_interval` of arms' skewed shares: with 10 arms it covers their mean in 92 to 96 %."""
 
@@ -434,8 +429,7 @@ def estimate(
         over: One or two columns of what was drawn, which the intervals are over; rows that agree in these are averaged.
         of: "mean"; "share" of chances or successes, or of what two columns took and tried; "ratio" of two columns'
             sums; "removed", the share of the mean at the levels of ``against``, or of the first of two columns, that is
-            gone; "interquartile", the mean of the middle half of the units; a probability, for that quantile over
-            units; or a function of the units' means ``(units, values)``.
+            gone; a probability, for that quantile over units; or a function of the units' means ``(units, values)``.
         against: Levels of some of ``by``: then the numbers are paired differences to the rows at these levels.
         least: Fewest units for an interval of a mean.
         lost: Values above this limit are lost: the mean leaves them out, and their share is given beside it. One value
@@ -549,8 +543,6 @@ def _estimated(
     (values,) = cube
     if of == "share":
         return share_estimate(values)
-    if of == "interquartile":
-        return interquartile_estimate(values.mean(axis=(1, 2)))
     return mean_estimate(values, least) if of == "mean" else quantile_estimate(values, float(of))
 
 
@@ -590,22 +582,6 @@ def share_estimate(chances: NDArray[np.float64]) -> Estimate:
     else:
         ends = crossed_interval(means) if trainings > 1 else clustered_share_interval(chances.sum(axis=(1, 2)), fruit)
     return _with_reason(float(means.mean()), ends and (max(ends[0], 0.0), min(ends[1], 1.0)), means)
-
-
-def interquartile_estimate(values: NDArray[np.float64]) -> Estimate:
-    """Mean of the middle half of independent values ``(n,)``, one per arm; its interval is a bootstrap's over them.
-
-    Args:
-        values: The values; the lowest and the highest quarter do not count.
-    """
-    from scipy.stats import trim_mean  # late: half of SciPy comes along
-
-    value = float(trim_mean(values, 0.25))
-    if len(values) < LEAST:
-        return Estimate(value, None, f"needs {LEAST} arms")
-    samples = np.random.default_rng(stream(0, "leaderboard")).integers(len(values), size=(RESAMPLES, len(values)))
-    low, high = np.quantile(trim_mean(values[samples], 0.25, axis=1), (0.025, 0.975))
-    return Estimate(value, (float(low), float(high)))
 
 
 def _with_reason(value: float, ends: Ends | None, each: NDArray[np.float64], least: int = LEAST) -> Estimate:

@@ -50,7 +50,7 @@ LEVELS = Check(
     lambda value: isinstance(value, dict) and all(map(_are_levels, value.values())),
     f"a table of names, each with {ONE_LEVEL}",
 )
-STATISTICS = ("mean", "share", "ratio", "removed", "interquartile")
+STATISTICS = ("mean", "share", "ratio", "removed")
 STATISTIC = Check(
     lambda value: value in STATISTICS or _is_named(value) or (isinstance(value, float) and 0.0 < value < 1.0),
     f'one of {", ".join(STATISTICS)}, a probability for that quantile over units, or "file.py:function" of their means',

@@ -25,15 +25,18 @@ from pickenv.arm.kinematics.task_space import truncated_inverse
 from pickenv.base import InputError
 from pickenv.envs.shared.backends import GOAL, NUMPY, episode_key, fresh_seed, seed_word, stream_key
 from pickenv.envs.shared.native_vector import checked_seeds, final_rows
-from pickenv.envs.shared.simulation import NUMBER_KEYS, goal_attempt
+from pickenv.envs.shared.simulation import NUMBER_KEYS, gap_reward, goal_attempt
 from pickenv.envs.shared.spaces import flat_space, given_options
-from pickenv.envs.shared.task import GOAL_ATTEMPTS, Task, as_numbers, check_count, check_number
+from pickenv.envs.shared.task import GOAL_ATTEMPTS, Task, as_numbers, check_choice, check_count, check_number
 
 SEEN_MM = 5.0
 """The arm's error that an observation shows as 1, mm."""
 
 MOST_SEEN = 20.0
 """Largest number by which an observation shows an error, in units of `SEEN_MM`."""
+
+SAME_ARM_REWARDS = ("measured", "true")
+"""The rewards of a pick: of the gap that the camera measured, or of the true tool, which no real arm knows."""
 
 LONGEST_LOOK = 59
 """Most steps that the arm may stand at a fruit: an environment's own time limit is 60."""
@@ -99,7 +102,8 @@ def scaled_joints(geometry: Geometry, joints: Array) -> Array:
 class _Run:
     """The present run of each arm, one per row; every pose follows from the row's seed and the pick's number."""
 
-    def __init__(self, task: Task, rows: int, picks: int, memory: PickMemory, looks: int) -> None:
+    def __init__(self, task: Task, rows: int, picks: int, memory: PickMemory, looks: int, reward: str) -> None:
+        check_choice("reward", reward, SAME_ARM_REWARDS)
         for name, count in {"picks": picks, "window": memory.window, "looks": looks}.items():
             check_count(name, count)
         check_number("reach_mm", memory.reach_mm, positive=True)
@@ -108,7 +112,7 @@ class _Run:
         if not task.camera or task.end_on_success:
             raise InputError("SameArm needs a camera and whole episodes; give feedback='camera', end_on_success=False")
         self.task, self.geometry, self.memory = task, task.plant.arm.nominal, memory
-        self.picks, self.looks = int(picks), int(looks)
+        self.picks, self.looks, self.measured = int(picks), int(looks), reward == SAME_ARM_REWARDS[0]
         self.seeds = np.zeros(rows, dtype=np.uint64)
         self.count = np.zeros(rows, dtype=np.uint64)  # poses drawn so far
         self.pick = 0
@@ -161,13 +165,17 @@ class _Run:
         """Let the arms stand, remember by how much believed and true tool differ, and go on to the next poses.
 
         Returns:
-            The rewards and the infos of the last step.
+            The rewards, of what the camera measured on average or of the true tool, and the infos of the last step.
         """
-        n, error = self.task.joints, np.zeros((len(self.joints), 3))
+        n, error, gap = self.task.joints, *np.zeros((2, len(self.joints), 3))
         for _ in range(self.looks):
             observation, rewards, _, _, infos = env.step(still)
             values = np.atleast_2d(observation).astype(float)
+            gap += values[:, n + 12 :]
             error += values[:, n + 6 : n + 9] - values[:, n + 12 :]
+        if self.measured:
+            measured = gap_reward(NUMPY, self.task, list(gap.T / self.looks), list(values[:, n + 9 : n + 12].T))
+            rewards = measured.reshape(np.shape(rewards))
         self.tokens = self.memory.after(self.tokens, self.scaled, error / self.looks)
         self.pick += 1
         self.draw()
@@ -191,21 +199,23 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
     """
 
     def __init__(
-        self, env: VectorEnv[Any, Any, Any], picks: int = 20, window: int = 1, looks: int = 10, reach_mm: float = 8.0
-    ) -> None:
+        self, env: VectorEnv[Any, Any, Any], picks: int = 20, window: int = 1, looks: int = 10, reach_mm: float = 8.0,
+        reward: str = "measured",
+    ) -> None:  # fmt: skip
         """Wrap ``env``; arguments as in `SameArm`.
 
         Raises:
             InputError: If ``env`` is no native reach environment on NumPy with a camera, or an argument is impossible.
         """
-        RecordConstructorArgs.__init__(self, picks=picks, window=window, looks=looks, reach_mm=reach_mm)
+        given = {"picks": picks, "window": window, "looks": looks, "reach_mm": reach_mm, "reward": reward}
+        RecordConstructorArgs.__init__(self, **given)
         VectorWrapper.__init__(self, env)
         inner: Any = env.unwrapped
         native = hasattr(inner, "batch") and not env.metadata.get("torch")
         if not native or env.single_observation_space.shape != flat_space(inner.task).shape:
             raise InputError("SameArmVector works on native pickenv/Reach-v0 environments; make them with make_vec")
         task: Task = inner.task
-        self.run = _Run(task, self.num_envs, picks, PickMemory(task.joints, window, reach_mm), looks)
+        self.run = _Run(task, self.num_envs, picks, PickMemory(task.joints, window, reach_mm), looks, reward)
         self.metadata = {**env.metadata, "autoreset_mode": AutoresetMode.SAME_STEP}
         self.single_observation_space = self.run.memory.space()
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -281,9 +291,11 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     | then 3    | true minus believed tool there, as the camera saw it               | -20 | 20  | 5 mm |
     | then 1    | whether there was such a pick                                      | 0   | 1   | 1    |
 
-    The reward of a pick is that of `pickenv/Reach-v0` for the true tool at the fruit. A run is truncated after its last
-    pick. `info` has the errors of `pickenv/Reach-v0`, the number of picks so far as `pick`, and the arm's number as
-    `arm`. Make the environment with `arms="per_episode"`, else every run has the same arm;
+    The reward of a pick is that of `pickenv/Reach-v0` for the gap between tool and fruit that the camera measured, the
+    mean of all looks: what a real arm could measure. A policy may therefore be shown it. With `reward="true"` it is of
+    the true tool; it has no noise, so that a few probing aims would locate the fruit. Use it for training only. A run
+    is truncated after its last pick. `info` has the errors of `pickenv/Reach-v0`, the number of picks so far as `pick`,
+    and the arm's number as `arm`. Make the environment with `arms="per_episode"`, else every run has the same arm;
     `reset(options={"arm": number})` chooses one.
 
     Example:
@@ -300,8 +312,9 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """
 
     def __init__(
-        self, env: gym.Env[Any, Any], picks: int = 20, window: int = 1, looks: int = 10, reach_mm: float = 8.0
-    ) -> None:
+        self, env: gym.Env[Any, Any], picks: int = 20, window: int = 1, looks: int = 10, reach_mm: float = 8.0,
+        reward: str = "measured",
+    ) -> None:  # fmt: skip
         """Wrap ``env``.
 
         Args:
@@ -310,17 +323,19 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             window: Number of past picks in the observation; a recurrent policy needs only one.
             looks: Steps that the arm stands before each fruit.
             reach_mm: Largest shift of an aim, per axis.
+            reward: "measured", of the gap that the camera saw, or "true", for training in simulation alone.
 
         Raises:
             InputError: If ``env`` is no flat `pickenv/Reach-v0` with a camera, or an argument is impossible.
         """
-        RecordConstructorArgs.__init__(self, picks=picks, window=window, looks=looks, reach_mm=reach_mm)
+        given = {"picks": picks, "window": window, "looks": looks, "reach_mm": reach_mm, "reward": reward}
+        RecordConstructorArgs.__init__(self, **given)
         gym.Wrapper.__init__(self, env)
         task: Any = getattr(env.unwrapped, "task", None)
         single = isinstance(task, Task) and hasattr(env.unwrapped, "arm")
         if not single or env.observation_space.shape != flat_space(task).shape:
             raise InputError("SameArm works on flat reach environments; wrap a pickenv/Reach-v0 environment")
-        self.run = _Run(task, 1, picks, PickMemory(task.joints, window, reach_mm), looks)
+        self.run = _Run(task, 1, picks, PickMemory(task.joints, window, reach_mm), looks, reward)
         self.observation_space = self.run.memory.space()
         self.action_space = spaces.Box(-1.0, 1.0, (3,), np.float32)
         self._arm = 0

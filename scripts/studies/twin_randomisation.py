@@ -47,7 +47,7 @@ def environment(given: dict[str, Any], picks: int, seed: int, fixed: bool = Fals
     arms: dict[str, Any] = {} if fixed else {"arms": "per_episode", "population": ARMS, "population_seed": seed}
     camera: dict[str, Any] = {"feedback": "camera", "camera_noise_mm": LOOK_MM, "fruit_noise_mm": 0.0}
     envs = gym.make_vec("pickenv/Reach-v0", num_envs=TOGETHER, **given, **arms, **camera)
-    return SameArmVector(envs, picks=picks, window=picks, looks=1)
+    return SameArmVector(envs, picks=picks, window=picks, looks=1, reward="true")
 
 
 def trained(given: dict[str, Any], picks: int, seed: int, steps: int) -> PPO:

@@ -77,6 +77,23 @@ def test_what_was_seen_is_the_arms_own_error_wherever_it_aims() -> None:
     assert (infos["position_error_mm"] < 0.6).all()
 
 
+def test_the_reward_is_of_what_the_camera_measured_and_probing_it_finds_no_more() -> None:
+    """Two true tools that look alike are paid alike; the true reward would tell them apart to the micrometre."""
+    paid: dict[str, list[np.ndarray]] = {"measured": [], "true": []}
+    for reward, rewards in paid.items():
+        envs = vector(64, looks=1, reward=reward)
+        for seed in (3, 400):  # other pictures; arm, fruit and aim are the same
+            envs.reset(seed=seed, options={"arm": np.zeros(64, dtype=int)})
+            envs.run.joints[:] = envs.run.geometry.lower + 0.4 * (envs.run.geometry.upper - envs.run.geometry.lower)
+            seen, reward_now, *_ = envs.step(np.zeros((64, 3)))
+            rewards.append(reward_now)
+            if reward == "measured":
+                gap = np.linalg.norm(seen[:, 12:15], axis=1) * SEEN_MM  # aimed at the fruit: error and gap are alike
+                turn = reward_now + np.log10(1.0 + gap)
+                assert np.ptp(turn) < 1e-3, "nothing but the picture tells the rewards apart"
+    assert np.std(paid["measured"][0]) > 0.05 and np.std(paid["true"]) < 1e-3
+
+
 def test_impossible_runs_end_with_one_sentence() -> None:
     blind = gym.make("pickenv/Reach-v0")
     for env, given, said in (
@@ -85,6 +102,7 @@ def test_impossible_runs_end_with_one_sentence() -> None:
         (gym.make("pickenv/ReachTool-v0", feedback="camera"), {}, "works on flat reach environments"),
         (gym.make("pickenv/Reach-v0", feedback="camera"), {"looks": 60}, "looks is 60; give at most 59"),
         (gym.make("pickenv/Reach-v0", feedback="camera"), {"picks": 0}, "picks is 0"),
+        (gym.make("pickenv/Reach-v0", feedback="camera"), {"reward": "x"}, "reward is 'x'; give one of measured, true"),
     ):
         with pytest.raises(InputError, match=said):
             SameArm(env, **given)

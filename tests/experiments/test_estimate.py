@@ -3,9 +3,8 @@
 import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
-from scipy.stats import trim_mean
 
-from pickenv.base import clustered_share_interval, crossed_interval, interquartile_estimate, mean_interval, unseen_share
+from pickenv.base import clustered_share_interval, crossed_interval, mean_interval, unseen_share
 from pickenv.experiments import Rows, estimate
 
 ARMS, FRUIT = 12, 5
@@ -94,16 +93,6 @@ def test_shares_and_quantiles_stay_within_what_can_be():
     for row in estimate(columns, "error_mm", by=("method",), of=0.5):
         low, high = row["estimate"].ci95
         assert low <= row["estimate"].value <= high
-
-
-def test_the_middle_half_forgets_the_best_and_the_worst_quarter_of_arms():
-    values = np.concatenate([[1e6, -1e6], np.random.default_rng(0).normal(3.0, 0.5, 38)])
-    columns = {"arm": np.arange(40).repeat(2), "error_mm": values.repeat(2) + np.tile([-1.0, 1.0], 40)}
-    (found,) = estimate(columns, "error_mm", of="interquartile")
-    assert found["estimate"].value == pytest.approx(np.sort(values)[10:30].mean())
-    again = trim_mean(np.random.default_rng(1).choice(values, (2000, 40)), 0.25, axis=1)
-    assert found["estimate"].ci95 == pytest.approx(np.quantile(again, (0.025, 0.975)), abs=0.03)
-    assert interquartile_estimate(values[:9]).ci95 is None
 
 
 def test_arms_that_were_not_measured_alike_are_refused():

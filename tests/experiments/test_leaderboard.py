@@ -8,23 +8,12 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pickenv.base import InputError, interquartile_estimate
+from pickenv.base import InputError, mean_interval
 from pickenv.cli import app
 from pickenv.commands import check
+from pickenv.envs.shared.difficulty import LADDER, POPULATION
 from pickenv.experiments import PolicySettings, Rows, kept_rows, policy_tables, policy_tables as tables, run_policies
 
-KEYS = {
-    "task",
-    "policy",
-    "feedback",
-    "compensation",
-    "mean_mm",
-    "iqm_mm",
-    "attitude_deg",
-    "success",
-    "ci95_mm",
-    "seeds",
-}
 STILL = """
 import numpy as np
 
@@ -39,93 +28,54 @@ def make_policy(env, seed):
 
 
 SMALL = replace(
-    policy_tables.LEADERBOARD, policies=("scripted",), compensations=("raw", "ls"), plants=("qiao2026",), canopies=0
+    policy_tables.LEADERBOARD,
+    policies=("scripted",),
+    compensations=("raw", "ls"),
+    plants=("qiao2026",),
+    arms=2,
+    episodes=3,
+    canopies=0,
 )
-SMALL = replace(SMALL, arms=2, episodes=3)
 """Seconds: without residual models, whose calibrations take the time."""
 
 
-def rows_of(policy, compensation, errors):
-    """Rows of arms ``(N, fruit)``, two a seed: degrees are a tenth of the millimetres, grippers forgive 5 and 8 mm."""
-    errors = np.asarray(errors)
-    words = {"plant": "field", "compensation": compensation, "feedback": "encoders", "policy": policy}
-    arm, fruit = (index.ravel() for index in np.indices(errors.shape))
-    flat = errors.ravel()
-    return {name: np.full(errors.size, word) for name, word in words.items()} | {
-        "seed": arm // 2,
-        "arm": arm,
-        "episode": fruit,
-        "error_mm": flat,
-        "attitude_deg": 0.1 * flat,
-        "chance_li_cup": np.where(flat < 5.0, 1.0, 0.0),
-        "chance_compliant_hand": np.where(flat < 8.0, 1.0, 0.0),
+def test_half_and_nine_of_ten_are_counted_on_every_arm_by_itself():
+    """Ten arms whose eleven fruit end 0 to 10 mm away, times the arm's own factor."""
+    factor = np.linspace(0.5, 1.5, 10)
+    arm, fruit = (index.ravel() for index in np.indices((10, 11)))
+    cell = Rows({"arm": arm, "training": 0 * arm, "error_mm": factor[arm] * fruit[::-1]})
+    assert policy_tables.distance_within(cell, 0.5).value == pytest.approx(5.0)
+    most = policy_tables.distance_within(cell, 0.9)
+    assert most.value == pytest.approx(9.0) and most.ci95 == pytest.approx(mean_interval(9.0 * factor))
+
+
+def test_every_training_has_its_own_mean_and_a_table_of_them(tmp_path, monkeypatch):
+    """Two trainings of eight steps; a run that finds them trains no more."""
+    short = {
+        "ppo": replace(policy_tables.RECIPES["ppo"], steps=8, parameters={"n_envs": 2, "n_steps": 4, "batch_size": 8})
     }
+    monkeypatch.setattr(policy_tables, "RECIPES", short)
+    settings = replace(SMALL, compensations=("raw",), plants=("rung:orchard",), episodes=1)
+    board = policy_tables.run_leaderboard(settings, tmp_path, trainings=2)
+    rows = [row for row in board["reach"] if row["policy"] == "ppo"]
+    assert len(rows) == len(settings.grippers) and rows[0]["trainings"] == 2
+    first, second = rows[0]["training_mm"]
+    assert first != second and np.mean([first, second]) == pytest.approx(rows[0]["mean_mm"])
+    heads, cells = policy_tables.leaderboard_tables(board)["Mean error of each training on raw arms (mm)"]
+    assert (heads, cells) == (["policy", "rung:orchard"], [["ppo", f"{first:.2f} {second:.2f}"]])
+    policies = sorted(tmp_path.glob("trainings/ppo/*/policy.npz"))
+    times = [path.stat().st_mtime_ns for path in policies]
+    assert len(times) == 2 and policy_tables.run_leaderboard(settings, tmp_path, trainings=2) == board
+    assert [path.stat().st_mtime_ns for path in policies] == times
 
 
-def test_rows_are_worked_out_over_the_arms_of_all_seeds():
-    """Ten arms of one to ten millimetres; a quarter of ten is two and a half, of which trimming leaves out two."""
-    parts = [
-        rows_of("scripted", "raw", [[m - 0.5, m, m + 0.5] for m in np.arange(1.0, 11.0)]),
-        rows_of("scripted", "ls", [[0.1 * (n // 2)] * 3 for n in range(10)]),
-        rows_of("still", "raw", [[40.0] * 3, [50.0] * 3] * 5),
-    ]
-    ls, raw, still = table = policy_tables.reaching_rows(
-        Rows({k: np.concatenate([part[k] for part in parts]) for k in parts[0]})
-    )
-    assert [(row["policy"], row["compensation"]) for row in table] == [
-        ("scripted", "ls"),
-        ("scripted", "raw"),
-        ("still", "raw"),
-    ]
-    for row in table:
-        assert (row["task"], row["feedback"], row["arms"], row["fruit_per_arm"]) == (
-            "pickenv/Reach-v0, field",
-            "encoders",
-            10,
-            3,
-        )
-        assert row["seeds"] == [0, 1, 2, 3, 4]
-    assert raw["mean_mm"] == pytest.approx(5.5) and raw["attitude_deg"] == pytest.approx(0.55)
-    assert raw["iqm_mm"] == pytest.approx(np.mean([3, 4, 5, 6, 7, 8]))
-    shares = [13 / 30, 22 / 30]  # below 5 mm: three of each of 1 to 4 mm, one of 5 mm; below 8 mm likewise
-    assert raw["success"] == pytest.approx(shares[0])
-    assert raw["success_by_gripper"] == pytest.approx(
-        dict(zip(policy_tables.LEADERBOARD.grippers, shares, strict=True))
-    )
-    expected = interquartile_estimate(np.arange(1.0, 11.0))
-    assert raw["ci95_mm"] == list(expected.ci95)
-    assert ls["mean_mm"] == pytest.approx(0.2) and still["mean_mm"] == pytest.approx(45.0)
-    assert policy_tables.leaderboard_cells(raw) == [
-        "scripted",
-        "encoders",
-        "raw",
-        "5.500",
-        f"5.500 ({expected.ci95[0]:.3f} to {expected.ci95[1]:.3f})",
-        "0.550",
-        "43 %",
-        "73 %",
-    ]
-    page = policy_tables.leaderboard_tables([ls, raw, still]).splitlines()
-    assert page[0] == "pickenv/Reach-v0, field: 10 arms over seeds 0, 1, 2, 3, 4, 3 fruit each" and page[1] == ""
-    assert (
-        page[2].startswith("| policy | feedback | compensation | mean (mm) |")
-        and page[3] == f"| {'|'.join(['---'] * 8)} |"
-    )
-    assert page[5] == f"| {' | '.join(policy_tables.leaderboard_cells(raw))} |" and len(page) == 7
-    alone = policy_tables.reaching_rows(Rows({name: values[:6] for name, values in parts[1].items()}))[0]
-    assert alone["ci95_mm"] is None and policy_tables.leaderboard_cells(alone)[4] == "0.000 (no interval)"
-
-
-def test_a_leaderboard_is_what_the_page_says():
-    assert policy_tables.LEADERBOARD.seeds == policy_tables.QUICK.seeds == (0, 1, 2, 3, 4)
-    assert (policy_tables.LEADERBOARD.arms, policy_tables.LEADERBOARD.episodes, policy_tables.LEADERBOARD.canopies) == (
-        2,
-        16,
-        2,
-    )
-    assert (policy_tables.QUICK.arms, policy_tables.QUICK.episodes, policy_tables.QUICK.canopies) == (1, 4, 0)
-    assert (policy_tables.LEADERBOARD.plan.epochs, policy_tables.QUICK.plan.epochs) == (100, 20)
-    assert policy_tables.LEADERBOARD.compensations == ("raw", "ls", "ls_bpnn", "best")
+def test_a_leaderboard_is_every_rung_with_arms_that_no_two_seeds_share():
+    board = policy_tables.LEADERBOARD
+    assert board.plants == policy_tables.rungs(["all"]) == tuple(f"rung:{name}" for name in list(LADDER)[1:])
+    numbers = [board.first_arm(board.plants[0], seed) + np.arange(board.arms) for seed in board.seeds]
+    assert len(set(np.concatenate(numbers))) == board.arms * len(board.seeds) <= POPULATION["test"]
+    with pytest.raises(InputError, match="rung:orchard has 64 arms to be judged on; 65 were asked for"):
+        replace(board, arms=13).world("rung:orchard", 0)
 
 
 def test_a_seed_has_its_own_arms_fruit_and_calibrations(tmp_path):
@@ -141,14 +91,14 @@ def test_a_seed_has_its_own_arms_fruit_and_calibrations(tmp_path):
 @pytest.mark.slow
 def test_rows_are_of_all_seeds_and_a_run_goes_on_where_it_was_cut(tmp_path):
     pytest.importorskip("joblib")
-    rows = policy_tables.run_leaderboard(SMALL, tmp_path)
-    assert {(row["policy"], row["compensation"]) for row in rows} == {("scripted", "raw"), ("scripted", "ls")}
-    better, worse = rows
-    assert better["compensation"] == "ls" and better["iqm_mm"] < worse["iqm_mm"]
-    for row in rows:
-        assert row.keys() >= KEYS and row["seeds"] == [0, 1, 2, 3, 4] and row["arms"] == 10
-        low, high = row["ci95_mm"]
-        assert low < row["iqm_mm"] < high
+    board = policy_tables.run_leaderboard(SMALL, tmp_path)
+    assert not board["pick"]
+    worse, better = (row for row in board["reach"] if row["gripper"] == "li_cup")
+    assert (worse["compensation"], better["compensation"]) == ("raw", "ls") and better["mean_mm"] < worse["mean_mm"]
+    for row in (worse, better):
+        assert row["seeds"] == [0, 1, 2, 3, 4] and row["arms"] == 10 and row["trainings"] is None
+        low, high = row["ci95"]
+        assert low < row["mean_mm"] < high and row["half_mm"] < row["nine_of_ten_mm"]
     raw = kept_rows(tmp_path / "reaching").where(compensation="raw")
     means = [raw.where(seed=seed)["error_mm"].mean() for seed in range(5)]
     assert len(set(means)) == 5 and np.mean(means) == pytest.approx(worse["mean_mm"])  # no two seeds share their arms
@@ -159,7 +109,7 @@ def test_rows_are_of_all_seeds_and_a_run_goes_on_where_it_was_cut(tmp_path):
     for path in victims:
         path.unlink()
         assert any(finding.reason is not None for finding in check.findings_of(path.parent))
-    assert policy_tables.run_leaderboard(SMALL, tmp_path, backend="loky", workers=2) == rows
+    assert policy_tables.run_leaderboard(SMALL, tmp_path, backend="loky", workers=2) == board
     assert {path for path in kept if path.stat().st_mtime_ns != times[path]} == victims
     assert all(finding.reason is None for finding in check.findings_of(tmp_path))
 
@@ -174,13 +124,13 @@ def test_a_stranger_enters_by_one_file_and_is_judged_on_the_same_arms(tmp_path, 
         app, ["bench", "policies", "--quick", "--policy", str(file), "--out", str(out), "--json", str(rows)]
     )
     assert done.exit_code == 0, done.output
-    found = json.loads(rows.read_text())["rows"]
+    found = json.loads(rows.read_text())["reach"]
     assert {row["policy"] for row in found} == {"scripted", "still"}
     lazy = [row for row in found if row["policy"] == "still"]
     assert {row["feedback"] for row in lazy} == {"encoders", "camera"}
     assert min(row["mean_mm"] for row in lazy) > 100.0 > max(row["mean_mm"] for row in found if row not in lazy)
     page = (out / "leaderboard.md").read_text()
-    assert page.count("| scripted |") == 2 and page.count("| still |") == 4
+    assert page.count("| scripted |") == 1 and page.count("| still |") == 2
 
     file.write_text(STILL.replace("zeros", "ones"))
     pieces = set(out.glob("reaching/*still*"))
@@ -195,41 +145,34 @@ def test_a_stranger_enters_by_one_file_and_is_judged_on_the_same_arms(tmp_path, 
         run_policies(replace(SMALL, policies=(str(file), str(other))))
 
 
-def test_picks_per_hour_are_counted_per_arm_and_gripper():
+def test_rates_and_shares_of_picks_are_of_all_grasps_together():
     rng = np.random.default_rng(0)
-    counts = {("raw", "li_cup"): [5] * 10, ("raw", "compliant_hand"): [1] * 10}
-    counts |= {("ls", "li_cup"): [8] * 4 + [9] * 2 + [8] * 4, ("ls", "compliant_hand"): [4] * 4 + [5] * 2 + [4] * 4}
-    rows = policy_tables.picking_rows(
-        Rows.of(
-            [
-                {"plant": "field", "gripper": gripper, "policy": "scripted", "compensation": behind, "seed": arm // 2}
-                | {"arm": arm, "attempted": 10, "collected": collected, "picks_per_hour": 100.0 * collected}
-                | {"error_sum_mm": rng.uniform(1.0, 3.0, 10).sum(), "tilt_sum_deg": 10.0}
-                for (behind, gripper), counted in counts.items()
-                for arm, collected in enumerate(counted)
-            ]
-        )
-    )
-    best, worst = rows
-    assert (best["compensation"], worst["compensation"]) == ("ls", "raw") and best.keys() >= KEYS
-    assert best["picks_per_hour"] == pytest.approx({"li_cup": 820.0, "compliant_hand": 420.0})
-    assert best["success_by_gripper"] == pytest.approx({"li_cup": 0.82, "compliant_hand": 0.42})
-    assert best["attitude_deg"] == pytest.approx(1.0) and best["attempts"] == 200
-    low, high = best["picks_per_hour_ci95"]["li_cup"]
-    assert low < 820.0 < high and best["arms"] == 10 and 1.0 < best["iqm_mm"] < 3.0
-    page = policy_tables.leaderboard_tables(rows)
-    assert "picks per hour, li_cup | picks per hour, compliant_hand" in page and "| 820 (" in page
+    collected, attempted = rng.integers(3, 7, 12), np.full(12, 8)
+    seconds = rng.uniform(40.0, 60.0, 12)
+    key = {"plant": "rung:day", "gripper": "li_cup", "policy": "scripted", "compensation": "raw"}
+    columns = {name: np.full(12, word) for name, word in key.items()} | {"arm": np.arange(12)}
+    columns |= {"collected": collected, "attempted": attempted, "duration_s": seconds}
+    (row,) = policy_tables.picking_rows(Rows(columns | {"error_sum_mm": 3.0 * attempted}))
+    assert (row["attempted"], row["collected"], row["arms"]) == (96, collected.sum(), 12)
+    assert row["success"] == pytest.approx(collected.sum() / 96) and row["error_mm"] == pytest.approx(3.0)
+    rate = 3600.0 * collected.sum() / seconds.sum()
+    low, high = row["picks_per_hour_ci95"]
+    assert row["picks_per_hour"] == pytest.approx(rate) and 0.5 * rate < low < rate < high < 1.5 * rate
+    board = {"reach": [], "pick": [row]}
+    assert "| scripted | raw | 96 | 3.00 |" in policy_tables.leaderboard_page(board)
 
 
 @pytest.mark.slow
 def test_scripted_picking_is_counted_on_the_same_canopies():
-    settings = PolicySettings(compensations=("raw",), arms=1, grippers=("li_cup",), seeds=(3,), canopies=1)
+    settings = PolicySettings(
+        compensations=("raw",), arms=1, grippers=("li_cup",), plants=("field",), seeds=(3,), canopies=1
+    )
     rows = run_policies(settings, task="picking")
     gentle, hasty = rows.dicts()
     assert (gentle["policy"], hasty["policy"]) == ("scripted", "hasty")
     assert gentle["attempted"] == hasty["attempted"] > 0
     assert 0 <= gentle["collected"] <= gentle["attempted"]
-    assert hasty["picks_per_hour"] / hasty["collected"] > gentle["picks_per_hour"] / gentle["collected"]  # it is faster
+    assert hasty["duration_s"] < gentle["duration_s"]
     again = run_policies(settings, task="picking")
     assert all(np.array_equal(again[name], values) for name, values in rows.columns.items())
 
@@ -249,22 +192,12 @@ def test_impossible_leaderboards_end_with_one_sentence(tmp_path):
         policy_tables.run_leaderboard(replace(SMALL, policies=(str(picky),)), tmp_path)
 
 
-def test_the_published_table_has_the_numbers_of_the_published_file():
-    """docs/leaderboard.md and docs/_static/leaderboard.json are of one run; the page leaves out the smooth arm."""
+def test_the_published_tables_are_those_of_the_published_file():
     docs = Path(__file__).parents[2] / "docs"
-    rows = json.loads((docs / "_static/leaderboard.json").read_text(encoding="utf-8"))["rows"]
+    board = json.loads((docs / "_static/leaderboard.json").read_text(encoding="utf-8"))
     page = (docs / "leaderboard.md").read_text(encoding="utf-8")
-    printed = {}
-    for part in page.split("### ")[1:]:
-        for line in part.splitlines():
-            policy, feedback, *numbers = [cell.strip() for cell in line.strip("|").split("|")] + [""] * 2
-            if " to " in (numbers or [""])[0]:
-                columns = zip(("raw", "ls", "ls_bpnn", "best"), numbers, strict=False)
-                printed |= {(part.splitlines()[0], policy, feedback, name): number for name, number in columns}
-    kept = {}
-    for row in rows:
-        low, high = row["ci95_mm"]
-        key = row["task"], row["policy"], row["feedback"], row["compensation"]
-        kept[key] = f"{row['iqm_mm']:.2f} ({low:.2f} to {high:.2f})"
-    shown = {key: number for key, number in kept.items() if not key[0].endswith("qiao2026")}
-    assert len(kept) > 90 and len(printed) > 40 and printed == shown
+    assert {row["plant"] for row in board["reach"]} == set(policy_tables.LEADERBOARD.plants)
+    parts = policy_tables.leaderboard_page(board).split("### ")[1:]
+    assert len(parts) == 2 * len(policy_tables.LEADERBOARD.plants) + 1
+    for part in parts:
+        assert part.strip() in page, part.splitlines()[0]

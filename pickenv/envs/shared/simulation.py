@@ -367,7 +367,12 @@ def true_reward(x: Executor, task: Task, scene: View) -> Scalar:
 def goal_reward(x: Executor, task: Task, achieved: Sequence[Scalar], desired: Sequence[Scalar]) -> Scalar:
     """Reward for an achieved against a desired goal, `GOAL_NUMBERS` each: see `pickenv/ReachGoal-v0`."""
     dx, dy, dz, *turn = goal_gap(x.m, achieved, desired)
-    distance_mm, angle_deg = 1e3 * length(x, (dx, dy, dz)), DEGREES * length(x, turn)
+    return gap_reward(x, task, (dx, dy, dz), turn)
+
+
+def gap_reward(x: Executor, task: Task, gap: Sequence[Scalar], turn: Sequence[Scalar]) -> Scalar:
+    """Reward for a gap (m) and a rotation vector (rad) between tool and fruit, 3 each, whoever measured them."""
+    distance_mm, angle_deg = 1e3 * length(x, gap), DEGREES * length(x, turn)
     return _reward(x, task, in_capture_region(task, distance_mm, angle_deg), distance_mm, angle_deg)
 
 

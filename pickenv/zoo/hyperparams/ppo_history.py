@@ -5,7 +5,7 @@ from pickenv.zoo.hyperparams.ppo_lstm import hyperparams as _recurrent
 hyperparams = {
     name: parameters
     | {
-        "env_wrapper": {"pickenv.wrappers.SameArm": {"window": 20}},
+        "env_wrapper": {"pickenv.wrappers.SameArm": {"window": 20, "reward": "true"}},
         "n_envs": 128,
         "n_steps": 20,
         "policy": "pickenv.agents.training.history.HistoryPolicy",

@@ -1,4 +1,7 @@
-"""RecurrentPPO (sb3-contrib) on many fruit of one arm: it sees the last pick, and remembers the others."""
+"""RecurrentPPO (sb3-contrib) on many fruit of one arm: it sees the last pick, and remembers the others.
+
+Rewards of a training in simulation are of the true tool; what is learnt is judged without them.
+"""
 
 SAME_ARM = {
     "feedback": "camera",
@@ -11,7 +14,7 @@ SAME_ARM = {
 
 hyperparams = {
     "pickenv/Reach-v0": {
-        "env_wrapper": "pickenv.wrappers.SameArm",
+        "env_wrapper": {"pickenv.wrappers.SameArm": {"reward": "true"}},
         "env_kwargs": SAME_ARM,
         "n_envs": 256,
         "n_timesteps": 1e5,
