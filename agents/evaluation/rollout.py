@@ -109,15 +109,15 @@ def roll_out(
     parts: list[Rollout] = []
     policy: Policy | None = None
     env: ReachVectorEnv | None = None
-    for first in range(0, episodes, rounds):
-        block = seeds[first : first + rounds]
+    for begin in range(0, episodes, rounds):
+        block = seeds[begin : begin + rounds]
         rows = np.tile(numbers, len(block))
         if env is None or env.num_envs != len(rows):
             envs: Callable[..., ReachVectorEnv] = getattr(make, "envs", ReachVectorEnv)
             env = envs(len(rows), max_episode_steps=None, autoreset_mode="Disabled", **arguments)
             if compensators is not None:
                 env.compensator = per_arm(compensators, rows)
-            policy = make(env, seed_words(stream(seed, "policy", first), 1)[0])
+            policy = make(env, seed_words(stream(seed, "policy", begin), 1)[0])
         assert policy is not None
         parts.append(_run(env, policy, rows, block.ravel(), steps, first))
     return _joined(parts)

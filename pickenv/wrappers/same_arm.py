@@ -207,7 +207,13 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         Raises:
             InputError: If ``env`` is no native reach environment on NumPy with a camera, or an argument is impossible.
         """
-        given = {"picks": picks, "window": window, "looks": looks, "reach_mm": reach_mm, "reward": reward}
+        given: dict[str, Any] = {
+            "picks": picks,
+            "window": window,
+            "looks": looks,
+            "reach_mm": reach_mm,
+            "reward": reward,
+        }
         RecordConstructorArgs.__init__(self, **given)
         VectorWrapper.__init__(self, env)
         inner: Any = env.unwrapped
@@ -328,7 +334,13 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         Raises:
             InputError: If ``env`` is no flat `pickenv/Reach-v0` with a camera, or an argument is impossible.
         """
-        given = {"picks": picks, "window": window, "looks": looks, "reach_mm": reach_mm, "reward": reward}
+        given: dict[str, Any] = {
+            "picks": picks,
+            "window": window,
+            "looks": looks,
+            "reach_mm": reach_mm,
+            "reward": reward,
+        }
         RecordConstructorArgs.__init__(self, **given)
         gym.Wrapper.__init__(self, env)
         task: Any = getattr(env.unwrapped, "task", None)

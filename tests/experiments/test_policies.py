@@ -465,6 +465,16 @@ def test_on_a_rung_every_seed_takes_other_arms_and_what_the_rung_fixes_is_fixed(
         np.testing.assert_allclose(own.geometry.d, drawn.geometry.d, rtol=1e-6)
 
 
+def test_on_a_rung_every_seed_s_arms_are_behind_their_own_calibrations() -> None:
+    settings = replace(
+        RUNGS, plants=("rung:coarse",), compensations=("raw", "ls"), arms=2, policies=("scripted", "adaptive")
+    )
+    rows = run_policies(settings)
+    for seed in settings.seeds:
+        raw, ls = (rows.where(seed=seed, policy="scripted", compensation=name)["error_mm"] for name in ("raw", "ls"))
+        assert ls.mean() < 0.7 * raw.mean(), "another arm's calibration would only add to the error"
+
+
 def test_a_rung_without_error_or_with_fewer_arms_is_refused() -> None:
     with pytest.raises(InputError, match="rung:ideal has 1 arms to be judged on; 20 were asked for"):
         run_policies(replace(RUNGS, plants=("rung:ideal",)))
