@@ -218,7 +218,7 @@ def gain_cells(bench: Bench) -> list[tuple[str, ...]]:
 def csv_files(bench: Bench) -> dict[str, str]:
     """The tables of gains and of measured robots as CSV texts by file name, as pages show them; none without rows."""
     tables = {GAINS_FILE: (GAIN_HEADS, gain_cells(bench)), ROBOTS_FILE: (SPREAD_HEADS, spread_cells(bench.models))}
-    texts = {}
+    texts: dict[str, str] = {}
     for name, (heads, rows) in tables.items():
         text = StringIO(newline="")
         csv.writer(text, lineterminator="\n").writerows([heads, *rows])

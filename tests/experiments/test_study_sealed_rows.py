@@ -187,7 +187,7 @@ def test_words_that_mean_the_same_may_be_written_otherwise(folder):
 def test_an_edited_summary_is_refused(folder):
     path = folder / "summary.json"
     edited(path, ('"arms": 6', '"arms": 7'))
-    with pytest.raises(InputError, match=r"summary\.json was edited or damaged after it was written"):
+    with pytest.raises(InputError, match=r"summary\.json is not a record of a study or is damaged \(it was edited"):
         read_summary(folder)
     assert "was edited" in dict(check_folder(folder))[path]
 
@@ -205,7 +205,7 @@ def test_a_summary_of_other_rows_or_another_study_is_refused(folder, finished):
 @pytest.mark.parametrize("text", ["", "[]", "{}", "null", '{"sha256": 1}', "[" * 100_000, "\x00"])
 def test_a_damaged_summary_ends_with_one_sentence(folder, text):
     (folder / "summary.json").write_text(text, encoding="utf-8")
-    with pytest.raises(InputError, match=r"summary\.json is missing or damaged"):
+    with pytest.raises(InputError, match=r"summary\.json is not a record of a study or is damaged"):
         read_summary(folder)
 
 
