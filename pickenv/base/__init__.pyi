@@ -3,8 +3,10 @@ from .container import (
     npz_path as npz_path,
     parquet_is_sealed as parquet_is_sealed,
     read_container as read_container,
+    read_sealed_json as read_sealed_json,
     refusing_damage as refusing_damage,
     seal as seal,
+    sealed_json as sealed_json,
     sealed_parquet as sealed_parquet,
     write_container as write_container,
 )

@@ -92,6 +92,37 @@ def refusing_damage(path: str | Path, what: str, remake: str) -> Iterator[None]:
         raise InputError(f"{path} is not {what} or is damaged ({why}); {remake}") from error
 
 
+def sealed_json(content: Mapping[str, Any]) -> str:
+    """The only text that a record of this content may have: JSON that includes a hash of the rest ("sha256")."""
+    digest = hashlib.sha256(json.dumps(content, allow_nan=False).encode()).hexdigest()
+    return json.dumps({**content, "sha256": digest}, indent=2) + "\n"
+
+
+def read_sealed_json(path: Path, what: str, remake: str, *keys: str) -> dict[str, Any]:
+    """The content of a record that `sealed_json` made.
+
+    Args:
+        path: The file.
+        what: What the file should be.
+        remake: What to do about a damaged file, as the end of a sentence.
+        keys: Keys that such a record has.
+
+    Raises:
+        InputError: If it is missing or damaged, was edited, or is another record.
+    """
+    if not path.is_file():
+        raise InputError(f"{path} is missing; {remake}")
+    with refusing_damage(path, what, remake):
+        text = path.read_text(encoding="utf-8")
+        content: dict[str, Any] = json.loads(text)
+        del content["sha256"]
+        if text != sealed_json(content):
+            raise ValueError("it was edited: its own hash is another")
+        for key in keys:
+            content[key]  # raises an error that names it
+    return content
+
+
 def named_part(prefix: str, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
     """The arrays with ``prefix`` before their names, to be saved as a part of something larger."""
     return {f"{prefix}{name}": np.asarray(value) for name, value in arrays.items()}

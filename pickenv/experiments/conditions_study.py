@@ -219,15 +219,17 @@ def levels_of(ranges: ConditionRanges) -> dict[str, Array]:
     return {name: np.linspace(low, high, LEVELS) for name, (low, high) in ends.items() if high > low}
 
 
+def state_at(condition: str, level: float, count: int) -> State:
+    """The reference conditions at ``count`` poses, with one condition at ``level``."""
+    return State.same(count, **{"weather" if condition == "temperature" else condition: level})
+
+
 def judged_on(
     plant: Plant, believed: Mapping[str, Believed] | Calibration, settings: ConditionsSettings, rng: np.random.Generator
 ) -> Rows:
     """Errors left at new poses under held-out conditions: a row for each sweep, level, method and pose."""
     levels, count = levels_of(settings.ranges), 2 * settings.poses
-    varied = {"payload": "payload", "temperature": "weather", "hour": "hour"}
-    states = [
-        (name, k, State.same(count, **{varied[name]: level})) for name in levels for k, level in enumerate(levels[name])
-    ]
+    states = [(name, k, state_at(name, level, count)) for name in levels for k, level in enumerate(levels[name])]
     parts = []
     for sweep, level, state in [*states, (HELD_OUT, 0, None)]:
         state = state or State.drawn(settings.ranges, settings.sessions, settings.poses, rng)

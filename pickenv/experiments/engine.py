@@ -10,8 +10,6 @@ and the code that makes numbers. A piece that is there is not computed again; `c
 
 from __future__ import annotations
 
-import hashlib
-import json
 import re
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
@@ -33,8 +31,9 @@ from pickenv.base import (
     estimate as estimate,
     locked,
     parquet_is_sealed,
-    refusing_damage,
+    read_sealed_json,
     require,
+    sealed_json,
     sealed_parquet,
     single_threaded,
     versions,
@@ -361,19 +360,6 @@ def kept_tables(folder: str | Path) -> Iterator[tuple[Path, pa.Table]]:
         yield folder / name, _piece_table(folder / name, record["pieces"][name])
 
 
-def _record_text(pieces: Mapping[str, str], last: Sequence[str], made_with: Mapping[str, str]) -> str:
-    """The text of the `RECORD` file, which includes its own hash; no other text is accepted there.
-
-    Args:
-        pieces: Keys of pieces by file name.
-        last: Files of the last run in their order.
-        made_with: Versions of what wrote them.
-    """
-    content = {"format": 1, "pieces": dict(pieces), "last": list(last), "versions": dict(made_with)}
-    seal = hashlib.sha256(json.dumps(content).encode()).hexdigest()
-    return json.dumps(content | {"sha256": seal}, indent=2) + "\n"
-
-
 def _write_record(folder: Path, pieces: Mapping[str, str]) -> None:
     """Write the record of a folder: these pieces, and the pieces of earlier runs that are still in it."""
     path, before = folder / RECORD, dict[str, str]()
@@ -382,19 +368,14 @@ def _write_record(folder: Path, pieces: Mapping[str, str]) -> None:
     except InputError:
         warnings.warn(f"{path} is damaged and is made anew", stacklevel=2)
     earlier = {name: key for name, key in before.items() if (folder / name).is_file()}
-    write_text(path, _record_text({**earlier, **pieces}, list(pieces), versions("pyarrow")))
+    record = {"format": 1, "pieces": {**earlier, **pieces}, "last": list(pieces), "versions": dict(versions("pyarrow"))}
+    write_text(path, sealed_json(record))
 
 
 def _read_record(path: Path) -> dict[str, Any]:
     if not path.is_file():
         raise InputError(f"{path} is missing, so {path.parent} holds no experiment; {AGAIN}")
-    with refusing_damage(path, "the record of an experiment", AGAIN):
-        text = path.read_text(encoding="utf-8")
-        record: dict[str, Any] = json.loads(text)
-        pieces, last = record["pieces"], record["last"]
-        if text != _record_text(pieces, last, record["versions"]) or not set(last) <= set(pieces):
-            raise ValueError("it was edited: its own hash is another")
-    return record
+    return read_sealed_json(path, "the record of an experiment", AGAIN, "pieces", "last")
 
 
 def write_piece(path: Path, rows: Rows, name: str, key: str) -> None:

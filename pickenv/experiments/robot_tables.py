@@ -31,7 +31,7 @@ PEER_HEADS = ("calibration of the UR5", "200 of its rows, RMS (mm)", "its 20 ran
 def bench_json(bench: Bench) -> dict[str, Any]:
     """Every row in one format; reductions are fractions, None where there is no such figure.
 
-    Keys of a row: "table" ("gains", "best" or "peers"), "robot", "split" ("random", "blocks" or "poses"), "model",
+    Keys of a row: "table" ("gains" or "peers"), "robot", "split" ("random", "blocks" or "poses"), "model",
     "nominal_mm" (base and tool fitted), "held_out_mm", "published_mm" (a mean that others report), "measured_reduction"
     (of the error of the model that "before" names), its "ci95", "predicted_reduction" (by twins of other rows) and
     "predicted_ci95" (where one more arm would lie), "statistic" ("rms" or "mean") and "rows" judged. "models" are the
@@ -39,7 +39,7 @@ def bench_json(bench: Bench) -> dict[str, Any]:
     by it.
     """
     return {
-        "rows": [*bench.gains, *_best_rows(bench.models), *_peer_rows(bench.peers)],
+        "rows": [*bench.gains, *_peer_rows(bench.peers)],
         "models": [json for row in bench.models.dicts() if (json := _model_json(row))],
         "agreement": agreement(bench.gains),
         "settings": asdict(bench.settings),
@@ -65,22 +65,6 @@ def blocked_json(bench: Bench, made: str) -> dict[str, Any]:
             arm["removed"][gain["model"]] = [round(value, 3) for value in shares]
     folds = bench.settings.folds
     return {"made_by": "pickenv bench calibration", "made": made, "folds": folds, "arms": list(arms.values())}
-
-
-def _best_rows(models: Rows) -> list[dict[str, Any]]:
-    """JSON rows for least squares and the best model, from each row of the table of measured robots."""
-    rows = []
-    for name, nominal, ls, best in _by_row(models):
-        spread = SPREAD[name]
-        steps = {"LS": (nominal, ls)} | ({f"best: {best['used']}": (ls, best)} if spread.terms != "none" else {})
-        for model, (before, after) in steps.items():
-            values = (nominal["value_mm"], before["value_mm"], after["value_mm"])
-            rows.append(
-                bench_row("best", spread.real.robot, spread.how, model, *values)
-                | {"before": before["model"], "held_out_spread_mm": _ends(after)}
-                | {"published_mm": spread.published, "statistic": spread.statistic, "rows": after["rows"]}
-            )
-    return rows
 
 
 def _by_row(rows: Rows) -> Iterable[tuple[Any, ...]]:
@@ -218,7 +202,7 @@ def gain_cells(bench: Bench) -> list[tuple[str, ...]]:
 def csv_files(bench: Bench) -> dict[str, str]:
     """The tables of gains and of measured robots as CSV texts by file name, as pages show them; none without rows."""
     tables = {GAINS_FILE: (GAIN_HEADS, gain_cells(bench)), ROBOTS_FILE: (SPREAD_HEADS, spread_cells(bench.models))}
-    texts = {}
+    texts: dict[str, str] = {}
     for name, (heads, rows) in tables.items():
         text = StringIO(newline="")
         csv.writer(text, lineterminator="\n").writerows([heads, *rows])

@@ -80,7 +80,7 @@ def gather(folder: str | Path) -> Findings:
 
 def _sensitivities(rows: Dataset, setting: int) -> list[dict[str, Any]] | str:
     try:
-        return sensitivities_of(rows, setting).to_pylist()
+        return list(sensitivities_of(rows, setting).to_pylist())
     except InputError as error:
         return str(error)
 

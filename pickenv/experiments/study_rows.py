@@ -21,7 +21,17 @@ import pyarrow.compute as pc
 import pyarrow.dataset as ds
 
 from pickenv import __version__
-from pickenv.base import InputError, command_line, locked, quantile_levels, share_interval, toml_of, write_text
+from pickenv.base import (
+    InputError,
+    command_line,
+    locked,
+    quantile_levels,
+    read_sealed_json,
+    sealed_json,
+    share_interval,
+    toml_of,
+    write_text,
+)
 from pickenv.experiments import study
 from pickenv.experiments.engine import RECORD, Experiment, Rows, check_experiment, keep, kept_tables
 
@@ -230,9 +240,9 @@ def _column_bytes(column: pa.ChunkedArray) -> bytes:
 
 def write_record(path: Path, content: Row) -> dict[str, Any]:
     """Write JSON that carries the hash of its own content; returns it with the hash ("sha256")."""
-    sealed = {**content, "sha256": _content_sha256(content)}
-    write_text(path, json.dumps(sealed, indent=2, allow_nan=False) + "\n")
-    return sealed
+    text = sealed_json(content)
+    write_text(path, text)
+    return dict(json.loads(text))
 
 
 def read_record(path: Path, sha256: str, again: str) -> dict[str, Any]:
@@ -246,20 +256,10 @@ def read_record(path: Path, sha256: str, again: str) -> dict[str, Any]:
     Raises:
         InputError: If it is missing, damaged, edited, or about another study.
     """
-    try:
-        record: dict[str, Any] = json.loads(path.read_text(encoding="utf-8"))
-        recorded, about = record.pop("sha256"), record["config_sha256"]
-    except (OSError, ValueError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        raise InputError(f"{path} is missing or damaged; {again}") from error
-    if recorded != _content_sha256(record):
-        raise InputError(f"{path} was edited or damaged after it was written (its hash does not hold); {again}")
-    if about != sha256:
+    record = read_sealed_json(path, "a record of a study", again, "config_sha256")
+    if (about := record["config_sha256"]) != sha256:
         raise InputError(f"{path} is about another study (hash {str(about)[:12]}, not {sha256[:12]}); {again}")
     return record
-
-
-def _content_sha256(content: Row) -> str:
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
 
 
 def read_summary(folder: str | Path) -> dict[str, Any]:

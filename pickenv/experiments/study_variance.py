@@ -245,9 +245,12 @@ def sobol_indices(
         Rows as from `variance_indices`. Total minus first order is interaction.
 
     Raises:
-        InputError: If ``samples`` is no power of two or too few.
+        InputError: If the groups do not name every input once, or ``samples`` is no power of two or too few.
     """
-    d = sum(map(len, groups.values()))
+    inputs = sorted(i for group in groups.values() for i in group)
+    d = len(inputs)
+    if inputs != list(range(d)) or not d:
+        raise InputError(f"the groups name inputs {inputs}; name each of 0 to {max(inputs, default=0)} once")
     if samples < LEAST_SAMPLES or samples & (samples - 1):
         raise InputError(f"{samples} samples; give a power of two from {LEAST_SAMPLES}, such as {SAMPLES}")
     even = np.concatenate([qmc.Sobol(2 * d, rng=rng).random(samples // SCRAMBLES) for _ in range(SCRAMBLES)])

@@ -66,19 +66,6 @@ def test_a_gains_row_holds_what_blocks_remove_for_the_demonstration(found):
             assert arm["removed"][row["model"]] == pytest.approx([row["measured_reduction"], *row["ci95"]], abs=5e-4)
 
 
-def test_a_row_of_the_readme_is_its_geometry_against_the_nominal_and_its_best_against_the_geometry(found):
-    plain, geometry, best = (row for row in robot_tables.bench_json(found)["rows"] if row["table"] == "best")
-    for row, before, left in ((plain, 4.0, 0.8), (geometry, 4.0, 0.8), (best, 0.8, 0.6)):
-        assert (row["nominal_mm"], row["before_mm"], row["held_out_mm"]) == (4.0, before, left)
-        assert row["measured_reduction"] == pytest.approx(1.0 - left / before)
-        assert row["held_out_spread_mm"] == pytest.approx([left - 0.1, left + 0.1])
-        assert row["before"] == ("nominal" if row["model"] == "LS" else "LS")
-    assert [row["model"] for row in (plain, geometry, best)] == ["LS", "LS", "best: gravity; gravity, bpnn"]
-    assert (plain["robot"], plain["split"], plain["statistic"], plain["rows"]) == ("UR5", "random", "rms", 321)
-    assert (best["robot"], best["split"], best["statistic"], best["rows"]) == ("WAM", "poses", "mean", 20)
-    assert (plain["published_mm"], best["published_mm"]) == (None, 2.92)
-
-
 def test_a_peer_is_judged_on_rows_and_on_poses_of_the_ur5(found):
     rows = [row for row in robot_tables.bench_json(found)["rows"] if row["table"] == "peers"]
     assert [row["model"] for row in rows] == ["pickenv: LS"] * 2 + ["figaroh"] * 2

@@ -264,12 +264,12 @@ def test_a_damaged_edited_or_foreign_file_of_indices_is_named(folder, tmp_path):
     (tmp_path / "study.toml").write_bytes((folder / "study.toml").read_bytes())
     path, sha256 = tmp_path / "sobol.json", study_of(folder).sha256()
     path.write_text("[1, 2", encoding="utf-8")
-    with pytest.raises(InputError, match=r"sobol\.json is missing or damaged; .*with `sobol` again"):
+    with pytest.raises(InputError, match=r"sobol\.json is not a record of a study or is damaged .*with `sobol` again"):
         read_sobol(tmp_path)
     write_record(path, {"config_sha256": sha256, "indices": {"0": [{"total": 0.5}]}})
     assert read_sobol(tmp_path) == {0: [{"total": 0.5}]}
     path.write_text(path.read_text(encoding="utf-8").replace("0.5", "0.6"), encoding="utf-8")
-    with pytest.raises(InputError, match=r"sobol\.json was edited or damaged after it was written"):
+    with pytest.raises(InputError, match=r"sobol\.json is not a record of a study or is damaged \(it was edited"):
         read_sobol(tmp_path)
     write_record(path, {"config_sha256": "0" * 64, "indices": {}})
     with pytest.raises(InputError, match=r"sobol\.json is about another study \(hash 000000000000"):
@@ -289,7 +289,7 @@ def test_an_unfinished_study_and_an_unknown_setting_are_refused(folder, tmp_path
     with pytest.raises(InputError, match=r"rows holds no results; run `pickenv study` first"):
         page(read_run(tmp_path))
     (tmp_path / "rows").symlink_to(folder / "rows")
-    with pytest.raises(InputError, match=r"summary\.json is missing or damaged.*again to go on"):
+    with pytest.raises(InputError, match=r"summary\.json is missing.*again to go on"):
         page(read_run(tmp_path))
     with pytest.raises(InputError, match="no setting 99; give a number from 0 to 7"):
         record_study(folder, 99, tmp_path / "arms.rrd")

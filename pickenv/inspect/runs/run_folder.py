@@ -6,7 +6,6 @@ lists every file that the run wrote with the file's SHA-256, and carries a hash 
 
 from __future__ import annotations
 
-import hashlib
 import json
 import os
 import shlex
@@ -22,9 +21,11 @@ from pickenv.base import (
     command_line,
     file_sha256,
     locked,
+    read_sealed_json,
     refusing_damage,
     register,
     registry,
+    sealed_json,
     versions,
     write_text,
 )
@@ -194,8 +195,7 @@ def _record_text(run: Run) -> str:
         "code": run.code,
         "files": dict(run.files or {}),
     }
-    digest = hashlib.sha256(json.dumps(content).encode()).hexdigest()
-    return json.dumps(content | {"sha256": digest}, indent=2) + "\n"
+    return sealed_json(content)
 
 
 def read_run(folder: str | Path) -> Run:
@@ -264,13 +264,7 @@ def listed_files(folder: Path) -> Iterator[None]:
     (folder / LIST).unlink(missing_ok=True)
     yield
     files = {name: file_sha256(folder / name) for name in sorted(_stamps(folder))}
-    write_text(folder / LIST, _list_text(files))
-
-
-def _list_text(files: Mapping[str, str]) -> str:
-    """The only text that `LIST` may hold for these files: it includes a hash of the rest."""
-    digest = hashlib.sha256(json.dumps(dict(files)).encode()).hexdigest()
-    return json.dumps({"files": dict(files), "sha256": digest}, indent=2) + "\n"
+    write_text(folder / LIST, sealed_json({"files": files}))
 
 
 def faults_of_list(folder: Path) -> list[tuple[Path, str | None]]:
@@ -280,12 +274,7 @@ def faults_of_list(folder: Path) -> list[tuple[Path, str | None]]:
         InputError: If the list is damaged or was edited.
     """
     path, remake = folder / LIST, "run the command that made the folder again; it goes on from what is sound"
-    with refusing_damage(path, "a list of files", remake):
-        text = path.read_text(encoding="utf-8")
-        files = {str(name): str(hashed) for name, hashed in json.loads(text)["files"].items()}
-    if text != _list_text(files):
-        raise InputError(f"{path} is not what was written, it was edited; {remake}")
-    return _faults(folder, files, LIST)
+    return _faults(folder, read_sealed_json(path, "a list of files", remake, "files")["files"], LIST)
 
 
 def unedited(run: Run, name: str) -> Path:
