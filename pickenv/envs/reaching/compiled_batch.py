@@ -18,7 +18,7 @@ from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.envs.reaching.batch import NumpyBatch, Views
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_batch import Words, naming_effects
-from pickenv.envs.shared.compiled_look import TRACER
+from pickenv.envs.shared.compiled_look import TRACER, LatestCompiled
 from pickenv.envs.shared.task import Compensate, Task
 
 
@@ -38,13 +38,11 @@ class CompiledBatch(NumpyBatch):
         self.plant = plants_on(self.plant, lambda values: next(rows) if values.ndim == 1 else values)
         self._plants = [self.plant_of(block) for block in self._blocks]
         self._code: dict[str, Compiled] = {}
-        self._compensate: tuple[Compensate | None, Compensate] = (None, lambda targets: targets)
+        self._fast = LatestCompiled(self.count)
 
     def __getstate__(self) -> dict[str, Any]:
         """All attributes but the compiled code and the arrays, which `__setstate__` makes anew."""
-        return {
-            key: value for key, value in vars(self).items() if key not in ("_table", "_arms", "_code", "_compensate")
-        }
+        return {key: value for key, value in vars(self).items() if key not in ("_table", "_arms", "_code", "_fast")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take over the attributes that `__getstate__` returned."""
@@ -67,13 +65,6 @@ class CompiledBatch(NumpyBatch):
         arrays["commands"] = np.ascontiguousarray(np.asarray(self._fast(compensate)(targets), dtype=float).T)
         self._run("look", arrays)
         return out
-
-    def _fast(self, compensate: Compensate) -> Compensate:
-        """The compensator, compiled if it can be; only the latest compiled one is kept."""
-        if self._compensate[0] is not compensate:
-            make: Any = getattr(compensate, "compiled", None)
-            self._compensate = compensate, compensate if make is None else make(self.count)
-        return self._compensate[1]
 
     def _run(self, part: str, arrays: dict[str, NDArray[Any]]) -> None:
         """Run one part of the step on ``arrays``: "act", "look", or "step" for both."""

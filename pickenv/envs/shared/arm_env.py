@@ -124,7 +124,7 @@ class ArmEnv(DrawnEnv):
         self.metadata = {**type(self).metadata, "render_fps": task.situation.frames_per_second}
         self._x: Executor = EXECUTORS[executor]
         own = all(type(effect).__module__.startswith("pickenv.") for effect in task.plant.effects)
-        self._compiled: Callable[..., Any] | None = None
+        self._compiled: Any = None
         if executor == "compiled" or (executor == "auto" and own and is_there("llvmlite")):
             require("llvmlite")
             from pickenv.envs.shared.compiled_look import CompiledLook
@@ -176,8 +176,10 @@ class ArmEnv(DrawnEnv):
         if self.compensator is None:
             return target
         joints = np.array(self._plain(target))
-        # As one of many, which is corrected in another order of operations than one alone.
-        command = self.compensator(joints) if self._x is FLOATS else self.compensator(joints[None])[0]
+        fast = self.compensator if self._compiled is None else self._compiled.fast(self.compensator)
+        # On NumPy as one of many, which is corrected in another order of operations than one alone.
+        alone = self._x is FLOATS and fast is self.compensator
+        command = fast(joints) if alone else fast(joints[None])[0]
         return self._numbers(command.tolist())
 
     def _looked(self, state: ArmState, moment: int, dt: Scalar) -> tuple[Any, Sequence[Scalar]]:

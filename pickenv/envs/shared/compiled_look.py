@@ -17,7 +17,7 @@ from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.envs.shared.arm_batch import naming_effects
 from pickenv.envs.shared.backends import MASK, Executor
 from pickenv.envs.shared.simulation import ArmState
-from pickenv.envs.shared.task import Task, exact_plant
+from pickenv.envs.shared.task import Compensate, Task, exact_plant
 
 TRACER = Executor(
     name="compiled",
@@ -32,6 +32,22 @@ TRACER = Executor(
 """The executor that records the simulation's operations, to be compiled."""
 
 
+class LatestCompiled:
+    """Compensators as machine code for a count of poses, of which only the latest is kept."""
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._given: Compensate | None = None
+        self._made: Compensate | None = None
+
+    def __call__(self, compensate: Compensate) -> Compensate:
+        """The compensator's machine code, or itself where it has none."""
+        if self._given is not compensate or self._made is None:
+            make: Any = getattr(compensate, "compiled", None)
+            self._given, self._made = compensate, compensate if make is None else make(self._count)
+        return self._made
+
+
 class CompiledLook:
     """`simulation.look`, or a function called like it, of one arm after one period; equal up to roundings.
 
@@ -41,7 +57,7 @@ class CompiledLook:
     """
 
     def __init__(self, look: Callable[..., Any], task: Task) -> None:
-        self._look, self._task = look, task
+        self._look, self._task, self.fast = look, task, LatestCompiled(1)
         self._plants = exact_plant(task.plant)
         self._numbers = [values for values in arrays_of(self._plants) if values.ndim == 1]
         self._arms, self._words, self._arm = np.empty((len(self._numbers), 1)), np.empty((2, 1), np.uint64), -1
