@@ -337,19 +337,13 @@ def distances(task: HarvestTask, joints: Array) -> Array:
     return np.asarray(arm_distances(machine, machine.parted(joints)[1]).min(axis=-1))
 
 
-def true_tips(task: HarvestTask, commands: Array) -> Array:
-    """True cups for commands of whole machines (machines, joints): (machines, arms, 3), m."""
-    if not task.compiled:
-        return task.true.tips(*task.machine.parted(commands))
-    return on_rows(task, "tips", len(commands))(commands).reshape(len(commands), -1, 3)
-
-
-def pairs_apart(task: HarvestTask, slaves: Array) -> Array:
-    """`arm_distances` of slaves at joints (..., arms, 3): (..., pairs), m."""
-    if not task.compiled:
-        return arm_distances(task.machine, slaves)
-    rows = slaves.reshape(-1, 3 * task.machine.arms)
-    return on_rows(task, "distances", len(rows))(rows).reshape(*slaves.shape[:-2], -1)
+def of_rows(task: HarvestTask, what: str, joints: Array) -> Array:
+    """The true cups ("tips") at rows of a machine's joints, or "distances" between pairs of slaves, m: (rows, k)."""
+    if task.compiled:
+        return on_rows(task, what, len(joints))(joints)
+    if what == "distances":
+        return arm_distances(task.machine, joints.reshape(len(joints), -1, 3))
+    return task.true.tips(*task.machine.parted(joints)).reshape(len(joints), -1)
 
 
 @lru_cache(maxsize=16)
@@ -395,7 +389,7 @@ def step(
     state.closest = np.minimum(state.closest, apart)
     state.periods = state.periods + 1
     commands = target if compensator is None else compensator(target)
-    tips = true_tips(task, commands)
+    tips = of_rows(task, "tips", commands).reshape(len(commands), -1, 3)
     branch, rules = task.model.branch, task.rules
     if state.swing.any() or state.velocity.any():
         state.swing, state.velocity = swing(branch, state.swing, state.velocity, state.masses, CONTROL_PERIOD)
@@ -421,7 +415,8 @@ def _guard(task: HarvestTask, start: Array, target: Array) -> tuple[NDArray[np.i
     i, j = pairs_of(arms)
     old, new = machine.parted(start)[1], machine.parted(target)[1].copy()
     for _ in range(arms + 1):
-        between, after = pairs_apart(task, old + HALF_AND_WHOLE * (new - old))
+        rows = (old + HALF_AND_WHOLE * (new - old)).reshape(2 * n, -1)
+        between, after = of_rows(task, "distances", rows).reshape(2, n, -1)
         bad = np.minimum(between, after) < machine.body.clearance
         if bad.any():
             bad &= ~(blocked[:, i] & blocked[:, j])

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Array, Plant, plants_on
+from pickenv.arm import Array
 from pickenv.arm.kinematics.machine_code import DOUBLE, FLAG, SINGLE, WORD, Compiled, Goals, Trace, Traced
 from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.envs.reaching.batch import NumpyBatch, Views
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_batch import Words, naming_effects
-from pickenv.envs.shared.compiled_look import TRACER, LatestCompiled
+from pickenv.envs.shared.compiled_look import TRACER, LatestCompiled, with_numbers
 from pickenv.envs.shared.task import Compensate, Task
 
 
@@ -34,8 +34,7 @@ class CompiledBatch(NumpyBatch):
         self._table = np.array(self.columns)
         self.columns = list(self._table)
         self._arms = np.array([values for values in arrays_of(self.plant) if values.ndim == 1])
-        rows = iter(self._arms)
-        self.plant = plants_on(self.plant, lambda values: next(rows) if values.ndim == 1 else values)
+        self.plant = with_numbers(self.plant, self._arms)
         self._plants = [self.plant_of(block) for block in self._blocks]
         self._code: dict[str, Compiled] = {}
         self._fast = LatestCompiled(self.count)
@@ -95,7 +94,8 @@ class CompiledBatch(NumpyBatch):
         x, task = TRACER, self.task
         (key,), (moment,) = trace.inputs("keys", 1, WORD), trace.inputs("moments", 1, WORD)
         period = task.situation.value("period", state.drawn)
-        state, scene = simulation.look(x, task, self._traced_plant(trace), state, command, key, moment, period)
+        plant = with_numbers(self.plant, trace.inputs("arms", len(self._arms)))
+        state, scene = simulation.look(x, task, plant, state, command, key, moment, period)
         parts = simulation.goal_observation(scene) if self.goal_dict else (simulation.flat_observation(scene),)
         observation = [[trace.single(value) for value in part] for part in parts]
         if self.goal_dict:  # of goals as they are returned
@@ -111,8 +111,3 @@ class CompiledBatch(NumpyBatch):
             *trace.outputs("numbers", scene.numbers),
             *trace.outputs("vectors", scene.vectors if self.poses else ()),
         ]
-
-    def _traced_plant(self, trace: Trace) -> Plant:
-        """The true arms, with each arm's numbers as inputs of the trace."""
-        rows = iter(trace.inputs("arms", len(self._arms)))
-        return plants_on(self.plant, lambda values: next(rows) if values.ndim == 1 else values)
