@@ -42,9 +42,9 @@ EXECUTORS = ("numpy", "compiled")
 
 PEER_PACKAGES = ("gymnasium-robotics==1.4.2", "mujoco<3.12", "panda-gym==3.0.7")
 SINGLE = (
-    ("Reach", "floats", "plant qiao2026"),
-    ("Harvest", "numpy", "three slaves, eight fruit"),
-    ("Pick", "floats", "plant orchard, ten fruit"),
+    ("Reach", "auto", "plant qiao2026"),
+    ("Harvest", "auto", "three slaves, eight fruit"),
+    ("Pick", "auto", "plant orchard, ten fruit"),
 )
 """Environments that are stepped alone: on what they run, and what they hold."""
 WHAT = {

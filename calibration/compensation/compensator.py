@@ -280,17 +280,20 @@ class Compensator:
         trace, limits = Trace(), zip(self.nominal.lower.tolist(), self.nominal.upper.tolist(), strict=True)
         corrections = self._corrected(SYMBOLS, trace.inputs("targets", self.nominal.joints))
         outputs = [clipped(SYMBOLS, q, *limit) for q, limit in zip(corrections, limits, strict=True)]
-        doubts = reduce(or_, trace.exceptions, False)
-        code = Compiled(trace, trace.outputs("commands", outputs) + trace.outputs("doubts", [doubts], FLAG), count)
+        doubt = reduce(or_, trace.exceptions, False)
+        code = Compiled(trace, trace.outputs("commands", outputs) + trace.outputs("doubts", [doubt], FLAG), count)
+
+        targets, commands = np.empty((2, self.nominal.joints, count))
+        doubts = np.empty(count, dtype=np.bool_)
+        go = code.bound({"targets": targets, "commands": commands, "doubts": doubts}, count)
 
         def run(joints: ArrayLike) -> Array:
-            joints = self.checked(joints)
-            targets = np.ascontiguousarray(joints.T)
-            commands, doubts = np.empty_like(targets), np.empty(len(joints), dtype=np.bool_)
-            code.run({"targets": targets, "commands": commands, "doubts": doubts}, len(joints))
+            targets[:] = (joints := self.checked(joints)).T
+            go()
+            found = commands.T.copy()
             if doubts.any():  # the few poses that need more than operations
-                commands[:, doubts] = self(joints[doubts]).T
-            return commands.T
+                found[doubts] = self(joints[doubts])
+            return found
 
         return run
 

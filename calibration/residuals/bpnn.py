@@ -277,11 +277,11 @@ def _folded(model) -> tuple[tuple[Array, ...], tuple[Array, ...]]:  # type: igno
     return tuple(weights), tuple(biases)
 
 
-# A network as machine code, in single precision: each pose by itself, in one fixed order of sums. Thirty-two poses go
+# A network as machine code, in single precision: each pose by itself, in one fixed order of sums. Sixteen poses go
 # through all layers together and stay in a core's first cache. A pose alone and one among thousands find the same bits.
 
 
-POSES, TILE = 32, 4
+POSES, TILE = 16, 8
 """Number of poses that go through the network together, and of outputs that are summed side by side."""
 
 MANY = f"<{POSES} x float>"

@@ -8,6 +8,7 @@ excursions: from rest out to a fruit and back. Units: m, rad, s.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Any
 
@@ -91,16 +92,18 @@ def arm_distances(machine: Machine, slaves: ArrayLike) -> Array:
     slaves = np.asarray(slaves, dtype=float)
     i, j = pairs_of(machine.arms)
     if slaves.size <= FEW * machine.arms * 3:
-        offsets, pairs = machine.offsets.tolist(), list(zip(i.tolist(), j.tolist(), strict=True))
-        distances = []
-        for row in slaves.reshape(-1, machine.arms, 3).tolist():
-            ends = [_ends(ONE, offset, *joints) for offset, joints in zip(offsets, row, strict=True)]
-            distances.append([_between(ONE, ends[a], ends[b]) for a, b in pairs])
-        return np.array(distances).reshape(*slaves.shape[:-2], len(pairs))
+        distances = [pair_distances(ONE, machine, row) for row in slaves.reshape(-1, machine.arms, 3).tolist()]
+        return np.array(distances).reshape(*slaves.shape[:-2], len(i))
     parts = _ends(np, machine.offsets, *(slaves[..., k] for k in range(3)))
     all_ends = [np.broadcast_to(part, slaves.shape[:-1]) for part in parts]
     first, second = (tuple(part[..., arms] for part in all_ends) for arms in (i, j))
     return np.asarray(_between(np, first, second))
+
+
+def pair_distances(m: Any, machine: Machine, slaves: Sequence[Sequence[Scalar]]) -> list[Scalar]:
+    """`arm_distances` of one machine, component by component."""
+    ends = [_ends(m, offset, *joints) for offset, joints in zip(machine.offsets.tolist(), slaves, strict=True)]
+    return [_between(m, ends[a], ends[b]) for a, b in zip(*pairs_of(machine.arms), strict=True)]
 
 
 def _ends(m: Any, offset: Scalar, d4: Scalar, swing: Scalar, d6: Scalar) -> tuple[Scalar, ...]:

@@ -69,13 +69,13 @@ class TrueMachine:
         """
         master, slaves = np.asarray(master, dtype=float), np.asarray(slaves, dtype=float)
         if master.size == 3:
-            cups = self._cups(ONE, master.ravel().tolist(), slaves.reshape(-1, 3).tolist())
+            cups = self.cups(ONE, master.ravel().tolist(), slaves.reshape(-1, 3).tolist())
             return np.array(cups).reshape(slaves.shape)
         arms = [split_joints(3, slaves[..., i, :]) for i in range(len(self.slaves))]
-        cups = self._cups(np, split_joints(3, master), arms)
+        cups = self.cups(np, split_joints(3, master), arms)
         return np.stack([np.stack(np.broadcast_arrays(*cup), axis=-1) for cup in cups], axis=-2)
 
-    def _cups(self, m: Any, master: Sequence[Scalar], slaves: Sequence[Sequence[Scalar]]) -> list[Frame]:
+    def cups(self, m: Any, master: Sequence[Scalar], slaves: Sequence[Sequence[Scalar]]) -> list[Frame]:
         """True cups of all slaves as x, y and z; ``m`` is NumPy, or `ONE` for single numbers."""
         base = self.master.tool_frame(m, master)
         plants = zip(self.slaves, slaves, strict=True)

@@ -248,6 +248,8 @@ SYMBOLS: Any = SimpleNamespace(
     acos=lambda cosine: SYMBOLS.atan2(SYMBOLS.sqrt((1.0 - cosine) * (1.0 + cosine)), cosine),
     finfo=np.finfo,
     where=_where,
+    minimum=_least,
+    maximum=_most,
     clip=lambda value, low, high: _least(_most(value, low), high),
     set_aside=_set_aside,
     outside=_outside,
@@ -319,6 +321,22 @@ class Compiled:
             self._loops[-1](bases, count)
 
         return go
+
+
+def on_rows(
+    formula: Callable[[Any, list[Traced]], Sequence[Scalar]], inputs: int, count: int
+) -> Callable[[Array], Array]:
+    """A formula of components as machine code: rows ``(count, inputs)`` in, rows ``(count, results)`` out."""
+    trace = Trace()
+    results = formula(SYMBOLS, trace.inputs("given", inputs))
+    code = Compiled(trace, trace.outputs("found", results), count)
+
+    def run(rows: Array) -> Array:
+        found = np.empty((len(results), len(rows)))
+        code.run({"given": np.ascontiguousarray(rows.T), "found": found}, len(rows))
+        return found.T
+
+    return run
 
 
 def _type(kind: str, lanes: int) -> str:

@@ -107,6 +107,8 @@ class HarvestEnv(DrawnEnv):
       `harvest`); "ideal" shows all fruit where it is. `detector`: "li2016" (default; R-G, Otsu, centroids) or
       "circles". `canopy`: "li2016" (default, leafy) or "li2016_bare". Detections of no fruit are left out.
     - `out_of_range` ("clip" or "refuse"): whether actions beyond -1 to 1 are cut to it or are an error.
+    - `executor` ("auto" or "numpy"): "auto" computes cups and distances between arms in machine code where llvmlite is
+      installed, up to roundings (1e-12) as NumPy does.
     - `render_mode` (None, "human" or "rgb_array").
 
     `pickenv.wrappers.CompensationWrapper` takes a compensator of the whole machine's joints, for instance a

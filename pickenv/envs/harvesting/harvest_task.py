@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cache, cached_property, partial
+from functools import cache, cached_property, lru_cache, partial
 from typing import Annotated, Any
 
 import numpy as np
@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from pickenv import harvester
 from pickenv.arm import Array
 from pickenv.arm.plant.plant_batch import leaves
-from pickenv.base import MM, NUMBER, InputError, read_toml, toml_table
+from pickenv.base import MM, NUMBER, InputError, is_there, read_toml, toml_table
 from pickenv.base.limits import shown
 from pickenv.envs.shared.backends import Flags
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import MOST_ACTION, Compensate, as_numbers, check_choice, check_number
-from pickenv.harvester.interference import arm_distances, pairs_of
+from pickenv.harvester.interference import arm_distances, pair_distances, pairs_of
 from pickenv.harvester.picking import attempt, draw_luck, pushes
 from pickenv.harvester.trees import SHIPPED, lab_zone, tree_leaves
 from pickenv.harvester.zones import AHEAD
@@ -134,6 +134,7 @@ class HarvestTask:
         eyes: How the cameras see fruit.
         fruit: Number of fruit in a zone.
         most_action: Largest size of an action's numbers that is accepted.
+        compiled: Whether cups and distances are computed by machine code.
     """
 
     machine: harvester.Machine
@@ -144,6 +145,7 @@ class HarvestTask:
     eyes: Eyes
     fruit: int
     most_action: float
+    compiled: bool
 
     @cached_property
     def increment(self) -> Array:
@@ -171,6 +173,7 @@ def make_harvest_task(
     detector: str = "li2016",
     canopy: str | None = None,
     out_of_range: str = "clip",
+    executor: str = "auto",
 ) -> HarvestTask:
     """Check the arguments of an environment, read its files, and make its task.
 
@@ -178,6 +181,7 @@ def make_harvest_task(
         InputError: If an argument is impossible.
     """
     check_choice("out_of_range", out_of_range, tuple(MOST_ACTION))
+    check_choice("executor", executor, ("auto", "numpy"))
     if isinstance(fruit, bool) or not isinstance(fruit, int) or not 1 <= fruit <= 40:
         raise InputError(f"a zone of {fruit} fruit is impossible; give a whole number from 1 to 40")
     if spacing_mm is not None:
@@ -189,7 +193,8 @@ def make_harvest_task(
     orchard = harvester.load_orchard(canopy=canopy)
     eyes = load_eyes(vision, orchard.canopy, detector)
     most = MOST_ACTION[out_of_range]
-    return HarvestTask(machine, true, harvester.load_picking(), load_rules(), orchard, eyes, fruit, most)
+    compiled = executor == "auto" and is_there("llvmlite")
+    return HarvestTask(machine, true, harvester.load_picking(), load_rules(), orchard, eyes, fruit, most, compiled)
 
 
 def harvest_spaces(task: HarvestTask, extra: int = 0) -> tuple[Box[np.float32], Box[np.float32]]:
@@ -332,6 +337,29 @@ def distances(task: HarvestTask, joints: Array) -> Array:
     return np.asarray(arm_distances(machine, machine.parted(joints)[1]).min(axis=-1))
 
 
+def of_rows(task: HarvestTask, what: str, joints: Array) -> Array:
+    """The true cups ("tips") at rows of a machine's joints, or "distances" between pairs of slaves, m: (rows, k)."""
+    if task.compiled:
+        return on_rows(task, what, len(joints))(joints)
+    if what == "distances":
+        return arm_distances(task.machine, joints.reshape(len(joints), -1, 3))
+    return task.true.tips(*task.machine.parted(joints)).reshape(len(joints), -1)
+
+
+@lru_cache(maxsize=16)
+def on_rows(task: HarvestTask, what: str, count: int) -> Callable[[Array], Array]:
+    """The formula of "tips" or "distances" as machine code, for a count of rows of joints."""
+    from pickenv.arm.kinematics import machine_code
+
+    def formula(m: Any, joints: Sequence[Any]) -> Sequence[Any]:
+        parts = [joints[i : i + 3] for i in range(0, len(joints), 3)]
+        if what == "distances":
+            return pair_distances(m, task.machine, parts)
+        return [part for cup in task.true.cups(m, parts[0], parts[1:]) for part in cup]
+
+    return machine_code.on_rows(formula, 3 * (task.machine.arms + (what == "tips")), count)
+
+
 def step(
     task: HarvestTask,
     state: HarvestState,
@@ -361,7 +389,7 @@ def step(
     state.closest = np.minimum(state.closest, apart)
     state.periods = state.periods + 1
     commands = target if compensator is None else compensator(target)
-    tips = task.true.tips(*machine.parted(commands))
+    tips = of_rows(task, "tips", commands).reshape(len(commands), -1, 3)
     branch, rules = task.model.branch, task.rules
     if state.swing.any() or state.velocity.any():
         state.swing, state.velocity = swing(branch, state.swing, state.velocity, state.masses, CONTROL_PERIOD)
@@ -387,7 +415,8 @@ def _guard(task: HarvestTask, start: Array, target: Array) -> tuple[NDArray[np.i
     i, j = pairs_of(arms)
     old, new = machine.parted(start)[1], machine.parted(target)[1].copy()
     for _ in range(arms + 1):
-        between, after = arm_distances(machine, old + HALF_AND_WHOLE * (new - old))
+        rows = (old + HALF_AND_WHOLE * (new - old)).reshape(2 * n, -1)
+        between, after = of_rows(task, "distances", rows).reshape(2, n, -1)
         bad = np.minimum(between, after) < machine.body.clearance
         if bad.any():
             bad &= ~(blocked[:, i] & blocked[:, j])

@@ -41,6 +41,7 @@ class Canopies:
     Attributes:
         scenes: The scenes of the canopies, one by one; each works on its part of `fruit`.
         fruit: All fruit, (N, most fruit of a canopy).
+        omega: Natural frequencies of the fruit along x, y, z, rad/s, (N, most fruit of a canopy, 3).
         present: Number of fruit in each canopy.
         held: Number of the fruit in each gripper, or -1.
         off: Whether the fruit in each gripper is off its stem.
@@ -59,6 +60,7 @@ class Canopies:
         self.task, self.orchard, self.count = task, orchard, count
         self.scenes: list[Any] = [None] * count
         self.fruit = np.full((count, 1), ABSENT)
+        self.omega = trees.natural_frequencies(orchard.branch, self.fruit["masses"])
         self.present = np.zeros(count, dtype=np.int64)
         self.held = np.full(count, -1)
         self.off = np.zeros(count, dtype=np.bool_)
@@ -75,11 +77,13 @@ class Canopies:
         if n > self.fruit.shape[1]:
             before, self.fruit = self.fruit, np.full((self.count, n), ABSENT)
             self.fruit[:, : before.shape[1]] = before
+            self.omega = trees.natural_frequencies(self.orchard.branch, self.fruit["masses"])
             for other, there in enumerate(self.scenes):
                 if there is not None:
                     there.fruit = self.fruit[other, : self.present[other]]
         self.fruit[row] = ABSENT
         self.fruit[row, :n] = scene.fruit
+        self.omega[row] = trees.natural_frequencies(self.orchard.branch, self.fruit[row]["masses"])
         scene.fruit = self.fruit[row, :n]
         self.scenes[row], self.present[row] = scene, n
         self._note(row)
@@ -102,10 +106,9 @@ class Canopies:
         rows = np.flatnonzero(going & swinging)
         if rows.size:
             some = slice(None) if rows.size == self.count else rows
-            apart, speed, masses = (fruit[name][some] for name in ("displacement", "velocity", "masses"))
-            omega = trees.natural_frequencies(self.orchard.branch, masses)
+            apart, speed = fruit["displacement"][some], fruit["velocity"][some]
             fruit["displacement"][some], fruit["velocity"][some] = trees.swung(
-                self.orchard.branch, apart, speed, omega, period[some, None, None]
+                self.orchard.branch, apart, speed, self.omega[some], period[some, None, None]
             )
         point, axis = self.sight[TOOL][9:].T.copy(), self.sight[TOOL][6:9].T.copy()
         moved = point - before

@@ -164,7 +164,7 @@ class PickEnv(ArmEnv):
     - `control_period_s`, `latency` (of joint readings), `action_delay` (of the gripper too), `joint_noise`, `hours_on`
       and `start_spread`, numbers or ranges: as in `pickenv/Reach-v0`.
     - `difficulty` and `split`: as in `pickenv/Reach-v0`.
-    - `executor` ("floats" or "numpy"): as in `pickenv/Reach-v0`.
+    - `executor` ("auto", "compiled", "floats" or "numpy"): as in `pickenv/Reach-v0`.
     - `render_mode` (None, "human" or "rgb_array").
 
     `gym.make_vec("pickenv/Pick-v0", num_envs=64)` makes the native vector environment,

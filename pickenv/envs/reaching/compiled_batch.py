@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Array, Plant, plants_on
+from pickenv.arm import Array
 from pickenv.arm.kinematics.machine_code import DOUBLE, FLAG, SINGLE, WORD, Compiled, Goals, Trace, Traced
 from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.envs.reaching.batch import NumpyBatch, Views
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_batch import Words, naming_effects
-from pickenv.envs.shared.compiled_look import TRACER
+from pickenv.envs.shared.compiled_look import TRACER, LatestCompiled, with_numbers
 from pickenv.envs.shared.task import Compensate, Task
 
 
@@ -34,17 +34,14 @@ class CompiledBatch(NumpyBatch):
         self._table = np.array(self.columns)
         self.columns = list(self._table)
         self._arms = np.array([values for values in arrays_of(self.plant) if values.ndim == 1])
-        rows = iter(self._arms)
-        self.plant = plants_on(self.plant, lambda values: next(rows) if values.ndim == 1 else values)
+        self.plant = with_numbers(self.plant, self._arms)
         self._plants = [self.plant_of(block) for block in self._blocks]
         self._code: dict[str, Compiled] = {}
-        self._compensate: tuple[Compensate | None, Compensate] = (None, lambda targets: targets)
+        self._fast = LatestCompiled(self.count)
 
     def __getstate__(self) -> dict[str, Any]:
         """All attributes but the compiled code and the arrays, which `__setstate__` makes anew."""
-        return {
-            key: value for key, value in vars(self).items() if key not in ("_table", "_arms", "_code", "_compensate")
-        }
+        return {key: value for key, value in vars(self).items() if key not in ("_table", "_arms", "_code", "_fast")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         """Take over the attributes that `__getstate__` returned."""
@@ -67,13 +64,6 @@ class CompiledBatch(NumpyBatch):
         arrays["commands"] = np.ascontiguousarray(np.asarray(self._fast(compensate)(targets), dtype=float).T)
         self._run("look", arrays)
         return out
-
-    def _fast(self, compensate: Compensate) -> Compensate:
-        """The compensator, compiled if it can be; only the latest compiled one is kept."""
-        if self._compensate[0] is not compensate:
-            make: Any = getattr(compensate, "compiled", None)
-            self._compensate = compensate, compensate if make is None else make(self.count)
-        return self._compensate[1]
 
     def _run(self, part: str, arrays: dict[str, NDArray[Any]]) -> None:
         """Run one part of the step on ``arrays``: "act", "look", or "step" for both."""
@@ -104,7 +94,8 @@ class CompiledBatch(NumpyBatch):
         x, task = TRACER, self.task
         (key,), (moment,) = trace.inputs("keys", 1, WORD), trace.inputs("moments", 1, WORD)
         period = task.situation.value("period", state.drawn)
-        state, scene = simulation.look(x, task, self._traced_plant(trace), state, command, key, moment, period)
+        plant = with_numbers(self.plant, trace.inputs("arms", len(self._arms)))
+        state, scene = simulation.look(x, task, plant, state, command, key, moment, period)
         parts = simulation.goal_observation(scene) if self.goal_dict else (simulation.flat_observation(scene),)
         observation = [[trace.single(value) for value in part] for part in parts]
         if self.goal_dict:  # of goals as they are returned
@@ -120,8 +111,3 @@ class CompiledBatch(NumpyBatch):
             *trace.outputs("numbers", scene.numbers),
             *trace.outputs("vectors", scene.vectors if self.poses else ()),
         ]
-
-    def _traced_plant(self, trace: Trace) -> Plant:
-        """The true arms, with each arm's numbers as inputs of the trace."""
-        rows = iter(trace.inputs("arms", len(self._arms)))
-        return plants_on(self.plant, lambda values: next(rows) if values.ndim == 1 else values)

@@ -209,8 +209,10 @@ class ReachEnv(ArmEnv):
     - `difficulty` (None, "ideal", "fine", "coarse", "orchard", "day" or "own_eyes"): a rung of the ladder
       (`pickenv.envs.shared.difficulty`), which fixes plant, arms, eyes and situation; and `split` ("train" or "test"),
       which of its two populations of arms, that have none in common.
-    - `executor` ("floats" or "numpy"): floats are fast; with "numpy" an environment gives the same bits as the native
-      vector environment on NumPy.
+    - `executor`: "compiled" takes steps in machine code, which needs llvmlite of the extra `pickenv[compiled]`;
+      "floats" takes them on Python's floats, with results up to roundings (1e-12) the same; "auto" (default) is
+      "compiled" where llvmlite is installed and the plant has no effects from other packages. With "numpy" an
+      environment gives the same bits as the native vector environment on NumPy.
     - `render_mode` (None, "human" or "rgb_array").
 
     `gym.make_vec("pickenv/Reach-v0", num_envs=4096)` makes the native vector environment,
@@ -259,8 +261,6 @@ class ReachEnv(ArmEnv):
         self._state = simulation.begin(x, task, self.plant, self._key, start, goal, self._command(start))
         self._step = 0
         observation, _, information = self._look(0.0)
-        if self.render_mode == "human":
-            self.render()
         return observation, information
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, Information]:
@@ -277,8 +277,6 @@ class ReachEnv(ArmEnv):
         self._step += 1
         period = self.task.situation.value("period", self._state.drawn)
         observation, reward, information = self._look(period)
-        if self.render_mode == "human":
-            self.render()
         return observation, reward, self.task.end_on_success and information["is_success"], False, information
 
     def _stage(self) -> Stage | None:
@@ -298,6 +296,8 @@ class ReachEnv(ArmEnv):
         assert self._state is not None
         plain, (scene, _) = self._plain, self._looked(self._state, self._step, dt)
         self._scene = scene
+        if self.render_mode == "human":
+            self.render()
         observation, reward = self._observe(scene)
         information: Information = dict(zip(simulation.NUMBER_KEYS, plain(scene.numbers), strict=True))
         information |= {

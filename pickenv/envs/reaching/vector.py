@@ -24,9 +24,6 @@ from pickenv.envs.shared.spaces import OPTIONS, action_space, flat_space, given_
 from pickenv.envs.shared.task import Task, check_choice, make_task
 from pickenv.pictures.stage import Stage
 
-AUTO = ("numpy", "compiled")
-"""Executors that "auto" chooses: the first if llvmlite is missing, the second if it is installed."""
-
 STATE = {"seeds": "_seeds", "episodes": "_episodes", "elapsed": "_elapsed", "ended": "_over"}
 """Attributes of the environments that a checkpoint stores, by their names in the checkpoint."""
 
@@ -107,7 +104,7 @@ class ReachVectorEnv(NativeVectorEnv):
         self._set_spaces(goal_space(self.task) if self.goal_dict else flat_space(self.task), action_space(self.task))
         self._poses = bool(pose_infos)
         settings = {"device": device, "dtype": dtype, "compiled": compiled}
-        make = get("backend", AUTO[is_there("llvmlite")] if executor == "auto" else executor)
+        make = get("backend", ("compiled" if is_there("llvmlite") else "numpy") if executor == "auto" else executor)
         self.batch: Batch = make(self.task, self.num_envs, self.goal_dict, pose_infos, settings)
         self._seeds = np.zeros(self.num_envs, dtype=np.uint64)
         self._episodes = np.zeros(self.num_envs, dtype=np.uint64)

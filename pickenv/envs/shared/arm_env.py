@@ -124,7 +124,7 @@ class ArmEnv(DrawnEnv):
         self.metadata = {**type(self).metadata, "render_fps": task.situation.frames_per_second}
         self._x: Executor = EXECUTORS[executor]
         own = all(type(effect).__module__.startswith("pickenv.") for effect in task.plant.effects)
-        self._compiled: Callable[..., Any] | None = None
+        self._compiled: Any = None
         if executor == "compiled" or (executor == "auto" and own and is_there("llvmlite")):
             require("llvmlite")
             from pickenv.envs.shared.compiled_look import CompiledLook
@@ -176,8 +176,9 @@ class ArmEnv(DrawnEnv):
         if self.compensator is None:
             return target
         joints = np.array(self._plain(target))
-        # As one of many, which is corrected in another order of operations than one alone.
-        command = self.compensator(joints) if self._x is FLOATS else self.compensator(joints[None])[0]
+        fast = self.compensator if self._compiled is None else self._compiled.fast(self.compensator)
+        # On NumPy as one of many, which is corrected in another order of operations than one alone.
+        command = fast(joints) if self._x is FLOATS and fast is self.compensator else fast(joints[None])[0]
         return self._numbers(command.tolist())
 
     def _looked(self, state: ArmState, moment: int, dt: Scalar) -> tuple[Any, Sequence[Scalar]]:
@@ -240,13 +241,9 @@ def ground_below(look: arm_shapes.ArmLook, geometry: Geometry) -> float:
     return float(min(look.low[2] - 0.1, geometry.base.position[2] - 0.35))
 
 
-def across(axis: Array, offset: Array) -> Array:
-    """The part of an offset (m) that lies across the tool's axis: right and up as the eye sees them ``(2,)``, mm."""
+def tool_dial(axis: Array, offset: Array, tolerance_mm: float) -> Dial:
+    """A dial of the true tool's offset from the fruit (tool minus fruit, m), right and up along the tool's axis."""
     right = np.cross([0.0, 1.0, 0.0], axis)
     right /= max(float(np.linalg.norm(right)), 1e-9)
-    return 1e3 * np.array([offset @ -right, offset @ -np.cross(axis, right)])
-
-
-def tool_dial(axis: Array, offset: Array, tolerance_mm: float) -> Dial:
-    """A dial of the true tool's offset from the fruit (tool minus fruit, m), seen along the tool's axis."""
-    return Dial(across(axis, offset)[None], tolerance_mm, MARK)
+    across_mm = 1e3 * np.array([offset @ -right, offset @ -np.cross(axis, right)])
+    return Dial(across_mm[None], tolerance_mm, MARK)

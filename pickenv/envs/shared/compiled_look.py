@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from itertools import accumulate
-from operator import add, mul
+from operator import add, itemgetter, mul
 from typing import Any
 
 import numpy as np
 
-from pickenv.arm import plants_on
+from pickenv.arm import Plant, plants_on
 from pickenv.arm.kinematics.backend import chosen
 from pickenv.arm.kinematics.forward import Scalar
 from pickenv.arm.kinematics.machine_code import SYMBOLS, WORD, Compiled, Trace
@@ -17,7 +17,7 @@ from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.envs.shared.arm_batch import naming_effects
 from pickenv.envs.shared.backends import MASK, Executor
 from pickenv.envs.shared.simulation import ArmState
-from pickenv.envs.shared.task import Task, exact_plant
+from pickenv.envs.shared.task import Compensate, Task, exact_plant
 
 TRACER = Executor(
     name="compiled",
@@ -32,6 +32,27 @@ TRACER = Executor(
 """The executor that records the simulation's operations, to be compiled."""
 
 
+def with_numbers(plants: Plant, numbers: Iterable[Scalar]) -> Plant:
+    """The arms ``plants`` with others in place of the numbers that are arrays, one entry per arm."""
+    rows = iter(numbers)
+    return plants_on(plants, lambda values: next(rows) if values.ndim == 1 else values)
+
+
+class LatestCompiled:
+    """Compensators as machine code for a count of poses, of which only the latest is kept."""
+
+    def __init__(self, count: int) -> None:
+        self._count = count
+        self._known: Any = None, None
+
+    def __call__(self, compensate: Compensate) -> Compensate:
+        """The compensator's machine code, or itself where it has none."""
+        if self._known[0] is not compensate:
+            self._known = compensate, getattr(compensate, "compiled", lambda _: compensate)(self._count)
+        made: Compensate = self._known[1]
+        return made
+
+
 class CompiledLook:
     """`simulation.look`, or a function called like it, of one arm after one period; equal up to roundings.
 
@@ -41,7 +62,7 @@ class CompiledLook:
     """
 
     def __init__(self, look: Callable[..., Any], task: Task) -> None:
-        self._look, self._task = look, task
+        self._look, self._task, self.fast = look, task, LatestCompiled(1)
         self._plants = exact_plant(task.plant)
         self._numbers = [values for values in arrays_of(self._plants) if values.ndim == 1]
         self._arms, self._words, self._arm = np.empty((len(self._numbers), 1)), np.empty((2, 1), np.uint64), -1
@@ -65,8 +86,8 @@ class CompiledLook:
         self._run()
         found = tuple(self._found[:, 0].tolist())
         sensed, *parts = [found[cut] for cut in self._cuts]
-        memory, parts = parts[: len(state.plant)], parts[len(state.plant) :]
-        return ArmState(*state[:-2], sensed, tuple(memory)), self._kind(*parts) if self._kind else parts[0]
+        memory = len(state.plant)
+        return ArmState(*state[:-2], sensed, tuple(parts[:memory])), self._view_of(parts[memory:])
 
     def _compiled(self, state: ArmState, command: Sequence[float]) -> Callable[[], None]:
         """Trace and compile the function for states and commands of these lengths."""
@@ -75,12 +96,12 @@ class CompiledLook:
         parts = [tuple(given[end - width : end]) for end, width in zip(ends, widths, strict=True)]
         target, goal, sighting, drawn, sent, late, *memory, now = parts
         before = ArmState(target, goal, sighting, drawn, sent, late, tuple(memory))
-        rows, (key, moment) = iter(trace.inputs("arms", len(self._arms))), trace.inputs("words", 2, WORD)
-        plant = plants_on(self._plants, lambda values: next(rows) if values.ndim == 1 else values)
+        key, moment = trace.inputs("words", 2, WORD)
+        plant = with_numbers(self._plants, trace.inputs("arms", len(self._arms)))
         period = self._task.situation.value("period", before.drawn)
         after, view = self._look(TRACER, self._task, plant, before, now, key, moment, period)
         seen = view if hasattr(view, "_fields") else (view,)
-        self._kind = type(view) if hasattr(view, "_fields") else None
+        self._view_of = getattr(view, "_make", itemgetter(0))
         numbers: list[Scalar] = []
         self._cuts: list[Any] = []
         for part in (after.sensed, *after.plant, *seen):

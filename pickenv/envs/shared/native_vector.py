@@ -219,13 +219,11 @@ def final_rows(observations: Any, rows: Rows, count: int) -> Any:
 
     The other entries are None. Tensors are returned as they are.
     """
-    parts = observations.values() if isinstance(observations, dict) else [observations]
+    parts = list(observations.values()) if isinstance(observations, dict) else [observations]
     if not all(isinstance(part, np.ndarray) for part in parts):
         return observations
     final = np.full(count, None, dtype=object)
     for row in rows:
-        if isinstance(observations, dict):
-            final[row] = {key: value[row].copy() for key, value in observations.items()}
-        else:
-            final[row] = observations[row].copy()
+        copies = [part[row].copy() for part in parts]
+        final[row] = dict(zip(observations, copies, strict=True)) if isinstance(observations, dict) else copies[0]
     return final

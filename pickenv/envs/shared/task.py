@@ -416,10 +416,11 @@ def checked_action(action: Any, shape: tuple[int, ...], most: float) -> Array:
         InputError: If ``action`` has another shape, or numbers that are not finite or too large.
     """
     values = as_numbers("action", action)
-    if values.shape != shape or not (np.abs(values) <= most).all():
+    low, high = (values.min(), values.max()) if values.size else (0.0, 0.0)
+    if values.shape != shape or not (-most <= low and high <= most):
         form = f"{shape[0]} finite numbers" if len(shape) == 1 else f"finite numbers of shape {shape}"
         raise InputError(f"action {shown(values.tolist())} is not {form}{bounds_of(most)}")
-    return np.clip(values, -1.0, 1.0)
+    return values if low >= -1.0 and high <= 1.0 else np.clip(values, -1.0, 1.0)
 
 
 def bounds_of(most: float) -> str:
