@@ -87,9 +87,8 @@ def _copies(known: Observations, other: Observations) -> tuple[Rows, Rows]:
     for size in (min(rounded, digits[1] / 2), rounded):
         chance = ROUGH if digits[0] > 2 * rounded else CHANCE * size / rounded
         size = size * (1.0 + 1e-6) + 1e-10  # but for the last bits
-        copied = _nearest(
-            np.hstack([known.joints / near, mine / size]), np.hstack([other.joints / near, theirs / size]), 1.0
-        )
+        ours, others = np.hstack([known.joints / near, mine / size]), np.hstack([other.joints / near, theirs / size])
+        copied = _nearest(ours, others, 1.0)
         rows = np.flatnonzero(copied >= 0)
         if len(rows) and binom.sf(len(rows) - 1, poses, chance ** mine.shape[1]) < UNLIKELY:
             return rows, copied[rows]

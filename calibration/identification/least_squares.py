@@ -479,13 +479,8 @@ def identifiability(
         share = solve_triangular(triangle, basis.T @ r[:, k]) * tolerance[base] / tolerance[k]
         scaled = np.abs(share) * tolerance[k] / tolerance[base]
         dropped[names[k]] = {names[j]: float(c) for j, c, s in zip(base, share, scaled, strict=True) if s > 1e-3}
-    return Identifiability(
-        names=names,
-        kept=base,
-        dropped=dropped,
-        r_diagonal=diagonal,
-        singular_values=np.linalg.svd(r[:, base], compute_uv=False) / np.sqrt(poses),
-    )
+    singular_values = np.linalg.svd(r[:, base], compute_uv=False) / np.sqrt(poses)
+    return Identifiability(names, base, dropped, diagonal, singular_values)
 
 
 # Measurements without a frame (wires, sockets) cannot see where arm and anchors stand together: hold the base still.

@@ -91,10 +91,8 @@ class CorrectedCommands:
     def report(self) -> str:
         """A summary of a few lines for people, which names the rows that cannot be reached."""
         rows = self.reached if self.reached.any() else np.ones_like(self.reached)
-        before, after, never = (
-            [float(size[rows].mean()) for size in _sizes(error)]
-            for error in (self.before, self.remaining, self.impossible)
-        )
+        parts = (self.before, self.remaining, self.impossible)
+        before, after, never = ([float(size[rows].mean()) for size in _sizes(error)] for error in parts)
         lines = [
             f"{int(self.reached.sum())} of {len(self.reached)} targets can be reached",
             f"  told the plain target, the arm would miss by {before[0]:.3f} mm and {before[1]:.4f} deg"

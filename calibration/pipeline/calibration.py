@@ -387,16 +387,10 @@ class Calibration:
             learnt = learnt.faster()
         anything = self.model.terms or learnt is not None
         residual = partial(remainder, self.model, learnt, conditions or Conditions()) if anything else None
-        sure = uncertainty_from(self.record)
+        sure, reservations = uncertainty_from(self.record), self.reservations()
+        bounds = None if sure is None else partial(self._within95, sure, conditions)
         return Compensator(
-            self.nominal,
-            self.identified,
-            residual,
-            iterations,
-            single_precision,
-            self.reservations(),
-            None if sure is None else partial(self._within95, sure, conditions),
-            self.caution,
+            self.nominal, self.identified, residual, iterations, single_precision, reservations, bounds, self.caution
         )
 
     def _within95(

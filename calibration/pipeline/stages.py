@@ -396,16 +396,9 @@ def _through(stages: Sequence[Callable[[Draft], Draft]], draft: Draft) -> Draft:
 
 
 def _assessed(draft: Draft, held_out: fitting.HeldOut) -> Result:
-    workspace = workspace_joints(draft.choices.workspace, draft.arm.nominal)
+    arm, fit, region = draft.arm, draft.best[1], workspace_joints(draft.choices.workspace, draft.arm.nominal)
     result = assess(
-        draft.arm,
-        draft.best[1],
-        draft.train,
-        draft.test,
-        fits=draft.fits,
-        held_out=held_out,
-        left_out=draft.left_out,
-        workspace=workspace,
+        arm, fit, draft.train, draft.test, fits=draft.fits, held_out=held_out, left_out=draft.left_out, workspace=region
     )
     return replace(result, terms=draft.term_choice, gate=draft.gate)
 
@@ -522,14 +515,8 @@ def _identify(draft: Draft) -> Draft:
     """Identify the geometry from its priors and the rows."""
     choices, known_frames = draft.choices, draft.aligned is None
     start = draft.arm.nominal if draft.aligned is None else draft.aligned.geometry
-    model = prior_model(
-        draft.arm.name,
-        start,
-        known=known_frames,
-        fit=choices.fit,
-        tolerances=choices.tolerances or draft.arm.tolerance_class,
-        scale=choices.prior_scale,
-    )
+    tolerances, scale = choices.tolerances or draft.arm.tolerance_class, choices.prior_scale
+    model = prior_model(draft.arm.name, start, known=known_frames, fit=choices.fit, tolerances=tolerances, scale=scale)
     return draft.with_fit(GEOMETRY, fitting.fit_geometry(draft.arm, draft.train, draft.aligned, model))
 
 

@@ -325,11 +325,7 @@ def _field(frequency: Array, mean: Array, offset: Array, inputs: JointInputs, tu
     waves = np.concatenate([scaled, rough], axis=-1).transpose(1, 0, 2).reshape(joints, -1)
     weight = np.zeros((outputs, 2, scaled.shape[-1] + ROUGH))
     weight[..., : scaled.shape[-1]] = mean.reshape(outputs, 2, -1)
-    features = Features(
-        np.ascontiguousarray(waves, dtype=np.float32),
-        tuple(inputs.mean[:joints].tolist()),
-        tuple(inputs.periodic.tolist()),
-        outputs,
-    )
+    middle, periodic = tuple(inputs.mean[:joints].tolist()), tuple(inputs.periodic.tolist())
+    features = Features(np.ascontiguousarray(waves, dtype=np.float32), middle, periodic, outputs)
     axes = tuple(map(tuple, turn.tolist()))
     return ResidualField(features, weight.astype(np.float32), tuple(offset.tolist()), axes)

@@ -119,9 +119,8 @@ def restationed(
     model_there = identify(model, near, settled, max_iterations=100, rank_tolerance=NO_RANK).arm_model
     poses = same_poses(data.joints)
     others = np.flatnonzero(~np.isin(poses, poses[used]))
-    elsewhere = (
-        model_there.jacobian(data.joints[others], data.conditions.select(others))[:, :3][..., model.columns] * std
-    )
+    jacobian = model_there.jacobian(data.joints[others], data.conditions.select(others))
+    elsewhere = jacobian[:, :3][..., model.columns] * std
     whitened = few.jacobian(model_there, np.zeros(0))[0][:, model.columns] * std
     # In shares of the standard deviations before, with rows in standard uncertainties.
     covariance = np.linalg.inv(whitened.T @ whitened + np.eye(len(std)))
@@ -374,19 +373,11 @@ def verify(
     inside = measured_there(calibration.record, calibration.model, judging)
     measured = None if inside is None else float(inside.mean())
     region_known = measured is None or measured >= 0.5  # elsewhere errors grow with the region, and not with the day
+    count, rms = len(others), float(np.sqrt(expected.mean())) * 1e3
+    since = _since(poses, others, errors, expected) if region_known else None
+    gain = next(no_gain(before, errors, np.arange(count), "mm", count, "rows"), None)
     verification = Verification(
-        "still good",
-        "",
-        mine,
-        theirs,
-        float(np.sqrt(expected.mean())) * 1e3,
-        len(others),
-        len(used),
-        moves,
-        _since(poses, others, errors, expected) if region_known else None,
-        left_out,
-        next(no_gain(before, errors, np.arange(len(others)), "mm", len(others), "rows"), None),
-        measured,
+        "still good", "", mine, theirs, rms, count, len(used), moves, since, left_out, gain, measured
     )
     status, reason = _verdict(verification, lambda: _cause(there, judging, errors, expected, inside, refit))
     return replace(verification, status=status, reason=reason)

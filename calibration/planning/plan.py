@@ -270,8 +270,8 @@ class PosePlan:
             "kind": self.design.kind,
             "parameters": list(self.parameters),
         }
-        for name in ("criterion", "where", "travel_seconds", "random_travel_seconds", "passes", "seconds"):
-            figures[name] = getattr(self, name)
+        plain = ("criterion", "where", "travel_seconds", "random_travel_seconds", "passes", "seconds")
+        figures |= {name: getattr(self, name) for name in plain}
         if self.model is not None:
             figures |= {"arm": self.arm, "model": self.model}
             for key in ("condition", "random_condition", "o1_ratio"):
