@@ -146,9 +146,7 @@ def axis_errors(errors: Array, unit: str = "mm") -> dict[str, tuple[float, float
         Signed mean (bias), standard deviation, root mean square and largest size, by the name of the axis with its
         unit, such as "x (mm)".
     """
-    axes: tuple[str, ...] = AXES if errors.shape[1] > 1 else ("length",)
-    if unit == "deg":
-        axes = ("r1", "r2", "r3")
+    axes = ("r1", "r2", "r3") if unit == "deg" else AXES if errors.shape[1] > 1 else ("length",)
     statistics = {}
     for axis, column in zip(axes, errors.T, strict=False):
         unit_of_axis = "deg" if axis.startswith("r") else "mm"

@@ -318,9 +318,8 @@ def _slips(before: Sequence[Pose], link: int, joint: ChainJoint) -> bool:
     """Whether a link may stand anywhere along its axis: true if its joint turns and the next axis is parallel."""
     if joint.slides or link + 1 == len(before):
         return False
-    return bool(
-        np.linalg.norm(np.cross(before[link].rotation[:, 2], before[link + 1].rotation[:, 2])) < NEARLY_PARALLEL
-    )
+    axis, following = (pose.rotation[:, 2] for pose in before[link : link + 2])
+    return bool(np.linalg.norm(np.cross(axis, following)) < NEARLY_PARALLEL)
 
 
 def links_moved(joints: Sequence[ChainJoint]) -> list[int | None]:

@@ -223,30 +223,24 @@ def lerobot_document(calibration: Calibration, order: document.Order) -> documen
     """
     path = order.onto
     if path is None:
-        raise InputError(
-            "a LeRobot file keeps ids and ranges of your motors; give `onto`, the one that lerobot-calibrate wrote"
-        )
+        raise InputError("a LeRobot file keeps ids and ranges of motors; give `onto`, what lerobot-calibrate wrote")
     shift, servos = joint_offsets(calibration), _lerobot_motors(path)
     data = path.read_bytes()
-    roundings, counts = [0.0], [0]
-    for name, slides, offset in zip(calibration.arm.joint_names, calibration.arm.prismatic, shift.offsets, strict=True):
+    arm, exact = calibration.arm, shift.offsets * COUNTS / (2.0 * np.pi)
+    counts = np.rint(exact).astype(int)
+    for name, slides, count in zip(arm.joint_names, arm.prismatic, counts.tolist(), strict=True):
         servo = servos.get(name)
         if servo is None:
-            raise InputError(
-                f"{path} has no motor '{shortened(name)}', only {listed(servos)}; name the arm's joints as the motors"
-            )
+            raise InputError(f"{path} has no motor '{shortened(name)}', only {listed(servos)}; name joints as motors")
         if slides or servo["drive_mode"]:
             why = "slides" if slides else "has drive_mode 1, which LeRobot reads in one of two ways"
             raise InputError(f"joint '{shortened(name)}' {why}; its homing offset cannot be written")
-        exact = float(offset) * COUNTS / (2.0 * np.pi)
-        homing = servo["homing_offset"] - round(exact)
+        homing = servo["homing_offset"] - count
         if abs(homing) > LARGEST_HOMING:
             raise InputError(
                 f"joint '{shortened(name)}' would need a homing offset of {homing} counts, but the servo keeps "
                 f"{LARGEST_HOMING} at most; turn the horn on by a tooth, or home it elsewhere, and calibrate again"
             )
-        roundings.append(abs(exact - round(exact)))
-        counts.append(abs(round(exact)))
         pattern = rf'({re.escape(json.dumps(name))}\s*:\s*\{{[^{{}}]*?"homing_offset"\s*:\s*)-?\d+'.encode()
         data, written = re.subn(pattern, rb"\g<1>" + str(homing).encode(), data)
         if not written:
@@ -255,8 +249,8 @@ def lerobot_document(calibration: Calibration, order: document.Order) -> documen
             )
     notes = (
         shift.note(),
-        f"homing offsets move by up to {max(counts)} counts; rounding to whole counts leaves up to "
-        f"{360.0 / COUNTS * max(roundings):.2g} deg, and the ends of each range move along with its zero",
+        f"homing offsets move by up to {np.abs(counts).max()} counts; rounding to whole counts leaves up to "
+        f"{360.0 / COUNTS * np.abs(exact - counts).max():.2g} deg, and the ends of each range move along with its zero",
         "taken for granted: angles were LeRobot's degrees with its sign (Feetech servos: present = actual - homing)",
         "LeRobot will find on connecting that file and motors differ: let it use the file",
     )

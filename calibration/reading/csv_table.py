@@ -145,10 +145,8 @@ class Table:
         """Place of a column in the header."""
         if name not in self.header:
             raise InputError(f"{self.where}: column '{shortened(name)}' is missing; the file has {listed(self.header)}")
-        if self.header.count(name) > 1:
-            raise InputError(
-                f"{self.where}: column '{shortened(name)}' occurs {self.header.count(name)} times; rename all but one"
-            )
+        if (count := self.header.count(name)) > 1:
+            raise InputError(f"{self.where}: column '{shortened(name)}' occurs {count} times; rename all but one")
         return self.header.index(name)
 
     def cell(self, row: int, name: object) -> str:
@@ -204,10 +202,8 @@ class Table:
                 f"{self.where}: cannot compute '{shortened(expression)}'; give numbers and brackets of ordinary size"
             ) from error
         if not np.isfinite(values).all():
-            line = self.lines[int(np.argmin(np.isfinite(values)))]
-            raise InputError(
-                f"{self.where}: row {line}, '{shortened(expression)}' divides by zero or overflows; correct it"
-            )
+            place = f"{self.where}: row {self.lines[int(np.argmin(np.isfinite(values)))]}"
+            raise InputError(f"{place}, '{shortened(expression)}' divides by zero or overflows; correct it")
         return values
 
     def values(self, expressions: tuple[str, ...]) -> Array:
@@ -226,9 +222,7 @@ class Table:
                 return OPERATORS[type(op)](*parts)
             case ast.UnaryOp(op=op, operand=operand) if type(op) in OPERATORS:
                 return OPERATORS[type(op)](self._evaluate(operand, expression, quoted))
-        raise InputError(
-            f"{self.where}: cannot compute '{shortened(expression)}'; use column names, numbers and + - * / only"
-        )
+        raise InputError(f"{self.where}: cannot compute '{shortened(expression)}'; use names, numbers and + - * / only")
 
 
 def expression_tree(expression: str) -> tuple[ast.expr | None, list[str]]:

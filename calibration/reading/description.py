@@ -20,7 +20,7 @@ from pickenv.base.registry import load_all, names
 from pickenv.calibration.camera.boards import Board, one_of
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, joint_columns
 from pickenv.calibration.model.pixels import Mount
-from pickenv.calibration.reading.csv_table import CONVENTIONS, expression_tree
+from pickenv.calibration.reading.csv_table import CONVENTIONS, columns_of, expression_tree
 
 # Tables of a column description that say what was measured, one class for each way of saying it.
 
@@ -260,12 +260,16 @@ class RotationTable:
         """The unit of the angles, rad for a quaternion.
 
         Raises:
-            InputError: If there are not 3 or 4 columns and no convention, or if the unit of angles is missing.
+            InputError: If there are not 3 or 4 columns, or not those of the convention, or if the unit of angles is
+                missing.
         """
         count = len(self.columns)
         if self.convention is None and count not in (3, 4):
             raise InputError(f"[rotation] has {count} columns; give three angles or four of a quaternion")
-        if not (count == 3 if self.convention is None else CONVENTIONS[self.convention][0] == "angle"):
+        wanted = count if self.convention is None else columns_of(self.convention)
+        if count != wanted:
+            raise InputError(f"convention '{self.convention}' needs {wanted} columns")
+        if wanted == 4:
             return "rad"
         if self.unit not in ANGLES:
             unit = "missing" if self.unit is None else shortened(repr(self.unit))
@@ -381,7 +385,16 @@ class DescriptionFile:
             raise InputError(f"sections [{sections[0]}] and [{sections[1]}] are both given; one file holds one kind")
         if not sections:
             raise InputError("section [position] is missing; say what was measured in one of " + ", ".join(kinds()))
-        self._check_views()
+        if (self.joints is None) == (self.poses is None):
+            raise InputError("[joints] is missing" if self.poses is None else "[joints] and [poses] are both given")
+        if self.poses is not None and self.pixels is None:
+            raise InputError("[poses] belongs to [pixels]; give the joints in [joints]")
+        if self.pixels is not None and self.conditions != ConditionsTable():
+            raise InputError("[conditions] is not read for [pixels]; leave it out")
+        for name, table in (("board", self.board), ("camera", self.camera)):
+            if (table is None) != (self.pixels is None):
+                fault = "is missing; [pixels] needs it" if table is None else "belongs to [pixels]"
+                raise InputError(f"[{name}] {fault}")
         fits, columns = COUNTS.get(sections[0], (lambda _: True, ""))
         count = len(self.columns)
         if not fits(count):
@@ -396,23 +409,6 @@ class DescriptionFile:
         torques, n = self.conditions.torques, 0 if self.joints is None else len(self.joints.columns)
         if torques is not None and (len(torques.columns), len(torques.each or torques.columns)) != (n, n):
             raise InputError("[conditions.torques] needs one column, and one unit, per joint")
-
-    def _check_views(self) -> None:
-        """Refuse joints beside finished poses, or neither of them, and tables that do not fit [pixels].
-
-        [board] and [camera] are needed with [pixels]; they and [poses] belong nowhere else. [conditions] may not stand
-        beside [pixels].
-        """
-        if (self.joints is None) == (self.poses is None):
-            raise InputError("[joints] is missing" if self.poses is None else "[joints] and [poses] are both given")
-        if self.poses is not None and self.pixels is None:
-            raise InputError("[poses] belongs to [pixels]; give the joints in [joints]")
-        if self.pixels is not None and self.conditions != ConditionsTable():
-            raise InputError("[conditions] is not read for [pixels]; leave it out")
-        for name, table in (("board", self.board), ("camera", self.camera)):
-            if (table is None) != (self.pixels is None):
-                fault = "is missing; [pixels] needs it" if table is None else "belongs to [pixels]"
-                raise InputError(f"[{name}] {fault}")
 
     @property
     def kind(self) -> str:

@@ -209,14 +209,9 @@ def _reflectors(files: Files, section: description.ReflectorsTable) -> kinds.Ref
     if (visible.sum(axis=0) < 3).any():
         which = int(np.argmin(visible.sum(axis=0)))
         raise InputError(f"{files.source}: reflector {which + 1} was seen in fewer than three poses; leave it out")
-    return kinds.ReflectorObservations(
-        joints=files.joints,
-        points=np.concatenate(points),
-        seen=visible,
-        covariance=np.eye(3) * first.std**2,
-        places=np.reshape(section.places, (-1, 3)) if section.places else None,
-        places_std=section.places_std,
-    )
+    covariance, places = np.eye(3) * first.std**2, np.reshape(section.places, (-1, 3)) if section.places else None
+    data = kinds.ReflectorObservations(files.joints, np.concatenate(points), visible, covariance)
+    return replace(data, places=places, places_std=section.places_std)
 
 
 @register("instrument", "wire")
@@ -318,13 +313,9 @@ def _rests(
     contact = _contact(files, section)
     for place in np.unique(socket):
         _refuse_one_pose(files, np.flatnonzero(socket == place))
-    return kinds.SocketObservations(
-        socket=np.asarray(socket, dtype=np.int64),
-        pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
-        spacing=np.full(len(pairs), spacing or 0.0),
-        **contact,
-        **more,
-    )
+    socket, ends = np.asarray(socket, dtype=np.int64), np.array(pairs, dtype=np.int64).reshape(-1, 2)
+    spacings = np.full(len(pairs), spacing or 0.0)
+    return kinds.SocketObservations(socket=socket, pairs=ends, spacing=spacings, **contact, **more)
 
 
 @register("instrument", "tilt")
@@ -494,27 +485,26 @@ def _found_in_pictures(
     Raises:
         InputError: If a picture is missing or of another size than the lens, or if more than `MANY_BLIND` show none.
     """
-    views, remarks, faults, sizes = [], [], [], []
+    views, remarks = [], []
     for path, line in zip(pictures, table.lines, strict=True):
         if not path.is_file():
             raise InputError(f"{table.where}: row {line}: picture {path} does not exist; correct or remove the row")
-        picture = _grey(path)
-        sizes.append(picture.shape[::-1])
-        try:
-            views.append(find_corners(board, picture, str(path)))
-            remarks.append("")
-        except InputError as error:
-            faults.append(error)
-            views.append(corners_at(board, [], np.zeros((0, 2)), []))
-            remarks.append(str(error))
-    if len(faults) > MANY_BLIND * len(views):
-        raise faults[0]
-    for line, size in zip(table.lines, sizes, strict=True):
-        if size != camera.size:
+        picture, remark = _grey(path), ""
+        height, width = picture.shape
+        if (width, height) != camera.size:
             raise InputError(
-                f"{table.where}: row {line}: the picture has {size[0]} x {size[1]} px, but the lens is for "
+                f"{table.where}: row {line}: the picture has {width} x {height} px, but the lens is for "
                 f"{camera.size[0]} x {camera.size[1]}; give the camera's numbers at this resolution"
             )
+        try:
+            views.append(find_corners(board, picture, str(path)))
+        except InputError as error:
+            views.append(corners_at(board, [], np.zeros((0, 2)), []))
+            remark = str(error)
+        remarks.append(remark)
+    faults = list(filter(None, remarks))
+    if len(faults) > MANY_BLIND * len(views):
+        raise InputError(faults[0])
     return views, remarks
 
 
@@ -548,9 +538,8 @@ def _found_in_table(table: Table, pixels: description.PixelsTable, board: Board)
 def _lens(given: description.LensTable, home: Path) -> Lens:
     if given.file is not None:
         return read_lens(home / given.file)
-    values = np.zeros(len(LENS_NAMES))
-    values[:4] = [value or 0.0 for value in (given.fx, given.fy, given.cx, given.cy)]
-    values[4 : 4 + len(given.distortion)] = given.distortion
+    distortion = np.resize([*given.distortion, 0.0], 5)  # the fifth is zero if four are given
+    values = np.array([given.fx, given.fy, given.cx, given.cy, *distortion], dtype=float)
     return Lens(values, (given.width or 0, given.height or 0))
 
 

@@ -168,7 +168,7 @@ def _poses(files: Files, _section: Any) -> Measurements:
         kind_readers.refuse_unseen(table, layout)
     rotation, attitudes = None, first.rotation
     if attitudes is not None:
-        values = np.concatenate([_attitudes(table, layout.rotation, files.where) for table, layout in files.pairs()])
+        values = np.concatenate([_attitudes(table, layout.rotation) for table, layout in files.pairs()])
         if attitudes.convention is None:
             fits = csv_table.convention_table(files.geometry, files.joints, position, values, files.source)
             raise InputError(
@@ -183,24 +183,21 @@ def _poses(files: Files, _section: Any) -> Measurements:
     return rows if attitudes is None else replace(rows, attitude_std=attitudes.std)
 
 
-def _attitudes(table: csv_table.Table, described: description.RotationTable | None, where: str) -> Array:
+def _attitudes(table: csv_table.Table, described: description.RotationTable | None) -> Array:
     """The checked values ``(N, 3 or 4)`` of a file's attitude columns: angles in rad, or quaternions."""
     assert described is not None
     columns, unit = described.columns, described.checked_unit()
     values = table.values(columns) * TO_SI[unit]
-    count = len(columns) if described.convention is None else csv_table.columns_of(described.convention)
-    if values.shape[1] != count:
-        raise InputError(f"{where}: convention '{described.convention}' needs {count} columns")
-    if count == 4 and np.any(np.abs(np.linalg.norm(values, axis=1) - 1.0) > 0.01):
-        bad = int(np.argmax(np.abs(np.linalg.norm(values, axis=1) - 1.0)))
-        raise InputError(f"{table.where}: row {table.lines[bad]} holds a quaternion that is not of unit length")
-    if count == 3 and np.abs(values).max() > 4 * np.pi:
-        bad, column = divmod(int(np.argmax(np.abs(values))), values.shape[1])
+    if len(columns) == 4:
+        excess = np.abs(np.linalg.norm(values, axis=1) - 1.0)
+        if excess.max() > 0.01:
+            line = table.lines[int(np.argmax(excess))]
+            raise InputError(f"{table.where}: row {line} holds a quaternion that is not of unit length")
+    elif np.abs(values).max() > 4 * np.pi:
+        bad, column = divmod(int(np.argmax(np.abs(values))), 3)
         hint = "its unit is probably deg" if unit == "rad" else "correct or remove the row"
-        raise InputError(
-            f"{table.cell(bad, columns[column])} is {np.abs(values[bad, column]):.0f} rad, which no "
-            f"rotation needs; {hint}"
-        )
+        size = f"{np.abs(values[bad, column]):.0f} rad, which no rotation needs"
+        raise InputError(f"{table.cell(bad, columns[column])} is {size}; {hint}")
     return values
 
 

@@ -50,14 +50,10 @@ class JointInputs:
         """
         joints = np.asarray(joints, dtype=float)
         if joints.shape[-1:] != self.periodic.shape:
-            raise InputError(
-                f"joints have shape {joints.shape}, but the residual model was fitted for {len(self.periodic)} joints"
-            )
+            raise InputError(f"joints have shape {joints.shape}, but the residual has {len(self.periodic)} joints")
         count = 0 if conditions is None else np.asarray(conditions).shape[-1]
         if count != self.conditions:
-            raise InputError(
-                f"the residual model needs {self.conditions} conditions beside the joints, but got {count}"
-            )
+            raise InputError(f"the residual model needs {self.conditions} conditions beside the joints, not {count}")
         return (_raw_inputs(joints, conditions, self.periodic) - self.mean) / self.std
 
 
