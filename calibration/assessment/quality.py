@@ -431,7 +431,9 @@ def grade_quality(
             f"{pairs[0][0]} and {pairs[0][1]} ({pairs[0][2]:+.2f}): read them together, the predicted pose is not "
             "affected"
         )
-    certain = before is not None and _told(before, after, workspace, blocks, count)
+    # All rows together may say that the arm is better where it was measured, if those held out do not contradict.
+    sure = workspace is not None and workspace.measured.better >= SURE and count >= SEVERAL
+    certain = before is not None and sure and _chance(after, before, blocks) > SIGNIFICANCE
     because = "" if before is None else _cause(found, before, after, unlearnt, unit)
     gain = () if certain else no_gain(before, after, blocks, unit, count, called, because)
     if certain and before is not None and workspace is not None and _undecided(before, after, blocks):
@@ -493,15 +495,6 @@ def no_gain(
 def _undecided(before: Array, after: Array, blocks: Rows | None) -> bool:
     """Whether held-out rows leave open which arm is better: true unless the calibrated arm is significantly better."""
     return _rms(after, "mm") >= _rms(before, "mm") or _chance(before, after, blocks) > SIGNIFICANCE
-
-
-def _told(before: Array, after: Array, workspace: Workspace | None, blocks: Rows | None, count: int) -> bool:
-    """Whether all rows together say that the calibrated arm is better at the measured poses, uncontradicted.
-
-    At least `SEVERAL` rows must be held out, and they must not show the contrary.
-    """
-    sure = workspace is not None and workspace.measured.better >= SURE and count >= SEVERAL
-    return sure and _chance(after, before, blocks) > SIGNIFICANCE
 
 
 def _cause(found: Identification, before: Array, after: Array, unlearnt: Array, unit: str) -> str:

@@ -303,15 +303,12 @@ def corrected_chain(
     hand = behind(after[-1], identified.tool)
     if joints and joints[-1].ratio:
         drawing, placed = behind(before[-1], nominal.tool), behind(inverse_pose(new), hand)
-        along = _slid_along(behind(placed, inverse_pose(behind(inverse_pose(old), drawing))), joints[-1])
+        axis, moved = joints[-1].axis, behind(placed, inverse_pose(behind(inverse_pose(old), drawing)))
+        # The part of the tool's motion that shifts along the last axis and turns about it is the joint's.
+        turn = rotation_matrix(axis * (axis @ rotation_vector(moved.rotation)))
+        along = Pose(axis * (axis @ moved.position), turn)
         origins[-1], new = behind(origins[-1], along), behind(new, along)
     return origins, behind(inverse_pose(new), hand)
-
-
-def _slid_along(moved: Pose, joint: ChainJoint) -> Pose:
-    """The part of a small motion that shifts along a joint's axis and turns about it."""
-    turn = joint.axis * (joint.axis @ rotation_vector(moved.rotation))
-    return Pose(joint.axis * (joint.axis @ moved.position), rotation_matrix(turn))
 
 
 def _slips(before: Sequence[Pose], link: int, joint: ChainJoint) -> bool:
@@ -483,14 +480,13 @@ def _notes(calibration: Calibration, own: JointRow, origins: list[Pose], same: S
             f"{len(moves)} of {len(own.joints)} joint origins corrected: by up to {moves[far][0] * 1e3:.3g} mm ({far}) "
             f"and {math.degrees(moves[turned][1]):.3g} deg ({turned}); everything else is as it was"
         ]
-    _, signs, zeros = same
-    if not ((signs == 1).all() and (zeros == 0).all()):
-        drivers = dict.fromkeys(joint.driver for joint in own.joints if joint.ratio)  # in the file's order
-        readings = [
-            f"{name} = {sign:+.0f} x {joint} {'+' if zero >= 0 else '-'} {abs(zero):.6g}"
-            for name, joint, sign, zero in zip(calibration.arm.joint_names, drivers, signs, zeros, strict=True)
-            if sign != 1 or zero
-        ]
+    drivers = dict.fromkeys(joint.driver for joint in own.joints if joint.ratio)  # in the file's order
+    readings = [
+        f"{name} = {sign:+.0f} x {joint} {'+' if zero >= 0 else '-'} {abs(zero):.6g}"
+        for name, joint, sign, zero in zip(calibration.arm.joint_names, drivers, *same[1:], strict=True)
+        if sign != 1 or zero
+    ]
+    if readings:
         notes.append(f"joints read otherwise in the file (rad, m): {', '.join(readings)}; its own reading is kept")
     return notes
 
@@ -507,7 +503,4 @@ def refuse_lost_files(path: Path, out: Path, names: Sequence[str]) -> None:
         if not (path.parent / name).is_file():
             raise InputError(f"{path} names '{shortened(name)}', which is not there; put it back or correct the name")
         if not (out.parent / name).is_file():
-            raise InputError(
-                f"{out} would not find '{shortened(name)}' from where it stands; write it beside {path.name}, in "
-                f"{path.parent}"
-            )
+            raise InputError(f"{out} would not find '{shortened(name)}' from where it stands; write it beside {path}")

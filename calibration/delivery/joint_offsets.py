@@ -95,9 +95,7 @@ def joint_offsets(calibration: Calibration, joints: Array | None = None) -> Join
     try:
         target = calibration.predict(joints)
     except InputError as error:
-        raise InputError(
-            f"offsets cannot follow this calibration's terms: {error}; calibrate with `terms='none'`"
-        ) from error
+        raise InputError(f"offsets cannot follow this calibration's terms: {error}; give `terms='none'`") from error
     fitted = calibration.record.get("frames") == "fitted"
     columns = frames_model(calibration.arm).columns[: None if fitted else 0]
     rows = slice(0, 3 if calibration.record.get("kind") == "position" else 6)
@@ -206,10 +204,8 @@ def _lerobot_motors(path: Path) -> dict[str, dict[str, int]]:
     for name, motor in motors.items():
         for field in FIELDS:
             if not isinstance(motor, dict) or type(motor.get(field)) is not int:
-                raise InputError(
-                    f"{path}: motor '{shortened(name)}' has no whole number '{field}'; give the calibration that "
-                    "lerobot-calibrate writes"
-                )
+                place = f"{path}: motor '{shortened(name)}'"
+                raise InputError(f"{place} has no whole number '{field}'; give what lerobot-calibrate writes")
     return motors
 
 
@@ -244,9 +240,7 @@ def lerobot_document(calibration: Calibration, order: document.Order) -> documen
         pattern = rf'({re.escape(json.dumps(name))}\s*:\s*\{{[^{{}}]*?"homing_offset"\s*:\s*)-?\d+'.encode()
         data, written = re.subn(pattern, rb"\g<1>" + str(homing).encode(), data)
         if not written:
-            raise InputError(
-                f"{path}: the homing_offset of '{shortened(name)}' is not where LeRobot writes it; save it anew"
-            )
+            raise InputError(f"{path}: homing_offset of '{shortened(name)}' is not where LeRobot writes it; save anew")
     notes = (
         shift.note(),
         f"homing offsets move by up to {np.abs(counts).max()} counts; rounding to whole counts leaves up to "
@@ -333,9 +327,7 @@ def ros2_offsets(calibration: Calibration, order: document.Order) -> document.Do
     for name, value in zip(calibration.arm.joint_names, shift.offsets, strict=True):
         if name not in joints:
             names = "no <ros2_control> joint at all" if not joints else f"only {', '.join(map(shortened, joints))}"
-            raise InputError(
-                f"{onto} has no <ros2_control> joint '{shortened(name)}', {names}; name its joints as the arm's"
-            )
+            raise InputError(f"{onto} has no <ros2_control> joint '{shortened(name)}', {names}; name them as the arm's")
         place = joints[name]
         param = next((tag for tag in tags if tag.parent == place and tag.is_named("param", "offset")), None)
         if param is None:

@@ -99,15 +99,9 @@ LONGEST_EXPRESSION = 1000
 """Longest expression that is parsed, in characters: nobody writes a longer one, and a parser's depth is limited."""
 
 
-OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
-    ast.Mult: operator.mul,
-    ast.Div: operator.truediv,
-    ast.USub: operator.neg,
-    ast.UAdd: operator.pos,
-}
-"""The operators allowed in expressions of columns, and the function that computes each."""
+BINARY = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv}
+SIGNS = {ast.USub: operator.neg, ast.UAdd: operator.pos}
+"""The operators and signs allowed in expressions of columns, and the function that computes each."""
 
 
 class Table:
@@ -217,11 +211,10 @@ class Table:
             case ast.Name(id=name):
                 place = re.fullmatch(r"__quoted_(\d+)", name)
                 return self.column(quoted[int(place[1])] if place else name)
-            case ast.BinOp(left=left, op=op, right=right) if type(op) in OPERATORS:
-                parts = [self._evaluate(part, expression, quoted) for part in (left, right)]
-                return OPERATORS[type(op)](*parts)
-            case ast.UnaryOp(op=op, operand=operand) if type(op) in OPERATORS:
-                return OPERATORS[type(op)](self._evaluate(operand, expression, quoted))
+            case ast.BinOp(left=left, op=op, right=right) if function := BINARY.get(type(op)):
+                return function(*(self._evaluate(part, expression, quoted) for part in (left, right)))
+            case ast.UnaryOp(op=op, operand=operand) if sign := SIGNS.get(type(op)):
+                return sign(self._evaluate(operand, expression, quoted))
         raise InputError(f"{self.where}: cannot compute '{shortened(expression)}'; use names, numbers and + - * / only")
 
 

@@ -50,7 +50,6 @@ def _lost(found: Any, _context: Any) -> tuple[str, ...]:
 class LengthsTable:
     """[position]: columns of x, y and z, or of other lengths; their uncertainty, and columns of their repeat sigma."""
 
-    _: KW_ONLY
     columns: Annotated[tuple[str, ...], COLUMNS]
     unit: Annotated[str, one_of(LENGTHS)]
     std: Annotated[float, MM.positive] | None = None
@@ -67,10 +66,8 @@ class ReflectorsTable(LengthsTable):
 
     def __post_init__(self) -> None:
         if self.places and len(self.places) != len(self.columns):
-            raise InputError(
-                f"places_mm of [reflectors] has {len(self.places)} numbers for {len(self.columns)} columns; give x, y "
-                "and z of each reflector in turn"
-            )
+            counts = f"{len(self.places)} numbers for {len(self.columns)} columns"
+            raise InputError(f"places_mm of [reflectors] has {counts}; give x, y and z of each reflector in turn")
 
 
 @toml_table
@@ -140,7 +137,6 @@ class RadiusTable(ContactTable):
 class TiltTable:
     """[tilt]: components of the downward direction along the axes of an inclinometer or accelerometer."""
 
-    _: KW_ONLY
     columns: Annotated[tuple[str, ...], COLUMNS]
     unit: Annotated[str, one_of((*ANGLES, "g"))]
     std: Annotated[float, DEG.positive] = 1e-3
@@ -204,7 +200,6 @@ class JointsTable:
 class PixelsTable:
     """[pixels]: views of a board, as pictures or as a table of corners found in them."""
 
-    _: KW_ONLY
     mount: Annotated[Mount, one_of(get_args(Mount))]
     picture: Annotated[str, COLUMN] | None = None
     files: Annotated[str, COLUMN] | None = None
@@ -224,7 +219,6 @@ class PixelsTable:
 class LensTable:
     """[camera]: the lens, given as a file or as numbers, and whether it is to be fitted."""
 
-    _: KW_ONLY
     file: Annotated[str, COLUMN] | None = None
     fx: Annotated[float, PIXELS] | None = None
     fy: Annotated[float, PIXELS] | None = None
@@ -519,15 +513,15 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> Descri
     for name in expected:
         stem = name.rpartition("_")[0]
         columns = [column for column in header if column.rpartition("_")[0] == stem]
-        if len(columns) != 1 or columns[0].rpartition("_")[2] not in LENGTHS + ANGLES:
-            fault = "is given twice" if len(columns) > 1 else "is missing"
-            if len(columns) == 1:
-                fault = f"has the unknown unit '{columns[0].rpartition('_')[2]}'"
-            raise InputError(
-                f"{where}: joint column '{name}' {fault}; our format has {', '.join(expected)}, x_mm, y_mm, z_mm"
+        unit = columns[0].rpartition("_")[2] if len(columns) == 1 else ""
+        if unit not in LENGTHS + ANGLES:
+            fault = (
+                "is given twice" if len(columns) > 1 else f"has the unknown unit '{unit}'" if columns else "is missing"
             )
+            names_of_ours = f"{', '.join(expected)}, x_mm, y_mm, z_mm"
+            raise InputError(f"{where}: joint column '{name}' {fault}; our format has {names_of_ours}")
         joints.append(columns[0])
-        units.append(columns[0].rpartition("_")[2])
+        units.append(unit)
     position_unit = "m" if "x_m" in header else "mm"
     has_rotation = any(column.startswith(("rx_", "ry_", "rz_")) for column in header)
     rotation_unit = "rad" if "rx_rad" in header else "deg"

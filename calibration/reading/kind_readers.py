@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -82,15 +83,12 @@ def refuse_repeated_joints(layout: description.DescriptionFile, where: str, join
 
     Joints that never move, and files of two rows or fewer, are not checked.
     """
-    for i in range(geometry.joints):
-        for j in range(i):
-            if len(joints) > 2 and np.ptp(joints[:, i]) > 0 and np.array_equal(joints[:, i], joints[:, j]):
-                columns = layout.joint_columns
-                names = [f"joint {k + 1} ({geometry.joint_names[k]}, column '{columns[k]}')" for k in (j, i)]
-                raise InputError(
-                    f"{where}: {names[0]} and {names[1]} hold the same number in every row; name each "
-                    "joint's own column"
-                )
+    for pair in combinations(range(geometry.joints), 2):
+        one, other = (joints[:, i] for i in pair)
+        if len(joints) > 2 and np.ptp(one) > 0 and np.array_equal(one, other):
+            names = [f"joint {i + 1} ({geometry.joint_names[i]}, column '{layout.joint_columns[i]}')" for i in pair]
+            both = f"{where}: {' and '.join(names)}"
+            raise InputError(f"{both} hold the same number in every row; name each joint's own column")
 
 
 def refuse_unseen(table: Table, layout: description.DescriptionFile) -> None:
@@ -219,10 +217,7 @@ def _wire(files: Files, section: description.WireTable) -> kinds.DistanceObserva
     length = files.values()[:, 0]
     for row in np.flatnonzero(length <= 0.0)[:1]:
         raise InputError(f"{files.place(row)}: a length of {length[row] * 1e3:.6g} mm is not above zero; correct it")
-    contact, scale = _contact(files, section), section.scale_std
-    data = kinds.DistanceObservations(
-        length=length, zero=section.zero, zero_std=section.zero_std, scale_std=scale, **contact
-    )
+    data = _distances(files, section, length, zero=section.zero, zero_std=section.zero_std, scale_std=section.scale_std)
     _refuse_other_unit(files, data)
     return data
 
@@ -233,12 +228,10 @@ def _wire(files: Files, section: description.WireTable) -> kinds.DistanceObserva
 @register("instrument", "bar")
 def _kept(files: Files, section: description.ContactTable) -> kinds.DistanceObservations:
     """Read contacts at a ball bar, a sphere, an edge or a plane: one distance for all rows, known or to be fitted."""
-    length, zero_std = 0.0, 0.0
-    if isinstance(section, description.BarTable | description.RadiusTable):
-        length, zero_std = (section.length, section.length_std) if section.length else (0.0, np.inf)
-    surface: Any = {"edge": "line", "plane": "plane"}.get(files.first.kind, "point")
-    lengths, contact = np.full(len(files.joints), length), _contact(files, section)
-    data = kinds.DistanceObservations(length=lengths, zero_std=zero_std, surface=surface, **contact)
+    length = getattr(section, "length", 0.0)  # a plane has none; None is to be fitted
+    zero_std = np.inf if length is None else getattr(section, "length_std", 0.0)
+    surface = {"edge": "line", "plane": "plane"}.get(files.first.kind, "point")
+    data = _distances(files, section, np.full(len(files.joints), length or 0.0), zero_std=zero_std, surface=surface)
     _refuse_one_pose(files, np.arange(len(files.joints)))
     return data
 
@@ -251,8 +244,11 @@ def _dial(files: Files, section: description.DialTable) -> kinds.DistanceObserva
             f"{files.place(row)}: the dial reads {reading[row] * 1e3:.6g} mm, as one that touches nothing; remove "
             "the row, or say in [dial] what it reads then (free_mm)"
         )
-    contact = _contact(files, section)
-    return kinds.DistanceObservations(length=reading, surface="plane", scale_std=section.scale_std, **contact)
+    return _distances(files, section, reading, surface="plane", scale_std=section.scale_std)
+
+
+def _distances(files: Files, section: description.ContactTable, readings: Array, **more: Any) -> Any:
+    return kinds.DistanceObservations(length=readings, **_contact(files, section), **more)
 
 
 def _contact(files: Files, section: description.ContactTable) -> dict[str, Any]:
@@ -423,20 +419,13 @@ def read_views(
         joints = joints_of_finished_poses(Pose(table.values(poses.columns) * TO_SI[poses.unit], turned))[rows]
     corners, visible, std = map(np.stack, zip(*views, strict=True))
     lines = np.array(table.lines, dtype=np.int64)[rows]
+    std = std if file.pixels.std is None else np.full_like(std, file.pixels.std)
     data = PixelObservations(
-        joints=joints,
-        corners=corners,
-        seen=visible,
-        board=file.board.corners,
-        camera=camera,
-        lens_std=_lens_std(file.camera),
-        std=std if file.pixels.std is None else np.full_like(std, file.pixels.std),
-        mount=file.pixels.mount,
-        source=table.where,
-        remarks=np.array(remarks),
-        pictures=np.array([str(path) for path in pictures]) if pictures else None,
-        origins=Origins((table.where,), np.zeros_like(lines), lines),
+        joints, corners, visible, file.board.corners, camera, _lens_std(file.camera), std, file.pixels.mount
     )
+    names = np.array([str(path) for path in pictures]) if pictures else None
+    origins = Origins((table.where,), np.zeros_like(lines), lines)
+    data = replace(data, source=table.where, remarks=np.array(remarks), pictures=names, origins=origins)
     refuse_duplicates(joints, data, origins_of(data))
     return data
 

@@ -213,10 +213,8 @@ def _floor(files: Files) -> NoiseFloor:
             repeat.append(np.sum(std**2, axis=1) / (std.shape[1] / min(std.shape[1], 3)))
         if step := table.resolution(layout.columns) * unit:
             digits.append(step * np.sqrt(min(len(layout.columns), 3) / 12.0))
-    return (
-        float(np.sqrt(np.mean(np.concatenate(repeat)))) if repeat else None,
-        float(max(digits)) if digits else None,
-    )
+    sigma = float(np.sqrt(np.mean(np.concatenate(repeat)))) if repeat else None
+    return sigma, float(max(digits)) if digits else None
 
 
 # Reading targets for a calibrated arm: our own CSV columns, joints (q1_deg, q2_mm, …) or tool poses (x_mm … rz_deg).
@@ -268,8 +266,7 @@ def read_targets(path: str | Path, geometry: Geometry) -> Targets:
     values = table.values(tuple(columns) if as_joints else POSE_COLUMNS)
     lines = tuple(table.lines)
     if as_joints:
-        scale = np.where(geometry.prismatic, 1e-3, np.radians(1.0))
-        return Targets(values * scale, None, lines, table.where)
+        return Targets(values * np.where(geometry.prismatic, 1e-3, np.radians(1.0)), None, lines, table.where)
     pose = Pose(values[:, :3] * 1e-3, rotation_matrix(np.radians(values[:, 3:])))
     return Targets(None, pose, lines, table.where)
 

@@ -99,10 +99,9 @@ class Bpnn:
         With more poses, larger batches and fewer epochs do as well. At most `SLOW_ROWS` rows are used, for time.
         """
         rows = equally_spaced(len(inputs), SLOW_ROWS)
-        paper = settings = BpnnSettings()
+        settings = BpnnSettings()
         if len(rows) > 400:
-            epochs, batch_size = 48_000 // len(rows), 2 * paper.batch_size
-            settings = replace(paper, epochs=epochs, batch_size=batch_size, learning_rate=2 * paper.learning_rate)
+            settings = BpnnSettings(epochs=48_000 // len(rows), batch_size=32, learning_rate=2e-3)
         return train_bpnn(inputs[rows], targets[rows], rng, settings)
 
     def faster(self) -> Bpnn:
