@@ -200,9 +200,8 @@ def _height(axes: list[_Axis]) -> float:
             return 0.0
         across, gap = _across(following.direction, last), following.point - last.point
         if np.linalg.norm(across) > TURNED:
-            along = (gap @ last.direction - (gap @ following.direction) * (last.direction @ following.direction)) / (
-                across @ across
-            )
+            a, b = last.direction, following.direction
+            along = (gap @ a - (gap @ b) * (a @ b)) / (across @ across)
             return float((last.point + along * last.direction - first.point) @ first.direction)
     return 0.0
 

@@ -99,8 +99,9 @@ LONGEST_EXPRESSION = 1000
 """Longest expression that is parsed, in characters: nobody writes a longer one, and a parser's depth is limited."""
 
 
-BINARY = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv}
-SIGNS = {ast.USub: operator.neg, ast.UAdd: operator.pos}
+Functions = dict[type[ast.AST], Callable[..., Any]]
+BINARY: Functions = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv}
+SIGNS: Functions = {ast.USub: operator.neg, ast.UAdd: operator.pos}
 """The operators and signs allowed in expressions of columns, and the function that computes each."""
 
 

@@ -515,11 +515,9 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> Descri
         columns = [column for column in header if column.rpartition("_")[0] == stem]
         unit = columns[0].rpartition("_")[2] if len(columns) == 1 else ""
         if unit not in LENGTHS + ANGLES:
-            fault = (
-                "is given twice" if len(columns) > 1 else f"has the unknown unit '{unit}'" if columns else "is missing"
-            )
-            names_of_ours = f"{', '.join(expected)}, x_mm, y_mm, z_mm"
-            raise InputError(f"{where}: joint column '{name}' {fault}; our format has {names_of_ours}")
+            faults = ("is missing", f"has the unknown unit '{unit}'", "is given twice")
+            fault, ours = faults[min(len(columns), 2)], f"{', '.join(expected)}, x_mm, y_mm, z_mm"
+            raise InputError(f"{where}: joint column '{name}' {fault}; our format has {ours}")
         joints.append(columns[0])
         units.append(unit)
     position_unit = "m" if "x_m" in header else "mm"

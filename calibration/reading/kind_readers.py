@@ -247,8 +247,8 @@ def _dial(files: Files, section: description.DialTable) -> kinds.DistanceObserva
     return _distances(files, section, reading, surface="plane", scale_std=section.scale_std)
 
 
-def _distances(files: Files, section: description.ContactTable, readings: Array, **more: Any) -> Any:
-    return kinds.DistanceObservations(length=readings, **_contact(files, section), **more)
+def _distances(files: Files, section: description.ContactTable, read: Array, **more: Any) -> kinds.DistanceObservations:
+    return kinds.DistanceObservations(length=read, **_contact(files, section), **more)
 
 
 def _contact(files: Files, section: description.ContactTable) -> dict[str, Any]:
@@ -268,7 +268,8 @@ def _contact(files: Files, section: description.ContactTable) -> dict[str, Any]:
 @register("instrument", "touches")
 def _touches(files: Files, section: description.ContactTable) -> kinds.SocketObservations:
     """Read touches of one single place, the same in every row."""
-    return _rests(files, section, np.zeros(len(files.joints), dtype=np.int64), [], None, places=("point",))
+    socket, none = np.zeros(len(files.joints), dtype=np.int64), np.zeros((0, 2), dtype=np.int64)
+    return _rests(files, section, socket, pairs=none, spacing=np.zeros(0), places=("point",))
 
 
 @register("instrument", "sockets")
@@ -294,24 +295,17 @@ def _sockets(files: Files, section: description.SocketsTable) -> kinds.SocketObs
                 f"{files.source}: a spacing is given for pairs of sockets, but '{folder}' holds {len(sockets)}; give "
                 "two files per folder, or leave spacing_mm out"
             )
-    pairs = [] if section.spacing is None else list(members.values())
-    return _rests(files, section, socket, pairs, section.spacing, spacing_std=section.spacing_std, places=names)
+    pairs = np.array([] if section.spacing is None else list(members.values()), dtype=np.int64).reshape(-1, 2)
+    spacing = np.full(len(pairs), section.spacing or 0.0)
+    spaced = {"pairs": pairs, "spacing": spacing, "spacing_std": section.spacing_std}
+    return _rests(files, section, socket, places=names, **spaced)
 
 
-def _rests(
-    files: Files,
-    section: description.ContactTable,
-    socket: Rows,
-    pairs: list[list[int]],
-    spacing: float | None,
-    **more: Any,
-) -> kinds.SocketObservations:
+def _rests(files: Files, section: description.ContactTable, socket: Rows, **more: Any) -> kinds.SocketObservations:
     contact = _contact(files, section)
     for place in np.unique(socket):
         _refuse_one_pose(files, np.flatnonzero(socket == place))
-    socket, ends = np.asarray(socket, dtype=np.int64), np.array(pairs, dtype=np.int64).reshape(-1, 2)
-    spacings = np.full(len(pairs), spacing or 0.0)
-    return kinds.SocketObservations(socket=socket, pairs=ends, spacing=spacings, **contact, **more)
+    return kinds.SocketObservations(socket=np.asarray(socket, dtype=np.int64), **contact, **more)
 
 
 @register("instrument", "tilt")
