@@ -301,13 +301,11 @@ def workspace_error(
     if solution.prior is None or not solution.prior.proper:
         return None
     geometry = solution.geometry
-    span = [np.ptp(np.quantile(poses, [0.02, 0.98], axis=0), axis=0) for poses in (rows, joints)]
-    thin = tuple(
-        name for name, measured, declared in zip(geometry.joint_names, *span, strict=True) if measured < 0.5 * declared
-    )
+    measured, declared = (np.ptp(np.quantile(poses, [0.02, 0.98], axis=0), axis=0) for poses in (rows, joints))
+    thin = tuple(geometry.joint_names[i] for i in np.flatnonzero(measured < 0.5 * declared))
     some = rows[equally_spaced(len(rows), POSES)]
-    measured = _region("the poses measured", solution, nominal, some)
-    return Workspace(measured, _region(region, solution, nominal, joints), thin, remains)
+    here = _region("the poses measured", solution, nominal, some)
+    return Workspace(here, _region(region, solution, nominal, joints), thin, remains)
 
 
 def _region(region: str, solution: Identification, nominal: Geometry, joints: Array) -> RegionError:

@@ -121,10 +121,8 @@ def same_chain(arm: Geometry, file: Geometry, name: str, arm_name: str) -> SameC
 
 
 def _axes(geometry: Geometry) -> list[_Axis]:
-    poses = link_frames(geometry, np.zeros(geometry.joints))
-    return [
-        _Axis(pose.position, pose.rotation[:, 2], slides) for pose, slides in zip(poses, geometry.slides, strict=True)
-    ]
+    links = zip(link_frames(geometry, np.zeros(geometry.joints)), geometry.slides, strict=True)
+    return [_Axis(pose.position, pose.rotation[:, 2], slides) for pose, slides in links]
 
 
 def _fits(
@@ -466,11 +464,8 @@ def changed(old: Pose, new: Pose, place: str, attitude: str, words: Callable[[Po
 
 def _notes(calibration: Calibration, own: JointRow, origins: list[Pose], same: SameChain) -> list[str]:
     """Sentences on how far the file's joint origins move, and on joints that read otherwise than in the arm's table."""
-    moves = {
-        joint.name: apart(joint.origin, new)
-        for joint, new in zip(own.joints, origins, strict=True)
-        if any(is_moved(joint.origin, new))
-    }
+    pairs = zip(own.joints, origins, strict=True)
+    moves = {joint.name: apart(joint.origin, new) for joint, new in pairs if any(is_moved(joint.origin, new))}
     notes = ["no joint origin differs from what the file has; nothing is changed"]
     if moves:
         far = max(moves, key=lambda name: moves[name][0])

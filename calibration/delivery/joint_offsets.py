@@ -89,9 +89,7 @@ def joint_offsets(calibration: Calibration, joints: Array | None = None) -> Join
     Raises:
         InputError: If the calibration's terms need payloads, temperatures or torques, which offsets cannot follow.
     """
-    region = "poses given"
-    if joints is None:
-        joints, region = _filling(calibration)
+    joints, region = _filling(calibration) if joints is None else (joints, "poses given")
     try:
         target = calibration.predict(joints)
     except InputError as error:
@@ -166,8 +164,7 @@ def _filling(calibration: Calibration) -> tuple[Array, str]:
     """
     arm, ranges = calibration.arm, calibration.record.get("joint_ranges")
     low, high = (arm.lower, arm.upper) if ranges is None else np.array(ranges, dtype=float)
-    half = (high - low) / 2
-    half = np.where(arm.prismatic, half, np.minimum(half, np.pi))  # a turn at most
+    half = np.minimum((high - low) / 2, np.where(arm.prismatic, np.inf, np.pi))  # a turn at most
     unit = qmc.Halton(arm.joints, scramble=False).random(SPREAD + 1)[1:]
     joints = (low + high) / 2 + half * (2.0 * unit - 1.0)
     return np.asarray(joints), f"poses within the {'joint limits' if ranges is None else 'ranges measured'}"
@@ -318,11 +315,8 @@ def ros2_offsets(calibration: Calibration, order: document.Order) -> document.Do
     data = onto.read_bytes()
     tags = parsed(lambda: document.start_tags(data), onto, "XML")
     controls = {i for i, tag in enumerate(tags) if tag.name == "ros2_control"}
-    joints = {
-        tag.attributes.get("name", ""): i
-        for i, tag in enumerate(tags)
-        if tag.name == "joint" and tag.parent in controls
-    }
+    places = [i for i, tag in enumerate(tags) if tag.name == "joint" and tag.parent in controls]
+    joints = {tags[i].attributes.get("name", ""): i for i in places}
     edits: list[document.Edit] = []
     for name, value in zip(calibration.arm.joint_names, shift.offsets, strict=True):
         if name not in joints:

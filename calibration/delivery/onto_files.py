@@ -137,9 +137,8 @@ def urdf_document(calibration: Calibration, order: document.Order) -> document.D
     new = corrected_chain.correction(calibration, chain, path, frame)
     data = path.read_bytes()
     tags = document.start_tags(data)
-    corrected_chain.refuse_lost_files(
-        path, order.out, [tag.attributes.get("filename", "") for tag in tags if tag.name == "mesh"]
-    )
+    meshes = [tag.attributes.get("filename", "") for tag in tags if tag.name == "mesh"]
+    corrected_chain.refuse_lost_files(path, order.out, meshes)
     moves = [(joint.name, joint.origin, origin) for joint, origin in zip(chain.joints, new.origins, strict=True)]
     if new.mount is not None and chain.mount is not None:
         moves.append((chain.mount, chain.tool, new.mount))
@@ -264,9 +263,8 @@ def mjcf_document(calibration: Calibration, order: document.Order) -> document.D
     if new.mount is not None and row.mount is not None:
         kind, _, name = row.mount.rpartition(" ") if row.mount.startswith("site ") else ("body", "", row.mount)
         tag = _named(tags, kind, name, path)
-        edits += _moved_body(
-            data, tag, values, corrected_chain.own_origin(values.pose(tag.attributes), row.tool, new.mount)
-        )
+        mount = corrected_chain.own_origin(values.pose(tag.attributes), row.tool, new.mount)
+        edits += _moved_body(data, tag, values, mount)
     if new.frame is not None:
         earlier = [tag for tag in tags if tag.is_named("site", frame)]
         if earlier:

@@ -297,9 +297,8 @@ def csv_rows(text: str, path: str | Path, separator: str = ",") -> tuple[list[li
                 lines.append(reader.line_num)
             before = reader.line_num
     except csv.Error as error:
-        raise InputError(
-            f"cannot read {path}: line {before + 1}: {shortened(error)}; is a quote not closed, or is it no CSV file?"
-        ) from error
+        place = f"cannot read {path}: line {before + 1}"
+        raise InputError(f"{place}: {shortened(error)}; is a quote not closed, or is it no CSV file?") from error
     return rows, lines
 
 

@@ -32,8 +32,7 @@ The first is from its columns of repeat sigma, the second from the last digit of
 
 def floor_record(floor: NoiseFloor) -> dict[str, float | None]:
     """The noise floor as JSON entries "repeat" and "digits", mm, None if not stated."""
-    names = ("repeat", "digits")
-    return {name: None if value is None else value * 1e3 for name, value in zip(names, floor, strict=True)}
+    return dict(zip(("repeat", "digits"), (None if value is None else value * 1e3 for value in floor), strict=True))
 
 
 def floor_text(floor: NoiseFloor) -> str:

@@ -147,11 +147,8 @@ class Bpnn:
         weights, biases = [weight for weight, _ in self._scaled], [bias for _, bias in self._scaled]
         for i in range(1, len(weights)):
             biases[i] = biases[i] + biases[i - 1] @ weights[i]
-        thresholds = [*(-bias for bias in biases[:-1]), biases[-1]]
-        return [
-            (weight.astype(self._dtype, order="C"), limit.astype(self._dtype))
-            for weight, limit in zip(weights, thresholds, strict=True)
-        ]
+        layers = zip(weights, [*(-bias for bias in biases[:-1]), biases[-1]], strict=True)
+        return [(weight.astype(self._dtype, order="C"), limit.astype(self._dtype)) for weight, limit in layers]
 
     @cached_property
     def _code(self) -> CompiledNetwork | None:
