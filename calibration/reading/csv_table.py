@@ -327,10 +327,10 @@ def _yaml_table(path: Path, text: str) -> Table:
     flat = parsed(lambda: [dict(_flattened(entry, "")) for entry in entries], path, "YAML") if plain else []
     if not flat:
         raise InputError(f"{path} holds no list of entries; give one entry with joints and a pose per measurement")
-    return table_of(str(path), flat)
+    return table_of_entries(str(path), flat)
 
 
-def table_of(where: str, entries: Sequence[Mapping[str, str]]) -> Table:
+def table_of_entries(where: str, entries: Sequence[Mapping[str, str]]) -> Table:
     """The table of entries with cells by name, one row each; cells that an entry lacks are empty."""
     header = list(dict.fromkeys(name for entry in entries for name in entry))
     rows = [[entry.get(name, "") for name in header] for entry in entries]

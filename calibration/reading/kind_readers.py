@@ -23,7 +23,7 @@ from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_pos
 from pickenv.calibration.model.observations import Observations, Origins, Rows, origins_of
 from pickenv.calibration.model.pixels import LENS_NAMES, Lens, PixelObservations
 from pickenv.calibration.reading import description
-from pickenv.calibration.reading.csv_table import Table, read_table, rotations, table_of
+from pickenv.calibration.reading.csv_table import Table, read_table, rotations, table_of_entries
 
 # Files of one layout as columns of numbers, with their descriptions: what the readers of all kinds begin with.
 
@@ -433,7 +433,7 @@ def _table(path: Path, pixels: description.PixelsTable, layout: description.Desc
     files = sorted(path.glob(pixels.files), key=_by_number)
     if not files:
         raise InputError(f"{path} holds no file {pixels.files}; give another folder, or correct files of [pixels]")
-    return table_of(str(path), [_entry(file) for file in files]), path
+    return table_of_entries(str(path), [_entry(file) for file in files]), path
 
 
 def _entry(file: Path) -> dict[str, str]:
