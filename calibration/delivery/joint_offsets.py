@@ -216,9 +216,7 @@ def lerobot_document(calibration: Calibration, order: document.Order) -> documen
     """
     path = order.onto
     if path is None:
-        raise InputError(
-            "a LeRobot file keeps motors' ids and ranges; give `onto`, the one that lerobot-calibrate wrote"
-        )
+        raise InputError("a LeRobot file keeps ids and ranges; give `onto`, the one that lerobot-calibrate wrote")
     shift, servos = joint_offsets(calibration), _lerobot_motors(path)
     data = path.read_bytes()
     arm, exact = calibration.arm, shift.offsets * COUNTS / (2.0 * np.pi)
