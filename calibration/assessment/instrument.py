@@ -142,13 +142,10 @@ def with_zeros_fitted(data: Observations) -> Iterator[tuple[str, DistanceObserva
 
     In that data, this one zero is unknown.
     """
-    if (
-        isinstance(data, DistanceObservations)
-        and data.zero_std == data.scale_std == 0.0
-        and data.surface != "plane"
-        and np.ptp(data.length) > 0.0
-    ):
-        yield "zero", data, replace(data, zero_std=np.inf)
+    if isinstance(data, DistanceObservations):
+        known = data.zero_std == data.scale_std == 0.0 and data.surface != "plane"
+        if known and np.ptp(data.length) > 0.0:
+            yield "zero", data, replace(data, zero_std=np.inf)
     for i, station in enumerate(data.stations):
         for name, part, free in with_zeros_fitted(station.data):
             stations = (*data.stations[:i], replace(station, data=free), *data.stations[i + 1 :])

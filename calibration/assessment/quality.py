@@ -146,9 +146,7 @@ def axis_errors(errors: Array, unit: str = "mm") -> dict[str, tuple[float, float
         Signed mean (bias), standard deviation, root mean square and largest size, by the name of the axis with its
         unit, such as "x (mm)".
     """
-    axes: tuple[str, ...] = AXES if errors.shape[1] > 1 else ("length",)
-    if unit == "deg":
-        axes = ("r1", "r2", "r3")
+    axes = ("r1", "r2", "r3") if unit == "deg" else AXES if errors.shape[1] > 1 else ("length",)
     statistics = {}
     for axis, column in zip(axes, errors.T, strict=False):
         unit_of_axis = "deg" if axis.startswith("r") else "mm"
@@ -303,13 +301,11 @@ def workspace_error(
     if solution.prior is None or not solution.prior.proper:
         return None
     geometry = solution.geometry
-    span = [np.ptp(np.quantile(poses, [0.02, 0.98], axis=0), axis=0) for poses in (rows, joints)]
-    thin = tuple(
-        name for name, measured, declared in zip(geometry.joint_names, *span, strict=True) if measured < 0.5 * declared
-    )
+    measured, declared = (np.ptp(np.quantile(poses, [0.02, 0.98], axis=0), axis=0) for poses in (rows, joints))
+    thin = tuple(geometry.joint_names[i] for i in np.flatnonzero(measured < 0.5 * declared))
     some = rows[equally_spaced(len(rows), POSES)]
-    measured = _region("the poses measured", solution, nominal, some)
-    return Workspace(measured, _region(region, solution, nominal, joints), thin, remains)
+    here = _region("the poses measured", solution, nominal, some)
+    return Workspace(here, _region(region, solution, nominal, joints), thin, remains)
 
 
 def _region(region: str, solution: Identification, nominal: Geometry, joints: Array) -> RegionError:
@@ -433,7 +429,9 @@ def grade_quality(
             f"{pairs[0][0]} and {pairs[0][1]} ({pairs[0][2]:+.2f}): read them together, the predicted pose is not "
             "affected"
         )
-    certain = before is not None and _told(before, after, workspace, blocks, count)
+    # All rows together may say that the arm is better where it was measured, if those held out do not contradict.
+    sure = workspace is not None and workspace.measured.better >= SURE and count >= SEVERAL
+    certain = before is not None and sure and _chance(after, before, blocks) > SIGNIFICANCE
     because = "" if before is None else _cause(found, before, after, unlearnt, unit)
     gain = () if certain else no_gain(before, after, blocks, unit, count, called, because)
     if certain and before is not None and workspace is not None and _undecided(before, after, blocks):
@@ -495,15 +493,6 @@ def no_gain(
 def _undecided(before: Array, after: Array, blocks: Rows | None) -> bool:
     """Whether held-out rows leave open which arm is better: true unless the calibrated arm is significantly better."""
     return _rms(after, "mm") >= _rms(before, "mm") or _chance(before, after, blocks) > SIGNIFICANCE
-
-
-def _told(before: Array, after: Array, workspace: Workspace | None, blocks: Rows | None, count: int) -> bool:
-    """Whether all rows together say that the calibrated arm is better at the measured poses, uncontradicted.
-
-    At least `SEVERAL` rows must be held out, and they must not show the contrary.
-    """
-    sure = workspace is not None and workspace.measured.better >= SURE and count >= SEVERAL
-    return sure and _chance(after, before, blocks) > SIGNIFICANCE
 
 
 def _cause(found: Identification, before: Array, after: Array, unlearnt: Array, unit: str) -> str:

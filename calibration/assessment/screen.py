@@ -184,15 +184,10 @@ def stiffness_rows(found: Identification, data: Observations) -> list[dict[str, 
         expected = None if measured is None else term.torques(geometry, data.joints, bare)
         for joint, name in zip(term.joints, term.names(geometry), strict=True):
             c, std = float(value[name]), float(spread.get(name, np.inf))
-            significant = c > TOLD * std
-            row = {
-                "joint": joint + 1,
-                "name": geometry.joint_names[joint],
-                "unit": "N/m" if geometry.prismatic[joint] else "N*m/rad",
-                "stiffness": 1.0 / c if significant else None,
-                "stiffness_std": std / c**2 if significant else None,
-                "at_least": 1.0 / (max(c, 0.0) + TOLD * std),
-            }
+            stiffness, stiffness_std = (1.0 / c, std / c**2) if c > TOLD * std else (None, None)
+            unit, least = "N/m" if geometry.prismatic[joint] else "N*m/rad", 1.0 / (max(c, 0.0) + TOLD * std)
+            row = {"joint": joint + 1, "name": geometry.joint_names[joint], "unit": unit}
+            row |= {"stiffness": stiffness, "stiffness_std": stiffness_std, "at_least": least}
             if measured is not None and expected is not None:
                 row["torque_rms"] = rms_of(measured[:, joint])
                 row["torque_left_rms"] = rms_of(measured[:, joint] - expected[:, joint])

@@ -7,9 +7,7 @@ along the columns and y along the rows, m. Only finding or drawing markers needs
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import KW_ONLY
 from pathlib import Path
-from types import MappingProxyType
 from typing import Annotated, Any
 
 import numpy as np
@@ -52,8 +50,7 @@ def read_lens(path: str | Path) -> Lens:
     matrix = matrix.reshape(3, 3)
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and matrix[2, 2] == 1.0):
         raise InputError(f"{path}: the camera matrix is none: focal lengths must be above zero, and its last number 1")
-    focal_and_centre = matrix[0, 0], matrix[1, 1], matrix[0, 2], matrix[1, 2]
-    values = np.array([*focal_and_centre, *np.resize(np.append(distortion, 0.0), COEFFICIENTS)])
+    values = np.array([*matrix[[0, 1, 0, 1], [0, 1, 2, 2]], *np.resize(np.append(distortion, 0.0), COEFFICIENTS)])
     size = _size(path, content, "width"), _size(path, content, "height")
     return Lens(values, size, str(content.get("camera_name", path.stem)))
 
@@ -102,16 +99,11 @@ def _size(path: Path, found: dict[str, Any], side: str) -> int:
 Grey = NDArray[np.uint8]
 
 KINDS_OF_BOARD = ("charuco", "chessboard", "apriltags")
-DICTIONARIES: Mapping[str, str] = MappingProxyType(
-    {
-        **{f"{n}x{n}_{count}": f"DICT_{n}X{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},
-        "aruco_original": "DICT_ARUCO_ORIGINAL",
-        "apriltag_16h5": "DICT_APRILTAG_16h5",
-        "apriltag_25h9": "DICT_APRILTAG_25h9",
-        "apriltag_36h10": "DICT_APRILTAG_36h10",
-        "apriltag_36h11": "DICT_APRILTAG_36h11",
-    }
-)
+DICTIONARIES: Mapping[str, str] = {
+    **{f"{n}x{n}_{count}": f"DICT_{n}X{n}_{count}" for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)},
+    "aruco_original": "DICT_ARUCO_ORIGINAL",
+    **{f"apriltag_{size}": f"DICT_APRILTAG_{size}" for size in ("16h5", "25h9", "36h10", "36h11")},
+}
 """Dictionaries of markers by name, and OpenCV's name for each."""
 
 SHIPPED = Path(__file__).parent / "shipped_boards"
@@ -145,7 +137,6 @@ class Board:
             of rows is even.
     """
 
-    _: KW_ONLY
     kind: Annotated[str, one_of(KINDS_OF_BOARD)]
     columns: Annotated[int, _COUNT]
     rows: Annotated[int, _COUNT]
@@ -300,7 +291,7 @@ FEW_MARKERS = 4
 WINDOW = 5
 """Half width, px, of the square around a corner within which its uncertainty is judged."""
 
-LEAST_STD = MappingProxyType({"charuco": 0.05, "chessboard": 0.05, "apriltags": 0.3})
+LEAST_STD = {"charuco": 0.05, "chessboard": 0.05, "apriltags": 0.3}
 """Least standard uncertainty of a corner, px, by kind of board, whatever the picture's noise.
 
 Crossings of edges are surer than the outer corners of tags, which blur shifts (both measured on rendered pictures).

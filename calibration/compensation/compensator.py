@@ -73,9 +73,7 @@ class TruncatedSolver:
         # Squares of singular values are eigenvalues of J^T J. Its trace is between the largest and n times the largest.
         least, cut = along / length / length, DIRECTION_TOLERANCE**2 * trace
         self.lost = settled & (least - ridge < 0.5 * cut / n)
-        inverse_determinant = least
-        for inverse in self._factors[1]:
-            inverse_determinant = inverse_determinant * inverse
+        inverse_determinant = math.prod(self._factors[1], start=least)
         # The other eigenvalues' product is known, and the geometric mean of those above the second below their mean.
         others = math.prod([trace / max(n - 2, 1)] * (n - 2))
         clear = self.lost & (inverse_determinant * cut * others < 1.0)
@@ -115,14 +113,9 @@ class TruncatedSolver:
     def _solve(self, right: Sequence[Scalar]) -> list[Scalar]:
         """Solve L D L^T x = right with the stored factors."""
         lower, inverse_diagonal = self._factors
-        values = list(right)
-        n = len(values)
-        for i in range(n):
-            for j in range(i):
-                values[i] = values[i] - lower[i][j] * values[j]
-        values = [value * inverse for value, inverse in zip(values, inverse_diagonal, strict=True)]
-        for i in reversed(range(n)):
-            for j in range(i + 1, n):
+        values = [value * inverse for value, inverse in zip(_forward(lower, right), inverse_diagonal, strict=True)]
+        for i in reversed(range(len(values))):
+            for j in range(i + 1, len(values)):
                 values[i] = values[i] - lower[j][i] * values[j]
         return values
 
@@ -141,19 +134,24 @@ def _factorised(gram: list[list[Scalar]]) -> tuple[list[list[Scalar]], list[Scal
     """Unit lower triangle L and the inverse of the diagonal D of the lower triangle ``gram`` = L D L^T."""
     lower: list[list[Scalar]] = []
     inverse: list[Scalar] = []
-    for i, row in enumerate(gram):
-        scaled: list[Scalar] = []  # L times D
-        for j in range(i):
-            value = row[j]
-            for k in range(j):
-                value = value - scaled[k] * lower[j][k]
-            scaled.append(value)
-        lower.append([value * inverse[j] for j, value in enumerate(scaled)])
-        diagonal = row[i]
-        for value, factor in zip(scaled, lower[i], strict=True):
+    for *row, diagonal in gram:
+        scaled = _forward(lower, row)  # L times D
+        factors = [value * factor for value, factor in zip(scaled, inverse, strict=True)]
+        for value, factor in zip(scaled, factors, strict=True):
             diagonal = diagonal - value * factor
+        lower.append(factors)
         inverse.append(1.0 / diagonal)
     return lower, inverse
+
+
+def _forward(lower: list[list[Scalar]], right: Sequence[Scalar]) -> list[Scalar]:
+    """The solution x of L x = right, for the part of the unit lower triangle L below its diagonal."""
+    solution: list[Scalar] = []
+    for row, value in zip(lower, right, strict=True):
+        for factor, known in zip(row, solution, strict=True):
+            value = value - factor * known
+        solution.append(value)
+    return solution
 
 
 def _inverse_trace(lower: list[list[Scalar]], inverse_diagonal: list[Scalar]) -> Scalar:
@@ -359,9 +357,7 @@ def corrected(
     for _ in range(iterations):
         links = frames(m, identified, command)
         tool = attach(links[-1], identified.tool)
-        columns: list[Sequence[Scalar]] = [*jacobian_columns(nominal, links, tool)]
-        if weight != 1.0:
-            columns = [_weighed(weight, column) for column in columns]
+        columns = [_weighed(weight, column) for column in jacobian_columns(nominal, links, tool)]
         solve = solve or _solver(m, columns)
         error = _weighed(weight, frame_error(m, tool, goal, small_rotation))
         if residual is not None:

@@ -121,10 +121,8 @@ def same_chain(arm: Geometry, file: Geometry, name: str, arm_name: str) -> SameC
 
 
 def _axes(geometry: Geometry) -> list[_Axis]:
-    poses = link_frames(geometry, np.zeros(geometry.joints))
-    return [
-        _Axis(pose.position, pose.rotation[:, 2], slides) for pose, slides in zip(poses, geometry.slides, strict=True)
-    ]
+    links = zip(link_frames(geometry, np.zeros(geometry.joints)), geometry.slides, strict=True)
+    return [_Axis(pose.position, pose.rotation[:, 2], slides) for pose, slides in links]
 
 
 def _fits(
@@ -200,9 +198,8 @@ def _height(axes: list[_Axis]) -> float:
             return 0.0
         across, gap = _across(following.direction, last), following.point - last.point
         if np.linalg.norm(across) > TURNED:
-            along = (gap @ last.direction - (gap @ following.direction) * (last.direction @ following.direction)) / (
-                across @ across
-            )
+            a, b = last.direction, following.direction
+            along = (gap @ a - (gap @ b) * (a @ b)) / (across @ across)
             return float((last.point + along * last.direction - first.point) @ first.direction)
     return 0.0
 
@@ -303,24 +300,20 @@ def corrected_chain(
     hand = behind(after[-1], identified.tool)
     if joints and joints[-1].ratio:
         drawing, placed = behind(before[-1], nominal.tool), behind(inverse_pose(new), hand)
-        along = _slid_along(behind(placed, inverse_pose(behind(inverse_pose(old), drawing))), joints[-1])
+        axis, moved = joints[-1].axis, behind(placed, inverse_pose(behind(inverse_pose(old), drawing)))
+        # The part of the tool's motion that shifts along the last axis and turns about it is the joint's.
+        turn = rotation_matrix(axis * (axis @ rotation_vector(moved.rotation)))
+        along = Pose(axis * (axis @ moved.position), turn)
         origins[-1], new = behind(origins[-1], along), behind(new, along)
     return origins, behind(inverse_pose(new), hand)
-
-
-def _slid_along(moved: Pose, joint: ChainJoint) -> Pose:
-    """The part of a small motion that shifts along a joint's axis and turns about it."""
-    turn = joint.axis * (joint.axis @ rotation_vector(moved.rotation))
-    return Pose(joint.axis * (joint.axis @ moved.position), rotation_matrix(turn))
 
 
 def _slips(before: Sequence[Pose], link: int, joint: ChainJoint) -> bool:
     """Whether a link may stand anywhere along its axis: true if its joint turns and the next axis is parallel."""
     if joint.slides or link + 1 == len(before):
         return False
-    return bool(
-        np.linalg.norm(np.cross(before[link].rotation[:, 2], before[link + 1].rotation[:, 2])) < NEARLY_PARALLEL
-    )
+    axis, following = (pose.rotation[:, 2] for pose in before[link : link + 2])
+    return bool(np.linalg.norm(np.cross(axis, following)) < NEARLY_PARALLEL)
 
 
 def links_moved(joints: Sequence[ChainJoint]) -> list[int | None]:
@@ -471,11 +464,8 @@ def changed(old: Pose, new: Pose, place: str, attitude: str, words: Callable[[Po
 
 def _notes(calibration: Calibration, own: JointRow, origins: list[Pose], same: SameChain) -> list[str]:
     """Sentences on how far the file's joint origins move, and on joints that read otherwise than in the arm's table."""
-    moves = {
-        joint.name: apart(joint.origin, new)
-        for joint, new in zip(own.joints, origins, strict=True)
-        if any(is_moved(joint.origin, new))
-    }
+    pairs = zip(own.joints, origins, strict=True)
+    moves = {joint.name: apart(joint.origin, new) for joint, new in pairs if any(is_moved(joint.origin, new))}
     notes = ["no joint origin differs from what the file has; nothing is changed"]
     if moves:
         far = max(moves, key=lambda name: moves[name][0])
@@ -484,14 +474,13 @@ def _notes(calibration: Calibration, own: JointRow, origins: list[Pose], same: S
             f"{len(moves)} of {len(own.joints)} joint origins corrected: by up to {moves[far][0] * 1e3:.3g} mm ({far}) "
             f"and {math.degrees(moves[turned][1]):.3g} deg ({turned}); everything else is as it was"
         ]
-    _, signs, zeros = same
-    if not ((signs == 1).all() and (zeros == 0).all()):
-        drivers = dict.fromkeys(joint.driver for joint in own.joints if joint.ratio)  # in the file's order
-        readings = [
-            f"{name} = {sign:+.0f} x {joint} {'+' if zero >= 0 else '-'} {abs(zero):.6g}"
-            for name, joint, sign, zero in zip(calibration.arm.joint_names, drivers, signs, zeros, strict=True)
-            if sign != 1 or zero
-        ]
+    drivers = dict.fromkeys(joint.driver for joint in own.joints if joint.ratio)  # in the file's order
+    readings = [
+        f"{name} = {sign:+.0f} x {joint} {'+' if zero >= 0 else '-'} {abs(zero):.6g}"
+        for name, joint, sign, zero in zip(calibration.arm.joint_names, drivers, *same[1:], strict=True)
+        if sign != 1 or zero
+    ]
+    if readings:
         notes.append(f"joints read otherwise in the file (rad, m): {', '.join(readings)}; its own reading is kept")
     return notes
 
@@ -508,7 +497,4 @@ def refuse_lost_files(path: Path, out: Path, names: Sequence[str]) -> None:
         if not (path.parent / name).is_file():
             raise InputError(f"{path} names '{shortened(name)}', which is not there; put it back or correct the name")
         if not (out.parent / name).is_file():
-            raise InputError(
-                f"{out} would not find '{shortened(name)}' from where it stands; write it beside {path.name}, in "
-                f"{path.parent}"
-            )
+            raise InputError(f"{out} would not find '{shortened(name)}' from where it stands; write it beside {path}")

@@ -177,13 +177,9 @@ def _robot_file(onto: str | Path | None) -> tuple[Path | None, str | None]:
 def _kind(robot_file: Path | None, out: Path) -> str:
     endings, path = (BY_ENDING, out) if robot_file is None else (BY_OWN_ENDING, robot_file)
     if path.suffix == ".xacro":
-        raise InputError(
-            f"{path} is a xacro, which takes its numbers from elsewhere; give `onto` its kinematics YAML, or the URDF "
-            "that xacro makes of it"
-        )
+        words = "is a xacro, which takes its numbers from elsewhere"
+        raise InputError(f"{path} {words}; give `onto` its kinematics YAML, or the URDF that xacro makes of it")
     kind = endings.get(path.suffix.lower())
     if kind is None:
-        raise InputError(
-            f"the name {path} does not tell what to write; give `kind`, one of {', '.join(names('exporter'))}"
-        )
+        raise InputError(f"{path} does not tell what to write; give `kind`, one of {', '.join(names('exporter'))}")
     return kind

@@ -89,15 +89,11 @@ def joint_offsets(calibration: Calibration, joints: Array | None = None) -> Join
     Raises:
         InputError: If the calibration's terms need payloads, temperatures or torques, which offsets cannot follow.
     """
-    region = "poses given"
-    if joints is None:
-        joints, region = _filling(calibration)
+    joints, region = _filling(calibration) if joints is None else (joints, "poses given")
     try:
         target = calibration.predict(joints)
     except InputError as error:
-        raise InputError(
-            f"offsets cannot follow this calibration's terms: {error}; calibrate with `terms='none'`"
-        ) from error
+        raise InputError(f"offsets cannot follow this calibration's terms: {error}; give `terms='none'`") from error
     fitted = calibration.record.get("frames") == "fitted"
     columns = frames_model(calibration.arm).columns[: None if fitted else 0]
     rows = slice(0, 3 if calibration.record.get("kind") == "position" else 6)
@@ -168,8 +164,7 @@ def _filling(calibration: Calibration) -> tuple[Array, str]:
     """
     arm, ranges = calibration.arm, calibration.record.get("joint_ranges")
     low, high = (arm.lower, arm.upper) if ranges is None else np.array(ranges, dtype=float)
-    half = (high - low) / 2
-    half = np.where(arm.prismatic, half, np.minimum(half, np.pi))  # a turn at most
+    half = np.minimum((high - low) / 2, np.where(arm.prismatic, np.inf, np.pi))  # a turn at most
     unit = qmc.Halton(arm.joints, scramble=False).random(SPREAD + 1)[1:]
     joints = (low + high) / 2 + half * (2.0 * unit - 1.0)
     return np.asarray(joints), f"poses within the {'joint limits' if ranges is None else 'ranges measured'}"
@@ -206,10 +201,8 @@ def _lerobot_motors(path: Path) -> dict[str, dict[str, int]]:
     for name, motor in motors.items():
         for field in FIELDS:
             if not isinstance(motor, dict) or type(motor.get(field)) is not int:
-                raise InputError(
-                    f"{path}: motor '{shortened(name)}' has no whole number '{field}'; give the calibration that "
-                    "lerobot-calibrate writes"
-                )
+                place = f"{path}: motor '{shortened(name)}'"
+                raise InputError(f"{place} has no whole number '{field}'; give what lerobot-calibrate writes")
     return motors
 
 
@@ -223,40 +216,32 @@ def lerobot_document(calibration: Calibration, order: document.Order) -> documen
     """
     path = order.onto
     if path is None:
-        raise InputError(
-            "a LeRobot file keeps ids and ranges of your motors; give `onto`, the one that lerobot-calibrate wrote"
-        )
+        raise InputError("a LeRobot file keeps ids and ranges; give `onto`, the one that lerobot-calibrate wrote")
     shift, servos = joint_offsets(calibration), _lerobot_motors(path)
     data = path.read_bytes()
-    roundings, counts = [0.0], [0]
-    for name, slides, offset in zip(calibration.arm.joint_names, calibration.arm.prismatic, shift.offsets, strict=True):
+    arm, exact = calibration.arm, shift.offsets * COUNTS / (2.0 * np.pi)
+    counts = np.rint(exact).astype(int)
+    for name, slides, count in zip(arm.joint_names, arm.prismatic, counts.tolist(), strict=True):
         servo = servos.get(name)
         if servo is None:
-            raise InputError(
-                f"{path} has no motor '{shortened(name)}', only {listed(servos)}; name the arm's joints as the motors"
-            )
+            raise InputError(f"{path} has no motor '{shortened(name)}', only {listed(servos)}; name joints as motors")
         if slides or servo["drive_mode"]:
             why = "slides" if slides else "has drive_mode 1, which LeRobot reads in one of two ways"
             raise InputError(f"joint '{shortened(name)}' {why}; its homing offset cannot be written")
-        exact = float(offset) * COUNTS / (2.0 * np.pi)
-        homing = servo["homing_offset"] - round(exact)
+        homing = servo["homing_offset"] - count
         if abs(homing) > LARGEST_HOMING:
             raise InputError(
                 f"joint '{shortened(name)}' would need a homing offset of {homing} counts, but the servo keeps "
                 f"{LARGEST_HOMING} at most; turn the horn on by a tooth, or home it elsewhere, and calibrate again"
             )
-        roundings.append(abs(exact - round(exact)))
-        counts.append(abs(round(exact)))
         pattern = rf'({re.escape(json.dumps(name))}\s*:\s*\{{[^{{}}]*?"homing_offset"\s*:\s*)-?\d+'.encode()
         data, written = re.subn(pattern, rb"\g<1>" + str(homing).encode(), data)
         if not written:
-            raise InputError(
-                f"{path}: the homing_offset of '{shortened(name)}' is not where LeRobot writes it; save it anew"
-            )
+            raise InputError(f"{path}: homing_offset of '{shortened(name)}' is not where LeRobot writes it; save anew")
     notes = (
         shift.note(),
-        f"homing offsets move by up to {max(counts)} counts; rounding to whole counts leaves up to "
-        f"{360.0 / COUNTS * max(roundings):.2g} deg, and the ends of each range move along with its zero",
+        f"homing offsets move by up to {np.abs(counts).max()} counts; rounding to whole counts leaves up to "
+        f"{360.0 / COUNTS * np.abs(exact - counts).max():.2g} deg, and the ends of each range move along with its zero",
         "taken for granted: angles were LeRobot's degrees with its sign (Feetech servos: present = actual - homing)",
         "LeRobot will find on connecting that file and motors differ: let it use the file",
     )
@@ -330,18 +315,13 @@ def ros2_offsets(calibration: Calibration, order: document.Order) -> document.Do
     data = onto.read_bytes()
     tags = parsed(lambda: document.start_tags(data), onto, "XML")
     controls = {i for i, tag in enumerate(tags) if tag.name == "ros2_control"}
-    joints = {
-        tag.attributes.get("name", ""): i
-        for i, tag in enumerate(tags)
-        if tag.name == "joint" and tag.parent in controls
-    }
+    places = [i for i, tag in enumerate(tags) if tag.name == "joint" and tag.parent in controls]
+    joints = {tags[i].attributes.get("name", ""): i for i in places}
     edits: list[document.Edit] = []
     for name, value in zip(calibration.arm.joint_names, shift.offsets, strict=True):
         if name not in joints:
             names = "no <ros2_control> joint at all" if not joints else f"only {', '.join(map(shortened, joints))}"
-            raise InputError(
-                f"{onto} has no <ros2_control> joint '{shortened(name)}', {names}; name its joints as the arm's"
-            )
+            raise InputError(f"{onto} has no <ros2_control> joint '{shortened(name)}', {names}; name them as the arm's")
         place = joints[name]
         param = next((tag for tag in tags if tag.parent == place and tag.is_named("param", "offset")), None)
         if param is None:

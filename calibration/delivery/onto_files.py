@@ -65,13 +65,9 @@ def toml_document(calibration: Calibration, order: document.Order) -> document.D
     for i, owner in enumerate(geometry.owners):
         slides, leader, ratio = geometry.slides[i], leaders[owner], dict(geometry.links_of(owner))[i]
         unit, scale = screen_unit(slides)
-        joint: dict[str, Any] = {
-            "number": i + 1,
-            "name": geometry.joint_names[owner] if leader == i else geometry.link_names[i],
-            "type": "P" if slides else "R",
-            "alpha_deg": np.degrees(geometry.alpha[i]),
-            "a_mm": geometry.a[i] * 1e3,
-        }
+        name = geometry.joint_names[owner] if leader == i else geometry.link_names[i]
+        joint: dict[str, Any] = {"number": i + 1, "name": name, "type": "P" if slides else "R"}
+        joint |= {"alpha_deg": np.degrees(geometry.alpha[i]), "a_mm": geometry.a[i] * 1e3}
         if geometry.beta[i]:
             joint["beta_deg"] = np.degrees(geometry.beta[i])
         joint |= {"theta_deg": np.degrees(geometry.theta[i]), "d_mm": geometry.d[i] * 1e3}
@@ -141,9 +137,8 @@ def urdf_document(calibration: Calibration, order: document.Order) -> document.D
     new = corrected_chain.correction(calibration, chain, path, frame)
     data = path.read_bytes()
     tags = document.start_tags(data)
-    corrected_chain.refuse_lost_files(
-        path, order.out, [tag.attributes.get("filename", "") for tag in tags if tag.name == "mesh"]
-    )
+    meshes = [tag.attributes.get("filename", "") for tag in tags if tag.name == "mesh"]
+    corrected_chain.refuse_lost_files(path, order.out, meshes)
     moves = [(joint.name, joint.origin, origin) for joint, origin in zip(chain.joints, new.origins, strict=True)]
     if new.mount is not None and chain.mount is not None:
         moves.append((chain.mount, chain.tool, new.mount))
@@ -268,9 +263,8 @@ def mjcf_document(calibration: Calibration, order: document.Order) -> document.D
     if new.mount is not None and row.mount is not None:
         kind, _, name = row.mount.rpartition(" ") if row.mount.startswith("site ") else ("body", "", row.mount)
         tag = _named(tags, kind, name, path)
-        edits += _moved_body(
-            data, tag, values, corrected_chain.own_origin(values.pose(tag.attributes), row.tool, new.mount)
-        )
+        mount = corrected_chain.own_origin(values.pose(tag.attributes), row.tool, new.mount)
+        edits += _moved_body(data, tag, values, mount)
     if new.frame is not None:
         earlier = [tag for tag in tags if tag.is_named("site", frame)]
         if earlier:
@@ -436,10 +430,8 @@ def _new_kinematics_yaml(calibration: Calibration) -> document.Document:
     arm = calibration.arm
     plain = arm.links == len(UR_LINKS) and not any(arm.slides) and arm.coupling is None
     if not plain or not np.allclose(arm.alpha, UR_TWISTS, atol=1e-9) or np.abs(arm.a[[0, 1, 4, 5]]).max() > 1e-9:
-        raise InputError(
-            f"the table of '{calibration.arm_name}' has not the frames of a UR; give `onto`, the "
-            "default_kinematics.yaml of your UR type"
-        )
+        table = f"the table of '{calibration.arm_name}'"
+        raise InputError(f"{table} has not the frames of a UR; give `onto`, the default_kinematics.yaml of your UR")
     lines = [f"# {one_line(line)}" for line in document.provenance(calibration)]
     lines += ["# for ur_description of ROS 2, 2.x; the hash is not the controller's, so ur_robot_driver will say so"]
     lines += ["kinematics:"]

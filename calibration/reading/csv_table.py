@@ -99,15 +99,10 @@ LONGEST_EXPRESSION = 1000
 """Longest expression that is parsed, in characters: nobody writes a longer one, and a parser's depth is limited."""
 
 
-OPERATORS: dict[type[ast.AST], Callable[..., Any]] = {
-    ast.Add: operator.add,
-    ast.Sub: operator.sub,
-    ast.Mult: operator.mul,
-    ast.Div: operator.truediv,
-    ast.USub: operator.neg,
-    ast.UAdd: operator.pos,
-}
-"""The operators allowed in expressions of columns, and the function that computes each."""
+Functions = dict[type[ast.AST], Callable[..., Any]]
+BINARY: Functions = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv}
+SIGNS: Functions = {ast.USub: operator.neg, ast.UAdd: operator.pos}
+"""The operators and signs allowed in expressions of columns, and the function that computes each."""
 
 
 class Table:
@@ -145,10 +140,8 @@ class Table:
         """Place of a column in the header."""
         if name not in self.header:
             raise InputError(f"{self.where}: column '{shortened(name)}' is missing; the file has {listed(self.header)}")
-        if self.header.count(name) > 1:
-            raise InputError(
-                f"{self.where}: column '{shortened(name)}' occurs {self.header.count(name)} times; rename all but one"
-            )
+        if (count := self.header.count(name)) > 1:
+            raise InputError(f"{self.where}: column '{shortened(name)}' occurs {count} times; rename all but one")
         return self.header.index(name)
 
     def cell(self, row: int, name: object) -> str:
@@ -204,10 +197,8 @@ class Table:
                 f"{self.where}: cannot compute '{shortened(expression)}'; give numbers and brackets of ordinary size"
             ) from error
         if not np.isfinite(values).all():
-            line = self.lines[int(np.argmin(np.isfinite(values)))]
-            raise InputError(
-                f"{self.where}: row {line}, '{shortened(expression)}' divides by zero or overflows; correct it"
-            )
+            place = f"{self.where}: row {self.lines[int(np.argmin(np.isfinite(values)))]}"
+            raise InputError(f"{place}, '{shortened(expression)}' divides by zero or overflows; correct it")
         return values
 
     def values(self, expressions: tuple[str, ...]) -> Array:
@@ -221,14 +212,11 @@ class Table:
             case ast.Name(id=name):
                 place = re.fullmatch(r"__quoted_(\d+)", name)
                 return self.column(quoted[int(place[1])] if place else name)
-            case ast.BinOp(left=left, op=op, right=right) if type(op) in OPERATORS:
-                parts = [self._evaluate(part, expression, quoted) for part in (left, right)]
-                return OPERATORS[type(op)](*parts)
-            case ast.UnaryOp(op=op, operand=operand) if type(op) in OPERATORS:
-                return OPERATORS[type(op)](self._evaluate(operand, expression, quoted))
-        raise InputError(
-            f"{self.where}: cannot compute '{shortened(expression)}'; use column names, numbers and + - * / only"
-        )
+            case ast.BinOp(left=left, op=op, right=right) if function := BINARY.get(type(op)):
+                return function(*(self._evaluate(part, expression, quoted) for part in (left, right)))
+            case ast.UnaryOp(op=op, operand=operand) if sign := SIGNS.get(type(op)):
+                return sign(self._evaluate(operand, expression, quoted))
+        raise InputError(f"{self.where}: cannot compute '{shortened(expression)}'; use names, numbers and + - * / only")
 
 
 def expression_tree(expression: str) -> tuple[ast.expr | None, list[str]]:
@@ -309,9 +297,8 @@ def csv_rows(text: str, path: str | Path, separator: str = ",") -> tuple[list[li
                 lines.append(reader.line_num)
             before = reader.line_num
     except csv.Error as error:
-        raise InputError(
-            f"cannot read {path}: line {before + 1}: {shortened(error)}; is a quote not closed, or is it no CSV file?"
-        ) from error
+        place = f"cannot read {path}: line {before + 1}"
+        raise InputError(f"{place}: {shortened(error)}; is a quote not closed, or is it no CSV file?") from error
     return rows, lines
 
 
@@ -340,10 +327,10 @@ def _yaml_table(path: Path, text: str) -> Table:
     flat = parsed(lambda: [dict(_flattened(entry, "")) for entry in entries], path, "YAML") if plain else []
     if not flat:
         raise InputError(f"{path} holds no list of entries; give one entry with joints and a pose per measurement")
-    return table_of(str(path), flat)
+    return table_of_entries(str(path), flat)
 
 
-def table_of(where: str, entries: Sequence[Mapping[str, str]]) -> Table:
+def table_of_entries(where: str, entries: Sequence[Mapping[str, str]]) -> Table:
     """The table of entries with cells by name, one row each; cells that an entry lacks are empty."""
     header = list(dict.fromkeys(name for entry in entries for name in entry))
     rows = [[entry.get(name, "") for name in header] for entry in entries]

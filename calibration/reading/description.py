@@ -20,7 +20,7 @@ from pickenv.base.registry import load_all, names
 from pickenv.calibration.camera.boards import Board, one_of
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, joint_columns
 from pickenv.calibration.model.pixels import Mount
-from pickenv.calibration.reading.csv_table import CONVENTIONS, expression_tree
+from pickenv.calibration.reading.csv_table import CONVENTIONS, columns_of, expression_tree
 
 # Tables of a column description that say what was measured, one class for each way of saying it.
 
@@ -50,7 +50,6 @@ def _lost(found: Any, _context: Any) -> tuple[str, ...]:
 class LengthsTable:
     """[position]: columns of x, y and z, or of other lengths; their uncertainty, and columns of their repeat sigma."""
 
-    _: KW_ONLY
     columns: Annotated[tuple[str, ...], COLUMNS]
     unit: Annotated[str, one_of(LENGTHS)]
     std: Annotated[float, MM.positive] | None = None
@@ -67,10 +66,8 @@ class ReflectorsTable(LengthsTable):
 
     def __post_init__(self) -> None:
         if self.places and len(self.places) != len(self.columns):
-            raise InputError(
-                f"places_mm of [reflectors] has {len(self.places)} numbers for {len(self.columns)} columns; give x, y "
-                "and z of each reflector in turn"
-            )
+            counts = f"{len(self.places)} numbers for {len(self.columns)} columns"
+            raise InputError(f"places_mm of [reflectors] has {counts}; give x, y and z of each reflector in turn")
 
 
 @toml_table
@@ -140,7 +137,6 @@ class RadiusTable(ContactTable):
 class TiltTable:
     """[tilt]: components of the downward direction along the axes of an inclinometer or accelerometer."""
 
-    _: KW_ONLY
     columns: Annotated[tuple[str, ...], COLUMNS]
     unit: Annotated[str, one_of((*ANGLES, "g"))]
     std: Annotated[float, DEG.positive] = 1e-3
@@ -204,7 +200,6 @@ class JointsTable:
 class PixelsTable:
     """[pixels]: views of a board, as pictures or as a table of corners found in them."""
 
-    _: KW_ONLY
     mount: Annotated[Mount, one_of(get_args(Mount))]
     picture: Annotated[str, COLUMN] | None = None
     files: Annotated[str, COLUMN] | None = None
@@ -224,7 +219,6 @@ class PixelsTable:
 class LensTable:
     """[camera]: the lens, given as a file or as numbers, and whether it is to be fitted."""
 
-    _: KW_ONLY
     file: Annotated[str, COLUMN] | None = None
     fx: Annotated[float, PIXELS] | None = None
     fy: Annotated[float, PIXELS] | None = None
@@ -260,12 +254,16 @@ class RotationTable:
         """The unit of the angles, rad for a quaternion.
 
         Raises:
-            InputError: If there are not 3 or 4 columns and no convention, or if the unit of angles is missing.
+            InputError: If there are not 3 or 4 columns, or not those of the convention, or if the unit of angles is
+                missing.
         """
         count = len(self.columns)
         if self.convention is None and count not in (3, 4):
             raise InputError(f"[rotation] has {count} columns; give three angles or four of a quaternion")
-        if not (count == 3 if self.convention is None else CONVENTIONS[self.convention][0] == "angle"):
+        wanted = count if self.convention is None else columns_of(self.convention)
+        if count != wanted:
+            raise InputError(f"convention '{self.convention}' needs {wanted} columns")
+        if wanted == 4:
             return "rad"
         if self.unit not in ANGLES:
             unit = "missing" if self.unit is None else shortened(repr(self.unit))
@@ -381,7 +379,16 @@ class DescriptionFile:
             raise InputError(f"sections [{sections[0]}] and [{sections[1]}] are both given; one file holds one kind")
         if not sections:
             raise InputError("section [position] is missing; say what was measured in one of " + ", ".join(kinds()))
-        self._check_views()
+        if (self.joints is None) == (self.poses is None):
+            raise InputError("[joints] is missing" if self.poses is None else "[joints] and [poses] are both given")
+        if self.poses is not None and self.pixels is None:
+            raise InputError("[poses] belongs to [pixels]; give the joints in [joints]")
+        if self.pixels is not None and self.conditions != ConditionsTable():
+            raise InputError("[conditions] is not read for [pixels]; leave it out")
+        for name, table in (("board", self.board), ("camera", self.camera)):
+            if (table is None) != (self.pixels is None):
+                fault = "is missing; [pixels] needs it" if table is None else "belongs to [pixels]"
+                raise InputError(f"[{name}] {fault}")
         fits, columns = COUNTS.get(sections[0], (lambda _: True, ""))
         count = len(self.columns)
         if not fits(count):
@@ -396,23 +403,6 @@ class DescriptionFile:
         torques, n = self.conditions.torques, 0 if self.joints is None else len(self.joints.columns)
         if torques is not None and (len(torques.columns), len(torques.each or torques.columns)) != (n, n):
             raise InputError("[conditions.torques] needs one column, and one unit, per joint")
-
-    def _check_views(self) -> None:
-        """Refuse joints beside finished poses, or neither of them, and tables that do not fit [pixels].
-
-        [board] and [camera] are needed with [pixels]; they and [poses] belong nowhere else. [conditions] may not stand
-        beside [pixels].
-        """
-        if (self.joints is None) == (self.poses is None):
-            raise InputError("[joints] is missing" if self.poses is None else "[joints] and [poses] are both given")
-        if self.poses is not None and self.pixels is None:
-            raise InputError("[poses] belongs to [pixels]; give the joints in [joints]")
-        if self.pixels is not None and self.conditions != ConditionsTable():
-            raise InputError("[conditions] is not read for [pixels]; leave it out")
-        for name, table in (("board", self.board), ("camera", self.camera)):
-            if (table is None) != (self.pixels is None):
-                fault = "is missing; [pixels] needs it" if table is None else "belongs to [pixels]"
-                raise InputError(f"[{name}] {fault}")
 
     @property
     def kind(self) -> str:
@@ -523,15 +513,13 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> Descri
     for name in expected:
         stem = name.rpartition("_")[0]
         columns = [column for column in header if column.rpartition("_")[0] == stem]
-        if len(columns) != 1 or columns[0].rpartition("_")[2] not in LENGTHS + ANGLES:
-            fault = "is given twice" if len(columns) > 1 else "is missing"
-            if len(columns) == 1:
-                fault = f"has the unknown unit '{columns[0].rpartition('_')[2]}'"
-            raise InputError(
-                f"{where}: joint column '{name}' {fault}; our format has {', '.join(expected)}, x_mm, y_mm, z_mm"
-            )
+        unit = columns[0].rpartition("_")[2] if len(columns) == 1 else ""
+        if unit not in LENGTHS + ANGLES:
+            faults = ("is missing", f"has the unknown unit '{unit}'", "is given twice")
+            fault, ours = faults[min(len(columns), 2)], f"{', '.join(expected)}, x_mm, y_mm, z_mm"
+            raise InputError(f"{where}: joint column '{name}' {fault}; our format has {ours}")
         joints.append(columns[0])
-        units.append(columns[0].rpartition("_")[2])
+        units.append(unit)
     position_unit = "m" if "x_m" in header else "mm"
     has_rotation = any(column.startswith(("rx_", "ry_", "rz_")) for column in header)
     rotation_unit = "rad" if "rx_rad" in header else "deg"

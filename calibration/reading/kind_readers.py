@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +23,7 @@ from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_pos
 from pickenv.calibration.model.observations import Observations, Origins, Rows, origins_of
 from pickenv.calibration.model.pixels import LENS_NAMES, Lens, PixelObservations
 from pickenv.calibration.reading import description
-from pickenv.calibration.reading.csv_table import Table, read_table, rotations, table_of
+from pickenv.calibration.reading.csv_table import Table, read_table, rotations, table_of_entries
 
 # Files of one layout as columns of numbers, with their descriptions: what the readers of all kinds begin with.
 
@@ -82,15 +83,12 @@ def refuse_repeated_joints(layout: description.DescriptionFile, where: str, join
 
     Joints that never move, and files of two rows or fewer, are not checked.
     """
-    for i in range(geometry.joints):
-        for j in range(i):
-            if len(joints) > 2 and np.ptp(joints[:, i]) > 0 and np.array_equal(joints[:, i], joints[:, j]):
-                columns = layout.joint_columns
-                names = [f"joint {k + 1} ({geometry.joint_names[k]}, column '{columns[k]}')" for k in (j, i)]
-                raise InputError(
-                    f"{where}: {names[0]} and {names[1]} hold the same number in every row; name each "
-                    "joint's own column"
-                )
+    for pair in combinations(range(geometry.joints), 2):
+        one, other = (joints[:, i] for i in pair)
+        if len(joints) > 2 and np.ptp(one) > 0 and np.array_equal(one, other):
+            names = [f"joint {i + 1} ({geometry.joint_names[i]}, column '{layout.joint_columns[i]}')" for i in pair]
+            both = f"{where}: {' and '.join(names)}"
+            raise InputError(f"{both} hold the same number in every row; name each joint's own column")
 
 
 def refuse_unseen(table: Table, layout: description.DescriptionFile) -> None:
@@ -209,14 +207,9 @@ def _reflectors(files: Files, section: description.ReflectorsTable) -> kinds.Ref
     if (visible.sum(axis=0) < 3).any():
         which = int(np.argmin(visible.sum(axis=0)))
         raise InputError(f"{files.source}: reflector {which + 1} was seen in fewer than three poses; leave it out")
-    return kinds.ReflectorObservations(
-        joints=files.joints,
-        points=np.concatenate(points),
-        seen=visible,
-        covariance=np.eye(3) * first.std**2,
-        places=np.reshape(section.places, (-1, 3)) if section.places else None,
-        places_std=section.places_std,
-    )
+    covariance, places = np.eye(3) * first.std**2, np.reshape(section.places, (-1, 3)) if section.places else None
+    data = kinds.ReflectorObservations(files.joints, np.concatenate(points), visible, covariance)
+    return replace(data, places=places, places_std=section.places_std)
 
 
 @register("instrument", "wire")
@@ -224,10 +217,7 @@ def _wire(files: Files, section: description.WireTable) -> kinds.DistanceObserva
     length = files.values()[:, 0]
     for row in np.flatnonzero(length <= 0.0)[:1]:
         raise InputError(f"{files.place(row)}: a length of {length[row] * 1e3:.6g} mm is not above zero; correct it")
-    contact, scale = _contact(files, section), section.scale_std
-    data = kinds.DistanceObservations(
-        length=length, zero=section.zero, zero_std=section.zero_std, scale_std=scale, **contact
-    )
+    data = _distances(files, section, length, zero=section.zero, zero_std=section.zero_std, scale_std=section.scale_std)
     _refuse_other_unit(files, data)
     return data
 
@@ -238,12 +228,10 @@ def _wire(files: Files, section: description.WireTable) -> kinds.DistanceObserva
 @register("instrument", "bar")
 def _kept(files: Files, section: description.ContactTable) -> kinds.DistanceObservations:
     """Read contacts at a ball bar, a sphere, an edge or a plane: one distance for all rows, known or to be fitted."""
-    length, zero_std = 0.0, 0.0
-    if isinstance(section, description.BarTable | description.RadiusTable):
-        length, zero_std = (section.length, section.length_std) if section.length else (0.0, np.inf)
-    surface: Any = {"edge": "line", "plane": "plane"}.get(files.first.kind, "point")
-    lengths, contact = np.full(len(files.joints), length), _contact(files, section)
-    data = kinds.DistanceObservations(length=lengths, zero_std=zero_std, surface=surface, **contact)
+    length = getattr(section, "length", 0.0)  # a plane has none; None is to be fitted
+    zero_std = np.inf if length is None else getattr(section, "length_std", 0.0)
+    surface = {"edge": "line", "plane": "plane"}.get(files.first.kind, "point")
+    data = _distances(files, section, np.full(len(files.joints), length or 0.0), zero_std=zero_std, surface=surface)
     _refuse_one_pose(files, np.arange(len(files.joints)))
     return data
 
@@ -256,8 +244,11 @@ def _dial(files: Files, section: description.DialTable) -> kinds.DistanceObserva
             f"{files.place(row)}: the dial reads {reading[row] * 1e3:.6g} mm, as one that touches nothing; remove "
             "the row, or say in [dial] what it reads then (free_mm)"
         )
-    contact = _contact(files, section)
-    return kinds.DistanceObservations(length=reading, surface="plane", scale_std=section.scale_std, **contact)
+    return _distances(files, section, reading, surface="plane", scale_std=section.scale_std)
+
+
+def _distances(files: Files, section: description.ContactTable, read: Array, **more: Any) -> kinds.DistanceObservations:
+    return kinds.DistanceObservations(length=read, **_contact(files, section), **more)
 
 
 def _contact(files: Files, section: description.ContactTable) -> dict[str, Any]:
@@ -277,7 +268,8 @@ def _contact(files: Files, section: description.ContactTable) -> dict[str, Any]:
 @register("instrument", "touches")
 def _touches(files: Files, section: description.ContactTable) -> kinds.SocketObservations:
     """Read touches of one single place, the same in every row."""
-    return _rests(files, section, np.zeros(len(files.joints), dtype=np.int64), [], None, places=("point",))
+    socket, none = np.zeros(len(files.joints), dtype=np.int64), np.zeros((0, 2), dtype=np.int64)
+    return _rests(files, section, socket, pairs=none, spacing=np.zeros(0), places=("point",))
 
 
 @register("instrument", "sockets")
@@ -303,28 +295,17 @@ def _sockets(files: Files, section: description.SocketsTable) -> kinds.SocketObs
                 f"{files.source}: a spacing is given for pairs of sockets, but '{folder}' holds {len(sockets)}; give "
                 "two files per folder, or leave spacing_mm out"
             )
-    pairs = [] if section.spacing is None else list(members.values())
-    return _rests(files, section, socket, pairs, section.spacing, spacing_std=section.spacing_std, places=names)
+    pairs = np.array([] if section.spacing is None else list(members.values()), dtype=np.int64).reshape(-1, 2)
+    spacing = np.full(len(pairs), section.spacing or 0.0)
+    spaced = {"pairs": pairs, "spacing": spacing, "spacing_std": section.spacing_std}
+    return _rests(files, section, socket, places=names, **spaced)
 
 
-def _rests(
-    files: Files,
-    section: description.ContactTable,
-    socket: Rows,
-    pairs: list[list[int]],
-    spacing: float | None,
-    **more: Any,
-) -> kinds.SocketObservations:
+def _rests(files: Files, section: description.ContactTable, socket: Rows, **more: Any) -> kinds.SocketObservations:
     contact = _contact(files, section)
     for place in np.unique(socket):
         _refuse_one_pose(files, np.flatnonzero(socket == place))
-    return kinds.SocketObservations(
-        socket=np.asarray(socket, dtype=np.int64),
-        pairs=np.array(pairs, dtype=np.int64).reshape(-1, 2),
-        spacing=np.full(len(pairs), spacing or 0.0),
-        **contact,
-        **more,
-    )
+    return kinds.SocketObservations(socket=np.asarray(socket, dtype=np.int64), **contact, **more)
 
 
 @register("instrument", "tilt")
@@ -432,20 +413,13 @@ def read_views(
         joints = joints_of_finished_poses(Pose(table.values(poses.columns) * TO_SI[poses.unit], turned))[rows]
     corners, visible, std = map(np.stack, zip(*views, strict=True))
     lines = np.array(table.lines, dtype=np.int64)[rows]
+    std = std if file.pixels.std is None else np.full_like(std, file.pixels.std)
     data = PixelObservations(
-        joints=joints,
-        corners=corners,
-        seen=visible,
-        board=file.board.corners,
-        camera=camera,
-        lens_std=_lens_std(file.camera),
-        std=std if file.pixels.std is None else np.full_like(std, file.pixels.std),
-        mount=file.pixels.mount,
-        source=table.where,
-        remarks=np.array(remarks),
-        pictures=np.array([str(path) for path in pictures]) if pictures else None,
-        origins=Origins((table.where,), np.zeros_like(lines), lines),
+        joints, corners, visible, file.board.corners, camera, _lens_std(file.camera), std, file.pixels.mount
     )
+    names = np.array([str(path) for path in pictures]) if pictures else None
+    origins = Origins((table.where,), np.zeros_like(lines), lines)
+    data = replace(data, source=table.where, remarks=np.array(remarks), pictures=names, origins=origins)
     refuse_duplicates(joints, data, origins_of(data))
     return data
 
@@ -459,7 +433,7 @@ def _table(path: Path, pixels: description.PixelsTable, layout: description.Desc
     files = sorted(path.glob(pixels.files), key=_by_number)
     if not files:
         raise InputError(f"{path} holds no file {pixels.files}; give another folder, or correct files of [pixels]")
-    return table_of(str(path), [_entry(file) for file in files]), path
+    return table_of_entries(str(path), [_entry(file) for file in files]), path
 
 
 def _entry(file: Path) -> dict[str, str]:
@@ -494,27 +468,26 @@ def _found_in_pictures(
     Raises:
         InputError: If a picture is missing or of another size than the lens, or if more than `MANY_BLIND` show none.
     """
-    views, remarks, faults, sizes = [], [], [], []
+    views, remarks = [], []
     for path, line in zip(pictures, table.lines, strict=True):
         if not path.is_file():
             raise InputError(f"{table.where}: row {line}: picture {path} does not exist; correct or remove the row")
-        picture = _grey(path)
-        sizes.append(picture.shape[::-1])
-        try:
-            views.append(find_corners(board, picture, str(path)))
-            remarks.append("")
-        except InputError as error:
-            faults.append(error)
-            views.append(corners_at(board, [], np.zeros((0, 2)), []))
-            remarks.append(str(error))
-    if len(faults) > MANY_BLIND * len(views):
-        raise faults[0]
-    for line, size in zip(table.lines, sizes, strict=True):
-        if size != camera.size:
+        picture, remark = _grey(path), ""
+        height, width = picture.shape
+        if (width, height) != camera.size:
             raise InputError(
-                f"{table.where}: row {line}: the picture has {size[0]} x {size[1]} px, but the lens is for "
+                f"{table.where}: row {line}: the picture has {width} x {height} px, but the lens is for "
                 f"{camera.size[0]} x {camera.size[1]}; give the camera's numbers at this resolution"
             )
+        try:
+            views.append(find_corners(board, picture, str(path)))
+        except InputError as error:
+            views.append(corners_at(board, [], np.zeros((0, 2)), []))
+            remark = str(error)
+        remarks.append(remark)
+    faults = list(filter(None, remarks))
+    if len(faults) > MANY_BLIND * len(views):
+        raise InputError(faults[0])
     return views, remarks
 
 
@@ -548,9 +521,8 @@ def _found_in_table(table: Table, pixels: description.PixelsTable, board: Board)
 def _lens(given: description.LensTable, home: Path) -> Lens:
     if given.file is not None:
         return read_lens(home / given.file)
-    values = np.zeros(len(LENS_NAMES))
-    values[:4] = [value or 0.0 for value in (given.fx, given.fy, given.cx, given.cy)]
-    values[4 : 4 + len(given.distortion)] = given.distortion
+    distortion = np.resize([*given.distortion, 0.0], 5)  # the fifth is zero if four are given
+    values = np.array([given.fx, given.fy, given.cx, given.cy, *distortion], dtype=float)
     return Lens(values, (given.width or 0, given.height or 0))
 
 

@@ -32,8 +32,7 @@ The first is from its columns of repeat sigma, the second from the last digit of
 
 def floor_record(floor: NoiseFloor) -> dict[str, float | None]:
     """The noise floor as JSON entries "repeat" and "digits", mm, None if not stated."""
-    names = ("repeat", "digits")
-    return {name: None if value is None else value * 1e3 for name, value in zip(names, floor, strict=True)}
+    return dict(zip(("repeat", "digits"), (None if value is None else value * 1e3 for value in floor), strict=True))
 
 
 def floor_text(floor: NoiseFloor) -> str:
@@ -168,7 +167,7 @@ def _poses(files: Files, _section: Any) -> Measurements:
         kind_readers.refuse_unseen(table, layout)
     rotation, attitudes = None, first.rotation
     if attitudes is not None:
-        values = np.concatenate([_attitudes(table, layout.rotation, files.where) for table, layout in files.pairs()])
+        values = np.concatenate([_attitudes(table, layout.rotation) for table, layout in files.pairs()])
         if attitudes.convention is None:
             fits = csv_table.convention_table(files.geometry, files.joints, position, values, files.source)
             raise InputError(
@@ -183,24 +182,21 @@ def _poses(files: Files, _section: Any) -> Measurements:
     return rows if attitudes is None else replace(rows, attitude_std=attitudes.std)
 
 
-def _attitudes(table: csv_table.Table, described: description.RotationTable | None, where: str) -> Array:
+def _attitudes(table: csv_table.Table, described: description.RotationTable | None) -> Array:
     """The checked values ``(N, 3 or 4)`` of a file's attitude columns: angles in rad, or quaternions."""
     assert described is not None
     columns, unit = described.columns, described.checked_unit()
     values = table.values(columns) * TO_SI[unit]
-    count = len(columns) if described.convention is None else csv_table.columns_of(described.convention)
-    if values.shape[1] != count:
-        raise InputError(f"{where}: convention '{described.convention}' needs {count} columns")
-    if count == 4 and np.any(np.abs(np.linalg.norm(values, axis=1) - 1.0) > 0.01):
-        bad = int(np.argmax(np.abs(np.linalg.norm(values, axis=1) - 1.0)))
-        raise InputError(f"{table.where}: row {table.lines[bad]} holds a quaternion that is not of unit length")
-    if count == 3 and np.abs(values).max() > 4 * np.pi:
-        bad, column = divmod(int(np.argmax(np.abs(values))), values.shape[1])
+    if len(columns) == 4:
+        excess = np.abs(np.linalg.norm(values, axis=1) - 1.0)
+        if excess.max() > 0.01:
+            line = table.lines[int(np.argmax(excess))]
+            raise InputError(f"{table.where}: row {line} holds a quaternion that is not of unit length")
+    elif np.abs(values).max() > 4 * np.pi:
+        bad, column = divmod(int(np.argmax(np.abs(values))), 3)
         hint = "its unit is probably deg" if unit == "rad" else "correct or remove the row"
-        raise InputError(
-            f"{table.cell(bad, columns[column])} is {np.abs(values[bad, column]):.0f} rad, which no "
-            f"rotation needs; {hint}"
-        )
+        size = f"{np.abs(values[bad, column]):.0f} rad, which no rotation needs"
+        raise InputError(f"{table.cell(bad, columns[column])} is {size}; {hint}")
     return values
 
 
@@ -216,10 +212,8 @@ def _floor(files: Files) -> NoiseFloor:
             repeat.append(np.sum(std**2, axis=1) / (std.shape[1] / min(std.shape[1], 3)))
         if step := table.resolution(layout.columns) * unit:
             digits.append(step * np.sqrt(min(len(layout.columns), 3) / 12.0))
-    return (
-        float(np.sqrt(np.mean(np.concatenate(repeat)))) if repeat else None,
-        float(max(digits)) if digits else None,
-    )
+    sigma = float(np.sqrt(np.mean(np.concatenate(repeat)))) if repeat else None
+    return sigma, float(max(digits)) if digits else None
 
 
 # Reading targets for a calibrated arm: our own CSV columns, joints (q1_deg, q2_mm, …) or tool poses (x_mm … rz_deg).
@@ -271,8 +265,7 @@ def read_targets(path: str | Path, geometry: Geometry) -> Targets:
     values = table.values(tuple(columns) if as_joints else POSE_COLUMNS)
     lines = tuple(table.lines)
     if as_joints:
-        scale = np.where(geometry.prismatic, 1e-3, np.radians(1.0))
-        return Targets(values * scale, None, lines, table.where)
+        return Targets(values * np.where(geometry.prismatic, 1e-3, np.radians(1.0)), None, lines, table.where)
     pose = Pose(values[:, :3] * 1e-3, rotation_matrix(np.radians(values[:, 3:])))
     return Targets(None, pose, lines, table.where)
 

@@ -99,10 +99,9 @@ class Bpnn:
         With more poses, larger batches and fewer epochs do as well. At most `SLOW_ROWS` rows are used, for time.
         """
         rows = equally_spaced(len(inputs), SLOW_ROWS)
-        paper = settings = BpnnSettings()
+        settings = BpnnSettings()
         if len(rows) > 400:
-            epochs, batch_size = 48_000 // len(rows), 2 * paper.batch_size
-            settings = replace(paper, epochs=epochs, batch_size=batch_size, learning_rate=2 * paper.learning_rate)
+            settings = BpnnSettings(epochs=48_000 // len(rows), batch_size=32, learning_rate=2e-3)
         return train_bpnn(inputs[rows], targets[rows], rng, settings)
 
     def faster(self) -> Bpnn:
@@ -148,11 +147,8 @@ class Bpnn:
         weights, biases = [weight for weight, _ in self._scaled], [bias for _, bias in self._scaled]
         for i in range(1, len(weights)):
             biases[i] = biases[i] + biases[i - 1] @ weights[i]
-        thresholds = [*(-bias for bias in biases[:-1]), biases[-1]]
-        return [
-            (weight.astype(self._dtype, order="C"), limit.astype(self._dtype))
-            for weight, limit in zip(weights, thresholds, strict=True)
-        ]
+        layers = zip(weights, [*(-bias for bias in biases[:-1]), biases[-1]], strict=True)
+        return [(weight.astype(self._dtype, order="C"), limit.astype(self._dtype)) for weight, limit in layers]
 
     @cached_property
     def _code(self) -> CompiledNetwork | None:

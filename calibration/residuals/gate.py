@@ -72,8 +72,7 @@ class GateVerdict:
 
 def selected(verdicts: Sequence[GateVerdict]) -> str | None:
     """The accepted model with the smallest inner RMS, or None: the residual stays off."""
-    accepted = [verdict for verdict in verdicts if verdict.accepted]
-    best = min(accepted, key=attrgetter("inner_rms"), default=None)
+    best = min(filter(attrgetter("accepted"), verdicts), key=attrgetter("inner_rms"), default=None)
     return None if best is None else best.model
 
 

@@ -147,9 +147,8 @@ class Rbf(SavedArrays):
 
     def predict(self, inputs: ArrayLike) -> Array:
         """Outputs ``(..., k)`` (m, rad) at standardised inputs ``(..., F)``."""
-        return np.asarray(
-            _gaussians(np.asarray(inputs, dtype=float), self.centres, self.width) @ self.weights + self.offset
-        )
+        basis = _gaussians(np.asarray(inputs, dtype=float), self.centres, self.width)
+        return np.asarray(basis @ self.weights + self.offset)
 
 
 def k_means(points: Array, count: int, rng: np.random.Generator, rounds: int) -> Array:
