@@ -154,13 +154,11 @@ def measured_positions(
     hidden = 1.0 - np.clip(checks.numbers("the visible share", visible), 0.0, 1.0)
     pull = camera.occlusion_pull * hidden * checks.numbers("fruit diameters", diameters, lowest=0.0) / 2
     chance = pull / np.maximum(np.hypot(draws[..., 3], draws[..., 4]), 1e-300)  # of a random side
-    sideways: Array | float = 0.0
-    if visible_side is not None:
-        side = checks.points("the visible side", visible_side)
-        length = np.sqrt(np.einsum("...i,...i->...", side, side))
-        has_side = length > 1e-9
-        sideways = side * np.where(has_side, pull / np.where(has_side, length, 1.0), 0.0)[..., None]
-        chance = np.where(has_side, 0.0, chance)
+    side = checks.points("the visible side", np.zeros(3) if visible_side is None else visible_side)
+    length = np.sqrt(np.einsum("...i,...i->...", side, side))
+    has_side = length > 1e-9
+    sideways = side * np.where(has_side, pull / np.where(has_side, length, 1.0), 0.0)[..., None]
+    chance = np.where(has_side, 0.0, chance)
     across = (lateral * draws[..., 0] + chance * draws[..., 3])[..., None] * right
     upwards = (lateral * draws[..., 1] + chance * draws[..., 4])[..., None] * up
     return np.asarray(positions + along[..., None] * ray + across + upwards + sideways)
@@ -201,10 +199,8 @@ def orchard_frame(positions: ArrayLike, viewpoint: ArrayLike, looking: ArrayLike
         viewpoint: Position of the camera in the orchard frame, m, (..., 3).
         looking: Direction in which it looks, (..., 3).
     """
-    local = checks.points("positions", positions)
-    return np.asarray(
-        np.einsum("...ji,...j->...i", camera_axes(looking), local) + checks.points("viewpoint", viewpoint)
-    )
+    local, eye = checks.points("positions", positions), checks.points("the viewpoint", viewpoint)
+    return np.asarray(np.einsum("...ji,...j->...i", camera_axes(looking), local) + eye)
 
 
 def _across(ray: Array) -> tuple[Array, Array]:

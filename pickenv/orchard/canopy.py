@@ -288,8 +288,8 @@ def approach_clear(
         InputError: If a number is impossible or a shape is wrong.
     """
     positions, diameters = checks.fruit_arrays(positions, diameters)
-    checks.positive("the tool radius (m)", tool_radius)
-    checks.not_negative("the approach buffer (m)", buffer)
+    checks.numbers("the tool radius (m)", tool_radius, positive=True)
+    checks.numbers("the approach buffer (m)", buffer, lowest=0.0)
     direction = np.broadcast_to(checks.directions("the approach direction", direction), positions.shape)
     offset = positions[None, :, :] - positions[:, None, :]  # from target i to fruit j
     back = np.clip(np.einsum("ijk,ik->ij", offset, -direction), 0.0, buffer)

@@ -40,7 +40,7 @@ def match_detections(detections: ArrayLike, positions: ArrayLike, within: float)
     """
     from scipy.optimize import linear_sum_assignment
 
-    checks.positive("the matching distance (m)", within)
+    checks.numbers("the matching distance (m)", within, positive=True)
     seen = checks.points("detected positions", detections).reshape(-1, 3)
     truth = checks.points("true fruit positions", positions).reshape(-1, 3)
     distance = np.linalg.norm(seen[:, None] - truth[None], axis=-1)
@@ -435,12 +435,7 @@ def locate_circles(
 
 
 def _matched(
-    camera: StereoCamera,
-    search: CircleSearch,
-    first: Array,
-    second: Array,
-    mask: Flags,
-    circle: Sequence[float],
+    camera: StereoCamera, search: CircleSearch, first: Array, second: Array, mask: Flags, circle: Sequence[float]
 ) -> tuple[float, float]:
     """Disparity of a circle, px, and agreement of its match, 0 to 1.
 
