@@ -21,7 +21,7 @@ DRAWS = 5  # normal numbers per measurement: three of noise, two for the side fr
 
 
 @toml_table
-class Camera:
+class Camera(checks.Preset):
     """A camera as an error model.
 
     Attributes:
@@ -73,11 +73,13 @@ class Camera:
     light: Annotated[float, LX.not_negative] = 100_000.0
 
     def __post_init__(self) -> None:
-        name = f"of camera '{self.name}'"
-        checks.bounded(name[3:], self)
-        checks.measuring_range(name[3:], self.nearest, self.farthest)
+        name = f"camera '{self.name}'"
+        super().__post_init__()
+        checks.measuring_range(name, self.nearest, self.farthest)
         if self.found_above < self.lost_below:
-            raise InputError(f"found_above {name} is {self.found_above}; give at least lost_below, {self.lost_below}")
+            raise InputError(
+                f"found_above of {name} is {self.found_above}; give lost_below, {self.lost_below}, or more"
+            )
 
 
 load_camera = preset_files.loader("camera", Camera)

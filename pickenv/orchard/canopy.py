@@ -126,7 +126,7 @@ ROUNDING = 1e-9  # m
 
 
 @toml_table
-class Canopy:
+class Canopy(checks.Preset):
     """The slab of foliage in front of one stop of a machine. Along the row, foliage goes on beyond the fruit.
 
     Attributes:
@@ -156,7 +156,7 @@ class Canopy:
     approach_elevation: Annotated[float, DEG.within(0.0, 90.0, "from below")]
 
     def __post_init__(self) -> None:
-        checks.bounded(f"canopy '{self.name}'", self)
+        super().__post_init__()
         if self.top <= self.bottom:
             raise InputError(
                 f"canopy '{self.name}' is empty: its top {self.top} m is not above its bottom {self.bottom} m"

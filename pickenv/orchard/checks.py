@@ -21,14 +21,6 @@ MM = Unit("mm", per=1000.0)
 """Millimetres of the orchard's files, where a camera may see any distance."""
 
 
-def bounded(what: str, thing: Any) -> None:
-    """Refuse an object with a number that the annotations of its class do not allow; ``what`` names the object."""
-    for name, unit in units_of(cast(Any, type(thing))).items():
-        for value in np.ravel(getattr(thing, name)).tolist():
-            if not unit.holds(value):
-                raise InputError(f"{name} of {what} is {value}; give {unit.wanted}")
-
-
 def measuring_range(what: str, nearest: float, farthest: float) -> None:
     """Refuse a camera whose range of distances, m, has no end or ends before it begins."""
     if not nearest < farthest < np.inf:
@@ -40,7 +32,11 @@ class Preset:
 
     def __post_init__(self) -> None:
         words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(self).__name__).lower()
-        bounded(f"{words} '{name}'" if (name := getattr(self, "name", "")) else f"a {words}", self)
+        what = f"{words} '{name}'" if (name := getattr(self, "name", "")) else f"a {words}"
+        for field, unit in units_of(cast(Any, type(self))).items():
+            for value in np.ravel(getattr(self, field)).tolist():
+                if not unit.holds(value):
+                    raise InputError(f"{field} of {what} is {value}; give {unit.wanted}")
 
 
 def numbers(what: str, values: ArrayLike, *, lowest: float = -np.inf, positive: bool = False) -> Array:

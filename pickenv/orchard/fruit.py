@@ -64,7 +64,7 @@ def sample_strength(
 
 
 @toml_table
-class FruitMap:
+class FruitMap(checks.Preset):
     """Expected numbers of fruit per block along a row of trees, and their clumping.
 
     Attributes:
@@ -82,7 +82,7 @@ class FruitMap:
     source: str = ""
 
     def __post_init__(self) -> None:
-        checks.bounded("a fruit map", self)
+        super().__post_init__()
         if not self.row_means:
             raise InputError("a fruit map needs at least one row of blocks; row_means is empty")
 
@@ -143,7 +143,7 @@ def sample_counts(fruit_map: FruitMap, columns: int, rng: np.random.Generator, s
 
 
 @toml_table
-class FruitSize:
+class FruitSize(checks.Preset):
     """Distribution of diameters, a normal one cut at both ends, and the density of fruit.
 
     Attributes:
@@ -163,7 +163,7 @@ class FruitSize:
     source: str = ""
 
     def __post_init__(self) -> None:
-        checks.bounded("a fruit size", self)
+        super().__post_init__()
         if not self.smallest <= self.mean <= self.largest:
             raise InputError(
                 f"fruit diameters from {self.smallest} to {self.largest} m do not hold their mean {self.mean} m"

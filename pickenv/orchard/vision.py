@@ -56,7 +56,7 @@ def match_detections(detections: ArrayLike, positions: ArrayLike, within: float)
 
 
 @toml_table
-class StereoCamera:
+class StereoCamera(checks.Preset):
     """Two parallel cameras, and the numbers of Li's detector.
 
     Attributes:
@@ -88,11 +88,11 @@ class StereoCamera:
     margin: Annotated[int, WHOLE_PX.not_negative] = 3
 
     def __post_init__(self) -> None:
-        name = f"of stereo camera '{self.name}'"
-        checks.bounded(name[3:], self)
-        checks.measuring_range(name[3:], self.nearest, self.farthest)
+        name = f"stereo camera '{self.name}'"
+        super().__post_init__()
+        checks.measuring_range(name, self.nearest, self.farthest)
         if self.focal_length * self.baseline / self.nearest >= self.image[0]:
-            raise InputError(f"at its least distance the disparity {name} is wider than its image; raise nearest")
+            raise InputError(f"at its least distance the disparity of {name} is wider than its image; raise nearest")
 
 
 load_stereo_camera = preset_files.loader("vision", StereoCamera)
