@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.arm import Array
-from pickenv.harvester.interference import arm_distances, plan
+from pickenv.harvester.interference import arm_distances, cup_in_plan
 from pickenv.harvester.machine import Machine, profile, travel_time
 from pickenv.harvester.work import Hold, Timetable, Work
 
@@ -31,13 +31,14 @@ def echoes(machine: Machine, slaves: ArrayLike, arm: int) -> Array:
         Distances from surface to surface, m, (...); infinite where no surface is in a cone and within range.
     """
     slaves, ranger = np.asarray(slaves, dtype=float), machine.ranger
-    pivot, cup = plan(machine, slaves)
+    pivot = np.stack([machine.offsets, np.zeros(machine.arms)], axis=-1)
+    cup = np.stack(cup_in_plan(np, machine.offsets, slaves[..., 1], slaves[..., 2]), axis=-1)
     eye, height = cup[..., arm, :], slaves[..., arm, 0]
     nearest = np.full(height.shape, np.inf)
     for neighbour in range(1, machine.arms, 2):
         if neighbour == arm:
             continue
-        line = pivot[..., neighbour, None, :] + ALONG[:, None] * (cup - pivot)[..., neighbour, None, :]
+        line = pivot[neighbour] + ALONG[:, None] * (cup - pivot)[..., neighbour, None, :]
         away = line - eye[..., None, :]
         side = away[..., 0] * np.sign(neighbour - arm)  # how far beside, on the flank that faces this neighbour
         off = np.hypot(away[..., 1], (slaves[..., neighbour, 0] - height)[..., None])
@@ -95,27 +96,21 @@ def slave_joints_at(machine: Machine, work: Work, times: Timetable, at: Array) -
     """
     joints = np.broadcast_to(machine.slave_home, (len(at), machine.arms, 3)).copy()
     speed, acceleration = machine.slaves[0].speed, machine.slave_acceleration
-    for a in range(machine.arms):
-        mine = np.flatnonzero(times.arm == a)
-        height, free = float(machine.slave_home[0]), 0.0
-        for pick in mine[np.argsort(times.start[mine], kind="stable")].tolist():
-            goal = work.joints[a, times.fruit[pick]]
-            below = float(goal[0] - work.approach[times.fruit[pick]])
-            on = at >= free
-            joints[on, a, 0] = height + profile(at[on] - free, below - height, speed[0], acceleration[0])
-            moves = goal[1:] - machine.slave_home[1:]
-            stretch = float(travel_time(moves, speed[1:], acceleration[1:]).max())
-            begin, end = float(times.start[pick]), float(times.end[pick])
-            on = at >= begin
-            share = _share(at[on] - begin, moves, speed[1:], acceleration[1:], stretch)
-            joints[on, a, 1:] = machine.slave_home[1:] + share[:, None] * moves
-            on = at >= begin + stretch
-            joints[on, a, 0] = below + profile(at[on] - begin - stretch, goal[0] - below, speed[0], acceleration[0])
-            back = end - stretch
-            on = at >= back
-            share = _share(at[on] - back, moves, speed[1:], acceleration[1:], stretch)
-            joints[on, a, 1:] = machine.slave_home[1:] + (1 - share[:, None]) * moves
-            height, free = float(goal[0]), end
+    height, free = np.full(machine.arms, machine.slave_home[0]), np.zeros(machine.arms)
+    for pick in np.argsort(times.start, kind="stable").tolist():
+        a, fruit, begin, end = times.arm[pick], times.fruit[pick], times.start[pick], times.end[pick]
+        goal, below = work.joints[a, fruit], work.joints[a, fruit, 0] - work.approach[fruit]
+        moves = goal[1:] - machine.slave_home[1:]
+        stretch = float(travel_time(moves, speed[1:], acceleration[1:]).max())
+        on = at >= free[a]
+        joints[on, a, 0] = height[a] + profile(at[on] - free[a], below - height[a], speed[0], acceleration[0])
+        on = at >= begin + stretch
+        joints[on, a, 0] = below + profile(at[on] - begin - stretch, goal[0] - below, speed[0], acceleration[0])
+        for start, back in ((begin, False), (end - stretch, True)):
+            on = at >= start
+            share = _share(at[on] - start, moves, speed[1:], acceleration[1:], stretch)[:, None]
+            joints[on, a, 1:] = machine.slave_home[1:] + (1 - share if back else share) * moves
+        height[a], free[a] = goal[0], end
     return joints
 
 

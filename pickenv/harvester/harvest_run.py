@@ -69,7 +69,6 @@ class Round:
         work: The scheduling problem; its fruit are the detections.
         times: Timetable of the picks.
         closest: Least distance between the centre lines of two arms, m; infinite for one arm.
-        skipped: Tree numbers of the located fruit that no arm reaches.
         collected: Whether each pick brought an undamaged fruit into a tube, (picks,); set once the picks are done.
     """
 
@@ -81,7 +80,6 @@ class Round:
     work: Work
     times: Timetable
     closest: float
-    skipped: tuple[int, ...]
     collected: Flags = field(init=False)
 
     @property
@@ -195,17 +193,15 @@ def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone
     low, high = machine.master.nominal.lower, machine.master.nominal.upper
     master = np.clip(pick_point(machine, places, strategy.pick_point), low, high)
     work = zone_work(machine, master, places)
-    can, fruit = work.reachable, numbers >= 0
-    state.reachable[numbers[can & fruit]] = True
-    skipped = tuple(numbers[~can & fruit].tolist())
-    if not can.any():
+    state.reachable[numbers[work.reachable & (numbers >= 0)]] = True
+    if not work.reachable.any():
         return None
     state.spend("move", float(master_time(machine, state.master, master)))
     state.master = master
     plan = assign(work, strategy.assignment, state.rng)
     times = timetable(work, plan, hold=ultrasonic_hold(machine, work, state.rng) if strategy.guard else None)
     closest = closest_approach(machine, work, times)
-    return Round(zone, state.seconds, master, numbers, places, work, times, closest, skipped)
+    return Round(zone, state.seconds, master, numbers, places, work, times, closest)
 
 
 def _seen_in(eyes: Eyes, state: Harvest, zone: Zone, look: int) -> tuple[NDArray[np.int64], Array]:

@@ -54,24 +54,8 @@ def _side(a: Point, b: Point, c: Point) -> Scalar:
     return (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
 
 
-def plan(machine: Machine, slaves: ArrayLike) -> tuple[Array, Array]:
-    """Pivot and cup of every slave in plan.
-
-    Args:
-        machine: The machine.
-        slaves: Joints of all slaves, (..., arms, 3), m and rad.
-
-    Returns:
-        Pivots and cups in the master's frame, x right and y ahead, m, (..., arms, 2) each.
-    """
-    swing, d6 = np.asarray(slaves, dtype=float)[..., 1], np.asarray(slaves, dtype=float)[..., 2]
-    pivot, cup = np.zeros((2, *swing.shape, 2))
-    pivot[..., 0] = machine.offsets
-    cup[..., 0], cup[..., 1] = _cup(np, machine.offsets, swing, d6)
-    return pivot, cup
-
-
-def _cup(m: Any, offset: Scalar, swing: Scalar, d6: Scalar) -> Point:
+def cup_in_plan(m: Any, offset: Scalar, swing: Scalar, d6: Scalar) -> Point:
+    """Cup of a slave in plan, m: to the right and ahead of the middle pivot; ``m`` is NumPy, or `ONE` for floats."""
     return offset - d6 * m.sin(swing), d6 * m.cos(swing)
 
 
@@ -108,7 +92,7 @@ def pair_distances(m: Any, machine: Machine, slaves: Sequence[Sequence[Scalar]])
 
 def _ends(m: Any, offset: Scalar, d4: Scalar, swing: Scalar, d6: Scalar) -> tuple[Scalar, ...]:
     """Pivot of a slave along x, its cup in plan, x and y, and its height: four numbers."""
-    return offset, *_cup(m, offset, swing, d6), d4
+    return offset, *cup_in_plan(m, offset, swing, d6), d4
 
 
 def _between(m: Any, first: tuple[Scalar, ...], second: tuple[Scalar, ...]) -> Scalar:
@@ -137,7 +121,7 @@ def excursion_distances(machine: Machine, joints: Array, approach: Array) -> Arr
     length = machine.slave_home[2] + (joints[None, ..., 2] - machine.slave_home[2]) * share
     pivot = np.zeros((arms, n, 2))
     pivot[..., 0] = machine.offsets[:, None]
-    tips = np.stack(_cup(np, pivot[..., 0], swing, length), axis=-1)  # along the way, (4, arms, n, 2)
+    tips = np.stack(cup_in_plan(np, pivot[..., 0], swing, length), axis=-1)  # along the way, (4, arms, n, 2)
     starts = np.stack([pivot, pivot, tips[0], tips[1], tips[2]])
     ends = np.stack([tips[0], tips[3], tips[1], tips[2], tips[3]])
     top = joints[..., 0]

@@ -97,15 +97,11 @@ def lower_bound(work: Work, *, integral: bool = True) -> float:
     # Variables: share of each fruit on each arm, and the makespan. Loads at most the makespan, shares add up to one.
     above = np.hstack([block_diag(*load), np.full((arms, 1), -1.0)])
     equal = np.hstack([np.tile(np.eye(n), arms), np.zeros((n, 1))])
-    upper = np.concatenate([reached.ravel().astype(float), [np.inf]])
-    cost = np.zeros(arms * n + 1)
-    cost[-1] = 1.0
-    integrality = np.concatenate([np.full(arms * n, float(integral)), [0.0]])
     solution = milp(
-        cost,
+        np.append(np.zeros(arms * n), 1.0),
         constraints=[LinearConstraint(above, -np.inf, 0.0), LinearConstraint(equal, 1.0, 1.0)],
-        bounds=Bounds(np.zeros(arms * n + 1), upper),
-        integrality=integrality,
+        bounds=Bounds(np.zeros(arms * n + 1), np.append(reached.ravel().astype(float), np.inf)),
+        integrality=np.append(np.full(arms * n, float(integral)), 0.0),
         options={"time_limit": 0.2, "mip_rel_gap": 0.005},
     )
     bound = solution.mip_dual_bound if integral else solution.fun

@@ -154,14 +154,11 @@ class Controller:
         """Commands that bring the believed cup of slave ``i`` to targets in the base frame; frame 3 is at ``base``."""
         geometry = self.machine.slaves[i].nominal
         local = np.einsum("...ji,...j->...i", base.rotation, targets - base.position)
-        aim = local
-        command = _local_inverse(geometry, aim)
-        if self.slaves:
-            for _ in range(ROUNDS):
-                command = command.clip(geometry.lower, geometry.upper)
-                aim = aim + local - self.slaves[i].predict(command).position
-                command = _local_inverse(geometry, aim)
-        return np.asarray(command.clip(geometry.lower, geometry.upper))
+        aim, command = local, _local_inverse(geometry, local)
+        for _ in range(ROUNDS if self.slaves else 0):
+            aim = aim + local - self.slaves[i].predict(command).position
+            command = _local_inverse(geometry, aim)
+        return command
 
 
 def _arm_by_arm(base: Pose, arm: Array, each: Callable[[int, Pose, Rows], Array]) -> Array:
@@ -180,9 +177,10 @@ def _arm_by_arm(base: Pose, arm: Array, each: Callable[[int, Pose, Rows], Array]
 
 
 def _local_inverse(slave: Geometry, local: Array) -> Array:
-    """Joints (..., 3) of a slave for positions (..., 3) in frame 3 (x right, y down, z ahead): eq (6)."""
+    """Joints (..., 3) of a slave, within its limits, for positions (..., 3) in frame 3 (x right, y down, z ahead)."""
     right, down, ahead = local[..., 0] - slave.a[0], local[..., 1], local[..., 2] - slave.a[1]
-    return np.stack([-down, np.arctan2(-right, ahead), np.hypot(right, ahead)], axis=-1)
+    joints = np.stack([-down, np.arctan2(-right, ahead), np.hypot(right, ahead)], axis=-1)
+    return np.asarray(joints.clip(slave.lower, slave.upper))
 
 
 def load_true_machine(machine: Machine, path: str | Path = SHIPPED) -> TrueMachine:

@@ -21,7 +21,7 @@ DRAWS = 5  # normal numbers per measurement: three of noise, two for the side fr
 
 
 @toml_table
-class Camera:
+class Camera(checks.Preset):
     """A camera as an error model.
 
     Attributes:
@@ -73,11 +73,13 @@ class Camera:
     light: Annotated[float, LX.not_negative] = 100_000.0
 
     def __post_init__(self) -> None:
-        name = f"of camera '{self.name}'"
-        checks.bounded(name[3:], self)
-        checks.measuring_range(name[3:], self.nearest, self.farthest)
+        name = f"camera '{self.name}'"
+        super().__post_init__()
+        checks.measuring_range(name, self.nearest, self.farthest)
         if self.found_above < self.lost_below:
-            raise InputError(f"found_above {name} is {self.found_above}; give at least lost_below, {self.lost_below}")
+            raise InputError(
+                f"found_above of {name} is {self.found_above}; give lost_below, {self.lost_below}, or more"
+            )
 
 
 load_camera = preset_files.loader("camera", Camera)
@@ -154,13 +156,11 @@ def measured_positions(
     hidden = 1.0 - np.clip(checks.numbers("the visible share", visible), 0.0, 1.0)
     pull = camera.occlusion_pull * hidden * checks.numbers("fruit diameters", diameters, lowest=0.0) / 2
     chance = pull / np.maximum(np.hypot(draws[..., 3], draws[..., 4]), 1e-300)  # of a random side
-    sideways: Array | float = 0.0
-    if visible_side is not None:
-        side = checks.points("the visible side", visible_side)
-        length = np.sqrt(np.einsum("...i,...i->...", side, side))
-        has_side = length > 1e-9
-        sideways = side * np.where(has_side, pull / np.where(has_side, length, 1.0), 0.0)[..., None]
-        chance = np.where(has_side, 0.0, chance)
+    side = checks.points("the visible side", np.zeros(3) if visible_side is None else visible_side)
+    length = np.sqrt(np.einsum("...i,...i->...", side, side))
+    has_side = length > 1e-9
+    sideways = side * np.where(has_side, pull / np.where(has_side, length, 1.0), 0.0)[..., None]
+    chance = np.where(has_side, 0.0, chance)
     across = (lateral * draws[..., 0] + chance * draws[..., 3])[..., None] * right
     upwards = (lateral * draws[..., 1] + chance * draws[..., 4])[..., None] * up
     return np.asarray(positions + along[..., None] * ray + across + upwards + sideways)
@@ -201,10 +201,8 @@ def orchard_frame(positions: ArrayLike, viewpoint: ArrayLike, looking: ArrayLike
         viewpoint: Position of the camera in the orchard frame, m, (..., 3).
         looking: Direction in which it looks, (..., 3).
     """
-    local = checks.points("positions", positions)
-    return np.asarray(
-        np.einsum("...ji,...j->...i", camera_axes(looking), local) + checks.points("viewpoint", viewpoint)
-    )
+    local, eye = checks.points("positions", positions), checks.points("the viewpoint", viewpoint)
+    return np.asarray(np.einsum("...ji,...j->...i", camera_axes(looking), local) + eye)
 
 
 def _across(ray: Array) -> tuple[Array, Array]:

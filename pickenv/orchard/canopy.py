@@ -126,7 +126,7 @@ ROUNDING = 1e-9  # m
 
 
 @toml_table
-class Canopy:
+class Canopy(checks.Preset):
     """The slab of foliage in front of one stop of a machine. Along the row, foliage goes on beyond the fruit.
 
     Attributes:
@@ -156,7 +156,7 @@ class Canopy:
     approach_elevation: Annotated[float, DEG.within(0.0, 90.0, "from below")]
 
     def __post_init__(self) -> None:
-        checks.bounded(f"canopy '{self.name}'", self)
+        super().__post_init__()
         if self.top <= self.bottom:
             raise InputError(
                 f"canopy '{self.name}' is empty: its top {self.top} m is not above its bottom {self.bottom} m"
@@ -288,8 +288,8 @@ def approach_clear(
         InputError: If a number is impossible or a shape is wrong.
     """
     positions, diameters = checks.fruit_arrays(positions, diameters)
-    checks.positive("the tool radius (m)", tool_radius)
-    checks.not_negative("the approach buffer (m)", buffer)
+    checks.numbers("the tool radius (m)", tool_radius, positive=True)
+    checks.numbers("the approach buffer (m)", buffer, lowest=0.0)
     direction = np.broadcast_to(checks.directions("the approach direction", direction), positions.shape)
     offset = positions[None, :, :] - positions[:, None, :]  # from target i to fruit j
     back = np.clip(np.einsum("ijk,ik->ij", offset, -direction), 0.0, buffer)

@@ -21,14 +21,6 @@ MM = Unit("mm", per=1000.0)
 """Millimetres of the orchard's files, where a camera may see any distance."""
 
 
-def bounded(what: str, thing: Any) -> None:
-    """Refuse an object with a number that the annotations of its class do not allow; ``what`` names the object."""
-    for name, unit in units_of(cast(Any, type(thing))).items():
-        for value in np.ravel(getattr(thing, name)).tolist():
-            if not unit.holds(value):
-                raise InputError(f"{name} of {what} is {value}; give {unit.wanted}")
-
-
 def measuring_range(what: str, nearest: float, farthest: float) -> None:
     """Refuse a camera whose range of distances, m, has no end or ends before it begins."""
     if not nearest < farthest < np.inf:
@@ -40,37 +32,34 @@ class Preset:
 
     def __post_init__(self) -> None:
         words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(self).__name__).lower()
-        bounded(f"{words} '{name}'" if (name := getattr(self, "name", "")) else f"a {words}", self)
+        what = f"{words} '{name}'" if (name := getattr(self, "name", "")) else f"a {words}"
+        for field, unit in units_of(cast(Any, type(self))).items():
+            for value in np.ravel(getattr(self, field)).tolist():
+                if not unit.holds(value):
+                    raise InputError(f"{field} of {what} is {value}; give {unit.wanted}")
 
 
-def positive(what: str, value: float) -> None:
-    """Refuse a number that is not above zero."""
-    if not (np.isfinite(value) and value > 0):
-        raise InputError(f"{what} is {value}; give a number above zero")
-
-
-def not_negative(what: str, value: float) -> None:
-    """Refuse a number below zero."""
-    if not (np.isfinite(value) and value >= 0):
-        raise InputError(f"{what} is {value}; give a number that is not negative")
-
-
-def numbers(what: str, values: ArrayLike, *, lowest: float = -np.inf) -> Array:
-    """Array of finite numbers, none below ``lowest``; other input is refused."""
-    array = _floats(what, values)
+def numbers(what: str, values: ArrayLike, *, lowest: float = -np.inf, positive: bool = False) -> Array:
+    """Array of finite numbers, none below ``lowest``, all above zero if ``positive``; other input is refused."""
+    try:
+        array = np.asarray(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{what} must be an array of numbers: {error}") from error
     if not np.isfinite(array).all():
         raise InputError(f"{what} must be finite; at least one of its numbers is NaN or infinite")
     if lowest > -np.inf and (array < lowest).any():
         raise InputError(f"{what} must not be below {lowest:g}; the smallest is {array.min():g}")
+    if positive and (array <= 0).any():
+        raise InputError(f"{what} must be above zero; the smallest is {array.min():g}")
     return array
 
 
 def points(what: str, values: ArrayLike) -> Array:
     """Array of finite points or vectors, shape (..., 3); other input is refused."""
-    array = _floats(what, values)
+    array = numbers(what, values)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise InputError(f"{what} must have three coordinates each, not shape {array.shape}")
-    return numbers(what, array)
+    return array
 
 
 def directions(what: str, values: ArrayLike) -> Array:
@@ -87,16 +76,7 @@ def fruit_arrays(positions: ArrayLike, diameters: ArrayLike) -> tuple[Array, Arr
     centres = points("fruit positions", positions)
     if centres.ndim != 2:
         raise InputError(f"fruit positions must have shape (n, 3), not {centres.shape}")
-    sizes = numbers("fruit diameters", diameters)
-    if (sizes <= 0).any():
-        raise InputError(f"fruit diameters must be above zero; the smallest is {sizes.min():g} m")
+    sizes = numbers("fruit diameters (m)", diameters, positive=True)
     if sizes.shape not in ((), (len(centres),)):
         raise InputError(f"there are {len(centres)} fruit but {sizes.size} diameters; give one each")
     return centres, np.broadcast_to(sizes, (len(centres),)).astype(float)
-
-
-def _floats(what: str, values: ArrayLike) -> Array:
-    try:
-        return np.asarray(values, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InputError(f"{what} must be an array of numbers: {error}") from error

@@ -64,7 +64,7 @@ def sample_strength(
 
 
 @toml_table
-class FruitMap:
+class FruitMap(checks.Preset):
     """Expected numbers of fruit per block along a row of trees, and their clumping.
 
     Attributes:
@@ -82,7 +82,7 @@ class FruitMap:
     source: str = ""
 
     def __post_init__(self) -> None:
-        checks.bounded("a fruit map", self)
+        super().__post_init__()
         if not self.row_means:
             raise InputError("a fruit map needs at least one row of blocks; row_means is empty")
 
@@ -97,7 +97,7 @@ class FruitMap:
         Raises:
             InputError: If the density is negative or this map has no fruit.
         """
-        checks.not_negative("the density of a fruit map (apples per m)", density)
+        checks.numbers("the density of a fruit map (fruit per m)", density, lowest=0.0)
         if not self.density:
             raise InputError("a fruit map without apples cannot be scaled; give row_means above zero")
         return replace(self, row_means=tuple(mean * density / self.density for mean in self.row_means))
@@ -143,7 +143,7 @@ def sample_counts(fruit_map: FruitMap, columns: int, rng: np.random.Generator, s
 
 
 @toml_table
-class FruitSize:
+class FruitSize(checks.Preset):
     """Distribution of diameters, a normal one cut at both ends, and the density of fruit.
 
     Attributes:
@@ -163,7 +163,7 @@ class FruitSize:
     source: str = ""
 
     def __post_init__(self) -> None:
-        checks.bounded("a fruit size", self)
+        super().__post_init__()
         if not self.smallest <= self.mean <= self.largest:
             raise InputError(
                 f"fruit diameters from {self.smallest} to {self.largest} m do not hold their mean {self.mean} m"
@@ -224,7 +224,7 @@ load_branch = preset_files.loader("branch", Branch)
 
 def natural_frequencies(branch: Branch, mass: ArrayLike) -> Array:
     """Undamped angular frequencies along x, y and z, rad/s, shape (..., 3), for fruit masses (...) in kg."""
-    moving = _moving_mass(branch, mass)
+    moving = checks.numbers("the mass of fruit (kg)", mass, positive=True) + branch.wood
     omega = np.empty((*moving.shape, 3))
     omega[..., 0] = omega[..., 1] = np.sqrt(GRAVITY / branch.pendulum + branch.stiffness_sideways / moving)
     omega[..., 2] = np.sqrt(branch.stiffness_upright / moving)
@@ -305,10 +305,3 @@ def pushed(branch: Branch, positions: ArrayLike, contact: ArrayLike, push: Array
     push = checks.points("the push", push)
     distance = np.linalg.norm(positions - contact[..., None, :], axis=-1)
     return np.asarray(coupling(branch, distance)[..., None] * push[..., None, :])
-
-
-def _moving_mass(branch: Branch, mass: ArrayLike) -> Array:
-    fruit = checks.numbers("the mass of fruit (kg)", mass)
-    if (fruit <= 0).any():
-        checks.positive("the mass of fruit (kg)", float(fruit.min()))
-    return np.asarray(fruit + branch.wood)

@@ -40,26 +40,21 @@ def load(kind: str, name: str | Path, thing: type[Thing] | Callable[[Mapping[str
     Raises:
         InputError: If the preset is unknown, or a number is missing or impossible. It names the file and the key.
     """
-    path = Path(name)
-    if path.suffix == ".toml":
-        if not is_file(path):
-            raise InputError(
-                f"{kind} file {shortened(path, 300)} does not exist; give its path or one of {shipped(kind)}"
-            )
-        (table, text), label = _tables(path, path.stat().st_mtime_ns), path.stem
-    else:
-        path = FOLDER / f"{kind}.toml"
-        tables, text = _tables(path, path.stat().st_mtime_ns)
-        if str(name) not in tables:
-            raise InputError(
-                f"unknown {kind} '{shortened(name)}'; give one of {shipped(kind)} or a path to a {kind} file (.toml)"
-            )
-        table, label = tables[str(name)], str(name)
+    own = Path(name).suffix == ".toml"
+    path = Path(name) if own else FOLDER / f"{kind}.toml"
+    if own and not is_file(path):
+        raise InputError(f"{kind} file {shortened(path, 300)} does not exist; give its path or one of {shipped(kind)}")
+    tables, text = _tables(path, path.stat().st_mtime_ns)
+    if not own and str(name) not in tables:
+        raise InputError(
+            f"unknown {kind} '{shortened(name)}'; give one of {shipped(kind)} or a path to a {kind} file (.toml)"
+        )
+    table, label = (tables, path.stem) if own else (tables[str(name)], str(name))
     try:
         kind_of_thing = thing if isinstance(thing, type) else thing(table)
     except InputError as error:
         raise InputError(f"{path.name}: {error}") from error
-    return made(kind_of_thing, table, path.name, name=label, text=text if path == Path(name) else "")
+    return made(kind_of_thing, table, path.name, name=label, text=text if own else "")
 
 
 def loader(kind: str, thing: type[Thing]) -> Callable[[str | Path], Thing]:

@@ -106,11 +106,8 @@ def sample_leaves(
     Raises:
         InputError: If a number is impossible or the high corner is below the low corner.
     """
-    low, high = (
-        checks.points("the low corner of the foliage", low),
-        checks.points("the high corner of the foliage", high),
-    )
-    checks.not_negative("the leaf area per volume (m²/m³)", leaf_area_per_volume)
+    low, high = (checks.points("the corners of the foliage", corner) for corner in (low, high))
+    checks.numbers("the leaf area per volume (m²/m³)", leaf_area_per_volume, lowest=0.0)
     if (high < low).any():
         raise InputError("the foliage has a high corner below its low corner; exchange them")
     area = np.pi / 4 * look.leaf_length * look.leaf_width
@@ -142,20 +139,16 @@ def render_stereo(
     positions, diameters = checks.fruit_arrays(positions, diameters)
     leaves = leaves if isinstance(leaves, Leaves) else turned_leaves(leaves, look, rng)
     width, height = camera.image
-    fruit_at, leaf_at = project(camera, positions), project(camera, leaves.places)
+    places = np.concatenate([positions, leaves.places])
+    pixels = project(camera, places)
     images = [_background(look, camera.image, rng) for _ in range(2)]
     shows = np.full((height, width), BACKGROUND, dtype=np.int64)
-    disc_pixels = np.zeros(len(positions))
-    depth = np.concatenate([positions[:, 2], leaves.places[:, 2]])
-    for item in np.argsort(-depth, kind="stable"):
-        is_fruit = item < len(positions)
-        i = int(item) if is_fruit else int(item) - len(positions)
-        at, z = (fruit_at[i], positions[i, 2]) if is_fruit else (leaf_at[i], leaves.places[i, 2])
-        reach = camera.focal_length / z * (diameters[i] / 2 if is_fruit else max(look.leaf_length, look.leaf_width) / 2)
-        if is_fruit:
-            disc_pixels[i] = np.pi * reach**2
+    leaf_sizes = np.full(len(leaves.places), max(look.leaf_length, look.leaf_width))
+    reaches = camera.focal_length / places[:, 2] * (np.concatenate([diameters, leaf_sizes]) / 2)
+    for item in np.argsort(-places[:, 2], kind="stable").tolist():
+        is_fruit, reach = item < len(positions), reaches[item]
         for eye, image in enumerate(images):
-            column, row = at[0] - eye * at[2], at[1]
+            column, row = pixels[item, 0] - eye * pixels[item, 2], pixels[item, 1]
             start, end = max(int(column - reach), 0), min(int(column + reach) + 2, width)
             top, bottom = max(int(row - reach), 0), min(int(row + reach) + 2, height)
             if start >= end or top >= bottom:
@@ -163,18 +156,18 @@ def render_stereo(
             u = (np.arange(start, end) - column) / reach
             v = ((np.arange(top, bottom) - row) / reach)[:, None]
             if is_fruit:
-                inside, colour = _sphere(look, u, v)
+                inside, colours = _sphere(look, u, v)
+                colour = colours[inside]
             else:
-                a = leaves.shapes[i]
+                a, colour = leaves.shapes[item - len(positions)], leaves.colours[item - len(positions)]
                 inside = (a[0, 0] * u + a[0, 1] * v) ** 2 + (a[1, 0] * u + a[1, 1] * v) ** 2 <= 1.0
-                colour = leaves.colours[i]
-            patch = image[top:bottom, start:end]
-            patch[inside] = colour[inside] if is_fruit else colour
+            image[top:bottom, start:end][inside] = colour
             if eye == 0:
-                shows[top:bottom, start:end][inside] = i if is_fruit else LEAF
+                shows[top:bottom, start:end][inside] = item if is_fruit else LEAF
     noisy = [np.clip(im + look.pixel_noise * rng.normal(size=im.shape), 0, 255).astype(np.uint8) for im in images]
     visible_pixels = np.bincount(shows[shows >= 0], minlength=len(positions))
-    return StereoPair(noisy[0], noisy[1], shows, np.clip(visible_pixels / np.maximum(disc_pixels, 1e-12), 0.0, 1.0))
+    disc_pixels = np.maximum(np.pi * reaches[: len(positions)] ** 2, 1e-12)
+    return StereoPair(noisy[0], noisy[1], shows, np.clip(visible_pixels / disc_pixels, 0.0, 1.0))
 
 
 def _sphere(look: Look, u: Array, v: Array) -> tuple[NDArray[np.bool_], Array]:

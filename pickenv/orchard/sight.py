@@ -208,25 +208,17 @@ def load_eyes(vision: str, canopy: Canopy, detector: str = "li2016") -> Eyes:
     for parameter, name, names in (("vision", vision, VISIONS), ("detector", detector, DETECTORS)):
         if name not in names:
             raise InputError(f"unknown {parameter} '{name}'; give one of {', '.join(names)}")
-    errors = _errors_in(canopy, detector) if vision == "measured_errors" else None
-    camera, look, search = (
-        stereo.load_stereo_camera("li2016"),
-        load_look("red_apples"),
-        stereo.load_circle_search("li2016"),
-    )
-    return Eyes(vision, detector, canopy, camera, look, search, errors)
-
-
-def _errors_in(canopy: Canopy, detector: str) -> SightErrors:
-    name = f"{canopy.name}-{detector}"
-    if name in preset_files.shipped("sight"):
-        errors = load_sight_errors(name)
-        if errors.leaf_area_per_volume == canopy.leaf_area_per_volume:
-            return errors
-    raise InputError(
-        f"no errors were measured in canopy '{canopy.name}' with {canopy.leaf_area_per_volume:g} m2/m3 of leaves by "
-        f"detector '{detector}'; give vision='rendered', or measure them: python scripts/studies/measure_sight.py"
-    )
+    errors, table = None, f"{canopy.name}-{detector}"
+    if vision == "measured_errors":
+        errors = load_sight_errors(table) if table in preset_files.shipped("sight") else None
+        if errors is None or errors.leaf_area_per_volume != canopy.leaf_area_per_volume:
+            raise InputError(
+                f"no errors were measured in canopy '{canopy.name}' with {canopy.leaf_area_per_volume:g} m2/m3 of "
+                f"leaves by detector '{detector}'; give vision='rendered', or measure them: "
+                "python scripts/studies/measure_sight.py"
+            )
+    camera, search = stereo.load_stereo_camera("li2016"), stereo.load_circle_search("li2016")
+    return Eyes(vision, detector, canopy, camera, load_look("red_apples"), search, errors)
 
 
 Viewpoint = tuple[Array, Array]

@@ -40,7 +40,7 @@ def match_detections(detections: ArrayLike, positions: ArrayLike, within: float)
     """
     from scipy.optimize import linear_sum_assignment
 
-    checks.positive("the matching distance (m)", within)
+    checks.numbers("the matching distance (m)", within, positive=True)
     seen = checks.points("detected positions", detections).reshape(-1, 3)
     truth = checks.points("true fruit positions", positions).reshape(-1, 3)
     distance = np.linalg.norm(seen[:, None] - truth[None], axis=-1)
@@ -56,7 +56,7 @@ def match_detections(detections: ArrayLike, positions: ArrayLike, within: float)
 
 
 @toml_table
-class StereoCamera:
+class StereoCamera(checks.Preset):
     """Two parallel cameras, and the numbers of Li's detector.
 
     Attributes:
@@ -88,11 +88,11 @@ class StereoCamera:
     margin: Annotated[int, WHOLE_PX.not_negative] = 3
 
     def __post_init__(self) -> None:
-        name = f"of stereo camera '{self.name}'"
-        checks.bounded(name[3:], self)
-        checks.measuring_range(name[3:], self.nearest, self.farthest)
+        name = f"stereo camera '{self.name}'"
+        super().__post_init__()
+        checks.measuring_range(name, self.nearest, self.farthest)
         if self.focal_length * self.baseline / self.nearest >= self.image[0]:
-            raise InputError(f"at its least distance the disparity {name} is wider than its image; raise nearest")
+            raise InputError(f"at its least distance the disparity of {name} is wider than its image; raise nearest")
 
 
 load_stereo_camera = preset_files.loader("vision", StereoCamera)
@@ -435,12 +435,7 @@ def locate_circles(
 
 
 def _matched(
-    camera: StereoCamera,
-    search: CircleSearch,
-    first: Array,
-    second: Array,
-    mask: Flags,
-    circle: Sequence[float],
+    camera: StereoCamera, search: CircleSearch, first: Array, second: Array, mask: Flags, circle: Sequence[float]
 ) -> tuple[float, float]:
     """Disparity of a circle, px, and agreement of its match, 0 to 1.
 
