@@ -21,14 +21,7 @@ from pickenv.inspect.colours import TEXTS, in_words
 from pickenv.inspect.figures.plot_calibration import joint_coverage, uncertainty_map
 from pickenv.inspect.figures.plot_errors import error_cumulative
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned, norms_mm, trace_drawings, view_drawings
-from pickenv.inspect.reports.report_page import (
-    Bar,
-    PageTable,
-    PageVerdict,
-    Section,
-    axis_table,
-    html_of,
-)
+from pickenv.inspect.reports.report_page import Bar, PageTable, PageVerdict, Section, axis_table, html_of
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, views_of
 from pickenv.inspect.runs.matters import matters, pick_changes
 from pickenv.inspect.runs.number_words import named_values, parameter_words
