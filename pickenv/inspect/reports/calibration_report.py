@@ -244,12 +244,7 @@ def _uncertainty(r: Result) -> Drawing | None:
     joints = random_joints(geometry, MAP_POSES, np.random.default_rng(0))
     spread = uncertainty.from_parameters(model, joints)
     x, y, height = ((model.pose(joints).position - geometry.base.position) * 1e3).T
-    return Drawing(
-        "uncertainty_map",
-        "Standard uncertainty of the predicted position from the parameters alone, by distance from the base and "
-        "height, averaged over poses drawn from the joint ranges.",
-        lambda: uncertainty_map(np.hypot(x, y), height, spread * 1e3),
-    )
+    return captioned("uncertainty_map", uncertainty_map, np.hypot(x, y), height, spread * 1e3)
 
 
 def _origin(r: Result, train: Observations, test: Observations, seeds: Mapping[str, Any]) -> dict[str, str]:
