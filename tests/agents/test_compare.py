@@ -156,7 +156,7 @@ def test_one_number_in_the_terminal_the_json_the_page_and_the_recording(
             if "SeriesLines:names" in batch.schema.names
             for name in batch.column("SeriesLines:names").to_pylist()[0]
         ]
-        assert names == [f"{row['policy']}: {row['mean_mm']:.3f} mm"]
+        assert names == [in_words(f"{row['policy']}: {row['mean_mm']:.3f} mm")]
 
 
 def test_a_run_folder_gives_back_every_episode_and_takes_part_in_another_comparison(
