@@ -58,11 +58,7 @@ from .reports.report_page import (
     plain_report as plain_report,
 )
 from .runs.calibration_trace import CalibrationTrace as CalibrationTrace, trace_of as trace_of
-from .runs.harvest_trace import (
-    HarvestTrace as HarvestTrace,
-    PickedTree as PickedTree,
-    picked_tree as picked_tree,
-)
+from .runs.harvest_trace import HarvestTrace as HarvestTrace, PickedTree as PickedTree, picked_tree as picked_tree
 from .runs.matters import (
     gripped as gripped,
     gripper_curves as gripper_curves,

@@ -21,7 +21,7 @@ from pickenv.arm import forward, load_plant, nominal_points, pose_error, true_po
 from pickenv.base import InputError, mean_interval, paired_share_interval, share_interval
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
 from pickenv.inspect import Comparison, RecordedEpisodes, load_part, read_run
-from pickenv.inspect.colours import lane, policy_colours, policy_rank
+from pickenv.inspect.colours import as_sentence, in_words, lane, policy_colours, policy_rank
 from pickenv.inspect.runs import comparison_summary
 from pickenv.inspect.runs.matters import pick_share
 from pickenv.inspect.runs.recorded_episodes import missing_positions
@@ -129,8 +129,10 @@ def test_one_number_in_the_terminal_the_json_the_page_and_the_recording(
     content = json.loads((folder / "comparison.json").read_text(encoding="utf-8"))
     cells = [cell for row in comparison_summary.policy_cells(found.episodes) for cell in row]
     cells += [cell for line in comparison_summary.difference_cells(found.episodes) for cell in line]
-    for cell in [*cells, content["headline"], content["explanation"]]:
-        assert cell in terminal and cell in page and cell in words, cell
+    for cell in cells:
+        assert cell in terminal and in_words(cell) in page and in_words(cell) in words, cell
+    for text in (content["headline"], content["explanation"]):
+        assert text in terminal and as_sentence(text) in page and as_sentence(text) in words, text
     between = content["matters"]
     assert (between["from"], between["to"]) == ("raw", "LS")
     for change in between["changes"]:
@@ -154,7 +156,7 @@ def test_one_number_in_the_terminal_the_json_the_page_and_the_recording(
             if "SeriesLines:names" in batch.schema.names
             for name in batch.column("SeriesLines:names").to_pylist()[0]
         ]
-        assert names == [f"{row['policy']}: {row['mean_mm']:.3f} mm"]
+        assert names == [in_words(f"{row['policy']}: {row['mean_mm']:.3f} mm")]
 
 
 def test_a_run_folder_gives_back_every_episode_and_takes_part_in_another_comparison(

@@ -73,11 +73,7 @@ def network_convergence(loss: ArrayLike) -> Figure:
 
 
 def parameter_spectrum(
-    magnitudes: ArrayLike,
-    kept: ArrayLike,
-    *,
-    names: Sequence[str] | None = None,
-    threshold: float | None = None,
+    magnitudes: ArrayLike, kept: ArrayLike, *, names: Sequence[str] | None = None, threshold: float | None = None
 ) -> Figure:
     """Identifiability of parameters from the poses: the diagonal of R of a pivoted QR, or singular values.
 

@@ -109,8 +109,7 @@ def _drawable(number: Estimated) -> Estimate:
 
 
 def success_against_misalignment(
-    curves: Mapping[str, tuple[ArrayLike, ArrayLike]],
-    points: Mapping[str, Mapping[str, tuple[float, Estimated]]],
+    curves: Mapping[str, tuple[ArrayLike, ArrayLike]], points: Mapping[str, Mapping[str, tuple[float, Estimated]]]
 ) -> Figure:
     """Each gripper's success against lateral misalignment, and the policies' mean errors and successes.
 

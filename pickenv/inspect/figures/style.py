@@ -28,7 +28,7 @@ COLUMN, WIDTH = 3.5, 7.2
 """Widths of one column and of both columns of a journal's page, inches."""
 LETTER = 0.083
 """Mean width of a letter of a title, inches."""
-SMALL_LETTER, KEY = 0.062, 0.55
+SMALL_LETTER, KEY = 0.06, 0.42
 """Mean width of a letter in a legend, and room for a mark and the gap beside it, inches."""
 LINES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
 MARKS = "os^Dv"
@@ -126,7 +126,7 @@ def legend_below(figure: Figure, axes: Any, most: int) -> None:
     marks, names = axes.get_legend_handles_labels()
     for columns in range(min(most, len(names)), 0, -1):
         widths = (KEY + SMALL_LETTER * max(map(len, column)) for column in np.array_split(names, columns))
-        if columns == 1 or sum(widths) < figure.get_figwidth():
+        if columns == 1 or sum(widths) < figure.get_figwidth() - 0.05:
             figure.legend(marks, names, loc="outside lower center", ncols=columns)
             return
 

@@ -20,12 +20,7 @@ CELLS = 10
 
 
 def inspect_calibration(
-    calibration: Calibration,
-    evidence: Plant | Measurements,
-    path: str | Path,
-    *,
-    grid_step: float = 0.1,
-    seed: int = 0,
+    calibration: Calibration, evidence: Plant | Measurements, path: str | Path, *, grid_step: float = 0.1, seed: int = 0
 ) -> Path:
     """Record the errors before and after calibration, over the workspace of a simulated arm or at measured poses.
 
@@ -48,12 +43,7 @@ def inspect_calibration(
 
 
 def inspect_evaluation(
-    runs: Mapping[str, Reaches],
-    plant: Plant,
-    path: str | Path,
-    *,
-    tolerance_mm: float = 5.0,
-    seed: int = 0,
+    runs: Mapping[str, Reaches], plant: Plant, path: str | Path, *, tolerance_mm: float = 5.0, seed: int = 0
 ) -> Path:
     """Record how several policies ended on the same fruit.
 
@@ -112,10 +102,7 @@ def _measured(calibration: Calibration, data: Measurements, seed: int) -> Compar
     """A comparison of the calibration's stages as predictions of measured poses; the true arm is the identified one."""
     if len(data) < 2:
         raise InputError(f"{data.source}: {len(data)} poses are too few to show; give at least two")
-    errors = {
-        "raw": data.difference(calibration.nominal),
-        "LS": data.difference(calibration.model),
-    }
+    errors = {"raw": data.difference(calibration.nominal), "LS": data.difference(calibration.model)}
     if calibration.learnt is not None:
         errors[stage_label(calibration)] = calibration.errors(data)
     unknown = np.ones(calibration.nominal.joints)  # the joints' speeds, which no recording shows

@@ -31,33 +31,21 @@ class _Recorder:
 
     _scene: entities.Scene
 
-    def __init__(
-        self,
-        env: Any,
-        keys: Sequence[str],
-        save_path: str | Path | None,
-        episode_trigger: entities.Trigger | None,
-        step_trigger: entities.Trigger | None,
-        recording_length: int,
-        name_prefix: str,
-        policy: str,
-        spawn: bool,
-        connect: str | None,
-        serve: int | None,
-    ) -> None:
+    def __init__(self, env: Any, keys: Sequence[str], settings: Mapping[str, Any]) -> None:
+        policy, folder, length = settings["policy"], settings["save_path"], settings["recording_length"]
         if policy != policy_key(policy) or not policy:
             raise InputError(f"policy '{policy}' cannot name an entity; use lower-case letters, digits and underscores")
-        if recording_length < 0:
-            raise InputError(f"recording_length is {recording_length}; give a number of steps, or 0 for whole episodes")
-        self._viewers: dict[str, Any] = {"spawn": spawn, "connect": connect, "serve": serve}
-        self._live = spawn or connect is not None or serve is not None
-        if save_path is None and not self._live:
+        if length < 0:
+            raise InputError(f"recording_length is {length}; give a number of steps, or 0 for whole episodes")
+        self._viewers = {name: settings[name] for name in ("spawn", "connect", "serve")}
+        self._live = any(value is not None and value is not False for value in self._viewers.values())
+        if folder is None and not self._live:
             raise InputError("nothing would be logged; give save_path, spawn, connect or serve")
-        if episode_trigger is None and step_trigger is None:
-            episode_trigger = entities.capped_cubic
-        self.path = None if save_path is None else Path(save_path) / f"{name_prefix}-{policy}.rrd"
-        length = float(recording_length) or np.inf
-        self.logs = [entities.EpisodeLog(key, episode_trigger, step_trigger, length) for key in keys]
+        triggers = settings["episode_trigger"], settings["step_trigger"]
+        if triggers == (None, None):
+            triggers = entities.capped_cubic, None
+        self.path = None if folder is None else Path(folder) / f"{settings['name_prefix']}-{policy}.rrd"
+        self.logs = [entities.EpisodeLog(key, *triggers, float(length) or np.inf) for key in keys]
         self._env, self._policy = env, policy
         self._identity = ""
         self._in_file = 0
@@ -199,7 +187,7 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
         settings = {name: value for name, value in locals().items() if name not in NOT_OF_THE_RECORDER}
         RecordConstructorArgs.__init__(self, **settings)
         gym.Wrapper.__init__(self, env)
-        self._recorder = _Recorder(env, [policy], **settings)
+        self._recorder = _Recorder(env, [policy], settings)
         self._log = self._recorder.logs[0]
 
     def reset(
@@ -262,7 +250,7 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
         if not indices or not all(0 <= i < env.num_envs for i in indices) or len(set(indices)) != len(indices):
             raise InputError(f"indices are {list(indices)}; give different numbers from 0 to {env.num_envs - 1}")
         keys = [f"{policy}/env_{i}" for i in indices]
-        self._recorder = _Recorder(env, keys, **settings)
+        self._recorder = _Recorder(env, keys, settings)
         self._logged = list(zip(indices, self._recorder.logs, strict=True))
         self._over = np.zeros(env.num_envs, dtype=np.bool_)
 

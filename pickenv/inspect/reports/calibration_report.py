@@ -17,29 +17,17 @@ from pickenv.calibration.assessment.quality import axis_errors, base_combination
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.pipeline.fitting import GEOMETRIC, NOMINAL
 from pickenv.calibration.pipeline.result import SIGMAS, has_moved
-from pickenv.inspect.colours import in_words
+from pickenv.inspect.colours import TEXTS, in_words
 from pickenv.inspect.figures.plot_calibration import joint_coverage, uncertainty_map
 from pickenv.inspect.figures.plot_errors import error_cumulative
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned, norms_mm, trace_drawings, view_drawings
-from pickenv.inspect.reports.report_page import (
-    Bar,
-    PageTable,
-    PageVerdict,
-    Section,
-    axis_table,
-    html_of,
-)
+from pickenv.inspect.reports.report_page import Bar, PageTable, PageVerdict, Section, axis_table, html_of
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace, views_of
 from pickenv.inspect.runs.matters import matters, pick_changes
 from pickenv.inspect.runs.number_words import named_values, parameter_words
 from pickenv.inspect.runs.run_folder import REPORT, Run, TakePicture, load_part, unedited
 
 TONES = {"good": "good", "with care": "care", "do not use": "bad"}
-VERDICTS = {
-    "good": "Good: the calibration can be used",
-    "with care": "With care",
-    "do not use": "Do not use this calibration",
-}
 FURTHER = ("pictures", "uncertainty", "left_out", "terms", "stiffnesses", "harmonics", "residual_models")
 """Keys of the tables that get sections of their own, in the order of the page."""
 MAP_POSES = 6000
@@ -80,7 +68,7 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
     further = [Section(blocks[key].title, [_table(blocks[key])]) for key in FURTHER if key in blocks]
     sections = (
         _errors(result, blocks),
-        _reprojection(result),
+        Section("Reprojection errors", view_drawings(views_of(result)), TEXTS["explained"]["reprojection"]),
         *further,
         _parameters(result),
         _poses(result, train),
@@ -129,7 +117,7 @@ def _verdict(r: Result, test: Observations) -> PageVerdict:
         sentence += f" The attitude error falls from {figure(was)} to {figure(now)} deg."
     text = "\n".join((f"{_sentence(quality.reason)} {_worth(r)}".strip(), sentence, _sentence(r.frames_text)))
     findings = [(weight, _sentence(text)) for weight, text in quality.others]
-    return PageVerdict(TONES[quality.grade], VERDICTS[quality.grade], text, findings)
+    return PageVerdict(TONES[quality.grade], TEXTS["verdicts"][quality.grade], text, findings)
 
 
 def _worth(r: Result) -> str:
@@ -189,16 +177,6 @@ def _errors(r: Result, blocks: Mapping[str, Block]) -> Section:
     )
 
 
-def _reprojection(r: Result) -> Section:
-    """The section with drawn reprojection errors of held-out views; empty where no pictures were taken."""
-    return Section(
-        "Reprojection errors",
-        view_drawings(views_of(r)),
-        "From where each corner is predicted towards where it was found, in views that the fit never saw; magnified "
-        "as stated, coloured by true length.",
-    )
-
-
 def _parameters(r: Result) -> Section:
     joints, links = r.arm.nominal.joint_names, r.arm.nominal.link_names
     combinations = base_combinations(r.fit.identification.identifiability)
@@ -234,24 +212,17 @@ def _parameters(r: Result) -> Section:
             else "",
             Section(folded, [table(folded, others)]) if others else None,
         ),
-        "Calibrated minus nominal, with one standard uncertainty (±); bars show the change and a whisker of two "
-        "standard uncertainties. A change within its whisker is not significant. Told by the rows: how much narrower a "
-        "parameter is known than before measuring; 0 % is the drawing's word alone. Without expectations the column "
-        "names the sum that is known instead.",
+        TEXTS["explained"]["parameters"],
     )
 
 
 def _poses(r: Result, train: Observations) -> Section:
     geometry, observability, over = r.fit.identification.geometry, r.quality.observability, r.quality.workspace
     caption = f"How the {len(train.joints)} fitted poses fill the joint ranges."
-    indices = (
-        ("condition number", figure(observability["condition"]), "how unevenly parameters are seen; near 1 is best"),
-        ("O1", figure(observability["o1"]), "mean sensitivity; D-optimal poses maximise it"),
-        ("O2", figure(observability["o2"]), "inverse condition number"),
-        ("O3", figure(observability["o3"]), "sensitivity to the worst-seen combination"),
-        ("O4", figure(observability["o4"]), "noise amplification"),
-        ("O5", figure(observability["o5"]), "mean parameter variance, inverse"),
-    )
+    indices = [
+        (name, figure(observability[name.partition(" ")[0].lower()]), words)
+        for name, words in TEXTS["observability"].items()
+    ]
     pairs = [(f"{a}, {b}", f"{rho:+.3f}") for a, b, rho in r.quality.pairs[:8]]
     hard = PageTable("Parameters hard to tell apart", ("parameters", "correlation"), pairs, "code")
     coverage = Drawing("joint_coverage", caption, lambda: joint_coverage(geometry, {"fitted": train.joints}))
@@ -273,12 +244,7 @@ def _uncertainty(r: Result) -> Drawing | None:
     joints = random_joints(geometry, MAP_POSES, np.random.default_rng(0))
     spread = uncertainty.from_parameters(model, joints)
     x, y, height = ((model.pose(joints).position - geometry.base.position) * 1e3).T
-    return Drawing(
-        "uncertainty_map",
-        "Standard uncertainty of the predicted position from the parameters alone, by distance from the base and "
-        "height, averaged over poses drawn from the joint ranges.",
-        lambda: uncertainty_map(np.hypot(x, y), height, spread * 1e3),
-    )
+    return captioned("uncertainty_map", uncertainty_map, np.hypot(x, y), height, spread * 1e3)
 
 
 def _origin(r: Result, train: Observations, test: Observations, seeds: Mapping[str, Any]) -> dict[str, str]:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from pickenv.inspect.colours import in_words
+from functools import partial
+
+from pickenv.inspect.colours import TEXTS, in_words
 from pickenv.inspect.figures import plot_policies
 from pickenv.inspect.figures.plot_errors import error_fields
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned
@@ -25,13 +27,7 @@ def policy_drawings(episodes: RecordedEpisodes) -> Drawings:
     drawings = [captioned("distance_over_time", plot_policies.distance_over_time, episodes)]
     if not isinstance(episodes, Comparison):
         return [*drawings, Drawing("error_fields", MISSING)]
-    drawings.append(
-        Drawing(
-            "error_fields",
-            "Where each policy misses, and which way: its final miss for a grid of goals, drawn larger than true.",
-            lambda: error_fields(episodes),
-        )
-    )
+    drawings.append(Drawing("error_fields", TEXTS["captions"]["final_misses"], partial(error_fields, episodes)))
     if len(episodes.policies) > 1:
         drawings.append(captioned("difference_map", plot_policies.difference_map, episodes))
     return drawings

@@ -29,6 +29,7 @@ from pickenv.inspect.runs.run_folder import MATTERS_FILE, Run, TakePicture, load
 from pickenv.inspect.runs.saved import eye_direction
 
 RECORDING = "errors.rrd"
+RECORDING_WORDS = "The recording errors.rrd in its default layout: error fields, reaches, histogram, table."
 OF_ONE = "All of it is of this one calibration of one arm: intervals are over fruit, and another calibration differs."
 
 NO_INTERVAL = f"no interval: fewer than {LEAST_ROWS} reaches, or all alike"
@@ -76,14 +77,15 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     calibration = Calibration.load(run.folder / "calibration", comparison.plant.arm)
     every = [*comparison_drawings(comparison), *trace_drawings(trace)]
     by_name = {drawing.name: drawing for drawing in every if drawing.draw is not None}
-    recording = run.folder / RECORDING
+    recording = run.folder / RECORDING  # without its picture the section is left out: the origin says how to open it
+    shown = picture(recording) if picture and recording.is_file() else None
     sections = (
         _reaches(comparison, by_name),
         _cases(cases),
         _field(comparison, by_name),
         _poses(comparison, trace, by_name),
         _fit(trace, calibration, by_name),
-        _recording(picture(recording) if picture and recording.is_file() else None),
+        report_page.Section("The recording", [shown], RECORDING_WORDS),
     )
     return report_page.html_of(
         f"Calibration and picking: {in_words(comparison.plant.name)}",
@@ -268,12 +270,6 @@ def _fit(trace: CalibrationTrace, calibration: Calibration, drawn: Mapping[str, 
             drawn["joint_coverage"],
         ),
     )
-
-
-def _recording(screenshot: bytes | None) -> report_page.Section:
-    """The section with the recording's picture; empty without one, as the origin says how to open the recording."""
-    explain = "The recording errors.rrd in its default layout: error fields, reaches, histogram, table."
-    return report_page.Section("The recording", [screenshot], explain)
 
 
 def _origin(run: Run, comparison: Comparison, trace: CalibrationTrace, calibration: Calibration) -> dict[str, str]:

@@ -33,11 +33,7 @@ def drawings(run: Run) -> Drawings:
             lambda: plot_harvest.funnel_bars(trace.funnels),
         ),
         captioned("throughput", plot_harvest.throughput_by_arms, trace.throughput),
-        Drawing(
-            "workspace",
-            "Where the cups get to, at joints drawn evenly within the limits.",
-            lambda: plot_harvest.workspace_cloud(trace.cloud, (dense_workspace(),)),
-        ),
+        captioned("workspace", plot_harvest.workspace_cloud, trace.cloud, (dense_workspace(),)),
         captioned("joint_curves", plot_harvest.joint_displacements, *trace.curves),
     ]
 

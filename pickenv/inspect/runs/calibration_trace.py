@@ -82,10 +82,7 @@ class CalibrationTrace:
 
 
 def trace_of(
-    fit: Fit,
-    sets: Mapping[str, Observations],
-    errors: Mapping[str, Array],
-    views: tuple[ViewErrors, ...] = (),
+    fit: Fit, sets: Mapping[str, Observations], errors: Mapping[str, Array], views: tuple[ViewErrors, ...] = ()
 ) -> CalibrationTrace:
     """The trace of a fit.
 

@@ -136,23 +136,16 @@ def ended(label: str, reaches: Reaches, key: str | None = None) -> RecordedPolic
         key: Short name of the policy; made from the label when left out.
     """
     count = len(reaches.success)
-    ends: dict[str, Any] = {
+    names = ("joint_command", "tool_position", "fruit_position", "position_error_mm", "attitude_error_deg", "success")
+    ends: dict[str, Any] = {name: getattr(reaches, name) for name in names} | {
         "joint_target": reaches.joint_command,
-        "joint_command": reaches.joint_command,
-        "tool_position": reaches.tool_position,
         "tool_rotation": np.full((count, 3, 3), np.nan),
-        "fruit_position": reaches.fruit_position,
-        "position_error_mm": reaches.position_error_mm,
-        "attitude_error_deg": reaches.attitude_error_deg,
-        "success": reaches.success,
         "picked": reaches.success.astype(np.int64),
         "miss_mm": reaches.position_error_mm,
         "reward": np.zeros(count),
     }
-    moments = np.ones(count, dtype=np.int64)
-    return RecordedPolicy(
-        label, key or policy_key(label), moments, **{n: values[:, None] for n, values in ends.items()}
-    )
+    moments = {name: values[:, None] for name, values in ends.items()}
+    return RecordedPolicy(label, key or policy_key(label), np.ones(count, dtype=np.int64), **moments)
 
 
 @dataclass(frozen=True, eq=False, kw_only=True)
