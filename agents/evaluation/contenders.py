@@ -108,7 +108,8 @@ def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw")
         policy = load_any(name, env.unwrapped.task.plant.arm)
         if isinstance(policy, RememberingPolicy):
             return RememberingReach(env, policy)
-        return policy if isinstance(policy.scaling, ToolSteps) else LearnedReach(env, policy)
+        plain = isinstance(policy.scaling, ToolSteps) or policy.moves_tool  # whose observations have another layout
+        return policy if plain else LearnedReach(env, policy)
 
     vars(make).update(envs=_envs_of(name))
     return make

@@ -244,6 +244,8 @@ def _reaching(settings: PolicySettings, kept: Path, fits: Callable[..., bool]) -
     for label in labels:
         if labels.count(label) > 1:
             raise InputError(f"two policies are called '{label}'; give one of them another name")
+    if len({kind.moves_tool for kind in kinds.values()}) > 1:
+        raise InputError("policies of pickenv/ReachTool-v0 reach for other fruit; compare them by themselves")
 
     def able(**levels: Any) -> bool:
         kind = kinds[levels["policy"]]

@@ -43,7 +43,7 @@ def test_evaluate_judges_it_on_the_task_that_it_was_trained_on(out: Path, tmp_pa
         observations, _, _, _, infos = envs.step(policy.act(observations))
     np.testing.assert_array_equal(ended.reaches.position_error_mm, infos["position_error_mm"])
     mixed = CliRunner().invoke(app, ["evaluate", "--policy", file, "--policy", "scripted", *few])
-    assert isinstance(mixed.exception, InputError) and "evaluate them by themselves" in str(mixed.exception)
+    assert isinstance(mixed.exception, InputError) and "compare them by themselves" in str(mixed.exception)
 
 
 def test_its_file_acts_as_the_model_does_and_in_no_other_environment(tmp_path: Path) -> None:
