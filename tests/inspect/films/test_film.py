@@ -12,6 +12,7 @@ import pytest
 from pickenv.arm import forward, load_plant
 from pickenv.base import InputError
 from pickenv.inspect import RecordedEpisodes, RecordedPolicy, film
+from pickenv.inspect.colours import in_words
 from pickenv.inspect.films import film as film_module
 from pickenv.inspect.films.film import (
     GAP,
@@ -236,7 +237,7 @@ def test_each_half_says_whose_it_is_what_is_picked_and_how_far_it_is(plan: Film)
             now = min(moment, ends - 1)
             closed = now >= 3
             name, picked, away, ghost, *missed = half.words
-            assert (name.text, name.colour, name.large) == (("raw", "LS")[side], None, True)
+            assert (name.text, name.colour, name.large) == (("raw", "least squares")[side], None, True)
             assert (picked.text, picked.large) == (f"picked 0 of {int(closed)}", False)
             assert (away.text, away.place) == (f"{miss + now:.1f} mm to the fruit", "top right")
             assert ghost.text.startswith("ghost: the arm as believed, deviation × ") and ghost.place == "bottom left"
@@ -272,11 +273,11 @@ def test_halves_stand_side_by_side_above_a_line(
     told: list[tuple[str, int, int]] = []
     pictures = list(film_pictures(plan, progress=lambda *each: told.append(each)))
     width = 400 * count + 4 * (count - 1)
-    named = f", plant {plant}" if plant else ""
-    said = f"x/Reach{named}, gripper li_cup: the same fruit, {plan.speed:.1f} × as fast as the arm"
+    named = f", {in_words(plant)}" if plant else ""
+    said = f"x/Reach{named}, suction cup: the same fruit, {plan.speed:.1f} × as fast as the arm"
     assert lines == [(said, (width, 28), dark)]
     assert told == [("frames", number, 4) for number in range(1, 5)]
-    assert drawn == [p.label for p in shown.policies] * 4
+    assert drawn == [in_words(p.label).partition(" + ")[0] for p in shown.policies] * 4
     for number, picture in enumerate(pictures):
         assert picture.shape == (388, width, 3) and picture.dtype == np.uint8
         for side in range(count):
