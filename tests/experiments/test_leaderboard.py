@@ -134,9 +134,9 @@ def test_a_stranger_enters_by_one_file_and_is_judged_on_the_same_arms(tmp_path, 
 
     file.write_text(STILL.replace("zeros", "ones"))
     pieces = set(out.glob("reaching/*still*"))
-    assert len(pieces) == 20
+    assert len(pieces) == 15
     policy_tables.run_leaderboard(replace(SMALL, policies=(str(file), "scripted")), out)
-    assert len(set(out.glob("reaching/*still*"))) == 40  # another policy by the same name is run anew
+    assert len(set(out.glob("reaching/*still*"))) == 30  # another policy by the same name is run anew
     assert len(list(out.glob("reaching/*scripted*"))) == 10  # and one that is kept is not
     (tmp_path / "other").mkdir()
     other = tmp_path / "other" / "still.py"
