@@ -2,6 +2,7 @@
 
 import ast
 import json
+import re
 import subprocess
 import sys
 from importlib.util import find_spec
@@ -14,6 +15,7 @@ import run_clients
 
 CLIENTS = run_clients.clients()
 PAGE = run_clients.PAGE.read_text(encoding="utf-8")
+TRAINED = re.compile(r"(?:steps = |steps, epochs = |--n-timesteps )([\d_]+)")
 
 
 def test_every_client_has_a_recipe_and_every_recipe_its_client() -> None:
@@ -55,9 +57,11 @@ def test_the_table_of_the_page_is_what_was_printed() -> None:
     lines = [line for line in PAGE.splitlines() if line.startswith("| [")]
     assert len(lines) == len(CLIENTS) and len(rows) >= 6
     for line, (name, client) in zip(lines, CLIENTS.items(), strict=True):
-        heading, version, *numbers, seconds = [cell.strip() for cell in line.strip("|").split("|")]
+        heading, version, _, steps, *numbers, seconds = [cell.strip() for cell in line.strip("|").split("|")]
         assert f"[{client['heading'].partition(',')[0]}]" in heading
         assert not client["packages"] or any(package.endswith(f"=={version}") for package in client["packages"])
+        texts = "".join(text for _, text in run_clients.recipe(client["heading"]))
+        assert steps in [f"{int(each):_}".replace("_", " ") for each in re.findall(TRAINED, texts)]
         if name not in rows:  # the page says that it was run in short only
             assert [*numbers, seconds] == [""] * 4 and "in short only" in PAGE
             continue
