@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from pickenv.inspect import Comparison, record_comparison
+from pickenv.inspect.colours import in_words
 from pickenv.inspect.recordings import comparison_recording
 
 
@@ -44,7 +45,7 @@ def test_a_misspelt_include_rule_is_noticed(
 def test_the_fields_stand_side_by_side_with_the_gain_in_their_titles(reading: Any, comparison: Comparison) -> None:
     for policy in comparison.policies:
         mean = 1e3 * np.linalg.norm(policy.field_errors, axis=-1).mean()
-        assert f"{policy.label} | mean {mean:.2f} mm | arrows ×20" in titles(reading)
+        assert f"{in_words(policy.label)} | mean {mean:.2f} mm | arrows ×20" in titles(reading)
 
 
 def test_every_title_of_a_plot_names_its_unit(reading: Any) -> None:

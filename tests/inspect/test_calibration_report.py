@@ -162,7 +162,7 @@ def test_positions_only_and_a_residual_have_their_page(plant, sets, tmp_path):
     more = simulated_tracker(plant, random_joints(plant.arm.nominal, 150, rng), rng)
     learnt = assess(plant.arm, fit(plant.arm, sets[0], more, residual="rbf", rng=rng), *sets)
     text = Page(calibration_page(learnt)).text
-    assert "geometry+rbf" in text
+    assert "geometry + radial basis functions" in text
     assert learnt.best.mean < 0.6 * learnt.position["geometric"].mean
     assert f"the tool stood {figure(learnt.best.mean)} mm" in text
 

@@ -370,7 +370,8 @@ def test_other_rows_blocks_and_arms_are_named_as_what_they_are(results: dict[str
 
 
 def test_poses_are_judged_and_mapped(results: dict[str, Result], monkeypatch: pytest.MonkeyPatch) -> None:
-    r = results["poses"]
+    r, given = results["poses"], list[Any]()
+    monkeypatch.setattr(calibration_report, "uncertainty_map", lambda *arrays: given.extend(arrays))
     regions, coverage, drawn, tables = parts_of(
         built(lambda: calibration_report.calibration_page(r)), "Were the poses good?"
     )
@@ -387,8 +388,6 @@ def test_poses_are_judged_and_mapped(results: dict[str, Result], monkeypatch: py
     first, *_, tables = parts_of(built(lambda: calibration_report.calibration_page(none)), "Were the poses good?")
     assert first.name == "joint_coverage" and tables[1] is None
     assert coverage.name == "joint_coverage" and "How the 60 fitted poses fill" in coverage.caption
-    given: list[Any] = []
-    monkeypatch.setattr(calibration_report, "uncertainty_map", lambda *arrays: given.extend(arrays))
     drawn.draw()
     away, height, spread = given
     model, geometry = r.fit.calibration.model, r.fit.identification.geometry

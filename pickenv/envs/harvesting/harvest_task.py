@@ -340,14 +340,14 @@ def distances(task: HarvestTask, joints: Array) -> Array:
 def of_rows(task: HarvestTask, what: str, joints: Array) -> Array:
     """The true cups ("tips") at rows of a machine's joints, or "distances" between pairs of slaves, m: (rows, k)."""
     if task.compiled:
-        return on_rows(task, what, len(joints))(joints)
+        return rows_formula(task, what, len(joints))(joints)
     if what == "distances":
         return arm_distances(task.machine, joints.reshape(len(joints), -1, 3))
     return task.true.tips(*task.machine.parted(joints)).reshape(len(joints), -1)
 
 
 @lru_cache(maxsize=16)
-def on_rows(task: HarvestTask, what: str, count: int) -> Callable[[Array], Array]:
+def rows_formula(task: HarvestTask, what: str, count: int) -> Callable[[Array], Array]:
     """The formula of "tips" or "distances" as machine code, for a count of rows of joints."""
     from pickenv.arm.kinematics import machine_code
 

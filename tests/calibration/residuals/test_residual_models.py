@@ -171,7 +171,7 @@ def test_bad_input_is_refused() -> None:
         with pytest.raises(InputError, match="9 poses are too few"):
             fitter(joints[:9], field(joints[:9]), rng)
     model = fit_residual("rbf", joints, field(joints), PRISMATIC, rng)
-    with pytest.raises(InputError, match="fitted for 3 joints"):
+    with pytest.raises(InputError, match=r"joints have shape \(4, 6\), but the residual has 3 joints"):
         model.predict(np.zeros((4, 6)))
 
 

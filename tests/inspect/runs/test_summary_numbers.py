@@ -89,7 +89,10 @@ def test_the_sentences_below_the_summary_count_and_compare_the_last_two(comparis
     assert f"{len(many.grid.points)} field points, cells of 55 mm." in text
     top = np.percentile(1e3 * np.linalg.norm(many.policies[0].field_errors, axis=1), 99)
     assert f"drawn ×20. **Colour**: its length, 0 to {top:.2f} mm in every field (p99 of raw;" in text
-    assert f"qiao2026, seed {many.seed}" in text and "difference drawn ×20; red ball = capture region ×20" in text
+    assert (
+        f"qiao2026 (smooth arm), seed {many.seed}" in text
+        and "difference drawn ×20; red ball = capture region ×20" in text
+    )
     assert colour_scale_mm(many) == pytest.approx(top)
     shown = np.concatenate([1e3 * many.field_uncertainty, 1e3 * np.linalg.norm(many.policies[2].field_errors, axis=1)])
     assert uncertainty_scale_mm(many) == pytest.approx(np.percentile(shown, 99))
