@@ -117,7 +117,7 @@ class FruitMap(checks.Preset):
 
 
 def sample_counts(fruit_map: FruitMap, columns: int, rng: np.random.Generator, shape: tuple[int, ...] = ()) -> Integers:
-    """Draw numbers of fruit per block, shape (*shape, rows, columns), rows from top to bottom.
+    """Draw numbers of fruit per block, ``(*shape, rows, columns)``, rows from top to bottom.
 
     Args:
         fruit_map: Expected numbers and clumping.
