@@ -7,7 +7,6 @@ import pytest
 import pickenv  # noqa: F401
 from pickenv.agents import ScriptedReach, episode_seeds, roll_out, run_reaches
 from pickenv.arm import joint_jacobian, load_plant
-from pickenv.arm.kinematics.task_space import truncated_inverse
 from pickenv.base import InputError
 from pickenv.calibration import Compensator
 from pickenv.wrappers import CompensationWrapper
@@ -116,7 +115,7 @@ class Spiral(ScriptedReach):
             self._wanted, self._steps = self.wanted_joints(reading), 0
         self._steps += 1
         turn, away = 2.4 * self._steps, 0.5e-3 * np.sqrt(self._steps)
-        back = truncated_inverse(joint_jacobian(self.geometry, self._wanted))[..., :3]
+        back = np.linalg.pinv(joint_jacobian(self.geometry, self._wanted))[..., :3]
         aside = back @ (away * np.array([np.cos(turn), np.sin(turn), 0.0]))
         return self.action(self._wanted + aside - reading.joints)
 
