@@ -102,15 +102,18 @@ def scaled_joints(geometry: Geometry, joints: Array) -> Array:
 class _Run:
     """The present run of each arm, one per row; every pose follows from the row's seed and the pick's number."""
 
-    def __init__(self, task: Task, rows: int, picks: int, memory: PickMemory, looks: int, reward: str) -> None:
+    def __init__(
+        self, task: Task, rows: int, *, picks: int, window: int, looks: int, reach_mm: float, reward: str
+    ) -> None:
         check_choice("reward", reward, SAME_ARM_REWARDS)
-        for name, count in {"picks": picks, "window": memory.window, "looks": looks}.items():
+        for name, count in {"picks": picks, "window": window, "looks": looks}.items():
             check_count(name, count)
-        check_number("reach_mm", memory.reach_mm, positive=True)
+        check_number("reach_mm", reach_mm, positive=True)
         if looks > LONGEST_LOOK:
             raise InputError(f"looks is {looks}; give at most {LONGEST_LOOK}")
         if not task.camera or task.end_on_success:
             raise InputError("SameArm needs a camera and whole episodes; give feedback='camera', end_on_success=False")
+        memory = PickMemory(task.joints, window, reach_mm)
         self.task, self.geometry, self.memory = task, task.plant.arm.nominal, memory
         self.picks, self.looks, self.measured = int(picks), int(looks), reward == SAME_ARM_REWARDS[0]
         self.seeds = np.zeros(rows, dtype=np.uint64)
@@ -207,21 +210,15 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         Raises:
             InputError: If ``env`` is no native reach environment on NumPy with a camera, or an argument is impossible.
         """
-        given: dict[str, Any] = {
-            "picks": picks,
-            "window": window,
-            "looks": looks,
-            "reach_mm": reach_mm,
-            "reward": reward,
-        }
-        RecordConstructorArgs.__init__(self, **given)
+        how: dict[str, Any] = {"picks": picks, "window": window, "looks": looks, "reach_mm": reach_mm, "reward": reward}
+        RecordConstructorArgs.__init__(self, **how)
         VectorWrapper.__init__(self, env)
         inner: Any = env.unwrapped
         native = hasattr(inner, "batch") and not env.metadata.get("torch")
         if not native or env.single_observation_space.shape != flat_space(inner.task).shape:
             raise InputError("SameArmVector works on native pickenv/Reach-v0 environments; make them with make_vec")
         task: Task = inner.task
-        self.run = _Run(task, self.num_envs, picks, PickMemory(task.joints, window, reach_mm), looks, reward)
+        self.run = _Run(task, self.num_envs, **how)
         self.metadata = {**env.metadata, "autoreset_mode": AutoresetMode.SAME_STEP}
         self.single_observation_space = self.run.memory.space()
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)
@@ -334,20 +331,14 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         Raises:
             InputError: If ``env`` is no flat `pickenv/Reach-v0` with a camera, or an argument is impossible.
         """
-        given: dict[str, Any] = {
-            "picks": picks,
-            "window": window,
-            "looks": looks,
-            "reach_mm": reach_mm,
-            "reward": reward,
-        }
-        RecordConstructorArgs.__init__(self, **given)
+        how: dict[str, Any] = {"picks": picks, "window": window, "looks": looks, "reach_mm": reach_mm, "reward": reward}
+        RecordConstructorArgs.__init__(self, **how)
         gym.Wrapper.__init__(self, env)
         task: Any = getattr(env.unwrapped, "task", None)
         single = isinstance(task, Task) and hasattr(env.unwrapped, "arm")
         if not single or env.observation_space.shape != flat_space(task).shape:
             raise InputError("SameArm works on flat reach environments; wrap a pickenv/Reach-v0 environment")
-        self.run = _Run(task, 1, picks, PickMemory(task.joints, window, reach_mm), looks, reward)
+        self.run = _Run(task, 1, **how)
         self.observation_space = self.run.memory.space()
         self.action_space = spaces.Box(-1.0, 1.0, (3,), np.float32)
         self._arm = 0
