@@ -22,6 +22,7 @@ from scipy.stats import rankdata
 from papers.qiao2026.equations import PAPER
 from papers.qiao2026.methods import METHODS
 from pickenv.inspect import HarvestTrace, load_part, read_run
+from pickenv.inspect.colours import in_words
 from pickenv.inspect.reports.harvest_report import page
 
 ROOT = Path(__file__).parents[2]
@@ -87,12 +88,13 @@ def check_page(found: Found, shown: Captions, tables: Sequence[str], figures: Se
         (cells,) = (
             cells
             for caption, cells in shown.tables.items()
-            if caption.startswith(f"Table {number}") and f": {table['verdict'].upper()}. {table['reason']}" in caption
+            if caption.startswith(f"Table {number}")
+            and f": {table['verdict'].upper()}. {in_words(table['reason'])}" in caption
         )
         for row in table["rows"]:
             if row.get("plant") in (None, "qiao2026"):
                 name = str(next(value for key, value in row.items() if key != "plant"))
-                assert any(name.replace("model_", "") in cell for cell in cells), (number, name)
+                assert any(in_words(name.replace("model_", "")) in cell for cell in cells), (number, name)
     for number, figure in found["figures"].items():
         assert any(caption.startswith(f"Figure {number} ({figure['verdict']}): ") for caption in shown.figures)
     counts = [verdicts.count(verdict) for verdict in ("reproduced", "fitted", "not reproduced")]

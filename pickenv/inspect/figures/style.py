@@ -9,7 +9,7 @@ import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from textwrap import wrap
+from textwrap import fill, wrap
 from typing import Any
 
 import matplotlib
@@ -28,7 +28,7 @@ COLUMN, WIDTH = 3.5, 7.2
 """Widths of one column and of both columns of a journal's page, inches."""
 LETTER = 0.083
 """Mean width of a letter of a title, inches."""
-SMALL_LETTER, KEY = 0.06, 0.42
+SMALL_LETTER, KEY = 0.064, 0.42
 """Mean width of a letter in a legend, and room for a mark and the gap beside it, inches."""
 LINES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
 MARKS = "os^Dv"
@@ -127,7 +127,9 @@ def legend_below(figure: Figure, axes: Any, most: int) -> None:
     for columns in range(min(most, len(names)), 0, -1):
         widths = (KEY + SMALL_LETTER * max(map(len, column)) for column in np.array_split(names, columns))
         if columns == 1 or sum(widths) < figure.get_figwidth() - 0.05:
-            figure.legend(marks, names, loc="outside lower center", ncols=columns)
+            letters = int((figure.get_figwidth() / columns - KEY) / SMALL_LETTER)
+            lines = [fill(name, letters) if columns == 1 else name for name in names]
+            figure.legend(marks, lines, loc="outside lower center", ncols=columns)
             return
 
 
