@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from pickenv.inspect.colours import in_words
 from tests.browser.chromium import PHONE, SIZE
 from tests.browser.report_page import BROKEN_IMAGES, CLIPPED, FAINT, PAPER, SIDEWAYS, Report, open_report
 
@@ -122,7 +123,7 @@ def test_hovering_reads_an_arrows_millimetres(browser: Any, reports: dict[str, P
         said = sweep(report, plot, pattern)
     assert len(said) > 5
     for label, norm, *rest in said:
-        (policy,) = (p for p in comparison.policies if p.label == label)
+        (policy,) = (p for p in comparison.policies if in_words(p.label) == label)
         xyz, point = np.array(rest[:3], dtype=float), np.array(rest[3:], dtype=float)
         nearest = int(np.argmin(np.linalg.norm(comparison.grid.points - point, axis=1)))
         np.testing.assert_allclose(comparison.grid.points[nearest], point, atol=6e-4)
