@@ -47,8 +47,7 @@ def test_pages_print_the_ledger(claims):
     assert tables > 10 and numbers > 20
     text = (ROOT / "docs/findings.md").read_text(encoding="utf-8")
     others = claims.INLINE.sub("", claims.MARK.sub("", text)).split("\n## ")
-    typed = [section for section in others if re.search(r"\d \([-+]?\d[\d.]* to ", section)]
-    assert all(section.startswith("A policy carries over") for section in typed), "its trainings take hours"
+    assert not [section for section in others if re.search(r"\d \([-+]?\d[\d.]* to ", section)]
 
 
 def test_a_number_that_is_not_meant_alone_is_refused(claims):
