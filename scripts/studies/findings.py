@@ -19,7 +19,7 @@ from pickenv.calibration import complete_model, random_joints, start_filter
 from pickenv.calibration.compensation.compensator import aimed, taught
 from pickenv.experiments import CalibrationPlan, PolicySettings, Rows, calibrate_arm, run_policies
 from pickenv.experiments.methods import compensators
-from pickenv.inspect.colours import policy_label
+from pickenv.inspect.colours import in_words, policy_label
 from pickenv.inspect.figures.style import INK, WIDTH, new_figure
 from pickenv.inspect.recordings.details import CAMERA_STD, DAY_HOURS, DRIFTS, LOOK, PRIOR, WALK, joints_at
 from pickenv.orchard import capture_probability, load_gripper, misalignment
@@ -225,9 +225,9 @@ def sight_map(rows: Rows) -> Any:
                 axis.grid(visible=False)
                 axis.set_xticks(range(len(x)), [f"{value:g}" for value in x])
                 axis.set_yticks(range(len(y)), [f"{value:g}" for value in y])
-            line[0].set_ylabel(f"{plant}\nbias (mm)")
+            line[0].set_ylabel(f"{in_words(plant)}\nbias (mm)")
         for axis, use in zip(panels[0], uses, strict=True):
-            axis.set_title(use, fontsize=8)
+            axis.set_title(in_words(use).replace(", ", "\n"), fontsize=8)
         for axis in panels[-1]:
             axis.set_xlabel("scatter (mm)")
         figure.colorbar(picture, ax=panels, label="more than looking in every period (mm)", shrink=0.6, extend="max")
