@@ -21,7 +21,7 @@ from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.arm.effects.residual_field import Features, ResidualField
 from pickenv.arm.plant.plant import Layout, Posterior
 from pickenv.arm.plant.twin_file import twin_plant
-from pickenv.base import GRAVITY, InputError
+from pickenv.base import InputError
 from pickenv.calibration.model.arm_model import ArmModel, ComplianceTerm, GravityTerm, PeriodicTerm, Term
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, Measurements
 from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
@@ -223,31 +223,11 @@ def _moments(
         all_ = term.moments(geometry)
         indices = [i for i, (_, _, moment) in enumerate(all_) if moment != "p"]  # no payload is held
         return [all_[i] for i in indices], np.eye(len(all_))[indices], term.up
-    moments: list[tuple[int, int, str]] = []
-    sizes: list[tuple[int, float]] = []
-    if term.weight is not None:
-        up = term.weight.up
-        for moment, size in zip(term.weight.moments(geometry), term.moments, strict=True):
-            if moment[2] != "p":
-                moments.append(moment)
-                sizes.append((term.joints.index(moment[0]), size))
-    elif term.load is not None:
-        # Gravity points along -z of the instrument's frame, as in `gravity_torques`.
-        up = tuple((geometry.base.rotation.T @ [0.0, 0.0, 1.0]).tolist())
-        for number, joint in enumerate(term.joints):
-            for link in range(joint, geometry.links):
-                mass, centre = float(term.load.mass[link]), term.load.centre[link]
-                parts = {"m": mass}
-                if not geometry.prismatic[joint]:
-                    parts |= {axis: mass * part for axis, part in zip("xyz", centre, strict=True)}
-                moments += [(joint, link, moment) for moment in parts]
-                sizes += [(number, GRAVITY * part) for part in parts.values()]
-    else:
+    if term.weight is None:
         raise InputError("the calibration's compliance needs measured torques, which a plant does not have")
-    weights = np.zeros((len(moments), len(term.joints)))
-    for row, (column, size) in enumerate(sizes):
-        weights[row, column] = size
-    return moments, weights, up
+    moments, by_weight, up = _moments(term.weight, geometry)
+    joint_of = np.array([joint for joint, _, _ in moments])[:, None]
+    return moments, by_weight @ np.array(term.moments)[:, None] * (joint_of == np.array(term.joints)), up
 
 
 def _missing(calibration: Calibration) -> list[str]:

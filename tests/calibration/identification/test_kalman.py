@@ -30,6 +30,7 @@ from pickenv.calibration import (
     start_filter,
 )
 from pickenv.calibration.identification.extended_kalman_filter import FilterState, predict, update
+from pickenv.calibration.pipeline.calibration import PoseUncertainty
 
 CAMERA = MeasurementNoise(3e-3, float(np.radians(0.5)))
 
@@ -91,7 +92,8 @@ def test_the_covariance_tells_the_truth(table_1: Plant) -> None:
         filtered = filtered_over(model, nominal, tracked(noisy, 60, seed))
         probe = random_joints(nominal, 5, np.random.default_rng(seed))
         miss = forward(filtered.geometry, probe).position - forward(table_1.geometry, probe).position
-        spread = filtered.arm_model.pose_covariance(filtered.columns, filtered.covariance, probe)[:, :3, :3]
+        known = PoseUncertainty(filtered.names, filtered.covariance, 0.0, 0.0)
+        spread = known.pose_covariance(filtered.arm_model, probe)[:, :3, :3]
         sizes += np.einsum("ni,nij,nj->n", miss, np.linalg.inv(spread), miss).tolist()
     assert 2.0 < np.mean(sizes) < 4.5  # three coordinates
 
