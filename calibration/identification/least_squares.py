@@ -185,7 +185,7 @@ def identify(
     poses = sum(len(part.joints) for part in sets)
 
     def residual() -> Array:
-        return whiten(_residual(sets, arm, unknowns))
+        return whiten(np.concatenate([part.residual(arm, values) for part, values in zip(sets, unknowns, strict=True)]))
 
     def linearised() -> tuple[Array, Array, Array]:
         columns = whiten(_jacobian(model, sets, arm, unknowns, tolerance))
@@ -320,11 +320,6 @@ def judged_step(step: Any, explained: Any, weighted: Any, before: Any, after: An
     offset = (explained**2).sum(-1) / (max(parameters, 1) * (scatter + 1e-300))
     negligible = (abs(step) < 1e-5).all(-1) | (offset < OFFSET**2)
     return offset, negligible, after <= before * (1 + 1e-9), negligible | (before - after <= 1e-7 * after)
-
-
-def _residual(sets: Sequence[Observations], arm: ArmModel, unknowns: Sequence[Array]) -> Array:
-    """Stated residuals of all data."""
-    return np.concatenate([part.residual(arm, values) for part, values in zip(sets, unknowns, strict=True)])
 
 
 def _jacobian(

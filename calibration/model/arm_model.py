@@ -363,9 +363,7 @@ class GravityTerm(JointTerm):
         # Axes and origin ``(4, 3, N)`` of each link, and of the tool: of what is carried. About an axis z a lever's
         # weight turns by z . (lever x up) = lever . (up x z).
         driven = (*links[1:], attach(links[-1], chain.tool))
-        placed = [
-            np.stack([np.broadcast_to(part, len(joints)) for part in frame]).reshape(4, 3, -1) for frame in driven
-        ]
+        placed = [np.stack([np.broadcast_to(a, len(joints)) for a in frame]).reshape(4, 3, -1) for frame in driven]
         up = geometry.base.rotation @ np.array(self.up)
         about = [np.cross(up, frame[2], axisb=0, axisc=0) for frame in placed]
         torques = []

@@ -74,7 +74,7 @@ class PoseUncertainty:
     factors: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def pose_covariance(self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
-        """Covariance J C J^T ``(..., 6, 6)`` of the tool pose, with the scatter: m, rad, world axes, joints ``(..., n)``.
+        """Covariance ``(..., 6, 6)`` of the tool pose, m and rad, world axes, at joints ``(..., n)``.
 
         If only positions were measured, the attitude's part comes from the parameters' uncertainty alone.
         """

@@ -252,11 +252,6 @@ class PosePlan:
     curve: tuple[tuple[int, float, float], ...] = ()
 
     @property
-    def candidates(self) -> Array:
-        """The candidates ``(N, n)``, rad or m, from which the poses were chosen."""
-        return self.design.joints
-
-    @property
     def parameters(self) -> tuple[str, ...]:
         """The parameters planned for: the instrument's own unknowns, then the arm's."""
         return (*self.design.names, *self.design.model.names)
@@ -266,7 +261,7 @@ class PosePlan:
         figures: dict[str, Any] = {
             "poses": len(self.joints),
             "first_rows": self.first,
-            "candidates": len(self.candidates),
+            "candidates": len(self.design.joints),
             "kind": self.design.kind,
             "parameters": list(self.parameters),
         }
@@ -291,7 +286,7 @@ class PosePlan:
     def report(self) -> str:
         """A short report in words."""
         lines = [
-            f"{len(self.joints)} of {len(self.candidates)} candidates, {self.criterion}, {self.design.kind} "
+            f"{len(self.joints)} of {len(self.design.joints)} candidates, {self.criterion}, {self.design.kind} "
             f"measurements, {len(self.parameters)} parameters, in {self.seconds:.2f} s"
         ]
         if self.first:
