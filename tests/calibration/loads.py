@@ -4,9 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pickenv.arm import Load
-from pickenv.arm.effects.effect import gravity_torques
-from pickenv.arm.kinematics.forward import chain_of, frames, split_joints
+from pickenv.arm import Load, chain_of, frames, gravity_torques
 from pickenv.calibration import ComplianceTerm
 
 
@@ -21,7 +19,7 @@ class LoadedCompliance(ComplianceTerm):
         payload = self.load.payload if conditions.payload is None else conditions.payload
         chain = chain_of(geometry)
         load = Load(self.load.mass, self.load.centre, payload)
-        parts = gravity_torques(chain, frames(np, chain, split_joints(geometry.joints, joints)), load)
+        parts = gravity_torques(chain, frames(np, chain, list(joints.T)), load)
         torque = np.stack([np.broadcast_to(part, len(joints)) for part in parts]).T
         if geometry.coupling is None:
             return torque
