@@ -43,7 +43,6 @@ from .model.arm_model import (
     ThermalTerm as ThermalTerm,
     complete_model as complete_model,
     frames_model as frames_model,
-    geometric_model as geometric_model,
     link_model as link_model,
     pose_carrier as pose_carrier,
     with_terms as with_terms,

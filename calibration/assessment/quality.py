@@ -370,10 +370,6 @@ class Quality:
         """The findings other than the one that is the reason."""
         return tuple((weight, text) for weight, text in self.findings if text != self.reason)
 
-    def verdict(self) -> str:
-        """Grade and reason in one line."""
-        return f"{self.grade}: {self.reason}"
-
     def as_dict(self) -> dict[str, Any]:
         """Grade, reason and findings for JSON and a calibration's record."""
         findings = [{"weight": weight, "text": text} for weight, text in self.findings]

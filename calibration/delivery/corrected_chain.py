@@ -14,7 +14,7 @@ from __future__ import annotations
 import itertools
 import math
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -485,7 +485,7 @@ def _notes(calibration: Calibration, own: JointRow, origins: list[Pose], same: S
     return notes
 
 
-def refuse_lost_files(path: Path, out: Path, names: Sequence[str]) -> None:
+def refuse_lost_files(path: Path, out: Path, names: Iterable[str]) -> None:
     """Refuse a robot's file if files that it names by relative paths are missing, or lost from the new file's folder.
 
     Raises:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -338,19 +338,17 @@ def _quaternion(pose: Pose) -> str:
     return numbers_text([w, *xyz])
 
 
-def _files(tags: list[document.StartTag]) -> list[str]:
+def _files(tags: list[document.StartTag]) -> Iterator[str]:
     """Paths of the meshes and included files that a model names, relative to its folder."""
     compiler = dict(item for tag in tags if tag.name == "compiler" for item in tag.attributes.items())
     folder = compiler.get("meshdir", compiler.get("assetdir", ""))
     strips = compiler.get("strippath", "false") == "true"
-    files = []
     for tag in tags:
         name = tag.attributes.get("file", "")
         if tag.name == "mesh" and name:
-            files.append(str(PurePosixPath(folder) / (PurePosixPath(name).name if strips else name)))
+            yield str(PurePosixPath(folder) / (PurePosixPath(name).name if strips else name))
         elif tag.name == "include":
-            files.append(name)
-    return files
+            yield name
 
 
 # A calibration onto the kinematics YAML that a xacro takes its joint origins from; the xacro itself needs no change.

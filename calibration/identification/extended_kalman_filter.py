@@ -45,16 +45,6 @@ class FilterState:
         """Current geometry."""
         return self.arm_model.geometry
 
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the estimated parameters."""
-        return tuple(self.arm_model.parameter_names[k] for k in self.columns)
-
-    @property
-    def standard_deviation(self) -> Array:
-        """Standard deviation of the estimated parameters ``(p,)``, m or rad."""
-        return np.asarray(np.sqrt(np.diag(self.covariance)))
-
 
 def start_filter(
     model: ErrorModel, start: Geometry | ArmModel, joints: Array, *, full_pose: bool = True, prior: float = PRIOR

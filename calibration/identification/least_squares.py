@@ -185,7 +185,7 @@ def identify(
     poses = sum(len(part.joints) for part in sets)
 
     def residual() -> Array:
-        return whiten(_residual(sets, arm, unknowns))
+        return whiten(np.concatenate([part.residual(arm, values) for part, values in zip(sets, unknowns, strict=True)]))
 
     def linearised() -> tuple[Array, Array, Array]:
         columns = whiten(_jacobian(model, sets, arm, unknowns, tolerance))
@@ -322,11 +322,6 @@ def judged_step(step: Any, explained: Any, weighted: Any, before: Any, after: An
     return offset, negligible, after <= before * (1 + 1e-9), negligible | (before - after <= 1e-7 * after)
 
 
-def _residual(sets: Sequence[Observations], arm: ArmModel, unknowns: Sequence[Array]) -> Array:
-    """Stated residuals of all data."""
-    return np.concatenate([part.residual(arm, values) for part, values in zip(sets, unknowns, strict=True)])
-
-
 def _jacobian(
     model: ErrorModel, sets: Sequence[Observations], arm: ArmModel, unknowns: Sequence[Array], tolerance: Array
 ) -> Array:
@@ -436,11 +431,6 @@ class Identifiability:
     def rank(self) -> int:
         """Number of identifiable parameters."""
         return len(self.kept)
-
-    @property
-    def condition(self) -> float:
-        """Condition number of the kept, scaled parameters."""
-        return float(self.singular_values[0] / self.singular_values[-1])
 
     @property
     def kept_names(self) -> tuple[str, ...]:

@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Arm, Array, Geometry, Pose, displace_pose, identity_pose, joint_jacobian, parameter_jacobian
-from pickenv.arm.effects.effect import Load, gravity_torques
-from pickenv.arm.kinematics.forward import NEARLY_PARALLEL, Scalar, attach, chain_of, forward, frames, split_joints
+from pickenv.arm.kinematics.forward import NEARLY_PARALLEL, attach, chain_of, forward, frames, split_joints
 from pickenv.base import InputError
 
 
@@ -139,22 +138,6 @@ class ArmModel:
         columns = [term.columns(self.geometry, joints, conditions) for term in self.terms]
         return np.concatenate([geometric, *columns], axis=-1) if columns else geometric
 
-    def pose_covariance(
-        self, columns: ArrayLike, covariance: Array, joints: ArrayLike, conditions: Conditions | None = None
-    ) -> Array:
-        """Covariance J C J^T ``(..., 6, 6)`` of the pose at joints ``(..., n)``, m and rad.
-
-        Args:
-            columns: Indices of the parameters whose errors have the covariance C ``(p,)``.
-            covariance: C ``(p, p)``, m and rad.
-            joints: Joints, rad or m.
-            conditions: As for `pose`.
-        """
-        joints = np.asarray(joints, dtype=float)
-        jacobian = self.jacobian(joints.reshape(-1, joints.shape[-1]), conditions)[..., np.asarray(columns)]
-        covariances = jacobian @ covariance @ np.swapaxes(jacobian, -1, -2)
-        return np.asarray(covariances.reshape(*joints.shape[:-1], 6, 6))
-
     def displaced(self, delta: Array) -> ArmModel:
         """This model with ``delta`` ``(5n + 12 + k,)`` added to its parameters."""
         count = len(self.geometry.parameter_names)
@@ -183,18 +166,16 @@ ORDER_TOLERANCE = 0.25
 class ComplianceTerm(JointTerm):
     """Joints yield: dq = c tau, one coefficient c = 1/k per joint (rad/(N*m) or m/N).
 
-    The torque is the measured one where the data hold it. Elsewhere it is gravity's, computed from ``load`` and the
-    recorded payload, or from ``moments`` of the arm's weight that were fitted to measured torques.
+    The torque is the measured one where the data hold it. Elsewhere it is gravity's, from ``moments`` of the arm's
+    weight that were fitted to measured torques.
 
     Attributes:
         joints: Indices of the joints that may yield, from 0.
-        load: Link masses, or None.
         weight: The term that defines the moments, or None.
         moments: Value of each moment ``(k,)``, fitted to measured torques by `GravityTerm.weighed`.
     """
 
     joints: tuple[int, ...]
-    load: Load | None
     weight: GravityTerm | None = None
     moments: tuple[float, ...] = ()
 
@@ -214,21 +195,14 @@ class ComplianceTerm(JointTerm):
         """The measured torques ``(N, n)``, or gravity's torques where none were measured.
 
         Raises:
-            InputError: If there are neither measured torques nor link masses.
+            InputError: If there are neither measured torques nor moments.
         """
         if conditions.torque is not None:
             return conditions.torque
-        if self.load is None and self.weight is not None:
-            by_moment = self.weight.torques(geometry, joints, conditions) * np.array(self.moments)
-            return np.asarray(by_moment @ (self.weight.owners(geometry)[:, None] == np.arange(geometry.joints)))
-        if self.load is None:
-            raise InputError("joint compliance needs measured torques or link masses; give a torque column or a load")
-        payload = self.load.payload if conditions.payload is None else conditions.payload
-        chain = chain_of(geometry)
-        link_frames = frames(np, chain, split_joints(geometry.joints, joints))
-        load = Load(self.load.mass, self.load.centre, payload)
-        torque = _repeated(gravity_torques(chain, link_frames, load), len(joints)).T
-        return torque if geometry.coupling is None else geometry.coupling.gathered(torque, geometry.joints)
+        if self.weight is None:
+            raise InputError("joint compliance needs measured torques; give a torque column")
+        by_moment = self.weight.torques(geometry, joints, conditions) * np.array(self.moments)
+        return np.asarray(by_moment @ (self.weight.owners(geometry)[:, None] == np.arange(geometry.joints)))
 
 
 @dataclass(frozen=True)
@@ -389,7 +363,7 @@ class GravityTerm(JointTerm):
         # Axes and origin ``(4, 3, N)`` of each link, and of the tool: of what is carried. About an axis z a lever's
         # weight turns by z . (lever x up) = lever . (up x z).
         driven = (*links[1:], attach(links[-1], chain.tool))
-        placed = [_repeated(frame, len(joints)).reshape(4, 3, -1) for frame in driven]
+        placed = [np.stack([np.broadcast_to(a, len(joints)) for a in frame]).reshape(4, 3, -1) for frame in driven]
         up = geometry.base.rotation @ np.array(self.up)
         about = [np.cross(up, frame[2], axisb=0, axisc=0) for frame in placed]
         torques = []
@@ -417,12 +391,7 @@ class GravityTerm(JointTerm):
         moments = np.zeros(len(owners))
         for i in self.joints:
             moments[owners == i] = np.linalg.lstsq(columns[:, owners == i], conditions.torque[:, i], rcond=SHOWN)[0]
-        return ComplianceTerm(self.joints, None, self, tuple(moments.tolist()))
-
-
-def _repeated(parts: Sequence[Scalar], count: int) -> Array:
-    """Components as rows ``(k, count)``; a component that is one number is repeated for every pose."""
-    return np.stack([np.broadcast_to(part, count) for part in parts])
+        return ComplianceTerm(self.joints, self, tuple(moments.tolist()))
 
 
 KINDS: dict[str, type] = {
@@ -448,9 +417,9 @@ def term_from(content: Mapping[str, Any]) -> Term:
     """Rebuild a term from its `specification`, as stored in a calibration file."""
     numbers = _tuples(content)
     kind = KINDS[numbers.pop("kind")]
-    for name, part in (("load", Load), ("weight", GravityTerm)):
-        if numbers.get(name):
-            numbers[name] = part(**numbers[name])
+    numbers.pop("load", None)  # of older files, where it says nothing
+    if numbers.get("weight"):
+        numbers["weight"] = GravityTerm(**numbers["weight"])
     term: Term = kind(**numbers)
     return term
 
@@ -513,11 +482,6 @@ def complete_model(geometry: Geometry) -> ErrorModel:
     links = _link_names(geometry)
     betas = [f"beta{i}" for i in range(1, geometry.links) if abs(np.sin(geometry.alpha[i])) < NEARLY_PARALLEL]
     return _model(geometry, frames + links + betas)
-
-
-def geometric_model(geometry: Geometry, known_frames: bool) -> ErrorModel:
-    """Parameters to identify: those of the links, and base and tool pose too unless ``known_frames``."""
-    return link_model(geometry) if known_frames else complete_model(geometry)
 
 
 def frames_model(geometry: Geometry) -> ErrorModel:
@@ -596,9 +560,12 @@ def pose_carrier() -> Arm:
 def fitted_model(arm: str, nominal: Geometry, known_frames: bool) -> ErrorModel:
     """Parameters to identify for the arm of this name.
 
-    The pose carrier has only base and tool pose to identify; every other arm has the parameters of `geometric_model`.
+    The pose carrier has only base and tool pose to identify; every other arm has the parameters of its links, and base
+    and tool pose too unless ``known_frames``.
     """
-    return frames_model(nominal) if arm == CARRIER else geometric_model(nominal, known_frames)
+    if arm == CARRIER:
+        return frames_model(nominal)
+    return link_model(nominal) if known_frames else complete_model(nominal)
 
 
 def joints_of_finished_poses(poses: Pose) -> Array:

@@ -316,14 +316,6 @@ class InstrumentStation:
         frames: dict[str, Any] = {name: move_pose(pose, step) for (name, pose), step in steps}
         return replace(model, geometry=replace(model.geometry, **frames)) if frames else model, values
 
-    def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Residual of the data with the arm as this station sees it, divided by ``scale``."""
-        return self.data.residual(*self.seen(model, unknowns)) / self.scale
-
-    def misses(self, model: ArmModel, unknowns: Array) -> Array:
-        """Misses of the data with the arm as this station sees it."""
-        return self.data.misses(*self.seen(model, unknowns))
-
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
         """Derivatives of the residual by the arm and by the unknowns.
 
@@ -432,7 +424,8 @@ class Stacked(Observations):
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
         """Whitened residuals of all stations."""
-        return np.concatenate([station.residual(model, values) for station, values in self._with(unknowns)])
+        stations = self._with(unknowns)
+        return np.concatenate([part.data.residual(*part.seen(model, values)) / part.scale for part, values in stations])
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
         """Whitened derivatives of all stations by the arm, and by the unknowns of all stations."""
@@ -441,7 +434,7 @@ class Stacked(Observations):
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
         """Misses of all stations ``(R, 3)``, m; misses with fewer components are padded with zeros."""
-        parts = [station.misses(model, values) for station, values in self._with(unknowns)]
+        parts = [station.data.misses(*station.seen(model, values)) for station, values in self._with(unknowns)]
         return np.concatenate([np.pad(part, ((0, 0), (0, WIDEST - part.shape[1]))) for part in parts])
 
     def by_tool(self, model: ArmModel, unknowns: Array) -> Array:

@@ -78,10 +78,12 @@ class PoseUncertainty:
 
         If only positions were measured, the attitude's part comes from the parameters' uncertainty alone.
         """
+        joints = np.asarray(joints, dtype=float)
         columns = [model.parameter_names.index(name) for name in self.names]
-        covariance = model.pose_covariance(columns, self.covariance, joints, conditions)
+        jacobian = model.jacobian(joints.reshape(-1, joints.shape[-1]), conditions)[..., columns]
+        covariance = jacobian @ self.covariance @ np.swapaxes(jacobian, -1, -2)
         scatter = np.repeat([self.position_repeat, self.attitude_repeat or 0.0], 3) ** 2
-        return np.asarray(covariance + np.diag(scatter))
+        return np.asarray(covariance.reshape(*joints.shape[:-1], 6, 6) + np.diag(scatter))
 
     def standard(
         self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None

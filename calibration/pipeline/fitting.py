@@ -60,7 +60,6 @@ def fit(
     residual: str = "bpnn",
     rng: np.random.Generator | None = None,
     settings: BpnnSettings | None = None,
-    progress: Callable[[int, int], None] | None = None,
 ) -> Fit:
     """Fit an arm as the papers do: least squares without priors, then a residual model on what remains.
 
@@ -75,7 +74,6 @@ def fit(
         residual: Residual model by name: "bpnn", "rbf" or "gp".
         rng: Seeds the residual model; needed with ``residual_measurements``.
         settings: Settings of the network "bpnn"; the paper's if left out.
-        progress: Called with (epochs done, epochs in all).
 
     Raises:
         InputError: If there are too few rows, the data do not fit the arm, or the identification does not converge.
@@ -90,7 +88,7 @@ def fit(
     if rng is None:
         raise ValueError("give rng, which seeds the residual model")
     settings = (settings or BpnnSettings()) if residual == "bpnn" else None
-    return fit_remainder(bare, residual, residual_measurements, rng, settings, progress)
+    return fit_remainder(bare, residual, residual_measurements, rng, settings)
 
 
 def fit_frames(arm: Arm, data: Observations, known: bool) -> Identification | None:

@@ -305,8 +305,7 @@ class Result:
         return "\n".join([*lines, *(block.text() for block in self.blocks())])
 
     def _verdict_lines(self) -> list[str]:
-        verdict, _, reason = self.quality.verdict().partition(": ")
-        return folded(f"verdict: {verdict.upper()}: {reason}", screen_width())
+        return folded(f"verdict: {self.quality.grade.upper()}: {self.quality.reason}", screen_width())
 
     def _errors(self) -> screen.Block:
         figures = ("RMS", "mean", "95 % interval", "p95", "max")

@@ -29,14 +29,7 @@ from pickenv.calibration.model import observations
 from pickenv.calibration.model.arm_model import CARRIER, ArmModel, kind_of_term, pose_carrier
 from pickenv.calibration.model.measurements import FRAMES, OWN, Frames, Measurements, Stacked
 from pickenv.calibration.model.noise import noise_of
-from pickenv.calibration.model.observations import (
-    Observations,
-    Rows,
-    equally_spaced,
-    origins_of,
-    pose_count,
-    same_poses,
-)
+from pickenv.calibration.model.observations import Observations, Rows, origins_of, pose_count
 from pickenv.calibration.model.pixels import with_lens
 from pickenv.calibration.model.prior import FIT_WORDS, prior_model
 from pickenv.calibration.pipeline import fitting
@@ -102,19 +95,15 @@ def refuse_options(train: Observations, choices: Choices) -> None:
     """
     learnt = choices.residual not in ("auto", "none")
     tracked = all(part.poses is not None for part in train.parts)
-    options = {
-        "`frames='known'`": choices.frames == "known",
-        f"`residual='{choices.residual}'`": learnt and not tracked,
-    }
     if choices.lens is not None and train.kind != "pixels":
         raise InputError(f"`lens` is for pictures, but {train.source} holds {train.kind}; leave it out")
-    single, several = (" of one station", " of several") if tracked else ("", "")
-    for option, asked_for in options.items():
-        if asked_for:
-            raise InputError(
-                f"{option} is for poses and positions{single}, but {train.source} holds {train.kind}{several}; "
-                "leave it out"
-            )
+    known = choices.frames == "known"
+    if known or (learnt and not tracked):
+        option = "`frames='known'`" if known else f"`residual='{choices.residual}'`"
+        single, several = (" of one station", " of several") if tracked else ("", "")
+        raise InputError(
+            f"{option} is for poses and positions{single}, but {train.source} holds {train.kind}{several}; leave it out"
+        )
 
 
 Data = Observations | str | Path | Sequence[str | Path] | Sequence[Observations]
@@ -175,18 +164,15 @@ def given_rows(
         for item in items:
             _refuse_no_numbers(arm, item)
         return _joined(arm, items, stations, known, like), None
-    descriptions = _each(columns)
-    if len(descriptions) > 1 and len(descriptions) != len(items):
+    layouts: list[str | Path | None] = [*_each(columns)] or [None]
+    if len(layouts) > 1 and len(layouts) != len(items):
         raise InputError(
-            f"{len(descriptions)} column descriptions are given for {len(items)} files; give one, or one per file"
+            f"{len(layouts)} column descriptions are given for {len(items)} files; give one, or one per file"
         )
-    sets: list[tuple[list[Any], str | Path | None]]
-    if len(descriptions) > 1:
-        sets = [([file], layout_of_file) for file, layout_of_file in zip(items, descriptions, strict=True)]
-    else:
-        layout = descriptions[0] if descriptions else None
-        sets = [(items, layout)] if stations is None else [([file], layout) for file in items]
-    readings = [read_observations(files, arm.nominal, layout) for files, layout in sets]
+    together = len(layouts) == 1 and stations is None
+    sets = [items] if together else [[file] for file in items]
+    layouts = layouts if len(layouts) > 1 else layouts * len(sets)
+    readings = [read_observations(part, arm.nominal, layout) for part, layout in zip(sets, layouts, strict=True)]
     rows = [reading.observations for reading in readings]
     return _joined(arm, rows, stations, known, like), readings[0].floor
 
@@ -458,7 +444,7 @@ def _judged_elsewhere(draft: Draft) -> Result:
 
 def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
     """The rows to fit and the rows held out, block by block; each of few pictures, or very few poses, is a block."""
-    poses, count = same_poses(train.joints), pose_count(train.joints)
+    poses, count = observations.same_poses(train.joints), pose_count(train.joints)
     few = count <= (FEW_VIEWS if train.kind == "pixels" else FEW_ROWS)
     return observations.contiguous_folds(train.groups, poses, count if few else observations.BLOCKS)
 
@@ -569,7 +555,7 @@ def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSe
 
 def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> tuple[GateVerdict, ...]:
     """The verdicts on residual models, judged within the training rows."""
-    data = train.select(equally_spaced(len(train), GATE_ROWS))
+    data = train.select(observations.equally_spaced(len(train), GATE_ROWS))
     name, best = draft.best
     expected, fitted = best.identification.prior, best.identification.arm_model
     assert expected is not None

@@ -8,7 +8,7 @@ smooth function of the joints are scatter: the instrument's share is subtracted,
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from operator import itemgetter
 from typing import Any
@@ -21,8 +21,8 @@ from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.arm.effects.residual_field import Features, ResidualField
 from pickenv.arm.plant.plant import Layout, Posterior
 from pickenv.arm.plant.twin_file import twin_plant
-from pickenv.base import GRAVITY, InputError
-from pickenv.calibration.model.arm_model import ArmModel, ComplianceTerm, GravityTerm, PeriodicTerm, Term
+from pickenv.base import InputError
+from pickenv.calibration.model.arm_model import ArmModel, ComplianceTerm, GravityTerm, PeriodicTerm, Term, ThermalTerm
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, Measurements
 from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
 from pickenv.calibration.residuals.gaussian_process import GaussianProcess, feature_process
@@ -60,17 +60,14 @@ def scatter_of(data: Measurements, repeat: float | None = None) -> Scatter:
         data: The rows.
         repeat: RMS of the position's scatter between repeats, m, if the file states it.
     """
-    stated = "stated" if data.std_stated else "assumed"
+    said = f"the instrument's {'stated' if data.std_stated else 'assumed'} uncertainty"
     repeated = repeated_std(data) if repeat is None else repeat / np.sqrt(3.0)
-    if repeated is None:
-        return data.position_std, data.attitude_std, f"the instrument's {stated} uncertainty: no repeats"
-    if repeated < data.position_std:
+    if repeated is not None and repeated < data.position_std:
         return repeated, data.attitude_std, "repeats, which scatter less than the instrument is said to"
-    return (
-        data.position_std,
-        data.attitude_std,
-        f"the instrument's {stated} uncertainty; repeats scatter by {repeated * 1e3:.4f} mm, the arm's share among it",
-    )
+    more = ": no repeats"
+    if repeated is not None:
+        more = f"; repeats scatter by {repeated * 1e3:.4f} mm, the arm's share among it"
+    return data.position_std, data.attitude_std, said + more
 
 
 def repeated_std(data: Measurements) -> float | None:
@@ -133,12 +130,11 @@ def twin(
         scatter = itemgetter(*SCATTER_PARTS)(calibration.record[SCATTER])
     process, inputs, process_note = _process(calibration, rows, rng)
     if process is None:
-        waves = np.zeros((3, len(inputs.mean), 0)), np.zeros((3, 0)), np.zeros((3, 0, 0))
+        frequency, mean, spread = np.zeros((3, len(inputs.mean), 0)), np.zeros((3, 0)), np.zeros((3, 0, 0))
         offset, rest = np.zeros(3), np.full(3, sure.position_repeat)
     else:
-        waves = feature_process(process, SMOOTH, rng)
+        frequency, mean, spread = feature_process(process, SMOOTH, rng)
         offset, rest = process.output_mean, process.noise * process.output_std
-    frequency, mean, spread = waves
     position_std, attitude_std, source = _no_more_than(rest, scatter)
     instrument = np.repeat([position_std, attitude_std], 3)[: len(rest)]
     rough = np.sqrt(np.maximum(rest**2 - instrument**2, 0.0))
@@ -189,26 +185,19 @@ def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]
 
 def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
     """The layout of a plant's coefficients, and the matrix ``(k, t)`` from the terms' coefficients to the plant's."""
-    kinds: dict[str, list[Any]] = {"harmonics": [], "moments": []}
-    rows: dict[str, list[Array]] = {kind: [] for kind in kinds}
     sizes = [len(term.names(geometry)) for term in terms]
-    up = (0.0, 0.0, 1.0)
-    for number, term in enumerate(terms):
-        unit = np.eye(sum(sizes))[sum(sizes[:number]) : sum(sizes[: number + 1])]
-        entries: Sequence[Any]
-        match term:
-            case PeriodicTerm():
-                kind, entries = "harmonics", list(zip(term.joints, term.orders, strict=True))
-            case GravityTerm() | ComplianceTerm():
-                kind, (entries, weights, up) = "moments", _moments(term, geometry)
-                unit = weights @ unit
-            case _:
-                continue
-        kinds[kind] += entries
-        rows[kind] += list(unit)
-    every = [row for kind in kinds for row in rows[kind]]
-    layout = Layout(harmonics=tuple(kinds["harmonics"]), moments=tuple(kinds["moments"]), up=up)
-    return layout, np.array(every).reshape(len(every), sum(sizes))
+    units = np.split(np.eye(sum(sizes)), np.cumsum(sizes, dtype=int))  # the last part is empty
+    harmonics, moments, up = [], [], (0.0, 0.0, 1.0)
+    waves, weights = units[-1], units[-1]
+    for term, unit in zip(terms, units, strict=False):
+        if isinstance(term, PeriodicTerm):
+            harmonics += list(zip(term.joints, term.orders, strict=True))
+            waves = np.vstack([waves, unit])
+        elif isinstance(term, GravityTerm | ComplianceTerm):
+            entries, by_term, up = _moments(term, geometry)
+            moments += entries
+            weights = np.vstack([weights, by_term @ unit])
+    return Layout(harmonics=tuple(harmonics), moments=tuple(moments), up=up), np.vstack([waves, weights])
 
 
 def _moments(
@@ -223,44 +212,19 @@ def _moments(
         all_ = term.moments(geometry)
         indices = [i for i, (_, _, moment) in enumerate(all_) if moment != "p"]  # no payload is held
         return [all_[i] for i in indices], np.eye(len(all_))[indices], term.up
-    moments: list[tuple[int, int, str]] = []
-    sizes: list[tuple[int, float]] = []
-    if term.weight is not None:
-        up = term.weight.up
-        for moment, size in zip(term.weight.moments(geometry), term.moments, strict=True):
-            if moment[2] != "p":
-                moments.append(moment)
-                sizes.append((term.joints.index(moment[0]), size))
-    elif term.load is not None:
-        # Gravity points along -z of the instrument's frame, as in `gravity_torques`.
-        up = tuple((geometry.base.rotation.T @ [0.0, 0.0, 1.0]).tolist())
-        for number, joint in enumerate(term.joints):
-            for link in range(joint, geometry.links):
-                mass, centre = float(term.load.mass[link]), term.load.centre[link]
-                parts = {"m": mass}
-                if not geometry.prismatic[joint]:
-                    parts |= {axis: mass * part for axis, part in zip("xyz", centre, strict=True)}
-                moments += [(joint, link, moment) for moment in parts]
-                sizes += [(number, GRAVITY * part) for part in parts.values()]
-    else:
+    if term.weight is None:
         raise InputError("the calibration's compliance needs measured torques, which a plant does not have")
-    weights = np.zeros((len(moments), len(term.joints)))
-    for row, (column, size) in enumerate(sizes):
-        weights[row, column] = size
-    return moments, weights, up
+    moments, by_weight, up = _moments(term.weight, geometry)
+    joint_of = np.array([joint for joint, _, _ in moments])[:, None]
+    return moments, by_weight @ np.array(term.moments)[:, None] * (joint_of == np.array(term.joints)), up
 
 
-def _missing(calibration: Calibration) -> list[str]:
+def _missing(calibration: Calibration) -> Iterator[str]:
     """Sentences on what of the calibration stays out of the plant, and on its base frame."""
-    sentences = []
-    kinds = [type(term).__name__ for term in calibration.model.terms]
-    if "ThermalTerm" in kinds:
-        sentences.append("the arm stays at its reference temperature: of its growth only the coefficient is known")
+    if any(isinstance(term, ThermalTerm) for term in calibration.model.terms):
+        yield "the arm stays at its reference temperature: of its growth only the coefficient is known"
     if calibration.record.get("frames") == "fitted":
-        sentences.append(
-            "base and tool were fitted, so it errs in its own base as it did against the aligned nominal arm"
-        )
-    return sentences
+        yield "base and tool were fitted, so it errs in its own base as it did against the aligned nominal arm"
 
 
 def _no_more_than(noise: Array, scatter: Scatter) -> Scatter:

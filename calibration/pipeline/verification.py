@@ -274,12 +274,10 @@ class Verification:
         """The report for the terminal, which begins with the verdict."""
         heads = ("arm", "RMS (mm)", "mean (mm)", "95 % interval (mm)", "p95 (mm)", "max (mm)")
         rows = [(name, *error_cells(s)) for name, s in (("nominal", self.nominal), ("calibrated", self.calibrated))]
-        how = f"base and tool as they were; expected of the calibrated arm: {figure(self.expected)} mm RMS"
+        frames = "base and tool as they were"
         if self.refitted:
-            how = (
-                f"{' and '.join(self.moved)} found from {self.refitted} other rows, of both arms; expected of the "
-                f"calibrated arm: {figure(self.expected)} mm RMS"
-            )
+            frames = f"{' and '.join(self.moved)} found from {self.refitted} other rows, of both arms"
+        how = f"{frames}; expected of the calibrated arm: {figure(self.expected)} mm RMS"
         gain = f"{'no' if self.no_gain else 'yes'}: {figure(self.calibrated.rms)} of {figure(self.nominal.rms)} mm RMS"
         promise = f"{'yes' if self.ratio <= GROWN else 'no'}: {figure(self.ratio)} times the RMS expected"
         region = "not known" if self.measured is None else f"{100 * self.measured:.0f} % of the rows lie where it was"
@@ -300,15 +298,12 @@ class Verification:
             blocks.append(Block("Rows left out", (), far, "too far off to be measurements of these poses"))
         return "\n".join([f"verdict: {self.status.upper()}: {self.reason}", *(block.text() for block in blocks)])
 
-    def _moved(self, name: str) -> tuple[str, str]:
+    def _moved(self, name: str) -> Iterator[str]:
         """A frame's shift (mm) and turn (deg) as texts, which say how many directions the rows leave open."""
         shift, turn, *untold = self.moved[name]
-        sizes = (figure(shift * 1e3), figure(float(np.degrees(turn))))
-        cells = []
-        for size, count in zip(sizes, untold, strict=True):
-            some = f"{size}; {count} of 3 directions not told by these rows" if count else size
-            cells.append("not told by these rows" if count == 3 else some)
-        return cells[0], cells[1]
+        for size, count in zip((shift * 1e3, float(np.degrees(turn))), untold, strict=True):
+            some = f"{figure(size)}; {count} of 3 directions not told by these rows" if count else figure(size)
+            yield "not told by these rows" if count == 3 else some
 
     def as_dict(self) -> dict[str, Any]:
         """The verification as values for JSON."""

@@ -252,11 +252,6 @@ class PosePlan:
     curve: tuple[tuple[int, float, float], ...] = ()
 
     @property
-    def candidates(self) -> Array:
-        """The candidates ``(N, n)``, rad or m, from which the poses were chosen."""
-        return self.design.joints
-
-    @property
     def parameters(self) -> tuple[str, ...]:
         """The parameters planned for: the instrument's own unknowns, then the arm's."""
         return (*self.design.names, *self.design.model.names)
@@ -266,7 +261,7 @@ class PosePlan:
         figures: dict[str, Any] = {
             "poses": len(self.joints),
             "first_rows": self.first,
-            "candidates": len(self.candidates),
+            "candidates": len(self.design.joints),
             "kind": self.design.kind,
             "parameters": list(self.parameters),
         }
@@ -291,7 +286,7 @@ class PosePlan:
     def report(self) -> str:
         """A short report in words."""
         lines = [
-            f"{len(self.joints)} of {len(self.candidates)} candidates, {self.criterion}, {self.design.kind} "
+            f"{len(self.joints)} of {len(self.design.joints)} candidates, {self.criterion}, {self.design.kind} "
             f"measurements, {len(self.parameters)} parameters, in {self.seconds:.2f} s"
         ]
         if self.first:
@@ -325,12 +320,12 @@ class PosePlan:
         return write_joints(path, self.joints, prismatic)
 
 
-def candidate_joints(geometry: Geometry, count: int, rng: np.random.Generator, margin: float = MARGIN) -> Array:
+def candidate_joints(geometry: Geometry, count: int, rng: np.random.Generator) -> Array:
     """Joints ``(count, n)`` to choose from: half drawn evenly from the joint ranges, half on their border.
 
     Optimal designs stand on the border, which even draws hardly ever touch.
     """
-    room = margin * (geometry.upper - geometry.lower)
+    room = MARGIN * (geometry.upper - geometry.lower)
     lower, upper = geometry.lower + room, geometry.upper - room
     joints = rng.uniform(lower, upper, (count, geometry.joints))
     side = rng.random(joints.shape)
@@ -344,9 +339,7 @@ def design_of(
     model: ErrorModel | PriorModel,
     joints: Array,
     kind: str = "pose",
-    *,
     position_std: float = POSITION_STD,
-    attitude_std: float = ATTITUDE_STD,
 ) -> Design:
     """The design of the candidates for all parameters if these have priors, else for a base set of them.
 
@@ -358,11 +351,10 @@ def design_of(
         model: The parameters, with or without priors.
         joints: Candidates ``(N, n)``, rad or m.
         kind: What will be measured, "pose" or "position".
-        position_std: Standard uncertainty of a position coordinate, m.
-        attitude_std: Standard uncertainty of an attitude coordinate, rad.
+        position_std: Standard uncertainty of a position coordinate, m; that of an attitude is `ATTITUDE_STD`.
     """
     parameters = model.parameters if isinstance(model, PriorModel) else model
-    weight = 1.0 / np.repeat([position_std, attitude_std], 3)[: 6 if kind == "pose" else 3]
+    weight = 1.0 / np.repeat([position_std, ATTITUDE_STD], 3)[: 6 if kind == "pose" else 3]
     rows = _rows(geometry, parameters, weight, joints)
     if isinstance(model, PriorModel):
         information = np.diag((parameters.tolerance / model.width) ** 2)
@@ -404,7 +396,6 @@ def plan_poses(
     criterion: str | None = None,
     test_joints: Array | None = None,
     position_std: float = POSITION_STD,
-    attitude_std: float = ATTITUDE_STD,
     curve: bool = False,
 ) -> PosePlan:
     """Choose ``count`` poses to measure, and order them for short travel.
@@ -425,8 +416,7 @@ def plan_poses(
         criterion: "d-optimal", or "test-poses" to minimise the predicted position error at ``test_joints``. If left
             out, "test-poses" if ``test_joints`` are given, else "d-optimal".
         test_joints: Joints where accuracy matters ``(M, n)``, rad or m; with "d-optimal" only reported on.
-        position_std: Standard uncertainty of a position coordinate, m.
-        attitude_std: Standard uncertainty of an attitude coordinate, rad.
+        position_std: Standard uncertainty of a position coordinate, m; that of an attitude is `ATTITUDE_STD`.
         curve: Whether to say what half, twice and up to eight times as many poses would bring, at ``test_joints`` or,
             without them, at poses drawn evenly from the joint ranges.
 
@@ -446,8 +436,7 @@ def plan_poses(
         joints = np.asarray(candidates, dtype=float)
     if criterion == "test-poses" and test_joints is None:
         raise InputError("the test-poses criterion needs test poses; name a file of them or use d-optimal")
-    std = {"position_std": position_std, "attitude_std": attitude_std}
-    design = design_of(geometry, model, joints, kind, **std)
+    design = design_of(geometry, model, joints, kind, position_std)
     refuse_too_few(count, len(design.model.names), _least(design))
     if count > len(joints):
         raise InputError(f"{count} poses cannot be chosen from {len(joints)} candidates; give more candidates")
@@ -474,7 +463,7 @@ def plan_poses(
     )
     if test_joints is None and not design.known.any():
         plan = replace(plan, predicted_error=None, random_predicted_error=None)
-    links, sets = design_of(geometry, link_model(geometry), joints, kind, **std), drawn(count)
+    links, sets = design_of(geometry, link_model(geometry), joints, kind, position_std), drawn(count)
     return replace(
         plan,
         model=_against_chance(geometry, design, plan.chosen, sets),

@@ -239,10 +239,6 @@ class Targets:
     lines: tuple[int, ...]
     source: str
 
-    def __len__(self) -> int:
-        """Number of targets."""
-        return len(self.lines)
-
 
 def read_targets(path: str | Path, geometry: Geometry) -> Targets:
     """Read joint targets if the file has all joint columns, else pose targets.

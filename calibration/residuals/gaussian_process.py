@@ -8,7 +8,7 @@ some of which explain everything as noise, so the search has several starts. One
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, fields
 from operator import itemgetter
 from typing import Any, Protocol, Self, cast
@@ -81,6 +81,16 @@ def column_std(values: Array, constant: float) -> Array:
 # (Golub, Heath and Wahba 1979), which costs one singular value decomposition per width. Inputs are standardised.
 
 
+CENTRES, ROUNDS = 200, 20
+"""Largest number of basis functions, and rounds of k-means that place them."""
+
+WIDTHS = (0.25, 0.5, 1.0, 2.0)
+"""Widths tried, in units of the median distance between rows and centres."""
+
+RIDGES = (1e-10, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
+"""Ridge coefficients tried, relative to the largest squared singular value."""
+
+
 @register("residual", "rbf")
 @dataclass(frozen=True, eq=False)
 class Rbf(SavedArrays):
@@ -99,26 +109,13 @@ class Rbf(SavedArrays):
     offset: Array
 
     @staticmethod
-    def fit(
-        inputs: Array,
-        targets: Array,
-        rng: np.random.Generator,
-        *,
-        centres: int = 200,
-        widths: Sequence[float] = (0.25, 0.5, 1.0, 2.0),
-        ridges: Sequence[float] = (1e-10, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2),
-        rounds: int = 20,
-    ) -> Rbf:
-        """Fit the network.
+    def fit(inputs: Array, targets: Array, rng: np.random.Generator) -> Rbf:
+        """Fit the network, with a third of the rows as centres, `CENTRES` at most.
 
         Args:
             inputs: Standardised inputs ``(N, F)``.
             targets: Residuals to learn ``(N, k)``, m and rad.
             rng: Draws the first centres of k-means.
-            centres: Number of basis functions at most; a third of the rows where these are few.
-            widths: Widths tried, in units of the median distance between rows and centres.
-            ridges: Ridge coefficients tried, relative to the largest squared singular value.
-            rounds: Rounds of k-means.
 
         Raises:
             InputError: If there are fewer than ten rows.
@@ -126,17 +123,17 @@ class Rbf(SavedArrays):
         rows = len(inputs)
         if rows < 10:
             raise InputError(f"{rows} poses are too few for an RBF network; measure at least 10")
-        middles = k_means(inputs, min(centres, rows // 3), rng, rounds)
+        middles = k_means(inputs, min(CENTRES, rows // 3), rng, ROUNDS)
         offset, scale = targets.mean(axis=0), column_std(targets, 1e-12)
         scaled = (targets - offset) / scale
         unit = float(np.sqrt(np.median(_squared_distances(inputs, middles))))
         best, solution = np.inf, (1.0, np.zeros((len(middles), targets.shape[1])))
-        for width in (factor * unit for factor in widths):
+        for width in (factor * unit for factor in WIDTHS):
             with single_threaded():
                 u, s, vt = np.linalg.svd(_gaussians(inputs, middles, width), full_matrices=False)
             coordinates = u.T @ scaled
             outside = np.sum(scaled**2) - np.sum(coordinates**2)
-            for ridge in ridges:
+            for ridge in RIDGES:
                 damping = ridge * s[0] ** 2
                 shares = s**2 / (s**2 + damping)
                 missed = outside + np.sum(((1.0 - shares)[:, None] * coordinates) ** 2)

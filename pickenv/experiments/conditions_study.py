@@ -24,7 +24,7 @@ from pickenv.base.intervals import LEAST
 from pickenv.calibration import Calibration, Measurements, random_joints
 from pickenv.calibration.identification.least_squares import identify_converged
 from pickenv.calibration.identification.term_choice import identify_terms, plain_term
-from pickenv.calibration.model.arm_model import ArmModel, Conditions, geometric_model
+from pickenv.calibration.model.arm_model import ArmModel, Conditions, link_model
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD
 from pickenv.calibration.residuals.residual_models import LearntResidual, fit_residual, require_residual
 from pickenv.experiments.engine import Experiment, Progress, Rows, joined, run
@@ -192,7 +192,7 @@ def calibrated(plant: Plant, settings: ConditionsSettings, rng: np.random.Genera
     arm, nominal = plant.arm, plant.arm.nominal
     apart = State.drawn(settings.ranges, settings.sessions, settings.poses, rng)
     varied, usual = measured_under(plant, apart, rng), measured_under(plant, State.same(len(apart.hour)), rng)
-    model = geometric_model(nominal, True)
+    model = link_model(nominal)
     cold, bare = (identify_converged(model, ArmModel.of(nominal), [data]) for data in (usual, varied))
     terms = tuple(plain_term(name, arm, varied) for name in ("gravity", "thermal"))
     knowing = identify_terms(terms, bare, varied, known=True).arm_model

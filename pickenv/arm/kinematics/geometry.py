@@ -70,12 +70,6 @@ class Coupling:
         """The displacement of each link for joint values of any kind: floats, arrays or tensors."""
         return [ratio * q[joint] for joint, ratio in zip(self.joint, self.ratio, strict=True)]
 
-    def gathered(self, links: Array, joints: int) -> Array:
-        """Derivatives by the joint values ``(..., n)``, from derivatives by the links' displacements ``(..., L)``."""
-        matrix = np.zeros((len(self.joint), joints))
-        matrix[range(len(self.joint)), self.joint] = self.ratio
-        return np.asarray(links @ matrix)
-
 
 @dataclass(frozen=True, eq=False)
 class Geometry:

@@ -126,7 +126,7 @@ def test_verdicts(calibrated):
     trained = train.difference(found.calibration.identified)
     before, after = (test.difference(g) for g in (found.calibration.nominal, found.calibration.identified))
     good = grade_quality(found.identification, trained, before, after)
-    assert good.grade == "good" and good.verdict().startswith("good: on 200 held-out rows the error falls from")
+    assert good.grade == "good" and good.reason.startswith("on 200 held-out rows the error falls from")
     assert axis_errors(after)["z (mm)"][2] < axis_errors(before)["z (mm)"][2]
     worse = grade_quality(found.identification, trained, after, before)
     assert worse.grade == "do not use" and worse.findings[0][0] == "fail" and "no better" in worse.reason

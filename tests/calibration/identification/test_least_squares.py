@@ -17,7 +17,6 @@ from pickenv.calibration import (
     ErrorModel,
     Measurements,
     complete_model,
-    geometric_model,
     identifiability,
     identify,
     identify_converged,
@@ -439,7 +438,7 @@ def test_angles_are_told_by_their_names(name, angle):
 
 def test_base_and_tool_are_parameters_where_they_are_not_known(qiao):
     """And betas only between parallel axes: of the picking arm J1 and J2, J5 and J6."""
-    known, fitted = (geometric_model(qiao.nominal, known).names for known in (True, False))
+    known, fitted = (model(qiao.nominal).names for model in (link_model, complete_model))
     assert len(known) == 24 and not any(name.startswith(("base", "tool", "beta")) for name in known)
     assert set(fitted) - set(known) == {
         *(f"{part}_{axis}" for part in ("base", "tool") for axis in ("x", "y", "z", "rx", "ry", "rz")),
@@ -474,7 +473,6 @@ def test_the_base_set_is_that_of_a_qr_in_the_models_order(rows):
     np.testing.assert_allclose(found.r_diagonal[[2, 4]], 0.0, atol=1e-12)
     values = np.linalg.svd(kept, compute_uv=False) / 2.0  # per root of four poses
     np.testing.assert_allclose(found.singular_values, values)
-    assert found.condition == pytest.approx(values[0] / values[-1])
 
 
 @pytest.mark.parametrize(("share", "rank"), [(0.9e-3, 1), (1.1e-3, 2)])

@@ -21,7 +21,6 @@ from pickenv.arm import (
 from pickenv.calibration import (
     Calibration,
     Compensator,
-    ComplianceTerm,
     Conditions,
     GravityTerm,
     Measurements,
@@ -31,6 +30,7 @@ from pickenv.calibration import (
     random_joints,
     read_measurements,
 )
+from tests.calibration.loads import LoadedCompliance
 
 URDF = """<robot name="lift_arm">
   <link name="floor"/><link name="mast"/><link name="stage1"/><link name="stage2"/><link name="upper"/>
@@ -138,7 +138,7 @@ def test_weight_bends_a_coupled_arm_as_its_drives_feel_it(arm):
     geometry, rng = arm.nominal, np.random.default_rng(4)
     joints = random_joints(geometry, 300, rng)
     load = Load(tuple(rng.uniform(1, 5, 6)), tuple(map(tuple, rng.uniform(-0.2, 0.2, (6, 3)))), 0.0)
-    compliance = ComplianceTerm(tuple(range(5)), load)
+    compliance = LoadedCompliance(tuple(range(5)), load=load)
     chain = chain_of(geometry)
     by_link = gravity_torques(chain, frames(np, chain, split_joints(5, joints)), load)
     by_link = np.stack(np.broadcast_arrays(*by_link, joints[:, 0])[:-1], -1)

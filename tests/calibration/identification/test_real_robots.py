@@ -68,7 +68,7 @@ def test_ur5_tells_25_parameters(ur5):
     found = ur5[0].identification
     assert found.converged and found.identifiability.rank == 25
     assert {"tool_rx", "tool_ry", "tool_rz"} <= set(found.identifiability.dropped)
-    assert found.identifiability.condition < 1000
+    assert np.divide(*found.identifiability.singular_values[[0, -1]]) < 1000
     assert found.solve_seconds < 2.0  # 0.02 s on one quiet core; this machine may be busy
 
 

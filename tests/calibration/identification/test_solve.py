@@ -10,6 +10,7 @@ from pickenv.calibration import complete_model, identify, prior_model, random_jo
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.noise import stated_noise
 from pickenv.calibration.model.prior import ANGLES, LENGTHS, ZEROS
+from pickenv.calibration.pipeline.calibration import PoseUncertainty
 
 ARM = load_arm("ur5")
 UR5 = ARM.nominal
@@ -73,10 +74,15 @@ def test_it_is_never_worse_than_the_drawing(count):
         assert error(solution.geometry, plant) < 1.1 * error(UR5, plant)
 
 
+def stated_covariance(solution, joints):
+    """What the posterior states of the tool's pose."""
+    known = PoseUncertainty(solution.identifiability.kept_names, solution.covariance, 0.0, 0.0)
+    return known.pose_covariance(solution.arm_model, joints)
+
+
 def squared_ratio(plant, solution):
     """Squared error everywhere, as a share of what the posterior states."""
-    names = [solution.arm_model.parameter_names.index(name) for name in solution.identifiability.kept_names]
-    stated = solution.arm_model.pose_covariance(names, solution.covariance, EVERYWHERE)
+    stated = stated_covariance(solution, EVERYWHERE)
     missed = forward(plant.geometry, EVERYWHERE).position - forward(solution.geometry, EVERYWHERE).position
     return np.sum(missed**2) / np.trace(stated[:, :3, :3], axis1=1, axis2=2).sum()
 
@@ -145,11 +151,7 @@ def test_errors_that_neighbours_share_widen_what_is_stated():
     mixed = replace(rows, position=rows.position + 3e-4 * rng.permutation(waves), rotation=None)
     one, other = (solve(prior_model("ur5", UR5, known=True, scale=1.0), data) for data in (alike, mixed))
     assert one.noise.share > 0.3 and one.noise.common > 2.0 and other.noise.common < one.noise.common / 2
-    names = [one.arm_model.parameter_names.index(name) for name in one.identifiability.kept_names]
-    stated = [
-        np.trace(s.arm_model.pose_covariance(names, s.covariance, joints)[:, :3, :3], axis1=1, axis2=2).mean()
-        for s in (one, other)
-    ]
+    stated = [np.trace(stated_covariance(found, joints)[:, :3, :3], axis1=1, axis2=2).mean() for found in (one, other)]
     assert stated[0] > 1.5 * stated[1]
 
 

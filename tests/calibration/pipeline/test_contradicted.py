@@ -28,7 +28,7 @@ def causes(result):
 @pytest.mark.parametrize("frames", ["known", "fitted"])
 def test_an_arm_of_its_class_is_not_accused(seed, frames):
     found = calibrate("ur5", rows_of("ur5", 10 * seed), choices=replace(PLAIN, frames=frames))
-    assert found.quality.grade == "good", found.quality.verdict()
+    assert found.quality.grade == "good", found.quality.reason
 
 
 @pytest.mark.parametrize(("made", "named"), [("ur5e", "ur5"), ("ur5", "ur5e")])

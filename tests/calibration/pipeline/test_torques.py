@@ -26,6 +26,7 @@ from pickenv.calibration import (
 )
 from pickenv.calibration.identification.term_choice import terms_of
 from pickenv.cli import app
+from tests.calibration.loads import LoadedCompliance
 
 ARM = load_arm("ur10")
 MASS = (7.1, 12.7, 4.3, 2.0, 2.0, 0.4)
@@ -37,7 +38,7 @@ CENTRE = (
     (0.0, 0.01, 0.01),
     (0.0, 0.0, -0.03),
 )
-YIELDS = ComplianceTerm(tuple(range(6)), Load(MASS, CENTRE, 2.0))
+YIELDS = LoadedCompliance(tuple(range(6)), load=Load(MASS, CENTRE, 2.0))
 STIFFNESS = np.array([25e3, 18e3, 12e3, 2e3, 2e3, 1e3])
 """N*m/rad. The first axis is upright, so that weight does not load it; the last three carry little."""
 
@@ -94,7 +95,7 @@ def test_stiffnesses_are_found_within_a_tenth_and_within_their_uncertainty(resul
 
 def test_the_held_out_error_is_that_of_the_same_terms_fitted_by_hand(result):
     """Rows and priors minimised by SciPy; the same terms leave twice as much without beta (0.13 and 0.06 mm)."""
-    term = ComplianceTerm(tuple(range(6)), None)
+    term = ComplianceTerm(tuple(range(6)))
     train, test = result.train, result.test
     expected, scatter = result.fit.identification.prior, result.fit.identification.noise.scatter
     columns = expected.parameters.columns
@@ -155,8 +156,8 @@ def test_a_saved_calibration_corrects_targets_that_have_no_torques(result, tmp_p
 
 def test_a_term_without_torques_load_or_moments_is_refused_in_a_sentence(data):
     measurements, _ = data
-    with pytest.raises(InputError, match="give a torque column or a load"):
-        ArmModel.of(ARM.nominal, (ComplianceTerm((0,), None),)).pose(measurements.joints)
+    with pytest.raises(InputError, match="give a torque column"):
+        ArmModel.of(ARM.nominal, (ComplianceTerm((0,)),)).pose(measurements.joints)
     blank = Measurements(measurements.joints, measurements.position, None, ARM.nominal.prismatic)
     with pytest.raises(InputError, match=r"compliance needs the joints' measured torques; .*terms='gravity'"):
         terms_of("compliance", ARM, identify(complete_model(ARM.nominal), ARM.nominal, blank, max_iterations=2), blank)

@@ -136,17 +136,17 @@ def test_stated_uncertainties_weigh_positions_against_attitudes(qiao):
     joints = random_joints(qiao.nominal, 30, np.random.default_rng(0))
     plain, other = (
         design_of(qiao.nominal, link_model(qiao.nominal), joints, **std)
-        for std in ({}, {"position_std": 3 * POSITION_STD, "attitude_std": ATTITUDE_STD / 5})
+        for std in ({}, {"position_std": 3 * POSITION_STD})
     )
     assert plain.weight == pytest.approx([1 / POSITION_STD] * 3 + [1 / ATTITUDE_STD] * 3)
-    assert other.weight == pytest.approx([1 / (3 * POSITION_STD)] * 3 + [5 / ATTITUDE_STD] * 3)
+    assert other.weight == pytest.approx([1 / (3 * POSITION_STD)] * 3 + [1 / ATTITUDE_STD] * 3)
     shared = [name for name in plain.model.names if name in other.model.names]
     for name in shared:
         a, b = (d.rows[..., d.model.names.index(name)] for d in (plain, other))
-        np.testing.assert_allclose(b, a * np.repeat([1 / 3, 5.0], 3), rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(b, a * np.repeat([1 / 3, 1.0], 3), rtol=1e-9, atol=1e-12)
     planned = plan_poses(
         qiao, link_model(qiao.nominal), 6, np.random.default_rng(0), candidates=30,
-        position_std=3 * POSITION_STD, attitude_std=ATTITUDE_STD / 5,
+        position_std=3 * POSITION_STD,
     )  # fmt: skip
     np.testing.assert_allclose(planned.design.weight, other.weight)
 
@@ -174,9 +174,6 @@ def test_half_the_candidates_stand_on_the_border_two_joints_in_three(qiao):
     assert lower[2000:].mean() == pytest.approx(1 / 3, abs=0.02) and upper[2000:].mean() == pytest.approx(
         1 / 3, abs=0.02
     )
-    wide = candidate_joints(qiao.nominal, 400, np.random.default_rng(0), margin=0.1)
-    share = (wide - low) / (high - low)
-    assert (share.min(), share.max()) == (pytest.approx(0.1), pytest.approx(0.9))
 
 
 def test_the_way_begins_and_ends_where_that_saves_most():

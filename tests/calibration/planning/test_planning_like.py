@@ -167,12 +167,12 @@ def test_planned_poses_tell_more_and_calibrations_confirm_it(kind: str, ur5: Arm
         off = np.zeros(len(geometry.parameter_names))
         off[model.columns[kept]] = 0.5 * model.tolerance[kept] * rng.normal(size=sum(kept))
         true = geometry.displaced(off)
-        drawn = plan.candidates[rng.choice(len(plan.candidates), COUNT, replace=False)]
+        drawn = plan.design.joints[rng.choice(len(plan.design.joints), COUNT, replace=False)]
         for name, joints in (("planned", plan.joints), ("random", drawn)):
             data = read(true, np.concatenate([first, joints]), rng)
             found = identify(model, geometry, [data], max_iterations=60, rank_tolerance=1e-7)
             assert found.converged and found.identifiability.kept_names == plan.parameters
-            left = forward(found.geometry, plan.candidates).position - forward(true, plan.candidates).position
+            left = forward(found.geometry, plan.design.joints).position - forward(true, plan.design.joints).position
             errors[name].append(float(np.mean(np.sum(left**2, axis=1))))
     rms = {name: float(np.sqrt(np.mean(values))) for name, values in errors.items()}
     assert rms["planned"] < rms["random"]
@@ -182,7 +182,7 @@ def test_planned_poses_tell_more_and_calibrations_confirm_it(kind: str, ur5: Arm
 @pytest.mark.parametrize("mount", ["hand", "world"])
 def test_every_planned_view_sees_the_board(mount: str, ur5: Arm) -> None:
     plan, geometry, _, first = planned(f"camera {mount}", ur5)
-    for joints in (plan.joints, plan.candidates):
+    for joints in (plan.joints, plan.design.joints):
         points = camera_points(geometry, joints, mount)
         assert (facing_and_inside(points).mean(axis=1) >= 0.5).all()
         depth, depths = (camera_points(geometry, q, mount)[..., 2].mean(axis=1) for q in (joints, first))
@@ -194,10 +194,10 @@ def test_every_planned_view_sees_the_board(mount: str, ur5: Arm) -> None:
 def test_every_kind_is_planned_where_it_can_be_measured(kind: str, ur5: Arm) -> None:
     data: Any = KINDS[kind](ur5.nominal, 25, np.random.default_rng(0), 1.0)
     plan = plan_like(ur5, data, 12, np.random.default_rng(1), candidates=200)
-    assert plan.joints.shape == (12, 6) and len(plan.candidates) == 200
+    assert plan.joints.shape == (12, 6) and len(plan.design.joints) == 200
     assert ((plan.joints > ur5.nominal.lower) & (plan.joints < ur5.nominal.upper)).all()
     assert set(data.unknowns()) - set(plan.parameters) <= set(data.unknowns()) and plan.predicted_error > 0.0
-    points = points_at(ur5.nominal, plan.candidates)
+    points = points_at(ur5.nominal, plan.design.joints)
     if kind == "touches":
         assert np.linalg.norm(points - LINE_POINT, axis=1).max() < 1e-3
     if kind in ("bar", "sphere"):
@@ -237,11 +237,11 @@ def test_the_predicted_error_is_that_of_all_rows_together(ur5: Arm) -> None:
         return np.stack(moved, axis=-1) / 2e-6
 
     seen = slopes(np.concatenate([data.joints, plan.joints])).reshape(-1, len(columns)) / 1e-4
-    field = slopes(plan.candidates).reshape(-1, len(columns))
+    field = slopes(plan.design.joints).reshape(-1, len(columns))
     covariance = np.linalg.inv(seen.T @ seen)
-    wanted = np.sqrt(np.einsum("ij,jk,ik->", field, covariance, field) / len(plan.candidates))
+    wanted = np.sqrt(np.einsum("ij,jk,ik->", field, covariance, field) / len(plan.design.joints))
     assert plan.predicted_error == pytest.approx(wanted, rel=1e-3)
-    each, weight = slopes(plan.candidates) / 1e-4, field.T @ field
+    each, weight = slopes(plan.design.joints) / 1e-4, field.T @ field
     for place in range(0, 15, 3):  # no other candidate in place of a planned pose makes it smaller
         rest = np.delete(plan.chosen, place)
         without = sum(r.T @ r for r in (slopes(data.joints).reshape(-1, len(columns)) / 1e-4, *each[rest]))

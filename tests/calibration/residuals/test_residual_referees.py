@@ -122,12 +122,14 @@ def generalised_cross_validation(phi, targets, ridge):
 
 
 @pytest.mark.parametrize("noise", [1e-3, 0.3])
-def test_the_rbf_network_has_the_width_and_ridge_of_the_least_cross_validated_error(noise):
+def test_the_rbf_network_has_the_width_and_ridge_of_the_least_cross_validated_error(monkeypatch, noise):
     rng = np.random.default_rng(0)
     x = rng.normal(size=(60, 2))
     y = np.stack([np.sin(2 * x[:, 0]), 1e-3 * x[:, 1] ** 2], -1) + noise * rng.normal(size=(60, 2)) * [1.0, 1e-3]
     widths, ridges = (0.25, 0.5, 1.0, 2.0), (1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
-    found = Rbf.fit(x, y, np.random.default_rng(1), centres=15, ridges=ridges)
+    monkeypatch.setattr(gaussian_process, "CENTRES", 15)
+    monkeypatch.setattr(gaussian_process, "RIDGES", ridges)
+    found = Rbf.fit(x, y, np.random.default_rng(1))
     centres = k_means(x, 15, np.random.default_rng(1), 20)
     np.testing.assert_allclose(found.centres, centres)
     distances = np.linalg.norm(x[:, None] - centres, axis=2)
@@ -146,12 +148,15 @@ def test_the_rbf_network_has_the_width_and_ridge_of_the_least_cross_validated_er
     np.testing.assert_allclose(found.predict(later), gaussians @ weights + y.mean(axis=0), rtol=1e-4, atol=1e-6)
 
 
-def test_the_rbf_network_takes_a_third_of_the_rows_and_200_at_most():
+def test_the_rbf_network_takes_a_third_of_the_rows_and_200_at_most(monkeypatch):
     x, y = drawn(48)
     assert len(Rbf.fit(x, y, np.random.default_rng(0)).centres) == 16
-    assert len(Rbf.fit(x, y, np.random.default_rng(0), centres=9).centres) == 9
-    assert len(Rbf.fit(*drawn(660), np.random.default_rng(0), widths=(1.0,), rounds=1).centres) == 200
     assert len(Rbf.fit(*drawn(10), np.random.default_rng(0)).centres) == 3
+    monkeypatch.setattr(gaussian_process, "WIDTHS", (1.0,))
+    monkeypatch.setattr(gaussian_process, "ROUNDS", 1)
+    assert len(Rbf.fit(*drawn(660), np.random.default_rng(0)).centres) == 200
+    monkeypatch.setattr(gaussian_process, "CENTRES", 9)
+    assert len(Rbf.fit(x, y, np.random.default_rng(0)).centres) == 9
 
 
 def test_the_defaults_of_the_rbf_network_span_what_their_docstring_says():
