@@ -123,8 +123,7 @@ class _Recorder:
             stream.send_property("pickenv", rr.AnyValues(**facts))
         for log, begin in zip(self.logs, start, strict=True):
             if len(log.rows) > begin:
-                entities.send_looks(stream, self._scene, log.key, log.rows)
-                entities.send_rows(stream, self._scene, log.key, log.rows[begin:])
+                entities.send_steps(stream, self._scene, log.key, log.rows, begin)
 
 
 NOT_OF_THE_RECORDER = ("self", "env", "indices")
