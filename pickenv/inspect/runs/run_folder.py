@@ -186,15 +186,8 @@ def _changed_since(folder: Path, before: Mapping[str, object]) -> dict[str, str]
 
 def _record_text(run: Run) -> str:
     """The only text that `run.json` may hold for this run: it includes a hash of the rest."""
-    content = {
-        "format": FORMAT,
-        "kind": run.kind,
-        "command": run.command,
-        "seed": run.seed,
-        "versions": dict(run.versions),
-        "code": run.code,
-        "files": dict(run.files or {}),
-    }
+    content = {"format": FORMAT, **vars(run), "files": run.files or {}}
+    del content["folder"]
     return sealed_json(content)
 
 
