@@ -101,7 +101,7 @@ def test_arms_that_go_through_in_several_blocks_keep_their_order(study_file, mon
     setting, arms = protocol.settings[0], protocol.draw(protocol.settings[0], range(5))
     given = [protocol.circumstances(number) for number in range(5)]
     whole = judge_batch(protocol, [setting], arms, given)[0].position
-    monkeypatch.setattr(study_batched, "_block_size", lambda *_: 2)
+    monkeypatch.setitem(study_batched.BLOCKS, "cpu", 1)  # an arm at a time
     np.testing.assert_allclose(judge_batch(protocol, [setting], arms, given)[0].position, whole, rtol=AGREEMENT)
 
 

@@ -91,10 +91,8 @@ class EpisodeLog:
         return self._wanted()
 
     def _wanted(self) -> bool:
-        if self._left > 0.0:
-            self._left -= 1.0
-            return True
-        return False
+        self._left -= 1.0
+        return self._left >= 0.0
 
     def note(self, info: Mapping[str, Any], reward: float, target: Array | None = None) -> None:
         """Add the present step to `rows`."""

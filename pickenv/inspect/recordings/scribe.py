@@ -191,11 +191,6 @@ def f32(values: ArrayLike) -> Any:
     return np.ascontiguousarray(values, dtype=np.float32)
 
 
-def four_digits(values: ArrayLike) -> Array:
-    """Values rounded to four significant digits, as the viewer's tables print all digits."""
-    return np.array([float(f"{value:.4g}") for value in np.ravel(values)]).reshape(np.shape(values))
-
-
 def reading(vectors: Array, unit: str = "mm") -> rr.DynamicArchetype:
     """Numbers that a click on an arrow reads out: length and components of ``vectors`` ``(N, 3)``, in ``unit``."""
     return rr.DynamicArchetype("PickError", components=_readings(vectors, unit))

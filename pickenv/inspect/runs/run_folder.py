@@ -293,5 +293,4 @@ def load_part(run: Run, kind: type[Part]) -> Part:
 
 def load_result(run: Run, name: str) -> dict[str, Any]:
     """Read a file of a run's results in JSON, such as `ISO9283`; raises `InputError` as `unedited` does."""
-    result: dict[str, Any] = json.loads(unedited(run, name).read_text(encoding="utf-8"))
-    return result
+    return dict(json.loads(unedited(run, name).read_text(encoding="utf-8")))
