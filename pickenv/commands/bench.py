@@ -17,11 +17,6 @@ bench = typer.Typer(
 )
 
 
-@bench.callback()
-def _benchmarks() -> None:
-    """Benchmarks: calibrations on measured robots, policies on simulated ones."""
-
-
 @bench.command(cls=CommandOfNames)
 def calibration(
     json_file: Annotated[Path | None, Option("--json")] = None,

@@ -248,11 +248,10 @@ def _print(config: pickenv.experiments.StudyConfig, summary: dict[str, Any], det
 
 def _print_components(summary: dict[str, Any]) -> None:
     """What the differences between arms come from, in a table for each setting."""
-    from pickenv.inspect.runs.number_words import estimated
+    from pickenv.inspect.runs.number_words import said
 
     def cell(row: dict[str, Any], key: str) -> str:
-        low, high = (None if row[end] is None else 100 * row[end] for end in (f"{key}_low", f"{key}_high"))
-        return estimated(100 * row[key], low, high, 0)
+        return said(row[key], (row[f"{key}_low"], row[f"{key}_high"]), 0, 100.0)
 
     divided = [setting for setting in summary["components"] if setting["shares"]]
     lines = [

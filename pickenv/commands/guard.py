@@ -39,7 +39,9 @@ def guarded(command: Callable[[], Any]) -> int:
     Returns:
         The exit code.
     """
-    print_anything()
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):  # a terminal that cannot show a character, such as ±, shows its number
+            stream.reconfigure(errors="backslashreplace")
     try:
         code = command()
         if sys.stdout is not None:
@@ -64,13 +66,6 @@ def guarded(command: Callable[[], Any]) -> int:
         return _unheard(error) if error.errno in UNHEARD else _fault(error)
     except Exception as error:
         return _fault(error)
-
-
-def print_anything() -> None:
-    """Let a terminal that cannot show a character, such as ±, show its number in place of ending the command."""
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="backslashreplace")
 
 
 def _unheard(error: OSError) -> int:

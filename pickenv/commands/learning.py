@@ -283,17 +283,16 @@ def datasets(
 
 def _print_cards(cards: Sequence[dict[str, Any]], out: Path) -> None:
     """Print what was recorded, and how it is read."""
-    numbers = {
-        "final_error_mm": "error at the end, mean (mm)",
-        "success": "success (%)",
-        "collected": "fruit collected",
+    columns = {
+        "final_error_mm": ("error at the end, mean (mm)", 1.0),
+        "success": ("success (%)", 100.0),
+        "collected": ("fruit collected", 1.0),
     }
-    keys = [key for key in numbers if any(key in card for card in cards)]
-    factors = {"success": 100.0}
+    columns = {key: column for key, column in columns.items() if any(key in card for card in cards)}
     rows = []
     for card in cards:
-        cells = ["" if card.get(key) is None else f"{factors.get(key, 1.0) * card[key]:.2f}" for key in keys]
+        cells = ["" if card.get(key) is None else f"{by * card[key]:.2f}" for key, (_, by) in columns.items()]
         rows.append([card["name"], str(card["episodes"]), str(card["steps"]), f"{card['mean_return']:.2f}", *cells])
-    heads = ("data set", "episodes", "steps", "return, mean", *(numbers[key] for key in keys))
+    heads = ("data set", "episodes", "steps", "return, mean", *(head for head, _ in columns.values()))
     caption = f"simulated; MINARI_DATASETS_PATH={out.resolve()} lets Minari find them by name"
     print_table(f"Recorded with seed {cards[0]['seed']}", heads, rows, words=("data set",), caption=caption)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -39,12 +40,8 @@ def arms(
     heads = ("name", "joints", "reach (mm)", "source")[: 4 if details else 3]
     rows = [[str(cell) for cell in row.values()][: len(heads)] for row in table]
     caption, more = "reach: the farthest that the tool gets from the arm's base", "where the numbers come from"
-
-    def show() -> None:
-        showing.print_table(
-            "arms that come with pickenv", heads, rows, words=("name", "joints", "source"), caption=caption
-        )
-
+    words = ("name", "joints", "source")
+    show = partial(showing.print_table, "arms that come with pickenv", heads, rows, words=words, caption=caption)
     showing.deliver([(json_file, {"arms": table})], show, more="" if details else more)
 
 

@@ -219,11 +219,7 @@ def deliver(saves: Iterable[Save], show: Callable[[], object] | str, next_step: 
             lines += _lines_of_files(path, [paths] if isinstance(paths, Path) else list(paths))
     finally:
         if isinstance(show, str):
-            verdict, rest = _verdict_and_rest(show)
-            if verdict:
-                print_verdict(verdict)
-            if rest:
-                print(with_options(rest))
+            _print_result(show)
         else:
             show()
         for line in lines:
@@ -234,11 +230,14 @@ def deliver(saves: Iterable[Save], show: Callable[[], object] | str, next_step: 
         print(f"more: --details prints {more}")
 
 
-def _verdict_and_rest(text: str) -> tuple[str, str]:
-    """The first sentence of a text, unfolded where `folded` had folded it, and the other lines."""
+def _print_result(text: str) -> None:
+    """Print a text whose first sentence, unfolded where `folded` had folded it, is the verdict."""
     lines = text.split("\n")
     count = next((i for i, line in enumerate(lines) if i > 0 and not line.startswith("    ")), len(lines))
-    return " ".join(map(str.strip, lines[:count])), "\n".join(lines[count:])
+    if verdict := " ".join(map(str.strip, lines[:count])):
+        print_verdict(verdict)
+    if rest := "\n".join(lines[count:]):
+        print(with_options(rest))
 
 
 FILES_OF_A_LINE = 4

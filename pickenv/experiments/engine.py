@@ -289,7 +289,7 @@ def keep(
         todo = []
         for number, (file, key) in enumerate(zip(files, keys, strict=True)):
             if file.is_file() and parquet_is_sealed(file.read_bytes()):
-                _piece_table(file, key)
+                piece_table(file, key)
                 continue
             if file.is_file():
                 warnings.warn(f"{file} is damaged and is made anew", stacklevel=2)
@@ -357,7 +357,7 @@ def kept_tables(folder: str | Path) -> Iterator[tuple[Path, pa.Table]]:
     folder = Path(folder)
     record = _read_record(folder / RECORD)
     for name in record["last"]:
-        yield folder / name, _piece_table(folder / name, record["pieces"][name])
+        yield folder / name, piece_table(folder / name, record["pieces"][name])
 
 
 def _write_record(folder: Path, pieces: Mapping[str, str]) -> None:
@@ -373,13 +373,11 @@ def _write_record(folder: Path, pieces: Mapping[str, str]) -> None:
 
 
 def _read_record(path: Path) -> dict[str, Any]:
-    if not path.is_file():
-        raise InputError(f"{path} is missing, so {path.parent} holds no experiment; {AGAIN}")
     return read_sealed_json(path, "the record of an experiment", AGAIN, "pieces", "last")
 
 
 def write_piece(path: Path, rows: Rows, name: str, key: str) -> None:
-    """Write rows as one sealed file, whole or not at all; `read_piece` needs the same key to read it."""
+    """Write rows as one sealed file, whole or not at all; `piece_table` needs the same key to read it."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -390,12 +388,7 @@ def write_piece(path: Path, rows: Rows, name: str, key: str) -> None:
     write_whole(path, lambda temporary: temporary.write_bytes(content))
 
 
-def read_piece(path: Path, key: str) -> Rows:
-    """The rows of one piece, to the bit; raises `InputError` where its file is missing, damaged, or another piece's."""
-    return Rows.of_arrow(_piece_table(path, key))
-
-
-def _piece_table(path: Path, key: str) -> pa.Table:
+def piece_table(path: Path, key: str) -> pa.Table:
     """The rows of one piece as a table.
 
     Raises:
@@ -439,7 +432,7 @@ def check_experiment(folder: str | Path) -> list[tuple[Path, str | None]]:
                 reason = f"{path} was left behind by an interrupted write; delete it"
         else:
             try:
-                _piece_table(path, pieces[name])
+                piece_table(path, pieces[name])
             except InputError as error:
                 reason = str(error)
         verdicts.append((path, reason))
@@ -463,8 +456,7 @@ def _array_of(column: Any) -> NDArray[Any]:
         return inner.reshape(len(column), column.type.list_size, *inner.shape[1:])
     if pa.types.is_string(column.type):
         return np.array(column.to_pylist())
-    values: NDArray[Any] = column.to_numpy(zero_copy_only=False)
-    return values
+    return np.asarray(column.to_numpy(zero_copy_only=False))
 
 
 def write_rows(path: Path, rows: Rows | Sequence[Mapping[str, Any]]) -> Path:
@@ -483,17 +475,13 @@ def write_rows(path: Path, rows: Rows | Sequence[Mapping[str, Any]]) -> Path:
     return write_whole(path, write)
 
 
-# Numbers in words.
-
-
-def interval_words(ends: Sequence[float | None] | None, digits: int, scale: float = 1.0, sign: str = "") -> str:
-    """An interval in words: 0.12 to 0.34; an end that the units cannot bound is open; empty without an interval."""
-    return " to ".join("open" if end is None else f"{scale * end:{sign}.{digits}f}" for end in ends or ())
-
-
-def with_interval(
-    value: float, ends: Sequence[float | None] | None, digits: int, scale: float = 1.0, sign: str = "", unit: str = ""
-) -> str:
-    """A number with its interval in brackets, if it has one: 0.23 (0.12 to 0.34)."""
-    words = interval_words(ends, digits, scale, sign)
-    return f"{scale * value:{sign}.{digits}f}{unit}" + (f" ({words})" if words else "")
+def pivot(
+    rows: Sequence[Mapping[str, Any]], names: Sequence[str], across: str, cell: Callable[[Mapping[str, Any]], str]
+) -> tuple[list[str], list[list[str]]]:
+    """Heads and cells of a table: a line for each combination of ``names``, a column for each level of ``across``."""
+    columns = list(dict.fromkeys(row[across] for row in rows))
+    lines: dict[tuple[str, ...], dict[Any, str]] = {}
+    for row in rows:
+        lines.setdefault(tuple(str(row[name]) for name in names), {})[row[across]] = cell(row)
+    cells = [[*key, *(line.get(column, "") for column in columns)] for key, line in lines.items()]
+    return [*names, *map(str, columns)], cells

@@ -38,7 +38,8 @@ from pickenv.agents.policies.foreign import faults_in
 from pickenv.base import WHOLE, Check, Estimate, InputError, Unit, estimate, file_sha256, listed, toml_of, toml_table
 from pickenv.base.intervals import LEAST
 from pickenv.base.toml_tables import made
-from pickenv.experiments.engine import Experiment, Rows, with_interval
+from pickenv.experiments.engine import Experiment, Rows, pivot
+from pickenv.inspect.runs.number_words import said
 
 WORD = Check(lambda value: isinstance(value, str) and value != "", "a text")
 NAMES = Check(
@@ -225,8 +226,6 @@ def load_experiment(
         InputError: If it is missing, or an entry is impossible; the message names file, line and key.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"experiment {path} does not exist; give a path to a TOML file")
     content, text = toml_of(path)
     keys = made(_File, content, str(path), text=text)
     parts = {"units": keys.units, "factors": keys.factors or {}, "settings": keys.settings or {}}
@@ -382,14 +381,14 @@ def number_table(number: Number, rows: Sequence[Mapping[str, Any]]) -> tuple[lis
     sign = "+" if number.against and number.of != "removed" else ""
     form = f"{sign}.{number.digits}f"
 
-    def said(row: Mapping[str, Any]) -> str:
+    def cell(row: Mapping[str, Any]) -> str:
         estimate: Estimate = row["estimate"]
-        text = with_interval(estimate.value, estimate.ci95, number.digits, number.scale, sign)
+        text = said(estimate.value, estimate.ci95, number.digits, number.scale, sign)
         if row["runs"] is not None and len(row["runs"]) > 1:  # five of which one fails have a mean that says little
             least, middle, most = (f"{number.scale * value:{form}}" for value in np.quantile(row["runs"], (0, 0.5, 1)))
             text += f", runs {least}, {middle}, {most}"
         if "lost" in row:
-            text += f", lost {with_interval(row['lost'].value, row['lost'].ci95, 1, 100.0, unit=' %')}"
+            text += f", lost {said(row['lost'].value, row['lost'].ci95, 1, 100.0, unit=' %')}"
         if number.margin is None or estimate.ci95 is None:
             return text
         return f"{text}: {estimate.verdict(number.margin)}"
@@ -398,15 +397,10 @@ def number_table(number: Number, rows: Sequence[Mapping[str, Any]]) -> tuple[lis
     if number.across is None:
         heads, cells = [*names, "number (95 % interval)"], []
         for row in rows:
-            cells.append([*(str(row[name]) for name in names), said(row)])
+            cells.append([*(str(row[name]) for name in names), cell(row)])
             if number.spread and row["units"] is not None:
                 of_units = number.scale * row["units"]
                 deviation = of_units.std(ddof=1) if len(of_units) > 1 else 0.0
                 cells[-1] += [f"{deviation:{form}}", f"{of_units.min():{form}} to {of_units.max():{form}}"]
         return [*heads, *(["standard deviation", "range"] if number.spread else [])], cells
-    columns = list(dict.fromkeys(row[number.across] for row in rows))
-    lines: dict[tuple[str, ...], dict[Any, str]] = {}
-    for row in rows:
-        lines.setdefault(tuple(str(row[name]) for name in names), {})[row[number.across]] = said(row)
-    cells = [[*key, *(line.get(column, "") for column in columns)] for key, line in lines.items()]
-    return [*names, *(str(column) for column in columns)], cells
+    return pivot(rows, names, number.across, cell)

@@ -149,7 +149,6 @@ def compensators(
     Raises:
         InputError: As `kept_calibration` does, or if there is no such method.
     """
-    check_method(method)
     if method == "raw":
         return None
     arms = [plants] if (count := plant_count(plants)) is None else [plant_at(plants, i) for i in range(count)]

@@ -27,7 +27,6 @@ from pickenv.arm.plant.plant_batch import plants_on
 from pickenv.arm.plant.plant_file import draw_arms
 from pickenv.base import InputError, check_limit, file_sha256, seed_words, stream
 from pickenv.base.registry import names, origin
-from pickenv.calibration import Calibration
 from pickenv.envs import PickVectorEnv, ReachVectorEnv
 from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.task import FEEDBACK, check_choice, check_number
@@ -201,15 +200,13 @@ BEHIND = ("plant", "compensation", "seed")
 """Levels that tell one calibrated population from another."""
 
 
-def _calibrated(settings: PolicySettings, kept: Path, *, rng: np.random.Generator, arm: int, **behind: Any) -> Columns:
-    return {"key": np.array([_calibration(settings, kept, arm=arm, **behind).record[methods.ORIGIN]])}
-
-
-def _calibration(
-    settings: PolicySettings, kept: Path, *, plant: str, compensation: str, seed: int, arm: int
-) -> Calibration:
-    plan = replace(settings.plan, seed=seed)
-    return methods.kept_calibration(kept, plant_at(settings.population(plant, seed), arm), compensation, plan, arm)
+def _calibrated(
+    settings: PolicySettings, kept: Path, *, rng: np.random.Generator, plant: str, compensation: str, seed: int,
+    arm: int,
+) -> Columns:  # fmt: skip
+    plan, design = replace(settings.plan, seed=seed), plant_at(settings.population(plant, seed), arm)
+    calibration = methods.kept_calibration(kept, design, compensation, plan, arm)
+    return {"key": np.array([calibration.record[methods.ORIGIN]])}
 
 
 def _inputs(

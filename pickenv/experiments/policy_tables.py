@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from itertools import combinations, groupby
@@ -25,7 +25,7 @@ from pickenv.base import (
 )
 from pickenv.envs.shared.difficulty import LADDER
 from pickenv.envs.shared.situation import CONTROL_PERIOD
-from pickenv.experiments.engine import Experiment, Rows, interval_words, read_piece, run, with_interval, write_piece
+from pickenv.experiments.engine import Experiment, Rows, piece_table, pivot, run, write_piece
 from pickenv.experiments.methods import CalibrationPlan
 from pickenv.experiments.policies import RUNG, PolicySettings, population_seed, run_policies
 from pickenv.inspect import Run
@@ -35,6 +35,7 @@ from pickenv.inspect.figures.plot_errors import error_by_method, error_cumulativ
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
 from pickenv.inspect.runs.matters import gripper_curves
+from pickenv.inspect.runs.number_words import between, said
 from pickenv.inspect.runs.run_folder import TakePicture, recorded_run, unedited
 
 EPISODES = "episodes.parquet"
@@ -64,11 +65,6 @@ def estimates(rows: Rows, value: str, of: str | float = "mean", by: Sequence[str
 def cell_of(rows: Rows, key: Sequence[Any], by: Sequence[str] = CELL) -> Rows:
     """The rows whose columns ``by`` are at the levels ``key``."""
     return rows.where(**dict(zip(by, key, strict=True)))
-
-
-def grippers_of(rows: Rows) -> tuple[str, ...]:
-    """Names of the grippers for which the rows have chances of taking the fruit."""
-    return tuple(name.removeprefix("chance_") for name in rows.columns if name.startswith("chance_"))
 
 
 # Evaluations: one row per policy × compensation × feedback × plant × gripper, and pairs of compensations.
@@ -140,10 +136,10 @@ def cells_of(row: Mapping[str, Any]) -> list[str]:
         f"{row['policy']}{trained}",
         *(row[key] for key in KEYS[1:]),
         f"{row['mean_mm']:.3f}",
-        interval_words(row["ci95"], 3) or f"none: {row['no_interval']}",
-        with_interval(row["median_arm_mm"], row["median_arm_ci95"], 3),
-        with_interval(row["p95_arm_mm"], row["p95_arm_ci95"], 3),
-        with_interval(row["success_rate"], row["success_ci95"], 1, 100.0),
+        _interval(row),
+        said(row["median_arm_mm"], row["median_arm_ci95"], 3),
+        said(row["p95_arm_mm"], row["p95_arm_ci95"], 3),
+        _percent(row["success_rate"], row["success_ci95"]),
         "never" if row["cycle_s"] is None else f"{row['cycle_s']:.1f}",
     ]
 
@@ -161,12 +157,12 @@ def nearest_words(rows: Sequence[Mapping[str, Any]], comparisons: Sequence[Mappi
     for plant in dict.fromkeys(row["plant"] for row in rows):
         mine = [row for row in rows if row["plant"] == plant]
         best = min([row for row in mine if row["policy"] != "oracle"] or mine, key=lambda row: float(row["mean_mm"]))
-        error = with_interval(best["mean_mm"], best["ci95"], 2, unit=" mm")
+        error = said(best["mean_mm"], best["ci95"], 2, unit=" mm")
         text = f"{plant}: {best['policy']} with {best['compensation']} ends nearest, {error} from the fruit"
         for line in comparisons:
             alike = all(line[name] == best[name] for name in ("policy", "feedback", "plant"))
             if alike and line["from"] == "raw" and line["to"] == best["compensation"]:
-                text += f"; {with_interval(line['difference_mm'], line['ci95'], 2, sign='+', unit=' mm')} against raw"
+                text += f"; {said(line['difference_mm'], line['ci95'], 2, sign='+', unit=' mm')} against raw"
         sentences.append(text)
     return sentences
 
@@ -179,20 +175,25 @@ def pivoted(rows: Sequence[Mapping[str, Any]], shares: bool = False) -> tuple[li
         shares: The shares of fruit taken, in percent, with a line for each gripper; if not, mean errors in mm.
     """
     keys = ["policy", "feedback", "plant", *(["gripper"] if shares else [])]
-    columns = list(dict.fromkeys(row["compensation"] for row in rows))
-    lines: dict[tuple[str, ...], dict[str, str]] = {}
-    for row in rows:
-        share = with_interval(row["success_rate"], row["success_ci95"], 1, 100.0)
-        cell = share if shares else with_interval(row["mean_mm"], row["ci95"], 2)
-        lines.setdefault(tuple(row[key] for key in keys), {})[row["compensation"]] = cell
-    cells = [[*key, *(line.get(column, "") for column in columns)] for key, line in lines.items()]
-    return [*keys, *columns], cells
+
+    def cell(row: Mapping[str, Any]) -> str:
+        return _percent(row["success_rate"], row["success_ci95"]) if shares else said(row["mean_mm"], row["ci95"], 2)
+
+    return pivot(rows, keys, "compensation", cell)
+
+
+def _interval(row: Mapping[str, Any], sign: str = "") -> str:
+    """A row's interval in mm, or why there is none."""
+    return between(row["ci95"][0], row["ci95"][1], 3, sign) if row["ci95"] else f"none: {row['no_interval']}"
 
 
 def gain_words(line: Mapping[str, Any]) -> tuple[str, str, str]:
     """A comparison's difference, its interval, and whether it is significant."""
-    ends = interval_words(line["ci95"], 3, sign="+") or f"none: {line['no_interval']}"
-    return f"{line['difference_mm']:+.3f}", ends, {True: "yes", False: "no", None: "not known"}[line["significant"]]
+    return (
+        f"{line['difference_mm']:+.3f}",
+        _interval(line, "+"),
+        {True: "yes", False: "no", None: "not known"}[line["significant"]],
+    )
 
 
 # Files: CSV, Parquet, run folders.
@@ -224,7 +225,7 @@ def write_evaluation(settings: PolicySettings, rows: Rows, folder: Path) -> list
 
 def read_episodes(run: Run) -> Rows:
     """The episodes of an evaluation, to the bit; raises `InputError` if they were edited or exchanged."""
-    return read_piece(unedited(run, EPISODES), run.command)
+    return Rows.of_arrow(piece_table(unedited(run, EPISODES), run.command))
 
 
 # The page and the figures of an evaluation's run folder.
@@ -239,8 +240,9 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     first, best = rows[0], min(rows, key=lambda row: row["mean_mm"])
     raw = [line for line in worth if line["from"] == "raw"]
     helped = [line for line in raw if line["significant"] and line["difference_mm"] < 0.0]
-    ends, behind = interval_words(best["ci95"], 3), policy_label(best["compensation"])
-    evidence = f"95 % interval over {best['interval_over']}: {ends}" if ends else f"no interval: {best['no_interval']}"
+    behind, evidence = policy_label(best["compensation"]), f"no interval: {best['no_interval']}"
+    if best["ci95"]:
+        evidence = f"95 % interval over {best['interval_over']}: {_interval(best)}"
     verdict = PageVerdict(
         "note",
         f"Best: {best['policy']} with {behind}, {best['mean_mm']:.2f} mm",
@@ -279,25 +281,27 @@ def drawings(run: Run) -> Drawings:
 
 def evaluation_drawings(rows: Rows) -> Drawings:
     """Every figure of an evaluation."""
+    figures: list[Drawing] = []
+
+    def add(name: str, caption: str, draw: Callable[..., Figure], *data: Any, **options: Any) -> None:
+        figures.append(Drawing(name, caption, partial(draw, *data, **options)))
+
     caption = "Final position errors of every policy over arms, with 95 % intervals; an arrow is an open end."
-    figures = [Drawing("aggregates", caption, partial(aggregate_figure, rows))]
+    add("aggregates", caption, aggregate_figure, rows)
     for (plant,) in rows.levels("plant"):
         name, scripted = Path(plant).stem, rows.where(plant=plant, policy="scripted")
         caption = f"Mean position error on {plant} if the pick were made after each step."
-        figures.append(Drawing(f"accuracy_against_cycle_time_{name}", caption, partial(cycle_figure, rows, plant)))
+        add(f"accuracy_against_cycle_time_{name}", caption, cycle_figure, rows, plant)
         if errors := {
             policy_label(behind): scripted.where(compensation=behind)["error_mm"]
             for (behind,) in scripted.levels("compensation")
         }:
             caption = f"What each gripper forgives, and where the scripted policy on {plant} lies on its curve."
-            curves = partial(success_curves, rows, plant)
-            figures.append(Drawing(f"success_against_misalignment_{name}", caption, curves))
+            add(f"success_against_misalignment_{name}", caption, success_curves, rows, plant)
             caption = f"Final position errors of the scripted policy on {plant}."
-            by_method = partial(error_by_method, errors, counted="reaches")
-            figures.append(Drawing(f"error_by_compensation_{name}", caption, by_method))
+            add(f"error_by_compensation_{name}", caption, error_by_method, errors, counted="reaches")
             caption = f"Share of the scripted policy's reaches on {plant} whose error is at most x."
-            shares = partial(error_cumulative, errors, counted="reaches")
-            figures.append(Drawing(f"error_cumulative_{name}", caption, shares))
+            add(f"error_cumulative_{name}", caption, error_cumulative, errors, counted="reaches")
     return figures
 
 
@@ -315,7 +319,8 @@ def aggregate_figure(rows: Rows) -> Figure:
 def success_curves(rows: Rows, plant: str) -> Figure:
     """Success against lateral error for each gripper, and where the scripted policy lies on it, with its interval."""
     scripted = rows.where(policy="scripted", plant=plant)
-    errors, grippers = estimates(scripted, "error_mm"), grippers_of(rows)
+    errors = estimates(scripted, "error_mm")
+    grippers = tuple(name.removeprefix("chance_") for name in rows.columns if name.startswith("chance_"))
     points: dict[str, dict[str, tuple[float, plot_policies.Estimated]]] = {}
     for name in grippers:
         for key, success in estimates(scripted, f"chance_{name}", "share").items():
@@ -451,12 +456,8 @@ def picking_rows(rows: Rows) -> list[dict[str, Any]]:
         row: dict[str, Any] = dict(zip(by, key, strict=True)) | {"arms": len(cell)}
         row |= {name: int(cell[name].sum()) for name in ("attempted", "collected")}
         error, success, rate = (line["estimate"] for line in lines)
-        row |= {
-            "error_mm": error.value,
-            "error_ci95": error.ends,
-            "success": success.value,
-            "success_ci95": success.ends,
-        }
+        row |= {"error_mm": error.value, "error_ci95": error.ends}
+        row |= {"success": success.value, "success_ci95": success.ends}
         hourly = None if rate.ends is None else [3600.0 * end for end in rate.ends]
         table.append(row | {"picks_per_hour": 3600.0 * rate.value, "picks_per_hour_ci95": hourly})
     return table
@@ -471,10 +472,8 @@ def leaderboard_tables(board: Mapping[str, Any]) -> dict[str, tuple[list[str], l
         cells = []
         for mine in _by_policy(rows):
             first, last = mine["raw"], mine.get(behind[-1])
-            half, most = (
-                with_interval(first[f"{name}_mm"], first[f"{name}_ci95"], 2) for name in ("half", "nine_of_ten")
-            )
-            errors = (with_interval(mine[n]["mean_mm"], mine[n]["ci95"], 2) if n in mine else "" for n in behind)
+            half, most = (said(first[f"{name}_mm"], first[f"{name}_ci95"], 2) for name in ("half", "nine_of_ten"))
+            errors = (said(mine[n]["mean_mm"], mine[n]["ci95"], 2) if n in mine else "" for n in behind)
             taken = ("" if row is None else _percent(row["success_rate"], row["success_ci95"]) for row in (first, last))
             cells.append([first["policy"], first["feedback"], *errors, half, most, *taken])
         named = [policy_label(name) for name in behind]
@@ -484,24 +483,20 @@ def leaderboard_tables(board: Mapping[str, Any]) -> dict[str, tuple[list[str], l
         cells = [
             [
                 *(row["policy"], policy_label(row["compensation"]), str(row["attempted"])),
-                with_interval(row["error_mm"], row["error_ci95"], 2),
+                said(row["error_mm"], row["error_ci95"], 2),
                 _percent(row["success"], row["success_ci95"]),
-                with_interval(row["picks_per_hour"], row["picks_per_hour_ci95"], 0),
+                said(row["picks_per_hour"], row["picks_per_hour_ci95"], 0),
             ]
             for row in group
         ]
         heads = ["policy", "calibration", "grasps", "error at the grasp (mm)", "success (%)", "picks per hour"]
         tables[f"Pick, {plant}"] = heads, cells
-    several = {
-        (row["policy"], row["plant"]): " ".join(f"{mm:.2f}" for mm in row["training_mm"])
-        for row in board["reach"]
-        if row["trainings"] not in (None, 1) and row["compensation"] == "raw"
-    }
-    if several:
-        plants = list(dict.fromkeys(plant for _, plant in several))
-        names = dict.fromkeys(policy for policy, _ in several)
-        cells = [[name, *(several[name, plant] for plant in plants)] for name in names]
-        tables["Mean error of each training on raw arms (mm)"] = ["policy", *plants], cells
+    trained = (row for row in board["reach"] if row["trainings"] not in (None, 1))
+    if several := [row for row in trained if row["compensation"] == "raw"]:
+        title = "Mean error of each training on raw arms (mm)"
+        tables[title] = pivot(
+            several, ["policy"], "plant", lambda row: " ".join(f"{mm:.2f}" for mm in row["training_mm"])
+        )
     return tables
 
 
@@ -514,7 +509,7 @@ def _by_policy(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Mapping[str,
 
 
 def _percent(share: float, ends: Sequence[float | None] | None) -> str:
-    return with_interval(share, ends, 1, 100.0)
+    return said(share, ends, 1, 100.0)
 
 
 def leaderboard_summary(board: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:

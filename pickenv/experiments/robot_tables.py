@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 
 from pickenv.base import listed
-from pickenv.experiments.engine import Rows, with_interval
+from pickenv.experiments.engine import Rows
 from pickenv.experiments.gains import LEARNT, LS
 from pickenv.experiments.robots import OURS, PEER_ROWS, PEER_SET, SETS, SPREAD, Bench, bench_row
+from pickenv.inspect.runs.number_words import said
 
 GAIN_HEADS = ("robot", "held out", "calibration", "before (mm)", "left (mm)", "predicted", "measured", "points apart")
 GAINS_FILE, ROBOTS_FILE = "gains.csv", "measured-robots.csv"
@@ -166,18 +167,18 @@ def points_words(found: Mapping[str, Any]) -> str:
     """The figures of `agreement` in words; empty where no blocks were held out."""
     if not found["gains"]:
         return ""
-    said: list[str] = []
+    medians: list[str] = []
     idle: list[str] = []
     for row in found["models"]:
         null = row["null_median_points"]
         beside = "" if null is None else f", the others' mean {null:.1f} (at most {row['null_worst_points']:.1f})"
-        said.append(f"{row['model']} {row['median_points']:.1f} (at most {row['worst_points']:.1f}){beside}")
+        medians.append(f"{row['model']} {row['median_points']:.1f} (at most {row['worst_points']:.1f}){beside}")
         if null is not None and row["median_points"] >= null and row["worst_points"] >= row["null_worst_points"]:
             idle.append(row["model"])
     sets = "set" if found["sets"] == 1 else "sets"
     words = (
         f"{found['gains']} gains on blocks of {found['sets']} {sets} of rows. Percentage points between a twin's "
-        f"prediction and what was measured, the median: {'; '.join(said)}. "
+        f"prediction and what was measured, the median: {'; '.join(medians)}. "
     )
     if idle:
         words += f"Of {listed(idle)} a twin promises nothing: the mean of the other robots is as near. "
@@ -194,7 +195,7 @@ def gain_cells(bench: Bench) -> list[tuple[str, ...]]:
         names = (gain["robot"], HELD[gain["split"]], gain["model"])
         sizes = (f"{gain['before_mm']:.3f}", f"{gain['held_out_mm']:.3f}")
         pairs = ((predicted, gain["predicted_ci95"]), (measured, gain["ci95"]))
-        shares = (with_interval(share, ends, 1, 100.0, unit=" %") for share, ends in pairs)
+        shares = (said(share, ends, 1, 100.0, unit=" %") for share, ends in pairs)
         cells.append((*names, *sizes, *shares, f"{100.0 * (predicted - measured):+.1f}"))
     return cells
 
@@ -231,7 +232,7 @@ def spread_table(models: Rows) -> str:
 def _millimetres(model: dict[str, Any]) -> str:
     """A value with its spread in brackets, three digits after the point below 1 mm."""
     value = model["value_mm"]
-    return with_interval(value, None if np.isnan(model["low_mm"]) else _ends(model), 3 if value < 1.0 else 2)
+    return said(value, None if np.isnan(model["low_mm"]) else _ends(model), 3 if value < 1.0 else 2)
 
 
 def peer_cells(bench: Bench) -> list[tuple[str, ...]]:

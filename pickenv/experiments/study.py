@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from itertools import groupby, product
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, TypeAlias
 
 import numpy as np
 from scipy.stats import qmc
@@ -251,9 +251,6 @@ def load_study(path: str | Path) -> StudyConfig:
     Raises:
         InputError: If the file is missing or an entry is impossible; the message names the file and the key.
     """
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"study {path} does not exist; give a path to a TOML file")
     content, text = toml_of(path)
     for key in ("sha256", "arithmetic"):  # in results folders
         content.pop(key, None)
@@ -521,16 +518,29 @@ def gathered(outcomes: Sequence[Outcomes]) -> Outcomes:
     )
 
 
+Judge: TypeAlias = Callable[[Sequence[Setting], Plant, Sequence[Circumstances]], list[Outcomes]]
+"""Judges a batch of arms, each in its own circumstances, in some settings: their outcomes in each."""
+
+
 def evaluate_chunk(protocol: Protocol, chunk: int, rng: object = None) -> Rows:
     """The rows of a chunk of arms; what they draw follows from the study's seed and their numbers, not from ``rng``."""
-    arms = protocol.config.arms_of(chunk)
-    populations = []
+
+    def judge(settings: Sequence[Setting], plants: Plant, around: Sequence[Circumstances]) -> list[Outcomes]:
+        outcomes = [evaluate_arm(protocol, settings, plant_at(plants, i), met) for i, met in enumerate(around)]
+        return [gathered(parts) for parts in zip(*outcomes, strict=True)]
+
     with single_threaded():
-        around = [protocol.circumstances(arm) for arm in arms]
-        for settings in protocol.populations():
-            plants = protocol.draw(settings[0], arms)
-            outcomes = [evaluate_arm(protocol, settings, plant_at(plants, i), met) for i, met in enumerate(around)]
-            populations.append((plants, [gathered(parts) for parts in zip(*outcomes, strict=True)]))
+        return judged_chunk(protocol, chunk, judge)
+
+
+def judged_chunk(protocol: Protocol, chunk: int, judge: Judge) -> Rows:
+    """The rows of a chunk of arms, population by population, as ``judge`` finds them."""
+    arms = protocol.config.arms_of(chunk)
+    around = [protocol.circumstances(arm) for arm in arms]
+    populations = []
+    for settings in protocol.populations():
+        plants = protocol.draw(settings[0], arms)
+        populations.append((plants, judge(settings, plants, around)))
     return chunk_rows(protocol, arms, populations)
 
 

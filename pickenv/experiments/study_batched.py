@@ -34,7 +34,7 @@ from pickenv.calibration.compensation.compensator import corrected
 from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE, judged_step
 from pickenv.calibration.model.arm_model import ErrorModel
 from pickenv.experiments import study
-from pickenv.experiments.engine import Rows, joined
+from pickenv.experiments.engine import Rows
 from pickenv.experiments.study import measured
 
 BLOCKS = {"cpu": 2**14, "cuda": 2**22}
@@ -63,24 +63,26 @@ class _Commands:
 
 def evaluate_batch(protocol: study.Protocol, chunk: int, rng: object = None, device: str = "cpu") -> Rows:
     """The rows of a chunk of arms; what they draw follows from the study's seed and their numbers, not from ``rng``."""
-    place = partial(torch.as_tensor, dtype=torch.float64, device=device)
-    arms, size = protocol.config.arms_of(chunk), _block_size(protocol, device)
-    blocks = [range(first, min(first + size, arms.stop)) for first in range(arms.start, arms.stop, size)]
-    with torch_on_one_thread():
-        return joined([_evaluate_block(protocol, block, place) for block in blocks])
+    return study.judged_chunk(protocol, chunk, partial(judge_batch, protocol, device=device))
 
 
 def judge_batch(
-    protocol: study.Protocol, setting: study.Setting, plants: Plant, around: Sequence[study.Circumstances]
-) -> study.Outcomes:
-    """Judge any batch of arms in one setting, each in its own circumstances, on the CPU."""
-    place = partial(torch.as_tensor, dtype=torch.float64, device="cpu")
-    size, parts = _block_size(protocol, "cpu"), []
+    protocol: study.Protocol,
+    settings: Sequence[study.Setting],
+    plants: Plant,
+    around: Sequence[study.Circumstances],
+    device: str = "cpu",
+) -> list[study.Outcomes]:
+    """Judge any batch of arms in settings of one population, each arm in its own circumstances: outcomes by setting."""
+    place = partial(torch.as_tensor, dtype=torch.float64, device=device)
+    poses = BLOCKS[device] * (IN_TIME if protocol.design.has_state else 1)
+    size = max(1, poses // max(protocol.config.fruit, *(setting.poses for setting in protocol.settings)))
     with torch_on_one_thread():
-        for first in range(0, len(around), size):
-            part = slice(first, first + size)
-            parts += _outcomes(protocol, [setting], plants_on(plants, itemgetter(part)), around[part], place)
-    return study.gathered(parts)
+        parts = [
+            _outcomes(protocol, settings, plants_on(plants, itemgetter(part)), around[part], place)
+            for part in (slice(first, first + size) for first in range(0, len(around), size))
+        ]
+    return [study.gathered(outcomes) for outcomes in zip(*parts, strict=True)]
 
 
 def check_device(device: str) -> None:
@@ -93,21 +95,6 @@ def check_device(device: str) -> None:
         raise InputError(f"unknown device '{device}'; give one of {', '.join(BLOCKS)}")
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("torch sees no CUDA device on this machine; give `device='cpu'`")
-
-
-def _block_size(protocol: study.Protocol, device: str) -> int:
-    """Number of arms worked on together; more where arms are measured in time, as each step then serves all of them."""
-    poses = BLOCKS[device] * (IN_TIME if protocol.design.has_state else 1)
-    return max(1, poses // max(protocol.config.fruit, *(setting.poses for setting in protocol.settings)))
-
-
-def _evaluate_block(protocol: study.Protocol, arms: range, place: Place) -> Rows:
-    around = [protocol.circumstances(arm) for arm in arms]
-    populations = []
-    for settings in protocol.populations():
-        plants = protocol.draw(settings[0], arms)
-        populations.append((plants, _outcomes(protocol, settings, plants, around, place)))
-    return study.chunk_rows(protocol, arms, populations)
 
 
 def _outcomes(

@@ -94,19 +94,14 @@ def ranked(rows: Dataset, setting: int) -> dict[str, tuple[int, float]]:
     Raises:
         InputError: If no arm of the setting has a result.
     """
-    numbers, errors = _errors(rows, setting)
+    selection = (pc.field("setting") == setting) & (pc.field("status") == study.OK)
+    table = rows.to_table(columns=["arm", study.ERROR], filter=selection, use_threads=False)
+    numbers, errors = table["arm"].to_numpy(), table[study.ERROR].to_numpy()
     if not len(numbers):
         raise InputError(f"no arm of setting {setting} has a result; give another setting")
     order = np.lexsort((numbers, -errors))
     places = {"worst": order[0], "median": order[len(order) // 2], "best": order[-1]}
     return {name: (int(numbers[i]), float(errors[i])) for name, i in places.items()}
-
-
-def _errors(rows: Dataset, setting: int) -> tuple[Any, Any]:
-    """Numbers and mean errors, mm, of a setting's arms that have a result."""
-    selection = (pc.field("setting") == setting) & (pc.field("status") == study.OK)
-    table = rows.to_table(columns=["arm", study.ERROR], filter=selection, use_threads=False)
-    return table["arm"].to_numpy(), table[study.ERROR].to_numpy()
 
 
 # The verdict: which way of making and calibrating arms is enough, at which payload, and how surely.
@@ -175,11 +170,9 @@ def method_label(method: str) -> str:
 
 def setting_label(row: Row) -> str:
     """A setting in a few words, with units."""
-    calibration = (
-        "raw"
-        if row["method"] == study.RAW
-        else f"{method_label(row['method'])}, {row['poses']} poses, noise {row['noise_mm']:g} mm"
-    )
+    calibration = method_label(row["method"])
+    if row["method"] != study.RAW:
+        calibration += f", {row['poses']} poses, noise {row['noise_mm']:g} mm"
     load = f", payload {row['payload_kg']:g} kg" if row["payload_kg"] else ""
     return f"{row['tolerances']}, IT{row['it_grade']}, {calibration}{load}"
 
@@ -190,10 +183,9 @@ def _ease(row: Row) -> tuple[Any, ...]:
 
 
 def _way(row: Row) -> str:
-    how = (
-        "no calibration" if row["method"] == study.RAW
-        else f"{row['poses']} poses by a tracker of {row['noise_mm']:g} mm noise, {method_label(row['method'])}"
-    )  # fmt: skip
+    how = "no calibration"
+    if row["method"] != study.RAW:
+        how = f"{row['poses']} poses by a tracker of {row['noise_mm']:g} mm noise, {method_label(row['method'])}"
     return f"IT{row['it_grade']} ({row['tolerances']}) and {how}"
 
 
@@ -294,11 +286,8 @@ def yield_curves(yields: Sequence[Row], along: str, specification: str) -> Figur
         InputError: If the study did not vary ``along``.
     """
     keys = ("yield", "yield_low", "yield_high")
-    figure = _curves(yields, along, keys, "arms within specification (%)", 100.0, max)
-    _note(figure, f"yield of {_arms(yields)} with 95 % bands; within specification: {specification}")
-    for axes in figure.axes:
-        axes.set_ylim(-3.0, 103.0)
-    return figure
+    note = f"yield of {_arms(yields)} with 95 % bands; within specification: {specification}"
+    return _curves(yields, along, keys, "arms within specification (%)", 100.0, max, note, (-3.0, 103.0))
 
 
 def error_curves(quantiles: Sequence[Row], along: str) -> Figure:
@@ -315,19 +304,16 @@ def error_curves(quantiles: Sequence[Row], along: str) -> Figure:
     for row in _judged(quantiles):
         merged.setdefault(row["setting"], dict(row))[f"q{row['probability']:g}"] = row["value"]
     rows = list(merged.values())
-    figure = _curves(rows, along, ("q0.5", "q0.05", "q0.95"), ERROR_LABEL, 1.0, min)
-    _note(figure, f"lines: median arm; bands: the middle 90 % of {_arms(rows)}")
-    for axes in figure.axes:
-        axes.set_ylim(bottom=0.0)
-    return figure
+    keys, note = ("q0.5", "q0.05", "q0.95"), f"lines: median arm; bands: the middle 90 % of {_arms(rows)}"
+    return _curves(rows, along, keys, ERROR_LABEL, 1.0, min, note, (0.0, None))
 
 
-def distributions(quantiles: Sequence[Row], radius_mm: float | None = None) -> Figure:
+def distributions(quantiles: Sequence[Row], radius_mm: float) -> Figure:
     """Cumulative distribution of the arms' errors, one curve per grade and method.
 
     Args:
         quantiles: Rows of `quantiles_of` with many probabilities, such as 0.01 to 0.99.
-        radius_mm: The specified radius, drawn as a line when given.
+        radius_mm: The specified radius, drawn as a line.
     """
     rows = held(_judged(quantiles), ("it_grade", "method"))
     settings = {row["setting"]: row for row in rows}
@@ -343,9 +329,8 @@ def distributions(quantiles: Sequence[Row], radius_mm: float | None = None) -> F
         medians = {name: float(np.median(curve[0])) for name, curve in curves.items()}
         least = min(medians, key=lambda name: medians[name])
         headline(axes, f"Least: {least}, half of the arms below {style.short(medians[least])} mm", beside=LEGEND)
-        if radius_mm is not None:
-            label = f"radius {radius_mm:g} mm, which\nsingle fruit must meet"
-            axes.axvline(radius_mm, color=style.rgb([RED])[0], linewidth=1.0, label=label)
+        label = f"radius {radius_mm:g} mm, which\nsingle fruit must meet"
+        axes.axvline(radius_mm, color=style.rgb([RED])[0], linewidth=1.0, label=label)
         axes.set(xscale="log", ylim=(0.0, 100.0), xlim=(0.8 * min(row["value"] for row in rows), None))
         style.plain_decades(axes.xaxis)
         figure.legend(loc="outside right upper", title=_held_words(rows, ("it_grade", "method")))
@@ -394,8 +379,9 @@ def _arms(rows: Sequence[Row]) -> str:
 
 
 def _curves(
-    rows: Sequence[Row], along: str, keys: tuple[str, str, str], ylabel: str, factor: float, better: Callable[..., Any]
-) -> Figure:
+    rows: Sequence[Row], along: str, keys: tuple[str, str, str], ylabel: str, factor: float,
+    better: Callable[..., Any], note: str, ylim: tuple[float, float | None],
+) -> Figure:  # fmt: skip
     """Curves with bands: a panel per tolerance class; colour and line style for what varies beside the axis.
 
     Curves that cannot be told apart are drawn once and named together; the title says what the axis does to the best
@@ -433,7 +419,7 @@ def _curves(
                 axes.set_xlim(left=0.0)
             axes.set_xlabel(AXES[along][1])
             axes.set_title(f"Tolerance class {name}" if len(classes) > 1 else "")
-        panels[0].set_ylabel(ylabel)
+        panels[0].set(ylabel=ylabel, ylim=ylim)
         (name, label), best = better(middles.items(), key=lambda item: float(np.nanmean(item[1])))
         unit, ends = "%" if factor > 1.0 else "mm", [_valued(along, {along: end}) for end in (min(x), max(x))]
         title = f"{label}: {style.short(best[0])} {unit} with {ends[0]}, {style.short(best[-1])} {unit} with {ends[1]}"
@@ -447,6 +433,7 @@ def _curves(
                 handles.setdefault(label, handle)
         legend = _held_words(lines, free)
         figure.legend(handles.values(), handles, loc="outside right upper", fontsize=8, title=legend)
+        _note(figure, note)
     return figure
 
 

@@ -136,7 +136,7 @@ def _log_errors(protocol: Protocol, setting: Setting, arms: Plant, around: Seque
     """Logarithms of the radii that hold the required share of the arms' fruit ``(N,)``; NaN for an arm not judged."""
     from pickenv.experiments.study_batched import judge_batch
 
-    outcomes = judge_batch(protocol, setting, arms, around)
+    (outcomes,) = judge_batch(protocol, [setting], arms, around)
     radius = np.quantile(outcomes.position, protocol.config.share, axis=1)
     return np.log(np.where([text == OK for text in outcomes.status], radius, np.nan))
 
@@ -213,7 +213,7 @@ def sobol_of(protocol: Protocol, setting: Setting, samples: int) -> list[dict[st
         numbers = np.full((len(even), every), 0.5)
         numbers[:, active] = even
         plants = plants_from(protocol.design, tolerances, numbers)
-        outcomes = judge_batch(protocol, setting, plants, [around(row) for row in rows.tolist()])
+        (outcomes,) = judge_batch(protocol, [setting], plants, [around(row) for row in rows.tolist()])
         for status in outcomes.status:
             if status != OK:
                 raise InputError(f"Sobol indices of setting {setting.number} need every arm's error: {status}")

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array
-from pickenv.pictures.stage import Colours, Mesh, Rgb, Rods, rgba
+from pickenv.pictures.stage import Mesh, Rgb, Rods, rgba
 
 AROUND, ARCS = 14, 4
 """Corners around a rod, and steps from its rim to its pole: the fewest that look round in a picture of 480 x 360 px."""
@@ -50,14 +50,9 @@ def rod_triangles(rods: Rods) -> Mesh:
     x = np.where(length > 1e-9, x / np.linalg.norm(x, axis=-1, keepdims=True), [1.0, 0.0, 0.0])
     normals = np.einsum("vk,nkj->nvj", corners, np.stack([x, np.cross(z, x), z], axis=1))
     ends = np.where(far[None, :, None], rods.end[:, None], rods.start[:, None])
-    return _joined(ends + normals * rods.radius[:, None, None], normals, rods.colour, faces)
-
-
-def _joined(corners: Array, normals: Array, colour: Colours, faces: NDArray[np.intp]) -> Mesh:
-    """Join N copies of a template, with corners (N, V, 3), into one set of triangles."""
-    count, corners_each = corners.shape[:2]
-    shifted = (faces + corners_each * np.arange(count)[:, None, None]).reshape(-1, 3)
-    return Mesh(corners.reshape(-1, 3), shifted, np.repeat(colour, corners_each, axis=0), normals.reshape(-1, 3))
+    places = ends + normals * rods.radius[:, None, None]
+    shifted = (faces + len(corners) * np.arange(len(places))[:, None, None]).reshape(-1, 3)
+    return Mesh(places.reshape(-1, 3), shifted, np.repeat(rods.colour, len(corners), axis=0), normals.reshape(-1, 3))
 
 
 def mesh_triangles(surface: Mesh) -> Mesh:

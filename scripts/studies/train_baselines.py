@@ -18,7 +18,7 @@ from pickenv.agents.evaluation.contenders import load_any
 from pickenv.arm import load_plant
 from pickenv.base import write_text
 from pickenv.experiments import CalibrationPlan, PolicySettings, calibrate_arm, evaluation_rows, run_policies
-from pickenv.experiments.engine import interval_words, with_interval
+from pickenv.inspect.runs.number_words import between, said
 
 SEEDS = 5
 CAMERA = {"feedback": "camera", "camera_noise_mm": 1.0, "fruit_noise_mm": 0.0}
@@ -75,9 +75,9 @@ def card(name: str, policy: LearnedPolicy | RememberingPolicy, found: list[dict[
     behind = "behind a calibration (least squares)" if what["compensate"] else "on the raw arm"
     rows = [
         f"| {row['compensation']} | {row['mean_mm']:.3f} | "
-        f"{interval_words(row['ci95'], 3) or 'none: ' + row['no_interval']} | "
-        f"{with_interval(row['median_arm_mm'], row['median_arm_ci95'], 3)} | "
-        f"{with_interval(row['p95_arm_mm'], row['p95_arm_ci95'], 3)} | "
+        f"{between(*row['ci95'], 3) if row['ci95'] else 'none: ' + row['no_interval']} | "
+        f"{said(row['median_arm_mm'], row['median_arm_ci95'], 3)} | "
+        f"{said(row['p95_arm_mm'], row['p95_arm_ci95'], 3)} | "
         f"{', '.join(f'{each:.3f}' for each in row['by_seed'])} | {row['attitude_deg']:.2f} |"
         for row in found
     ]

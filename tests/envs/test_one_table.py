@@ -94,7 +94,7 @@ def reference(protocol, given, plants, commands):
 def test_pose_error_reward_and_success_are_the_studys(kind, protocol, given, plants):
     (setting,) = protocol.settings
     alone = [evaluate_arm(protocol, [setting], plant_at(plants, arm), given)[0] for arm in range(ARMS)]
-    together = judge_batch(protocol, setting, plants, [given] * ARMS)
+    together = judge_batch(protocol, [setting], plants, [given] * ARMS)[0]
     position, attitude = (
         np.concatenate([getattr(part, name)[0] for part in alone]) for name in ("position", "attitude")
     )

@@ -15,18 +15,7 @@ from matplotlib.figure import Figure
 
 from pickenv.base import Estimate, InputError
 from pickenv.inspect.colours import BLUE, GREEN, GREY, ORANGE, OTHERS, in_words, policy_colours, policy_label
-from pickenv.inspect.figures.style import (
-    LINES,
-    WIDTH,
-    alike,
-    change,
-    legend_below,
-    new_figure,
-    plain_decades,
-    rgb,
-    short,
-    whisker,
-)
+from pickenv.inspect.figures import style
 
 Row = Mapping[str, Any]
 UNITS = ("mm", "m", "deg", "rad", "s", "h", "kg", "K", "N")
@@ -68,14 +57,14 @@ def estimates_figure(
     colour = colour or (free[-1] if free else "")
     rows = [{**row, "estimate": _scaled(row["estimate"], scale)} for row in rows]
     keys = list(dict.fromkeys(row.get(colour, "") for row in rows))
-    colours = dict(zip(keys, rgb(policy_colours([str(key) for key in keys])) if colour else [None], strict=True))
+    colours = dict(zip(keys, style.rgb(policy_colours([str(key) for key in keys])) if colour else [None], strict=True))
     groups: dict[Any, list[Row]] = {}
     for row in rows:
         groups.setdefault(row[panels] if panels else "", []).append(row)
     names = [name for name in free if name != colour]
     places = list(dict.fromkeys(tuple(row[name] for name in names) for row in rows))
     height = 3.2 if x else 1.0 + LINE_INCHES * len(places) * len(keys)
-    with new_figure(WIDTH, height) as figure:
+    with style.new_figure(style.WIDTH, height) as figure:
         axes: Any = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
         for axis, (title, some) in zip(axes, groups.items(), strict=True):
             axis.set_title(in_words(str(title)))
@@ -86,7 +75,7 @@ def estimates_figure(
                 _whiskers(axis, some, places, names, colour, colours)
                 axis.set_xscale("log" if log else "linear")
             if log:
-                plain_decades(axis.xaxis if x is None else axis.yaxis)
+                style.plain_decades(axis.xaxis if x is None else axis.yaxis)
         if x is None:
             unit = "".join(re.findall(r"\(.*?\)", label))  # there is room for all words once
             for number, axis in enumerate(axes):
@@ -97,7 +86,7 @@ def estimates_figure(
             axes[0].plot([], [], color=shade, linewidth=3.0, label=in_words(policy_label(str(key))))
         figure.suptitle(_result(rows, x, colour, panels), x=0.01, ha="left", fontsize=9.0, fontweight="bold")
         if len(colours) > 1:
-            legend_below(figure, axes[0], 4)
+            style.legend_below(figure, axes[0], 4)
     return figure
 
 
@@ -111,7 +100,7 @@ def _result(rows: Sequence[Row], x: str | None, colour: str, panels: str | None)
     for row in first:
         values.setdefault(in_words(policy_label(str(row.get(colour, "")))), row["estimate"].value)
     panel = [] if panels is None else [in_words(str(rows[0][panels]))]
-    return ": ".join([*panel, change(values, "").strip()])
+    return ": ".join([*panel, style.change(values, "").strip()])
 
 
 def _in_words(column: str) -> str:
@@ -154,7 +143,7 @@ def _whiskers(
     for row in rows:
         key, number = row.get(colour, ""), row["estimate"]
         y = places.index(tuple(row[name] for name in names)) + 0.8 * ((keys.index(key) + 0.5) / len(keys) - 0.5)
-        whisker(axis, y, number.value, number.ci95, colours[key])
+        style.whisker(axis, y, number.value, number.ci95, colours[key])
     axis.set_yticks(range(len(places)), [", ".join(in_words(str(name)) for name in place) for place in places])
     axis.set_ylim(len(places) - 0.5, -0.5)
 
@@ -171,15 +160,16 @@ def error_by_condition(sweeps: Mapping[str, Mapping[str, Any]], names: Mapping[s
         raise InputError("no condition was varied; give a payload, a weather or hours above zero")
     methods = list(next(iter(sweeps.values()))["methods"])
     means = {method: [n["mean_mm"] for s in sweeps.values() for n in s["methods"][method]] for method in methods}
-    groups = alike({method: np.log(values) for method, values in means.items()}, ALIKE)
-    with new_figure(WIDTH, 3.3) as figure:
+    groups = style.alike({method: np.log(values) for method, values in means.items()}, ALIKE)
+    with style.new_figure(style.WIDTH, 3.3) as figure:
         panels: Any = figure.subplots(1, len(sweeps), sharey=True, squeeze=False)[0]
         for axes, (name, sweep) in zip(panels, sweeps.items(), strict=True):
             levels = np.asarray(sweep["levels"], dtype=float)
             for i, group in enumerate(groups):
                 numbers, label = sweep["methods"][group[0]], in_words(" = ".join(group))
-                colour = rgb([ORANGE if group[0] == "raw" else METHODS[(i - 1) % len(METHODS)]])[0]
-                line: dict[str, Any] = {"linestyle": LINES[i % len(LINES)], "marker": "o", "markersize": 3.0}
+                colour = style.rgb([ORANGE if group[0] == "raw" else METHODS[(i - 1) % len(METHODS)]])[0]
+                pattern = style.LINES[i % len(style.LINES)]
+                line: dict[str, Any] = {"linestyle": pattern, "marker": "o", "markersize": 3.0}
                 axes.plot(levels, [number["mean_mm"] for number in numbers], color=colour, label=label, **line)
                 ends = [number["ci95_mm"] for number in numbers]
                 if None not in ends:
@@ -187,10 +177,10 @@ def error_by_condition(sweeps: Mapping[str, Mapping[str, Any]], names: Mapping[s
             axes.set(xlabel=names.get(name, name))
         panels[0].set_ylabel("mean position error (mm)")
         panels[0].set_yscale("log")
-        plain_decades(panels[0].yaxis)
+        style.plain_decades(panels[0].yaxis)
         least = min(methods, key=lambda method: max(means[method]))
-        span = " to ".join(short(end(means[least])) for end in (min, max))
+        span = " to ".join(style.short(end(means[least])) for end in (min, max))
         title = f"{in_words(least)}: {span} mm under conditions that no fit has seen"
         figure.suptitle(title[:1].upper() + title[1:], x=0.01, ha="left", fontweight="bold", fontsize=9.0)
-        legend_below(figure, panels[0], 3)
+        style.legend_below(figure, panels[0], 3)
     return figure

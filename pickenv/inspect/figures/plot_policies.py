@@ -137,15 +137,11 @@ def success_against_misalignment(
                 axes.plot([error], [100.0 * share], marks[gripper], markeredgecolor=style.INK, **look)
             axes.plot([], [], "o", label=in_words(f"{policy}: mean error, success"), **look)
         farthest = max((error for at in points.values() for error, _ in at.values()), default=0.0)
-        axes.set(ylim=(-3.0, 103.0), xlim=(0.0, _seen_to(curves, farthest)))
+        # Shown is where the first gripper's success halves, and all policies.
+        halved = [x[share <= 0.5 * share[0]][:1] for x, share in (map(np.asarray, curve) for curve in curves.values())]
+        half = min((float(end[0]) for end in halved if len(end)), default=0.0)
+        axes.set(ylim=(-3.0, 103.0), xlim=(0.0, 1.3 * max(half, farthest, 1.0)))
     return figure
-
-
-def _seen_to(curves: Mapping[str, tuple[ArrayLike, ArrayLike]], farthest: float) -> float:
-    """Largest misalignment shown, mm: beyond where the first gripper's success has halved, and beyond all policies."""
-    ends = [x[share <= 0.5 * share[0]][:1] for x, share in (map(np.asarray, curve) for curve in curves.values())]
-    half = min((float(end[0]) for end in ends if len(end)), default=0.0)
-    return 1.3 * max(half, farthest, 1.0)
 
 
 def accuracy_against_cycle_time(

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from textwrap import fill, wrap
 from typing import Any
@@ -88,12 +88,10 @@ def check_format(suffix: str, path: str | Path) -> None:
         raise InputError(f"cannot write {path}: '{suffix}' is no picture format; give one of {', '.join(formats)}")
 
 
-@contextmanager
-def style(**more: Any) -> Iterator[None]:
+def style(**more: Any) -> AbstractContextManager[None]:
     """Apply pickenv's style while drawing; matplotlib's settings are restored afterwards."""
-    settings: Any = {**STYLE, **more}
-    with matplotlib.rc_context(settings):
-        yield
+    settings: Any = STYLE | more
+    return matplotlib.rc_context(settings)
 
 
 @contextmanager

@@ -24,7 +24,6 @@ from pickenv.inspect.recordings.episode_entities import target_view
 from pickenv.inspect.recordings.scribe import (
     Scribe,
     f32,
-    four_digits,
     layout,
     reading,
     reading_columns,
@@ -165,7 +164,8 @@ def _send_reaches(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy
     scribe.still(f"target/{policy.key}", shots, reading(1e3 * miss))
     for name, values in (("error_mm", ends.position_error_mm), ("attitude_deg", ends.attitude_error_deg)):
         entity = f"metrics/{name}/{lane(policy.key)}"
-        scribe.curve(entity, policy.label, colour, four_digits(values), 1.8)
+        short = [float(f"{value:.4g}") for value in values]  # the viewer's tables print all digits
+        scribe.curve(entity, policy.label, colour, short, 1.8)
     states = ["pick" if success else "miss" for success in ends.success]
     scribe.lane(f"outcome/{lane(policy.key)}", {"pick": ("pick", colour), "miss": ("miss", RED)}, states)
 
@@ -210,11 +210,6 @@ def space(comparison: Comparison, name: str, contents: list[str], origin: str = 
     centre, radius = shown_box(comparison)
     eye = centre + EYE_DISTANCE * radius * eye_direction(comparison)
     return seen_from(eye, centre, origin, [*contents, "+ /world/workspace", "+ /world/axes"], name, **more)
-
-
-def ghost(comparison: Comparison) -> list[str]:
-    """The view contents that show the nominal arm; empty where there are no reaches."""
-    return ["+ /world/arm/nominal"] if len(comparison.fruit) else []
 
 
 REACHES_PER_SECOND = 2.0
@@ -270,7 +265,8 @@ def _meaning(unit: str, top: float) -> str:
 def _arrows(
     comparison: Comparison, name: str, unit: str, top: float, fields: Mapping[str, tuple[str, Array, Array]]
 ) -> Any:
-    views = [space(comparison, title, [f"+ /{entity}", *ghost(comparison)]) for entity, (title, *_) in fields.items()]
+    nominal = ["+ /world/arm/nominal"] if len(comparison.fruit) else []
+    views = [space(comparison, title, [f"+ /{entity}", *nominal]) for entity, (title, *_) in fields.items()]
     return with_colour_bar(views, details.LEGENDS[unit], _meaning(unit, top), name)
 
 

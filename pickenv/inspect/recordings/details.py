@@ -46,22 +46,17 @@ def send_details(scribe: Scribe, comparison: Comparison, tabs: Mapping[str, Arro
             scribe.arrows(entity, comparison.grid.points, arrows, values, top, unit)
     for unit, top in {unit: top for unit, top, _ in tabs.values()}.items():
         scribe.colour_bar(f"legend/{LEGENDS[unit]}", top, unit)
-    if comparison.field_uncertainty is not None:
-        _send_uncertainty(scribe, comparison, comparison.field_uncertainty)
+    if comparison.field_uncertainty is not None:  # beside the last policy's actual errors, on one colour scale
+        top, actual = summary.uncertainty_scale_mm(comparison), summary.field_mm(comparison.policies[-1])
+        send_voxels(scribe, comparison, "world/uncertainty/predicted", 1e3 * comparison.field_uncertainty, top)
+        send_voxels(scribe, comparison, "world/uncertainty/actual", actual, top)
+        scribe.colour_bar("legend/uncertainty", top, "mm")
     if day:
         _send_day(scribe, comparison, day)
     if scribe.times:
         commands = comparison.policies[0].ends.joint_command
         _send_urdf(scribe, "urdf_nominal", comparison.nominal, commands, GREY, "majorwireframe")
         _send_urdf(scribe, "urdf_true", comparison.plant.geometry, commands, STEEL, "solid")
-
-
-def _send_uncertainty(scribe: Scribe, comparison: Comparison, uncertainty: Array) -> None:
-    """Send the predicted uncertainty and the last policy's actual errors, on one colour scale."""
-    top = summary.uncertainty_scale_mm(comparison)
-    send_voxels(scribe, comparison, "world/uncertainty/predicted", 1e3 * uncertainty, top)
-    send_voxels(scribe, comparison, "world/uncertainty/actual", summary.field_mm(comparison.policies[-1]), top)
-    scribe.colour_bar("legend/uncertainty", top, "mm")
 
 
 def send_voxels(scribe: Scribe, comparison: Comparison, entity: str, values: Array, top: float) -> None:

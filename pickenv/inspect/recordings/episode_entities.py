@@ -91,10 +91,8 @@ class EpisodeLog:
         return self._wanted()
 
     def _wanted(self) -> bool:
-        if self._left > 0.0:
-            self._left -= 1.0
-            return True
-        return False
+        self._left -= 1.0
+        return self._left >= 0.0
 
     def note(self, info: Mapping[str, Any], reward: float, target: Array | None = None) -> None:
         """Add the present step to `rows`."""
@@ -195,24 +193,57 @@ def decades(distance_mm: Array) -> Array:
     return np.asarray(np.log10(np.maximum(distance_mm, NEAREST_MM)))
 
 
-def send_looks(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequence[Row], root: str = "world") -> None:
-    """Send the looks that hold for all steps of one environment; names of curves state the mean end of its ``rows``."""
-    scribe, info = Scribe(stream), rows[0].info
+def send_steps(
+    stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequence[Row], begin: int = 0, root: str = "world"
+) -> None:
+    """Send one environment's rows from ``begin`` on as whole columns, with the looks that hold for all ``rows``.
+
+    Names of curves state the mean end of all ``rows``. An episode may be sent in parts, of which the last ends it.
+    """
+    new, info = rows[begin:], rows[0].info
+    moments, seconds = _strung(scene, new)
+    times = [
+        rr.TimeColumn("step", sequence=moments),
+        rr.TimeColumn("sim_time", duration=seconds),
+        rr.TimeColumn("episode", sequence=[row.episode for row in new]),
+        rr.TimeColumn("episode_time", duration=[scene.period * row.within for row in new]),
+    ]
+    scribe = Scribe(stream, times)
     (colour,) = policy_colours([scene.policy])
-    _send_bodies_looks(scribe, scene, key, rows, colour, root)
-    ends = distances_mm(last_rows(rows))
-    if ends is not None:
-        name = f"{scene.label}: {ends.mean():.3f} mm"
-        _name_curves(scribe, f"distance/{lane(key)}", rows, [name], colour)
+    if has_arm(scene, info):
+        nominal, true = _arms(scene, new)
+        exaggerated = nominal + GAIN * (true - nominal)
+        scribe.arm(f"{root}/arm/nominal/{key}", nominal, scene.parts, GREY, "majorwireframe")
+        scribe.arm(f"{root}/arm/true/{key}", true, scene.parts, colour, "solid", 0.5)
+        scribe.arm(f"{root}/arm/exaggerated/{key}", exaggerated, scene.parts, colour, "solid", 0.5)
+    if has_fruit(info):
+        fruit, tool = column(new, "fruit_position"), column(new, "tool_position")
+        miss = tool - fruit
+        scribe.dots(f"{root}/fruit/{key}", fruit, FRUIT, FRUIT_RADIUS)
+        scribe.dots(f"{root}/tool/{key}", tool, colour, TOOL_RADIUS)
+        scribe.dots(f"target/{key}", 1e3 * miss, colour, rr.Radius.ui_points(4.0))
+        arrow = rr.Arrows3D.from_fields(colors=[RED], radii=rr.Radius.ui_points(2.0))
+        scribe.still(f"{root}/miss/{key}", arrow)
+        arrows = rr.Arrows3D.columns(origins=f32(fruit), vectors=f32(miss))
+        scribe.along(f"{root}/miss/{key}", arrows, reading_columns(1e3 * miss))
         if scene.tolerance_mm is not None:
-            name = f"gripper's tolerance, {scene.tolerance_mm:g} mm"
-            scribe.still("distance/tolerance", rr.SeriesLines(names=[name], colors=[RED], widths=[WIDTHS[0]]))
-    for unit, names in number_groups(info).items():
-        labels = [f"{scene.label}, {name.replace('_', ' ')}" for name in names]
-        _name_curves(scribe, f"metrics/{unit}/{lane(key)}", rows, labels, colour)
+            scribe.capture(scene.tolerance_mm)
     if "is_success" in info:
         looks = {"yes": (f"{scene.label}: success", colour), "no": (f"{scene.label}: not yet", STEEL)}
-        scribe.lane(f"outcome/{lane(key)}", looks, [])
+        states = ["yes" if row.info["is_success"] else "no" for row in new]
+        scribe.lane(f"outcome/{lane(key)}", looks, states)
+    distance, ends = distances_mm(new), distances_mm(last_rows(rows))
+    if distance is not None and ends is not None:
+        entity = f"distance/{lane(key)}"
+        _name_curves(scribe, entity, rows, [f"{scene.label}: {ends.mean():.3f} mm"], colour)
+        _send_numbers(stream, scene, entity, new, decades(distance)[:, None])
+        if scene.tolerance_mm is not None:
+            name, level = f"gripper's tolerance, {scene.tolerance_mm:g} mm", np.full(len(new), scene.tolerance_mm)
+            scribe.curve("distance/tolerance", name, RED, decades(level), WIDTHS[0])
+    for unit, names in number_groups(info).items():
+        entity, labels = f"metrics/{unit}/{lane(key)}", [f"{scene.label}, {name.replace('_', ' ')}" for name in names]
+        _name_curves(scribe, entity, rows, labels, colour)
+        _send_numbers(stream, scene, entity, new, np.stack([column(new, name) for name in names], axis=1))
 
 
 def _name_curves(scribe: Scribe, entity: str, rows: Sequence[Row], names: list[str], colour: Rgb) -> None:
@@ -221,60 +252,6 @@ def _name_curves(scribe: Scribe, entity: str, rows: Sequence[Row], names: list[s
     looks = rr.SeriesLines(names=list(map(in_words, names)), colors=[colour] * len(names), widths=widths)
     for part in ("", *(f"/{order}" for order in dict.fromkeys(row.order for row in rows) if order < MOST_CURVES)):
         scribe.still(entity + part, looks)
-
-
-def _send_bodies_looks(scribe: Scribe, scene: Scene, key: str, rows: Sequence[Row], colour: Rgb, root: str) -> None:
-    info = rows[0].info
-    if has_arm(scene, info):
-        points = _arms(scene, rows[:1])[0]
-        scribe.arm(f"{root}/arm/nominal/{key}", points, scene.parts, GREY, "majorwireframe")
-        scribe.arm(f"{root}/arm/true/{key}", points, scene.parts, colour, "solid", 0.5)
-        scribe.arm(f"{root}/arm/exaggerated/{key}", points, scene.parts, colour, "solid", 0.5)
-    if has_fruit(info):
-        scribe.still(f"{root}/fruit/{key}", rr.Points3D.from_fields(colors=[FRUIT], radii=[FRUIT_RADIUS]))
-        scribe.still(f"{root}/tool/{key}", rr.Points3D.from_fields(colors=[colour], radii=[TOOL_RADIUS]))
-        arrow = rr.Arrows3D.from_fields(colors=[RED], radii=rr.Radius.ui_points(2.0))
-        scribe.still(f"{root}/miss/{key}", arrow)
-        scribe.still(f"target/{key}", rr.Points3D.from_fields(colors=[colour], radii=rr.Radius.ui_points(4.0)))
-        if scene.tolerance_mm is not None:
-            scribe.capture(scene.tolerance_mm)
-
-
-def send_rows(stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequence[Row], root: str = "world") -> None:
-    """Send ``rows`` of one environment as whole columns; an episode may be sent in parts, of which the last ends it."""
-    moments, seconds = _strung(scene, rows)
-    strung = [rr.TimeColumn("step", sequence=moments), rr.TimeColumn("sim_time", duration=seconds)]
-    every = [
-        *strung,
-        rr.TimeColumn("episode", sequence=[row.episode for row in rows]),
-        rr.TimeColumn("episode_time", duration=[scene.period * row.within for row in rows]),
-    ]
-    scribe, info = Scribe(stream, every), rows[0].info
-    if has_arm(scene, info):
-        nominal, true = _arms(scene, rows)
-        scribe.move_arm(f"{root}/arm/nominal/{key}", nominal, scene.parts)
-        scribe.move_arm(f"{root}/arm/true/{key}", true, scene.parts)
-        scribe.move_arm(f"{root}/arm/exaggerated/{key}", nominal + GAIN * (true - nominal), scene.parts)
-    if has_fruit(info):
-        fruit, tool = column(rows, "fruit_position"), column(rows, "tool_position")
-        miss = tool - fruit
-        scribe.along(f"{root}/fruit/{key}", rr.Points3D.columns(positions=f32(fruit)))
-        scribe.along(f"{root}/tool/{key}", rr.Points3D.columns(positions=f32(tool)))
-        arrows = rr.Arrows3D.columns(origins=f32(fruit), vectors=f32(miss))
-        scribe.along(f"{root}/miss/{key}", arrows, reading_columns(1e3 * miss))
-        scribe.along(f"target/{key}", rr.Points3D.columns(positions=f32(1e3 * miss)))
-    if "is_success" in info:
-        states = ["yes" if row.info["is_success"] else "no" for row in rows]
-        scribe.along(f"outcome/{lane(key)}", rr.StateChange.columns(state=states))
-    distance = distances_mm(rows)
-    if distance is not None:
-        _send_numbers(stream, scene, f"distance/{lane(key)}", rows, decades(distance)[:, None])
-        if scene.tolerance_mm is not None:
-            level = decades(np.full(len(rows), scene.tolerance_mm))
-            scribe.along("distance/tolerance", rr.Scalars.columns(scalars=level))
-    for unit, names in number_groups(info).items():
-        values = np.stack([column(rows, name) for name in names], axis=1)
-        _send_numbers(stream, scene, f"metrics/{unit}/{lane(key)}", rows, values)
 
 
 def _strung(scene: Scene, rows: Sequence[Row]) -> tuple[NDArray[np.int64], Array]:

@@ -71,14 +71,7 @@ def _start_viewer() -> None:
         return
     check_screen()
     command = rerun_command(bind=LOCAL, port=VIEWER_PORT, memory_limit=VIEWER_MEMORY)
-    quiet = subprocess.DEVNULL
-    subprocess.Popen(
-        command_words(*command, hide_welcome_screen=True, expect_data_soon=True),
-        env=viewer_environment(),
-        stdout=quiet,
-        stderr=quiet,
-        start_new_session=True,
-    )
+    started(command_words(*command, hide_welcome_screen=True, expect_data_soon=True))
     deadline = time.monotonic() + START_PATIENCE
     while not _listens():
         if time.monotonic() > deadline:
@@ -102,6 +95,12 @@ def rerun_command(*words: object, **options: object) -> list[str]:
     system site packages).
     """
     return command_words(sys.executable, "-m", "rerun_cli", *words, **options)
+
+
+def started(command: list[str], **environment: str) -> subprocess.Popen[bytes]:
+    """Start rerun in a session of its own, without its log: on a healthy day a screenful that hides what matters."""
+    quiet, variables = subprocess.DEVNULL, viewer_environment() | environment
+    return subprocess.Popen(command, env=variables, stdout=quiet, stderr=quiet, start_new_session=True)
 
 
 def telemetry_wanted() -> bool:

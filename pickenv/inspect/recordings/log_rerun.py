@@ -9,6 +9,7 @@ from typing import Any, SupportsFloat, TypeVar
 import gymnasium as gym
 import numpy as np
 import rerun as rr
+import rerun.blueprint as rrb
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 
@@ -79,11 +80,16 @@ class _Recorder:
 
     def ended(self, growth: float = GROWTH) -> None:
         """Show an episode that has ended; write the file if recorded steps are ``growth`` times those in it or more."""
-        recorded = self._recorded
+        recorded = sum(len(log.rows) for log in self.logs)
         if recorded and self._live:
-            self._show()
+            if self._stream is None:
+                self._stream = open_live(self._identity, self._blueprint(), **self._viewers)
+            self._send(self._stream, self._shown)
+            self._shown = [len(log.rows) for log in self.logs]
         if self.path is not None and recorded > self._in_file and recorded >= growth * self._in_file:
-            self._write(self.path)
+            anew = [0] * len(self.logs)  # the old file stays until the new one is complete
+            write_recording(self.path, self._identity, self._blueprint(), lambda stream: self._send(stream, anew))
+            self._in_file = recorded
 
     def close(self) -> None:
         """Show and write the steps not yet shown or written, and disconnect the live viewers."""
@@ -96,25 +102,8 @@ class _Recorder:
                 gym.logger.warn("a live viewer did not take the last steps: %s", error)
             self._stream = None
 
-    @property
-    def _recorded(self) -> int:
-        return sum(len(log.rows) for log in self.logs)
-
-    def _rows(self) -> list[entities.Row]:
-        return next(log.rows for log in self.logs if log.rows)
-
-    def _write(self, path: Path) -> None:
-        """Write the whole recording anew; the old file stays until the new one is complete."""
-        blueprint = entities.episode_blueprint(self._scene, self._rows())
-        write_recording(path, self._identity, blueprint, lambda stream: self._send(stream, [0] * len(self.logs)))
-        self._in_file = self._recorded
-
-    def _show(self) -> None:
-        if self._stream is None:
-            blueprint = entities.episode_blueprint(self._scene, self._rows())
-            self._stream = open_live(self._identity, blueprint, **self._viewers)
-        self._send(self._stream, self._shown)
-        self._shown = [len(log.rows) for log in self.logs]
+    def _blueprint(self) -> rrb.Blueprint:
+        return entities.episode_blueprint(self._scene, next(log.rows for log in self.logs if log.rows))
 
     def _send(self, stream: rr.RecordingStream, start: Sequence[int]) -> None:
         """Send each environment's rows from ``start`` on, and before them what holds for all rows, such as looks."""
@@ -123,8 +112,7 @@ class _Recorder:
             stream.send_property("pickenv", rr.AnyValues(**facts))
         for log, begin in zip(self.logs, start, strict=True):
             if len(log.rows) > begin:
-                entities.send_looks(stream, self._scene, log.key, log.rows)
-                entities.send_rows(stream, self._scene, log.key, log.rows[begin:])
+                entities.send_steps(stream, self._scene, log.key, log.rows, begin)
 
 
 NOT_OF_THE_RECORDER = ("self", "env", "indices")

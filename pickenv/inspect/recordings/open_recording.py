@@ -25,7 +25,6 @@ from rerun.chunk import RrdReader
 
 from pickenv.base import InputError, command_line
 from pickenv.inspect.recordings import live
-from pickenv.inspect.recordings.live import viewer_environment
 
 # The viewer's page for a browser on this machine, which may ask nobody else: no telemetry, no fonts, no news. rerun
 # serves the page; what stands here hands it on with a content security policy that names the recording's own server
@@ -133,14 +132,9 @@ def headless_viewer() -> Iterator[Any]:
     port = _free_port()
     quiet: dict[str, Any] = {"headless": True, "hide_welcome_screen": True, "window_size": WINDOW}
     with tempfile.TemporaryDirectory() as folder:
-        process = subprocess.Popen(
-            live.rerun_command(**quiet, bind=live.LOCAL, port=port),
-            env=viewer_environment()
-            | {"RERUN_APP_ONLY": "true", "XDG_RUNTIME_DIR": folder},  # it neither asks nor leaves files
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
+        command = live.rerun_command(**quiet, bind=live.LOCAL, port=port)
+        # With these variables it neither asks nor leaves files.
+        process = live.started(command, RERUN_APP_ONLY="true", XDG_RUNTIME_DIR=folder)
         client, deadline = None, time.monotonic() + STARTING
         try:
             while client is None and process.poll() is None and time.monotonic() < deadline:
@@ -265,11 +259,8 @@ def _serve(*paths: Path, **options: object) -> None:
 
 def _run(*paths: Path, **options: object) -> None:
     """Run the installed rerun; end it and the programs that it started when this program ends."""
-    # Its log goes nowhere: on a healthy day it is a screenful that hides the one line that says where to look.
-    quiet = subprocess.DEVNULL
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended from outside is ended as by Ctrl-C
-    command, environment = live.rerun_command(*paths, **options), live.viewer_environment()
-    process = subprocess.Popen(command, env=environment, stdout=quiet, stderr=quiet, start_new_session=True)
+    process = live.started(live.rerun_command(*paths, **options))
     try:
         code = process.wait()
     except BaseException:

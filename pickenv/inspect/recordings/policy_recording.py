@@ -77,8 +77,7 @@ def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> No
         above = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, high[2] + 0.1 * (high[2] - low[2])]
         scribe.still(f"{root}/colour", rr.Points3D([above], colors=[colour], radii=NAME_SIZE))
         scribe.words(f"{root}/name", above, policy.label)
-        entities.send_looks(stream, scene, policy.key, rows, root)
-        entities.send_rows(stream, scene, policy.key, rows, root)
+        entities.send_steps(stream, scene, policy.key, rows, root=root)
         misses = 1e3 * (policy.ends.tool_position - policy.ends.fruit_position)
         scribe.still(f"ends/{policy.key}", rr.Points3D(misses, colors=[colour], radii=rr.Radius.ui_points(3.0)))
     scribe.document("verdict", comparison_markdown(episodes))

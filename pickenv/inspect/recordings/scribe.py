@@ -140,10 +140,6 @@ class Scribe:
                 fill_mode=fill_mode,
             ),
         )
-        self.move_arm(entity, points, parts)
-
-    def move_arm(self, entity: str, points: Array, parts: list[int]) -> None:
-        """Send the places at every moment of an arm whose look `arm` has sent."""
         start, length, quaternion = capsules(points, parts)
         moving = rr.Capsules3D.columns(
             lengths=f32(length.ravel()),
@@ -151,6 +147,11 @@ class Scribe:
             quaternions=f32(quaternion.reshape(-1, 4)),
         )
         self.along(entity, moving.partition([len(parts)] * len(points)))
+
+    def dots(self, entity: str, places: Array, colour: Rgb, radius: Any) -> None:
+        """Send a moving ball's look and places ``(T, 3)``, m; the radius is in m, or a `rerun.Radius`."""
+        self.still(entity, rr.Points3D.from_fields(colors=[colour], radii=radius))
+        self.along(entity, rr.Points3D.columns(positions=f32(places)))
 
     def axes(self, entity: str, corner: ArrayLike, lengths: ArrayLike, labels: Sequence[str], width: float) -> None:
         """Send the world's axes from ``corner`` ``(3,)``, m, with ``lengths`` ``(3,)`` and labels; width in points."""
@@ -188,11 +189,6 @@ class Scribe:
 def f32(values: ArrayLike) -> Any:
     """Values as 32-bit floats, the precision in which rerun keeps them."""
     return np.ascontiguousarray(values, dtype=np.float32)
-
-
-def four_digits(values: ArrayLike) -> Array:
-    """Values rounded to four significant digits, as the viewer's tables print all digits."""
-    return np.array([float(f"{value:.4g}") for value in np.ravel(values)]).reshape(np.shape(values))
 
 
 def reading(vectors: Array, unit: str = "mm") -> rr.DynamicArchetype:

@@ -74,24 +74,18 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
         _poses(result, train),
         Section("Evidence", [{row[0]: row[1] for row in blocks["evidence"].rows}]),
     )
+    rows = "views of a board" if train.kind == "pixels" else f"{train.kind} measurements"
+    held_out = f"{len(test.joints)} held out"
+    if result.held_out.blocks is not None:
+        held_out = f"each judged without its block of the {result.held_out.rows}"
     return html_of(
         f"Calibration of {result.arm.name}",
-        f"{len(train.joints)} {_measured(train)} from {Path(train.source).name}; "
-        + (
-            f"{len(test.joints)} held out"
-            if result.held_out.blocks is None
-            else f"each judged without its block of the {result.held_out.rows}"
-        ),
+        f"{len(train.joints)} {rows} from {Path(train.source).name}; {held_out}",
         _verdict(result, test),
         sections,
         _origin(result, train, test, seeds or {}),
         _tiles(result),
     )
-
-
-def _measured(data: Observations) -> str:
-    """The kind of a data set's rows, in words: views of a board, or measurements of a kind."""
-    return "views of a board" if data.kind == "pixels" else f"{data.kind} measurements"
 
 
 def _verdict(r: Result, test: Observations) -> PageVerdict:
@@ -129,20 +123,19 @@ def _worth(r: Result) -> str:
 
 
 def _tiles(r: Result) -> dict[str, str]:
-    mean = f"{figure(r.best.mean)} {r.miss_unit}"
-    kind = "position" if r.miss_unit == "mm" else "angular"
+    mean, head = (
+        f"{figure(r.best.mean)} {r.miss_unit}",
+        f"mean {'position' if r.miss_unit == 'mm' else 'angular'} error",
+    )
+    if r.has_nominal:
+        mean, head = f"{figure(r.position[NOMINAL].mean)} → {mean}", f"{head}, nominal → calibrated"
     noise, identification = r.quality.completeness, r.geometric.identification
+    remains = f"{np.sqrt(noise.reduced):.2g} ×" if np.isfinite(noise.reduced) else "not known"
     return {
-        **(
-            {f"mean {kind} error, nominal → calibrated": f"{figure(r.position[NOMINAL].mean)} → {mean}"}
-            if r.has_nominal
-            else {f"mean {kind} error": mean}
-        ),
+        head: mean,
         "95 of 100 poses are better than this": f"{figure(r.best.p95)} {r.miss_unit}",
         "parameters that the rows tell": f"{identification.spent:.1f} of {len(identification.identifiability.names)}",
-        f"what remains, in units of the {noise.noise} (1 is perfect)": f"{np.sqrt(noise.reduced):.2g} ×"
-        if np.isfinite(noise.reduced)
-        else "not known",
+        f"what remains, in units of the {noise.noise} (1 is perfect)": remains,
     }
 
 
@@ -202,14 +195,13 @@ def _parameters(r: Result) -> Section:
 
     significant, others = ([row for row in every if has_moved(row) is yes] for yes in (True, False))
     heads = ("parameter", "meaning", "change ± uncertainty", "drawn", "told by the rows")
+    moved = f"{len(significant)} of {len(every)} parameters moved by more than {SIGMAS:g} sigma"
     folded = f"{len(others)} within {SIGMAS:g} sigma of the nominal value"
     return Section(
         "What moved",
         (
             _sentence(r.prior_text),
-            table(f"{len(significant)} of {len(every)} parameters moved by more than {SIGMAS:g} sigma", significant)
-            if significant
-            else "",
+            table(moved, significant) if significant else "",
             Section(folded, [table(folded, others)]) if others else None,
         ),
         TEXTS["explained"]["parameters"],

@@ -229,8 +229,7 @@ def plain_report(
 
 def drawings_of(run: Run) -> Drawings:
     """Every figure of a run, drawable or left out."""
-    drawings: Drawings = _pages(run).drawings(run)
-    return drawings
+    return list(_pages(run).drawings(run))
 
 
 def page_of(run: Run, picture: TakePicture | None = None) -> str:
@@ -240,8 +239,7 @@ def page_of(run: Run, picture: TakePicture | None = None) -> str:
         run: The run.
         picture: Function that draws the run's recording, such as `viewer_picture`; no picture is shown when left out.
     """
-    html: str = _pages(run).page(run, picture)
-    return html
+    return str(_pages(run).page(run, picture))
 
 
 def _pages(run: Run) -> Any:

@@ -10,7 +10,7 @@ from pickenv.inspect.colours import TEXTS
 
 def between(low: float | None, high: float | None, digits: int, sign: str = "") -> str:
     """An interval in words: 0.12 to 0.34; ``sign`` "+" gives both ends a sign. An unknown end (None) is open."""
-    ends = ["" if end is None else f"{_plain(end, digits):{sign}.{digits}f}" for end in (low, high)]
+    ends = ["" if end is None else estimated(end, None, None, digits, sign=sign) for end in (low, high)]
     if all(ends):
         return f"{ends[0]} to {ends[1]}"
     return f"{ends[0]} or more" if ends[0] else f"up to {ends[1]}" if ends[1] else "no interval"
@@ -18,29 +18,28 @@ def between(low: float | None, high: float | None, digits: int, sign: str = "") 
 
 def estimated(value: float, low: float | None, high: float | None, digits: int, unit: str = "", sign: str = "") -> str:
     """A number with its 95 % interval in brackets: 0.23 mm (0.12 to 0.34); the number alone without an interval."""
-    text = f"{_plain(value, digits):{sign}.{digits}f}{unit}"
+    text = f"{round(value, digits) + 0.0:{sign}.{digits}f}{unit}"  # no minus before a zero
     return text if low is None and high is None else f"{text} ({between(low, high, digits, sign)})"
 
 
 def said(
-    value: float | None, ends: Sequence[float | None] | None, digits: int, scale: float = 1.0, sign: str = ""
+    value: float | None,
+    ends: Sequence[float | None] | None,
+    digits: int,
+    scale: float = 1.0,
+    sign: str = "",
+    unit: str = "",
 ) -> str:
     """A number and its interval, both times ``scale``, as `estimated` writes them; a dash for an unknown number."""
     if value is None:
         return "–"
     low, high = (None if end is None else scale * end for end in ends or (None, None))
-    return estimated(scale * value, low, high, digits, sign=sign)
-
-
-def _plain(value: float, digits: int) -> float:
-    """The number rounded to ``digits``, without a minus before a zero."""
-    return round(value, digits) + 0.0
+    return estimated(scale * value, low, high, digits, unit, sign)
 
 
 def percent(share: float, low: float | None, high: float | None, digits: int = 0) -> str:
     """A share with its 95 % interval: 93 % (88 to 97); the share alone without an interval."""
-    ends = [None if end is None else 100 * end for end in (low, high)]
-    return estimated(100 * share, ends[0], ends[1], digits, " %")
+    return said(share, (low, high), digits, 100.0, unit=" %")
 
 
 def named_values(values: Mapping[str, object]) -> str:

@@ -186,15 +186,8 @@ def _changed_since(folder: Path, before: Mapping[str, object]) -> dict[str, str]
 
 def _record_text(run: Run) -> str:
     """The only text that `run.json` may hold for this run: it includes a hash of the rest."""
-    content = {
-        "format": FORMAT,
-        "kind": run.kind,
-        "command": run.command,
-        "seed": run.seed,
-        "versions": dict(run.versions),
-        "code": run.code,
-        "files": dict(run.files or {}),
-    }
+    content = {"format": FORMAT, **vars(run), "files": run.files or {}}
+    del content["folder"]
     return sealed_json(content)
 
 
@@ -300,5 +293,4 @@ def load_part(run: Run, kind: type[Part]) -> Part:
 
 def load_result(run: Run, name: str) -> dict[str, Any]:
     """Read a file of a run's results in JSON, such as `ISO9283`; raises `InputError` as `unedited` does."""
-    result: dict[str, Any] = json.loads(unedited(run, name).read_text(encoding="utf-8"))
-    return result
+    return dict(json.loads(unedited(run, name).read_text(encoding="utf-8")))
