@@ -21,13 +21,11 @@ from pickenv.arm import Arm
 from pickenv.base import InputError, obey, read_container
 from pickenv.base.registry import get, names
 from pickenv.calibration import Calibration
-from pickenv.envs import ReachToolVectorEnv, ReachVectorEnv
-from pickenv.envs.shared.task import FEEDBACK
+from pickenv.envs import FEEDBACK, ReachToolVectorEnv, ReachVectorEnv
 from pickenv.envs.shared.tool_space import make_tool_task
 from pickenv.inspect.colours import policy_key, policy_rank
 from pickenv.inspect.runs.comparison_summary import stage_label
-from pickenv.wrappers import Compensate
-from pickenv.wrappers.tool_steps import ToolSteps
+from pickenv.wrappers import Compensate, ToolSteps
 
 SEQUENTIAL_STEPS = 30
 """Steps of an episode of a policy that learns from pick to pick: the longest way takes 20."""

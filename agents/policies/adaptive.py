@@ -13,11 +13,9 @@ from numpy.typing import NDArray
 
 from pickenv.agents.policies.policy import ObservationParts, Policy, camera_of, read_observation, with_traits
 from pickenv.agents.policies.scripted import ScriptedReach
-from pickenv.arm import Array
-from pickenv.arm.effects.drives import MeasurementNoise
+from pickenv.arm import Array, MeasurementNoise
 from pickenv.base import register
-from pickenv.calibration import link_model, random_joints
-from pickenv.calibration.compensation.compensator import aimed
+from pickenv.calibration import aimed, link_model, random_joints
 from pickenv.calibration.identification import extended_kalman_filter
 
 CALIBRATED_PRIOR = 0.2

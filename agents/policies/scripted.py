@@ -9,12 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.agents.policies import policy
-from pickenv.arm import Array, Pose, forward, inverse, joint_jacobian, pose_error
-from pickenv.arm.kinematics.task_space import truncated_inverse
+from pickenv.arm import Array, Pose, forward, inverse, joint_jacobian, pose_error, truncated_inverse
 from pickenv.base import InputError, register
 from pickenv.envs import CONTROL_PERIOD
-from pickenv.harvester import assign, zone_work
-from pickenv.harvester.work import Work
+from pickenv.harvester import Work, assign, zone_work
 
 
 class ScriptedReach(policy.ReachController):

@@ -15,9 +15,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array
+from pickenv.arm import Array, Scalar
 from pickenv.arm.kinematics.backend import ONE, chosen
-from pickenv.arm.kinematics.forward import Scalar
 from pickenv.harvester.machine import Machine
 
 Point = tuple[Scalar, Scalar]

@@ -15,9 +15,8 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Frame, Geometry, Plant, Pose, forward, load_plant
+from pickenv.arm import Array, Frame, Geometry, Plant, Pose, Scalar, attach, forward, load_plant, split_joints
 from pickenv.arm.kinematics.backend import ONE
-from pickenv.arm.kinematics.forward import Scalar, attach, split_joints
 from pickenv.base import InputError, read_toml
 from pickenv.harvester.machine import SHIPPED, Machine, TrueTable, composed, shifted
 

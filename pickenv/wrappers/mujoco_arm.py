@@ -10,8 +10,7 @@ import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
-from pickenv.arm import Array, Geometry, Plant, Pose, forward, pose_error
-from pickenv.arm.kinematics.forward import geometry_from_axes
+from pickenv.arm import Array, Geometry, Plant, Pose, forward, geometry_from_axes, pose_error
 from pickenv.base import InputError
 from pickenv.wrappers.compensation import Compensate
 

@@ -20,8 +20,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
-from pickenv.arm import Array, Geometry, joint_jacobian
-from pickenv.arm.kinematics.task_space import truncated_inverse
+from pickenv.arm import Array, Geometry, joint_jacobian, truncated_inverse
 from pickenv.base import InputError
 from pickenv.envs.shared.backends import GOAL, NUMPY, episode_key, fresh_seed, seed_word, stream_key
 from pickenv.envs.shared.native_vector import checked_seeds, final_rows

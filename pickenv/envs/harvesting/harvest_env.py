@@ -8,8 +8,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array
-from pickenv.arm.plant.plant_batch import tree_map
+from pickenv.arm import Array, tree_map
 from pickenv.base import InputError
 from pickenv.envs.harvesting import harvest_task as batch
 from pickenv.envs.shared.arm_env import GHOST_WORDS, DrawnEnv, Information

@@ -12,8 +12,7 @@ from gymnasium.spaces import Box
 from numpy.typing import NDArray
 
 from pickenv import harvester
-from pickenv.arm import Array
-from pickenv.arm.plant.plant_batch import leaves
+from pickenv.arm import Array, leaves
 from pickenv.base import MM, NUMBER, InputError, is_there, read_toml, toml_table
 from pickenv.base.limits import shown
 from pickenv.envs.shared.backends import Flags

@@ -13,9 +13,7 @@ from types import ModuleType
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pickenv.arm import Array, Geometry, Plant, Pose, inverse
-from pickenv.arm.kinematics.backend import chosen, clipped
-from pickenv.arm.kinematics.forward import Scalar
+from pickenv.arm import Array, Geometry, Plant, Pose, Scalar, chosen, clipped, inverse
 from pickenv.base import InputError
 from pickenv.envs.shared import simulation, situation
 from pickenv.envs.shared.backends import Executor, Flags

@@ -17,8 +17,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv import orchard as trees
-from pickenv.arm import Array, Frame
-from pickenv.arm.kinematics.forward import Scalar
+from pickenv.arm import Array, Frame, Scalar
 from pickenv.base import InputError
 from pickenv.envs.picking.pick_arm import UP, Reach
 from pickenv.envs.shared.backends import Flags

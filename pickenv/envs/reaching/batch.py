@@ -11,8 +11,7 @@ from typing import Any, NamedTuple, cast
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Array, Plant
-from pickenv.arm.plant.plant_batch import leaves, tree_map
+from pickenv.arm import Array, Plant, leaves, tree_map
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_batch import ArmBatch, Columns, NumpyArms, Words
 from pickenv.envs.shared.backends import GOAL, Rows, Scalar, episode_key, stream_key

@@ -12,9 +12,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Array
+from pickenv.arm import Array, arrays_of
 from pickenv.arm.kinematics.machine_code import DOUBLE, FLAG, SINGLE, WORD, Compiled, Goals, Trace, Traced
-from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.envs.reaching.batch import NumpyBatch, Views
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_batch import Words, naming_effects

@@ -9,8 +9,7 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike
 
-from pickenv.arm import Array, Frame, Geometry, forward
-from pickenv.arm.plant.plant_file import IDEAL
+from pickenv.arm import IDEAL, Array, Frame, Geometry, forward
 from pickenv.base import InputError
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_env import GHOST_WORDS, ArmEnv, Information, arm_at_work, ground_below, standing, tool_dial

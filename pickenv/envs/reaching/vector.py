@@ -9,9 +9,7 @@ import numpy as np
 from gymnasium.vector import AutoresetMode
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Plant
-from pickenv.arm.kinematics.backend import chosen
-from pickenv.arm.plant.plant_file import IDEAL
+from pickenv.arm import IDEAL, Plant, chosen
 from pickenv.base import InputError, is_there, register, require
 from pickenv.base.registry import get, names
 from pickenv.envs.reaching.batch import Batch, NumpyBatch, Views

@@ -9,8 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Plant, plants_on
-from pickenv.arm.plant.plant_batch import arrays_of
+from pickenv.arm import Array, Plant, arrays_of, plants_on
 from pickenv.base import InputError
 from pickenv.envs.shared.backends import NUMPY, Executor, Flags, Rows, Scalar
 from pickenv.envs.shared.simulation import ArmState

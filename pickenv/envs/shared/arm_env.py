@@ -9,8 +9,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Array, Geometry, Plant, plant_at, plants_on
-from pickenv.arm.kinematics.forward import true_points
+from pickenv.arm import Array, Geometry, Plant, plant_at, plants_on, true_points
 from pickenv.base import InputError, is_there, require
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar

@@ -9,11 +9,8 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Plant, plants_on
-from pickenv.arm.kinematics.backend import chosen
-from pickenv.arm.kinematics.forward import Scalar
+from pickenv.arm import Plant, Scalar, arrays_of, chosen, plants_on
 from pickenv.arm.kinematics.machine_code import SYMBOLS, WORD, Compiled, Trace
-from pickenv.arm.plant.plant_batch import arrays_of
 from pickenv.envs.shared.arm_batch import naming_effects
 from pickenv.envs.shared.backends import MASK, Executor
 from pickenv.envs.shared.simulation import ArmState

@@ -13,10 +13,7 @@ from itertools import chain
 from types import ModuleType
 from typing import NamedTuple
 
-from pickenv.arm import Frame, Plant, PlantState
-from pickenv.arm.kinematics.backend import chosen, clipped
-from pickenv.arm.kinematics.forward import Scalar, attach, frames
-from pickenv.arm.kinematics.pose_error import frame_error, rotation_between
+from pickenv.arm import Frame, Plant, PlantState, Scalar, attach, chosen, clipped, frame_error, frames, rotation_between
 from pickenv.arm.kinematics.task_space import damped_step, jacobian_columns
 from pickenv.envs.shared import situation
 from pickenv.envs.shared.backends import ARM, CAMERA, FRUIT, Executor, episode_key, normal, stream_key, uniform

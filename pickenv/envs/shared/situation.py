@@ -15,9 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pickenv.arm import Plant, PlantState
-from pickenv.arm.kinematics.backend import chosen, clipped
-from pickenv.arm.kinematics.forward import Scalar
+from pickenv.arm import Plant, PlantState, Scalar, chosen, clipped
 from pickenv.base import InputError
 from pickenv.base.limits import shown
 from pickenv.envs.shared.backends import DRAWN, JOINTS, START, Executor, normal, stream_key, uniform

@@ -14,8 +14,7 @@ from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
 from scipy.stats import qmc
 
-from pickenv.arm import Array, Geometry, Pose, forward, inverse, rotation_matrix
-from pickenv.arm.kinematics.forward import frame_of
+from pickenv.arm import Array, Geometry, Pose, forward, frame_of, inverse, rotation_matrix
 from pickenv.base import InputError
 from pickenv.base.limits import shown
 from pickenv.envs.shared.task import Task, as_numbers

@@ -16,9 +16,8 @@ from typing import Any
 import numpy as np
 from scipy.stats import qmc
 
-from pickenv.arm import Array, Frame, Geometry, Plant, draw_plants, forward, load_plant, plant_at
+from pickenv.arm import Array, Frame, Geometry, Plant, draw_plants, forward, load_plant, plant_at, plant_count
 from pickenv.arm.kinematics.forward import Chain, Scalar, chain_of, frames
-from pickenv.arm.plant.plant_batch import plant_count
 from pickenv.arm.plant.plant_file import class_of, draw_arms
 from pickenv.base import InputError, check_limit
 from pickenv.base.limits import shown
