@@ -414,10 +414,15 @@ def specification(term: Any) -> dict[str, Any]:
 
 
 def term_from(content: Mapping[str, Any]) -> Term:
-    """Rebuild a term from its `specification`, as stored in a calibration file."""
+    """Rebuild a term from its `specification`, as stored in a calibration file.
+
+    Raises:
+        InputError: If it is of an older version and of what this one does not know.
+    """
     numbers = _tuples(content)
     kind = KINDS[numbers.pop("kind")]
-    numbers.pop("load", None)  # of older files, where it says nothing
+    if numbers.pop("load", None) is not None:  # null in nearly all older files
+        raise InputError("its compliance has link masses of its own, which pickenv no longer knows; calibrate anew")
     if numbers.get("weight"):
         numbers["weight"] = GravityTerm(**numbers["weight"])
     term: Term = kind(**numbers)

@@ -224,6 +224,7 @@ def test_a_network_without_its_last_layer_is_refused(path):
         ({"joint_names": list(range(6))}, "joint names are text"),
         ({"terms": [{"kind": "moon"}]}, "'moon' is missing"),
         ({"terms": [{"kind": "compliance", "joints": [17], "load": None}]}, "is damaged"),
+        ({"terms": [{"kind": "compliance", "joints": [1], "load": {"masses": [1.0]}}]}, "has link masses of its own"),
         ({"record": None}, "is damaged"),
         ({"record": [1]}, "is damaged"),
         (
