@@ -91,9 +91,15 @@ def estimates_figure(
 
 
 def _result(rows: Sequence[Row], x: str | None, colour: str, panels: str | None) -> str:
-    """The title: the first panel's numbers by colour, at the first place or, with ``x``, where its lines end."""
+    """The title: the first panel's numbers by colour, at the first place or, with ``x``, where its lines end.
+
+    Of a line alone it says where it begins and ends.
+    """
     first = [row for row in rows if panels is None or row[panels] == rows[0][panels]]
-    if x is not None:
+    if x is not None and len(first) == len({row[x] for row in first}):
+        colour, ends = x, sorted(first, key=lambda row: float(row[x]))
+        first = [{**row, x: f"{x} {row[x]}"} for row in (ends[0], ends[-1])]
+    elif x is not None:
         last = max(float(row[x]) for row in first)
         first = [row for row in first if float(row[x]) == last]
     values: dict[str, float] = {}
