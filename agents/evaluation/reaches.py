@@ -80,35 +80,21 @@ class Moment(NamedTuple):
     target: Array | None = None
 
 
-def moments_of(
-    env: gym.Env[Any, Any],
-    policy: Policy,
-    seed: int,
-    options: dict[str, Any] | None = None,
-    steps: int | None = None,
-) -> Iterator[Moment]:
-    """Run one episode, moment by moment from the reset on.
-
-    Args:
-        env: An environment; it must have a time limit where ``steps`` is None.
-        policy: The policy.
-        seed: Seed of the episode.
-        options: Options of the reset.
-        steps: Number of steps after which the episode is left.
+def moments_of(env: gym.Env[Any, Any], policy: Policy, seed: int) -> Iterator[Moment]:
+    """Run one episode, moment by moment from the reset on, in an environment with a time limit.
 
     Raises:
         InputError: If the episode does not end.
     """
-    observation, info = env.reset(seed=seed, options=options)
+    observation, info = env.reset(seed=seed)
     policy.reset()
     yield Moment(0.0, info, believed_joints(env))
-    for _ in range(LONGEST_EPISODE if steps is None else steps):
+    for _ in range(LONGEST_EPISODE):
         observation, reward, terminated, truncated, info = env.step(policy.act(observation))
         yield Moment(float(reward), info, believed_joints(env))
         if terminated or truncated:
             return
-    if steps is None:
-        raise InputError(f"an episode did not end within {LONGEST_EPISODE} steps; give the environment a time limit")
+    raise InputError(f"an episode did not end within {LONGEST_EPISODE} steps; give the environment a time limit")
 
 
 def run_episodes(

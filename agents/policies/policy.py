@@ -23,11 +23,9 @@ class Policy(Protocol):
 
     def reset(self) -> None:
         """Called at the start of every episode."""
-        ...
 
     def act(self, observation: NDArray[np.float32], /) -> NDArray[np.float32]:
         """The next action, or actions."""
-        ...
 
 
 Maker = TypeVar("Maker", bound=Callable[..., Policy])

@@ -50,6 +50,7 @@ from .limits import (
     LIMITS as LIMITS,
     check_limit as check_limit,
     obey as obey,
+    shown as shown,
 )
 from .provenance import (
     code_fingerprint as code_fingerprint,

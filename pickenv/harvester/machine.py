@@ -16,7 +16,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Arm, Array, Geometry, Pose, load_arm
+from pickenv.arm import Arm, Array, Geometry, load_arm
 from pickenv.base import DEG, MM, SECONDS, WHOLE, Check, InputError, Key, Unit, read_toml, toml_table
 
 SHIPPED = Path(__file__).parent / "li2016.toml"
@@ -385,12 +385,6 @@ def refuse_touching_arms(machine: Machine) -> None:
 def shifted(slave: Geometry, offset: float) -> Geometry:
     """Geometry of a slave mounted ``offset`` m farther to the right: a3 grows."""
     return replace(slave, a=np.concatenate([slave.a[:1] + offset, slave.a[1:]]))
-
-
-def composed(first: Pose, second: Pose) -> Pose:
-    """Poses ``second``, given in the frames ``first``, as poses in the frame of ``first``; batches broadcast."""
-    turned = np.einsum("...ij,...j->...i", first.rotation, second.position)
-    return Pose(first.position + turned, first.rotation @ second.rotation)
 
 
 def _wrapped(angle: Array) -> Array:

@@ -15,10 +15,10 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Frame, Geometry, Plant, Pose, Scalar, attach, forward, load_plant, split_joints
+from pickenv.arm import Array, Frame, Geometry, Plant, Pose, Scalar, attach, behind, forward, load_plant, split_joints
 from pickenv.arm.kinematics.backend import ONE
 from pickenv.base import InputError, read_toml
-from pickenv.harvester.machine import SHIPPED, Machine, TrueTable, composed, shifted
+from pickenv.harvester.machine import SHIPPED, Machine, TrueTable, shifted
 
 Rows = NDArray[np.intp]
 
@@ -31,7 +31,6 @@ class Belief(Protocol):
 
     def predict(self, joints: ArrayLike, /) -> Pose:
         """Pose of the arm's last frame in the arm's base frame, at joint commands (..., 3)."""
-        ...
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,10 +53,6 @@ class TrueMachine:
         """The same machine without any errors: nominal geometry, no effects, exact stops."""
         plants = [replace(plant, geometry=plant.arm.nominal, effects=()) for plant in (self.master, *self.slaves)]
         return replace(self, master=plants[0], slaves=tuple(plants[1:]), repeatability=0.0)
-
-    def frame3(self, master: ArrayLike) -> Pose:
-        """True pose of frame 3 in the base frame, for master commands (..., 3)."""
-        return self.master.tool_pose(master)
 
     def tips(self, master: ArrayLike, slaves: ArrayLike) -> Array:
         """True cups of all slaves in the base frame, m, (..., arms, 3), without the spread of repeated stops.
@@ -88,10 +83,8 @@ class TrueMachine:
             arm: Number of the slave of each pick, (picks,).
             joints: Commands of that slave, (picks, 3).
         """
-        plants = self.slaves
-        return _arm_by_arm(
-            self.frame3(master), arm, lambda i, base, mine: composed(base, plants[i].tool_pose(joints[mine])).position
-        )
+        plants, base = self.slaves, self.master.tool_pose(master)
+        return _arm_by_arm(base, arm, lambda i, here, mine: behind(here, plants[i].tool_pose(joints[mine])).position)
 
 
 @dataclass(frozen=True, eq=False)

@@ -28,12 +28,10 @@ class Gripper(Protocol):
     @property
     def name(self) -> str:
         """Name of the gripper in tables."""
-        ...
 
     @property
     def kind(self) -> str:
         """Name by which its class is registered."""
-        ...
 
     def probability(self, lateral: Array, axial: Array, angle: Array, diameter: ArrayLike | None) -> Array:
         """Probability that the gripper takes the fruit.
@@ -44,12 +42,10 @@ class Gripper(Protocol):
             angle: Size of the angle, rad.
             diameter: Fruit diameter, m; None is the fruit that the gripper is meant for.
         """
-        ...
 
     @property
     def tolerance(self) -> float:
         """Distance from the tool's axis at which a fruit is taken, m: always by a cup, one time in two by a hand."""
-        ...
 
 
 @register("gripper", "cup")

@@ -232,7 +232,6 @@ def _detections(camera: StereoCamera, matches: Sequence[tuple[float, ...]]) -> t
 
 def _disparity(camera: StereoCamera, first: Array, second: Array, box: Integers) -> tuple[float, float]:
     """Disparity of the patch around a region, px, refined by a parabola, and correlation of the match."""
-    require("skimage")
     from skimage.feature import match_template
 
     width, height = camera.image

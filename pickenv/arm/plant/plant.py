@@ -55,27 +55,22 @@ class Unmeasured:
 
 @dataclass(frozen=True)
 class Layout:
-    """The meaning of a calibration's coefficients beside the geometry, in order: leads, harmonics, moments, boom.
+    """The meaning of a calibration's coefficients beside the geometry, in order: harmonics, then moments.
 
     Attributes:
-        leads: The joint of each lead error, from 0.
         harmonics: Joint and order (1/rad, 1/m) of each periodic error, which has a sine and a cosine coefficient.
         moments: The moments as in `pickenv.arm.effects.drives.GravityYield`.
         up: Direction against gravity in the axes of frame 0.
-        boom: Joint of a boom that bends and its free length in m, or None; its two coefficients are tip load and own
-            weight over EI.
     """
 
-    leads: tuple[int, ...] = ()
     harmonics: tuple[tuple[int, float], ...] = ()
     moments: tuple[tuple[int, int, str], ...] = ()
     up: tuple[float, float, float] = (0.0, 0.0, 1.0)
-    boom: tuple[int, float] | None = None
 
     @property
-    def sizes(self) -> tuple[int, int, int, int]:
-        """Numbers of coefficients: of leads, harmonics, moments and the boom."""
-        return len(self.leads), 2 * len(self.harmonics), len(self.moments), 2 * (self.boom is not None)
+    def sizes(self) -> tuple[int, int]:
+        """Numbers of coefficients: of harmonics and of moments."""
+        return 2 * len(self.harmonics), len(self.moments)
 
 
 @dataclass(frozen=True, eq=False)

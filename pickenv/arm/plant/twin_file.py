@@ -18,11 +18,11 @@ from numpy.typing import NDArray
 from pickenv.arm.effects.drives import GravityYield, MeasurementNoise
 from pickenv.arm.effects.effect import Effect
 from pickenv.arm.effects.residual_field import Features, ResidualField
-from pickenv.arm.effects.structure import BoomBending, Harmonic, TransmissionError
+from pickenv.arm.effects.structure import Harmonic, TransmissionError
 from pickenv.arm.files.arm import Arm, finite, geometry_arrays, geometry_from_arrays
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry, Pose, behind, inverse_pose
 from pickenv.arm.plant.plant import Layout, Plant, Posterior
-from pickenv.base import GRAVITY, InputError, read_container, refusing_damage, write_container
+from pickenv.base import InputError, read_container, refusing_damage, write_container
 from pickenv.base.container import named_part, part_of
 
 Zone = Callable[[Array], Array]
@@ -98,24 +98,17 @@ def _together(poses: Sequence[Pose]) -> Pose:
 def _effects(arm: Arm, posterior: Posterior, coefficients: Array) -> list[Effect]:
     """The effects that the coefficients of one arm ``(k,)`` or of many arms ``(N, k)`` stand for."""
     layout, columns = posterior.layout, [_scalar(column) for column in np.moveaxis(coefficients, -1, 0)]
-    ends = np.cumsum(layout.sizes).tolist()
-    leads, waves, moments, boom = (columns[a:b] for a, b in zip([0, *ends], ends, strict=False))
+    waves, moments = columns[: layout.sizes[0]], columns[layout.sizes[0] :]
     effects: list[Effect] = []
-    if leads or waves:
-        lead: list[Any] = [0.0] * arm.nominal.joints
-        for joint, size in zip(layout.leads, leads, strict=True):
-            lead[joint] = lead[joint] + size
+    if waves:
         pairs = zip(layout.harmonics, waves[::2], waves[1::2], strict=True)
         terms = (
             Harmonic(joint, _scalar(np.hypot(sine, cosine)), math.tau / order, _scalar(np.arctan2(cosine, sine)))
             for (joint, order), sine, cosine in pairs
         )
-        effects.append(TransmissionError(tuple(lead), tuple(terms)))
+        effects.append(TransmissionError((0.0,) * arm.nominal.joints, tuple(terms)))
     if moments:
         effects.append(GravityYield(layout.moments, tuple(moments), layout.up))
-    if layout.boom is not None:
-        joint, length = layout.boom
-        effects.append(BoomBending(joint, length, GRAVITY, *boom))
     return effects
 
 
@@ -210,8 +203,7 @@ def _layout(content: Mapping[str, Any], geometry: Geometry) -> Layout:
     from pydantic import TypeAdapter  # late: it is heavy
 
     layout = TypeAdapter(Layout).validate_python(content)
-    joints = {*layout.leads, *(joint for joint, _ in layout.harmonics), *((layout.boom or ())[:1])}
-    joints |= {joint for pair in layout.moments for joint in pair[:2]}
+    joints = {joint for joint, _ in layout.harmonics} | {joint for pair in layout.moments for joint in pair[:2]}
     if not joints <= set(range(geometry.joints)) or not {moment for *_, moment in layout.moments} <= set("mxyz"):
         raise InputError("it names a joint that its arm does not have")
     return layout

@@ -101,9 +101,6 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         picture: NDArray[np.uint8] | None = None if self.render_mode is None else self._env.render()
         return picture
 
-    def close(self) -> None:
-        """Do nothing: there is nothing to close."""
-
     def _seen(self) -> Observations:
         shared = self.state()
         mine = np.eye(len(self.possible_agents), dtype=np.float32)

@@ -13,8 +13,7 @@ from numpy.typing import NDArray
 
 from pickenv import harvester
 from pickenv.arm import Array, leaves
-from pickenv.base import MM, NUMBER, InputError, is_there, read_toml, toml_table
-from pickenv.base.limits import shown
+from pickenv.base import MM, NUMBER, InputError, is_there, read_toml, shown, toml_table
 from pickenv.envs.shared.backends import Flags
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import MOST_ACTION, Compensate, as_numbers, check_choice, check_number

@@ -15,7 +15,6 @@ from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_env import GHOST_WORDS, ArmEnv, Information, arm_at_work, ground_below, standing, tool_dial
 from pickenv.envs.shared.backends import GOAL, NUMPY, Scalar, episode_key, fresh_seed, seed_word, stream_key
 from pickenv.envs.shared.difficulty import on_ladder
-from pickenv.envs.shared.simulation import GOAL_NUMBERS, View, goal_observation, goal_reward
 from pickenv.envs.shared.spaces import action_space, flat_space, given_goals, given_options, goal_space
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Task, checked_action, make_task
 from pickenv.pictures.arm_shapes import CUP_RADIUS, arm_look, cup_solids, joined_solids
@@ -29,7 +28,7 @@ FRUIT = 0.06
 """Diameter with which fruit is drawn; the reach task itself has only the fruit's position."""
 
 
-def draw_reach(nominal: Geometry, scene: View, tolerance_mm: float, dark: bool) -> Stage:
+def draw_reach(nominal: Geometry, scene: simulation.View, tolerance_mm: float, dark: bool) -> Stage:
     """The scene of a reach: the arm, its ghost and the fruit.
 
     Args:
@@ -489,8 +488,8 @@ class ReachGoalEnv(ReachEnv):
         """Reward for achieved against desired goals: a number for ``(9,)``, an array ``(N,)`` for ``(N, 9)``."""
         return rewards_of_goals(self.task, achieved_goal, desired_goal)
 
-    def _observe(self, scene: View) -> tuple[Any, float]:
-        parts = (np.array(self._plain(part), dtype=np.float32) for part in goal_observation(scene))
+    def _observe(self, scene: simulation.View) -> tuple[Any, float]:
+        parts = (np.array(self._plain(part), dtype=np.float32) for part in simulation.goal_observation(scene))
         observation = dict(zip(GOAL_KEYS, parts, strict=True))
         return observation, self.compute_reward(observation["achieved_goal"], observation["desired_goal"], {})
 
@@ -500,8 +499,8 @@ def rewards_of_goals(task: Task, achieved: ArrayLike, desired: ArrayLike) -> Any
 
     A row's reward has the same bits whatever batch the row is in.
     """
-    first, second = np.asarray(achieved, dtype=np.float64), np.asarray(desired, dtype=np.float64)
-    shape = np.broadcast_shapes(first.shape, second.shape)
-    have, want = (np.broadcast_to(goals, shape).reshape(-1, GOAL_NUMBERS).T.copy() for goals in (first, second))
-    reward = goal_reward(NUMPY, task, list(have), list(want)).reshape(shape[:-1])
+    pair = [np.asarray(goals, dtype=np.float64) for goals in (achieved, desired)]
+    shape = np.broadcast_shapes(*(goals.shape for goals in pair))
+    have, want = (np.broadcast_to(goals, shape).reshape(-1, simulation.GOAL_NUMBERS).T.copy() for goals in pair)
+    reward = simulation.goal_reward(NUMPY, task, list(have), list(want)).reshape(shape[:-1])
     return reward if reward.ndim else float(reward)

@@ -16,8 +16,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from pickenv.arm import Plant, PlantState, Scalar, chosen, clipped
-from pickenv.base import InputError
-from pickenv.base.limits import shown
+from pickenv.base import InputError, shown
 from pickenv.envs.shared.backends import DRAWN, JOINTS, START, Executor, normal, stream_key, uniform
 
 CONTROL_PERIOD = 0.1

@@ -12,11 +12,10 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from gymnasium.envs.registration import EnvSpec
-from scipy.stats import qmc
 
 from pickenv.arm import Array, Geometry, Pose, forward, frame_of, inverse, rotation_matrix
-from pickenv.base import InputError
-from pickenv.base.limits import shown
+from pickenv.arm.kinematics.inverse import halton_joints
+from pickenv.base import InputError, shown
 from pickenv.envs.shared.task import Task, as_numbers
 
 # A specification that can be written down: paths among an environment's arguments stand in it as text.
@@ -166,6 +165,5 @@ def _far(name: str, task: Task, position: Array, how: str = "") -> InputError:
 @lru_cache(maxsize=4)
 def spread_poses(geometry: Geometry) -> tuple[Array, Pose]:
     """Joints ``(POOL, n)`` spread evenly over their ranges, and the poses of the nominal tool there."""
-    shares = qmc.Halton(geometry.joints, scramble=False).random(POOL)
-    joints = geometry.lower + (geometry.upper - geometry.lower) * shares
+    joints = halton_joints(geometry, POOL)
     return joints, forward(geometry, joints)

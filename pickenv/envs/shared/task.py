@@ -19,8 +19,7 @@ from scipy.stats import qmc
 from pickenv.arm import Array, Frame, Geometry, Plant, draw_plants, forward, load_plant, plant_at, plant_count
 from pickenv.arm.kinematics.forward import Chain, Scalar, chain_of, frames
 from pickenv.arm.plant.plant_file import class_of, draw_arms
-from pickenv.base import InputError, check_limit
-from pickenv.base.limits import shown
+from pickenv.base import InputError, check_limit, shown
 from pickenv.envs.shared.situation import Components, Situation, make_situation
 
 # Zeros and ones that cost nothing: an arm's table is full of right angles, and arrays need not be multiplied by them.
@@ -443,10 +442,6 @@ def lost_axes(geometry: Geometry) -> tuple[int, int] | None:
     }
     first: list[int] = []
     for i in axes:
-        if not any(_parallel(axes[i], axes[j]) for j in first):
+        if not any(np.abs(np.cross(axes[i], axes[j])).max() < 1e-9 for j in first):  # parallel to none of them
             first.append(i)
     return (first[0], first[1]) if len(first) == 2 else None
-
-
-def _parallel(one: Array, other: Array) -> bool:
-    return bool(np.abs(np.cross(one, other)).max() < 1e-9)

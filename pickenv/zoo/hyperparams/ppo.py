@@ -22,17 +22,11 @@ _SCALED = {
 
 _REACH = _SCALED | {"env_wrapper": "pickenv.wrappers.GapScaling"}
 
-_PICK = {
-    "n_envs": 64,
-    "n_timesteps": 2.5e5,
-    "policy": "MlpPolicy",
+_PICK = _SCALED | {
     "n_steps": 32,
     "batch_size": 512,
-    "n_epochs": 5,
-    "learning_rate": "lin_1e-3",
     "gamma": 0.99,
     "gae_lambda": 0.95,
-    "ent_coef": 0.0,
     "policy_kwargs": "dict(net_arch=[64, 64], log_std_init=-0.7)",
     "env_wrapper": {"pickenv.wrappers.ToolStepping": {"shaping": 1.0}},
 }
