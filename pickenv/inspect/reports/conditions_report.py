@@ -61,7 +61,7 @@ def condition_tables(result: Mapping[str, Any]) -> list[tuple[str, list[str], li
     for name, sweep in result["sweeps"].items():
         rows = [[method, *(_mean(figure) for figure in by_level)] for method, by_level in sweep["methods"].items()]
         if name == HELD_OUT:
-            title, heads = "Sessions drawn as those of the training, and not among them", ["mean error (mm)"]
+            title, heads = "New sessions as in training; told: given payload, weather and hour", ["mean error (mm)"]
         else:
             title, heads = f"Mean error (mm) by {SWEEPS[name]}", [f"{level:g}" for level in sweep["levels"]]
         tables.append((f"{title}; 95 % intervals over {_over(result)}", ["method", *heads], rows))
