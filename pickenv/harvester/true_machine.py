@@ -54,6 +54,10 @@ class TrueMachine:
         plants = [replace(plant, geometry=plant.arm.nominal, effects=()) for plant in (self.master, *self.slaves)]
         return replace(self, master=plants[0], slaves=tuple(plants[1:]), repeatability=0.0)
 
+    def frame3(self, master: ArrayLike) -> Pose:
+        """True pose of frame 3 in the base frame, for master commands (..., 3)."""
+        return self.master.tool_pose(master)
+
     def tips(self, master: ArrayLike, slaves: ArrayLike) -> Array:
         """True cups of all slaves in the base frame, m, (..., arms, 3), without the spread of repeated stops.
 
@@ -83,7 +87,7 @@ class TrueMachine:
             arm: Number of the slave of each pick, (picks,).
             joints: Commands of that slave, (picks, 3).
         """
-        plants, base = self.slaves, self.master.tool_pose(master)
+        plants, base = self.slaves, self.frame3(master)
         return _arm_by_arm(base, arm, lambda i, here, mine: behind(here, plants[i].tool_pose(joints[mine])).position)
 
 
