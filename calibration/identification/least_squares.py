@@ -433,6 +433,11 @@ class Identifiability:
         return len(self.kept)
 
     @property
+    def condition(self) -> float:
+        """Condition number of the kept, scaled parameters."""
+        return float(self.singular_values[0] / self.singular_values[-1])
+
+    @property
     def kept_names(self) -> tuple[str, ...]:
         """Names of the identifiable base set."""
         return tuple(self.names[k] for k in self.kept)
