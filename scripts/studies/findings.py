@@ -227,7 +227,7 @@ def sight_map(rows: Rows) -> Any:
                 axis.set_yticks(range(len(y)), [f"{value:g}" for value in y])
             line[0].set_ylabel(f"{in_words(plant)}\nbias (mm)")
         for axis, use in zip(panels[0], uses, strict=True):
-            axis.set_title(in_words(use).replace(", ", "\n"), fontsize=8)
+            axis.set_title(in_words(use).replace(", ", "\n").replace(" + ", "\n+ "), fontsize=8)
         for axis in panels[-1]:
             axis.set_xlabel("scatter (mm)")
         figure.colorbar(picture, ax=panels, label="more than looking in every period (mm)", shrink=0.6, extend="max")
