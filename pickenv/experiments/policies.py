@@ -201,9 +201,15 @@ BEHIND = ("plant", "compensation", "seed")
 
 
 def _calibrated(
-    settings: PolicySettings, kept: Path, *, rng: np.random.Generator, plant: str, compensation: str, seed: int,
+    settings: PolicySettings,
+    kept: Path,
+    *,
+    rng: np.random.Generator,
+    plant: str,
+    compensation: str,
+    seed: int,
     arm: int,
-) -> Columns:  # fmt: skip
+) -> Columns:
     plan, design = replace(settings.plan, seed=seed), plant_at(settings.population(plant, seed), arm)
     calibration = methods.kept_calibration(kept, design, compensation, plan, arm)
     return {"key": np.array([calibration.record[methods.ORIGIN]])}

@@ -379,9 +379,15 @@ def _arms(rows: Sequence[Row]) -> str:
 
 
 def _curves(
-    rows: Sequence[Row], along: str, keys: tuple[str, str, str], ylabel: str, factor: float,
-    better: Callable[..., Any], note: str, ylim: tuple[float, float | None],
-) -> Figure:  # fmt: skip
+    rows: Sequence[Row],
+    along: str,
+    keys: tuple[str, str, str],
+    ylabel: str,
+    factor: float,
+    better: Callable[..., Any],
+    note: str,
+    ylim: tuple[float, float | None],
+) -> Figure:
     """Curves with bands: a panel per tolerance class; colour and line style for what varies beside the axis.
 
     Curves that cannot be told apart are drawn once and named together; the title says what the axis does to the best
