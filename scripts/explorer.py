@@ -3,7 +3,7 @@
 Each plant is measured and calibrated as `pickenv.experiments.calibrate_arm` does it, with its defaults. Positions are
 kept in whole millimetres and errors in whole micrometres, in the base frame.
 
-Run: python scripts/explorer.py [--out docs/_static/explorer-fields.js]
+Run: MKL_CBWR=COMPATIBLE python scripts/explorer.py [--out docs/_static/explorer-fields.js]
 """
 
 from __future__ import annotations

@@ -19,6 +19,9 @@ settings.load_profile("pickenv")
 # A terminal so wide that sentences and tables stand on one line; what narrow ones do is asked where it matters.
 os.environ["COLUMNS"] = "400"
 
+# MKL sums in another order on another processor, and a network's training then ends elsewhere.
+os.environ["MKL_CBWR"] = "COMPATIBLE"
+
 ROOT = Path(__file__).parents[1]
 
 

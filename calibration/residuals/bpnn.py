@@ -185,7 +185,8 @@ def train_bpnn(
     Args:
         joints: Training joints ``(N, n)``, rad or m.
         residuals: Measured minus identified pose ``(N, 6)``, m and rad (eq (17)).
-        rng: Seeds weights, dropout and shuffling; equal generators give equal networks on one machine.
+        rng: Seeds weights, dropout and shuffling; equal generators give equal networks on one
+            machine; with ``MKL_CBWR=COMPATIBLE`` in the environment also with AVX2 as with AVX-512.
         settings: Training settings; the paper's when left out.
         progress: Called after each epoch with (epochs done, epochs in all).
 

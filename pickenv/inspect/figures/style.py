@@ -125,9 +125,10 @@ def legend_below(figure: Figure, axes: Any, most: int) -> None:
     for columns in range(min(most, len(names)), 0, -1):
         widths = (KEY + SMALL_LETTER * max(map(len, column)) for column in np.array_split(names, columns))
         if columns == 1 or sum(widths) < figure.get_figwidth() - 0.05:
-            letters = int((figure.get_figwidth() / columns - KEY) / SMALL_LETTER)
-            lines = [fill(name, letters) if columns == 1 else name for name in names]
-            figure.legend(marks, lines, loc="outside lower center", ncols=columns)
+            letters = int(
+                (figure.get_figwidth() - KEY) / SMALL_LETTER
+            )  # a name is broken where it has a line to itself
+            figure.legend(marks, [fill(name, letters) for name in names], loc="outside lower center", ncols=columns)
             return
 
 
