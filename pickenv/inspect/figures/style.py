@@ -125,9 +125,7 @@ def legend_below(figure: Figure, axes: Any, most: int) -> None:
     for columns in range(min(most, len(names)), 0, -1):
         widths = (KEY + SMALL_LETTER * max(map(len, column)) for column in np.array_split(names, columns))
         if columns == 1 or sum(widths) < figure.get_figwidth() - 0.05:
-            letters = int(
-                (figure.get_figwidth() - KEY) / SMALL_LETTER
-            )  # a name is broken where it has a line to itself
+            letters = int((figure.get_figwidth() - KEY) / SMALL_LETTER)  # of a whole line
             figure.legend(marks, [fill(name, letters) for name in names], loc="outside lower center", ncols=columns)
             return
 
