@@ -180,7 +180,7 @@ def train_bpnn(
     settings: BpnnSettings | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Bpnn:
-    """Train the network.
+    """Train the network in torch's default precision.
 
     Args:
         joints: Training joints ``(N, n)``, rad or m.
@@ -204,8 +204,8 @@ def train_bpnn(
         )
     input_mean, input_std = joints.mean(axis=0), column_std(joints, 1.0)
     output_mean, output_std = residuals.mean(axis=0), column_std(residuals, 1e-12)
-    x = torch.as_tensor((joints - input_mean) / input_std, dtype=torch.float32)
-    y = torch.as_tensor((residuals - output_mean) / output_std, dtype=torch.float32)
+    x = torch.as_tensor((joints - input_mean) / input_std, dtype=torch.get_default_dtype())
+    y = torch.as_tensor((residuals - output_mean) / output_std, dtype=torch.get_default_dtype())
     with torch_on_one_thread(), torch.random.fork_rng(devices=[]):
         torch.manual_seed(int(rng.integers(2**63)))
         model = _network(x.shape[1], y.shape[1], settings)
