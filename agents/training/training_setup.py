@@ -15,9 +15,16 @@ from pickenv.agents.evaluation.reaches import FRUIT, pick_canopies
 from pickenv.agents.policies.learned import LearnedPolicy
 from pickenv.agents.policies.remembering import LSTM, RememberingPolicy
 from pickenv.arm.files.arm import content_sha256
-from pickenv.base import InputError, check_limit, file_sha256, is_there, npz_path, versions
+from pickenv.base import InputError, check_limit, file_sha256, is_there, npz_path, seed_words, stream, versions
 from pickenv.envs import PickVectorEnv, ReachGoalVectorEnv, ReachIdealVectorEnv, ReachToolVectorEnv, ReachVectorEnv
-from pickenv.wrappers import GapScalingVector, SameArmVector, Scaling, ToolSteppingVector, tool_steps_of
+from pickenv.wrappers import (
+    GapScalingVector,
+    SameArmMixture,
+    SameArmVector,
+    Scaling,
+    ToolSteppingVector,
+    tool_steps_of,
+)
 
 Native = ReachVectorEnv | PickVectorEnv
 ENVIRONMENTS: dict[str, type[Native]] = {
@@ -41,7 +48,8 @@ class Training:
         env_id: Id of the environment.
         steps: Environment steps; the tuned number when None.
         seed: Seed of everything random.
-        arguments: Arguments of the environment.
+        arguments: Arguments of the environment. "plant" may be a list for an algorithm that remembers past picks: its
+            environments are then shared out among the plants, each with a population of its own.
         compensate: Calibration file to train behind, or None.
         allow: Reservations of that calibration to accept, by name (`pickenv.base.obey`).
         checkpoint_every: Environment steps between checkpoints.
@@ -96,20 +104,56 @@ class Training:
 
 Inputs = dict[str, str | None]
 """Files and arms of a training besides its options: "arms", a hash of the numbers of its true arms (plant, arm and
-tolerance class), and "calibration", the SHA-256 of the calibration file, or None."""
+tolerance class; of several plants, one after the other), and "calibration", the SHA-256 of that file, or None."""
 
 
-def make_environment(training: Training, count: int, mode: str) -> Native:
-    """The environments of a training, with its calibration installed.
+def arguments_of(training: Training) -> list[dict[str, Any]]:
+    """Arguments of a training's environments, one dict per plant; no two plants draw their arms from one stream.
+
+    Raises:
+        InputError: If there is a list of plants without any, or for an algorithm that learns one arm.
+    """
+    arguments = training.chosen.get("env_kwargs", {}) | training.arguments
+    plants = arguments.get("plant")
+    if not isinstance(plants, list):
+        return [arguments]
+    if not plants or training.remembering is None:
+        raise InputError(
+            f"{training.algorithm} was given {len(plants)} plants (`plant`); give one, or several to an algorithm that "
+            "remembers past picks (ppo_lstm, ppo_history)"
+        )
+    seed = arguments.get("population_seed", 0)
+    others = [seed_words(stream(seed, "training", k), 1)[0] for k in range(1, len(plants))]
+    chosen = zip(plants, [seed, *others], strict=True)
+    return [arguments | {"plant": plant, "population_seed": seed} for plant, seed in chosen]
+
+
+def make_environment(training: Training, count: int, mode: str, number: int = 0) -> Native:
+    """The environments of a training, on its plant of that number, with its calibration installed.
 
     Raises:
         InputError: If an argument is impossible or the calibration is of another arm.
     """
-    arguments = training.chosen.get("env_kwargs", {}) | training.arguments
+    arguments = arguments_of(training)[number]
     env = ENVIRONMENTS[training.env_id](count, autoreset_mode=mode, **arguments)
     if training.compensate is not None:
         env.compensator = load_compensator(training.compensate, env.task.plant.arm, training.allow)
     return env
+
+
+def make_runs(training: Training, count: int, mode: str) -> SameArmVector | SameArmMixture:
+    """The runs that a policy with a memory learns on, shared out among the plants of its training.
+
+    Raises:
+        InputError: If an argument is impossible, there are more plants than runs, or their nominal arms differ.
+    """
+    plants = len(arguments_of(training))
+    if count < plants:
+        raise InputError(f"n_envs is {count}; give at least {plants}, one environment per plant")
+    counts = [len(share) for share in np.array_split(np.arange(count), plants)]
+    made = [make_environment(training, some, mode, k) for k, some in enumerate(counts)]
+    parts = [SameArmVector(env, **(training.remembering or {})) for env in made]
+    return parts[0] if plants == 1 else SameArmMixture(parts)
 
 
 def inputs_of(training: Training) -> Inputs:
@@ -118,9 +162,9 @@ def inputs_of(training: Training) -> Inputs:
     Raises:
         InputError: If the calibration is missing or of another arm, or a plant is impossible.
     """
-    arms = make_environment(training, 1, "Disabled").task.plant
+    made = [make_environment(training, 1, "Disabled", k) for k in range(len(arguments_of(training)))]
     calibration = None if training.compensate is None else file_sha256(npz_path(training.compensate))
-    return {"arms": content_sha256(arms), "calibration": calibration}
+    return {"arms": " ".join(content_sha256(env.task.plant) for env in made), "calibration": calibration}
 
 
 def check_inputs(training: Training, begun: Inputs) -> None:
@@ -136,11 +180,14 @@ def check_inputs(training: Training, begun: Inputs) -> None:
             raise InputError(f"calibration {path} (`compensate`) is missing; {restore}")
         if file_sha256(path) != begun["calibration"]:
             raise InputError(f"calibration {path} (`compensate`) is another file than it was; {restore}")
-    plant = str(training.arguments.get("plant", "of the environment"))
-    if plant.endswith(".toml") and not Path(plant).is_file():
-        raise InputError(f"plant {plant} (`plant`) is missing; {restore}")
-    if inputs_of(training)["arms"] != begun["arms"]:
-        raise InputError(f"plant {plant} (`plant`, or its tolerances) has other numbers than it had; {restore}")
+    plants = [str(arguments.get("plant", "of the environment")) for arguments in arguments_of(training)]
+    for plant in plants:
+        if plant.endswith(".toml") and not Path(plant).is_file():
+            raise InputError(f"plant {plant} (`plant`) is missing; {restore}")
+    hashes = [str(inputs["arms"]).split() for inputs in (inputs_of(training), begun)]
+    for plant, now, then in zip(plants, *hashes, strict=True):
+        if now != then:
+            raise InputError(f"plant {plant} (`plant`, or its tolerances) has other numbers than it had; {restore}")
 
 
 def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
@@ -157,14 +204,15 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
     parameters, remembering, settings = training.chosen, training.remembering, training.wrapper[1]
     for key in ("n_timesteps", "env_kwargs", "env_wrapper"):
         parameters.pop(key, None)
-    inner = make_environment(training, int(parameters.pop("n_envs")), "SameStep")
+    count, make = int(parameters.pop("n_envs")), make_environment if remembering is None else make_runs
+    inner: Any = make(training, count, "SameStep")
     logs = str(out / "logs") if out is not None and is_there("tensorboard") else None
     common: dict[str, Any] = {"seed": training.seed, "device": "cpu", "tensorboard_log": logs, "verbose": 0}
     goals = isinstance(inner, ReachVectorEnv) and inner.goal_dict
     if goals and training.algorithm == "ppo":
         raise InputError("ppo has no use for goal observations; train it on pickenv/Reach-v0")
     if remembering is not None:
-        env = Sb3Vec(SameArmVector(inner, **remembering))
+        env = Sb3Vec(inner)
     elif isinstance(inner, PickVectorEnv):
         env = Sb3Vec(ToolSteppingVector(inner, **settings))
     else:
@@ -228,11 +276,11 @@ def judge(policy: LearnedPolicy | RememberingPolicy, training: Training) -> dict
         envs: Any = make_environment(training, 16, "NextStep")
         outcome = pick_canopies(policy, envs, HELD_OUT)
         return {name: float(outcome[name].mean()) for name in FRUIT}
-    env: Any = make_environment(training, 256, "Disabled")
     if isinstance(policy, RememberingPolicy):
-        outcome = _picked(policy, SameArmVector(env, **(training.remembering or {})))
+        outcome = _picked(policy, make_runs(training, 256, "Disabled"))
         error, success = outcome["position_error_mm"], outcome["is_success"]
     else:
+        env: Any = make_environment(training, 256, "Disabled")
         observation, infos = env.reset(seed=HELD_OUT)
         for _ in range(60):
             observation, _, _, _, infos = env.step(policy.act(observation))
@@ -241,7 +289,7 @@ def judge(policy: LearnedPolicy | RememberingPolicy, training: Training) -> dict
     return {name: float(number) for name, number in numbers.items()}
 
 
-def _picked(policy: RememberingPolicy, envs: SameArmVector) -> dict[str, Any]:
+def _picked(policy: RememberingPolicy, envs: SameArmVector | SameArmMixture) -> dict[str, Any]:
     """The infos of one run of every arm, as arrays ``(picks, arms)``."""
     observations, _ = envs.reset(seed=HELD_OUT)
     state, rows = policy.begin(envs.num_envs), []

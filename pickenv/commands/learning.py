@@ -25,7 +25,7 @@ def train(
     env: str = "pickenv/Reach-v0",
     compensate: Path | None = None,
     allow: list[str] | None = None,
-    plant: str | None = None,
+    plant: list[str] | None = None,
     feedback: Literal["encoders", "camera"] = "encoders",
     camera_noise: float = 0.0,
     fruit_noise: float = 0.0,
@@ -45,7 +45,7 @@ def train(
         env: Id of the environment; on pickenv/ReachTool-v0 any arm is learnt.
         compensate: Calibration file (.npz) to train behind.
         allow: Train behind the calibration in spite of this: fitted-frames, do-not-use.
-        plant: Plant preset or plant file; the environment's if left out.
+        plant: Plant preset or plant file; the environment's if left out. May be repeated with ppo_lstm, ppo_history.
         feedback: What the policy sees beside its joints.
         camera_noise: Noise of the camera's view of the gap, mm per axis.
         fruit_noise: Noise of the fruit's position, mm per axis.
@@ -77,7 +77,7 @@ def train(
         if (out / "checkpoint.pt").exists():
             raise InputError(f"{out} holds a training already; go on with --resume, or give another --out")
         arguments: dict[str, Any] = {
-            "plant": plant,
+            "plant": plant[0] if plant and len(plant) == 1 else plant or None,
             "feedback": None if feedback == "encoders" else feedback,
             "camera_noise_mm": camera_noise or None,
             "fruit_noise_mm": fruit_noise if camera_noise or fruit_noise else None,
@@ -105,12 +105,15 @@ def _refuse_changes(context: typer.Context, begun: pickenv.agents.Training, out:
     usual = {"plant": None, "feedback": "encoders", "camera_noise_mm": 0.0, "fruit_noise_mm": 0.0, "tolerances": None}
     said = usual | vars(begun) | begun.arguments | {"steps": begun.total}
     said = {PARAMETERS.get(name, name): value for name, value in said.items()} | {"randomise": said["tolerances"]}
+    if isinstance(said["plant"], str):
+        said["plant"] = [said["plant"]]
     changed = []
     for name in (str(param.name) for param in context.command.params):
         value = str(context.params[name]) if isinstance(context.params[name], Path) else context.params[name]
         if name in said and _was_given(context, name) and value != said[name]:
             word = name.replace("_", "-")
-            changed.append(f"without --{word}" if said[name] is None else f"with --{word} {said[name]}, not {value}")
+            typed = [f" --{word} ".join(each) if isinstance(each, list) else each for each in (said[name], value)]
+            changed.append(f"without --{word}" if said[name] is None else f"with --{word} {typed[0]}, not {typed[1]}")
     if changed:
         raise InputError(
             f"the training in {out} was begun {', '.join(changed)}; leave out what was not said then, or give "

@@ -19,6 +19,7 @@ from .same_arm import (
     SEEN_MM as SEEN_MM,
     PickMemory as PickMemory,
     SameArm as SameArm,
+    SameArmMixture as SameArmMixture,
     SameArmVector as SameArmVector,
 )
 from .sb3 import Sb3Vec as Sb3Vec, make_sb3_vec as make_sb3_vec

@@ -278,6 +278,74 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         return columns | {f"_{key}": everywhere for key in columns}
 
 
+class SameArmMixture(VectorEnv[Any, Any, Any]):
+    """Several `SameArmVector` side by side as one, for learning on arms of several plants.
+
+    A row is what it would be in its own part with the same seed. All runs have the same length, so all end at once.
+
+    Change log:
+     * v0.3.0 - Added.
+
+    Attributes:
+        parts: The parts, the first one's rows first.
+        task: The task of the first part; every part has its nominal arm.
+        run: The run of the first part.
+    """
+
+    def __init__(self, parts: Sequence[SameArmVector]) -> None:
+        """Join ``parts``.
+
+        Raises:
+            InputError: If there are none, or their nominal arms or their runs differ.
+        """
+        arms = [part.run.task.plant.arm for part in parts]
+        runs = {(part.run.picks, part.run.looks, part.run.measured, part.run.memory) for part in parts}
+        if len({arm.fingerprint() for arm in arms}) != 1 or len(runs) != 1:
+            names = ", ".join(arm.name for arm in arms) or "none"
+            raise InputError(f"a mixture needs plants of one nominal arm, and runs alike; these are of {names}")
+        first, self.parts = parts[0], tuple(parts)
+        self.task, self.run, self.metadata = first.run.task, first.run, first.metadata
+        self.num_envs = sum(part.num_envs for part in parts)
+        self.single_observation_space = first.single_observation_space
+        self.single_action_space = first.single_action_space
+        self.observation_space = batch_space(first.single_observation_space, self.num_envs)
+        self.action_space = batch_space(first.single_action_space, self.num_envs)
+        self._ends = np.cumsum([part.num_envs for part in parts])[:-1]
+
+    def reset(
+        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Any, dict[str, Any]]:
+        """Begin runs on newly drawn arms; there are no options."""
+        given_options(options, ())
+        shares = np.split(np.array(checked_seeds(seed, self.num_envs), dtype=object), self._ends)
+        done = [part.reset(seed=share.tolist()) for part, share in zip(self.parts, shares, strict=True)]
+        observations, infos = zip(*done, strict=True)
+        return np.concatenate(observations), _joined(infos)
+
+    def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
+        """Pick one fruit on every arm."""
+        shares = np.split(as_numbers("actions", actions), self._ends)
+        *columns, infos = zip(*(part.step(share) for part, share in zip(self.parts, shares, strict=True)), strict=True)
+        observations, rewards, ended, cut = (np.concatenate(column) for column in columns)
+        return observations, rewards, ended, cut, _joined(infos)
+
+    def state_arrays(self) -> dict[str, NDArray[Any]]:
+        """The arrays of everything that the next step depends on, for a checkpoint."""
+        return {f"{k}/{key}": value for k, part in enumerate(self.parts) for key, value in part.state_arrays().items()}
+
+    def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
+        """Take over the arrays that `state_arrays` of a mixture of the same parts returned."""
+        for k, part in enumerate(self.parts):
+            mine = f"{k}/"
+            part.take_state_arrays({key[len(mine) :]: value for key, value in state.items() if key.startswith(mine)})
+
+
+def _joined(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
+    """Infos of several vectors as those of one."""
+    columns = {key: [each[key] for each in infos] for key in infos[0]}
+    return {key: (_joined if key == "final_info" else np.concatenate)(column) for key, column in columns.items()}
+
+
 class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """Pick fruit after fruit with one unknown arm, one action a fruit: a task of calibrating while picking.
 
