@@ -3,12 +3,14 @@
 The task is `pickenv.wrappers.SameArm`: runs of 20 picks on an arm that is not told, with a camera of 1 mm per axis and
 ten looks at each fruit. A recurrent policy (RecurrentPPO) and one over a window (PPO) learnt it on 4096 arms of
 `qiao2026`, class coarse; they are the shipped baselines and their other seeds, and are trained here where they are not
-there yet. The filter has the same looks and the same action; its two settings are the best of a few on arms of its own.
-All are judged on the same fresh arms and fruit. Simulated throughout.
+there yet. "Two kinds" are the same trainings with half of their runs on 4096 arms of `orchard`. The filter has the same
+looks and the same action; its two settings are the best of a few on arms of its own. All are judged on the same fresh
+arms and fruit. Simulated throughout.
 """
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache, partial
 from itertools import product
 from pathlib import Path
@@ -29,6 +31,10 @@ from pickenv.inspect.figures.style import WIDTH, new_figure
 from pickenv.wrappers import SEEN_MM, SameArmVector
 
 LEARNT = {"recurrent": "recurrent_camera", "window": "history_camera"}
+TWO: dict[str, Any] = {"arguments": {"plant": ["qiao2026", "orchard"]}}
+CHANGES = {"": {}, "two kinds": TWO, "two kinds, four times the steps": TWO | {"steps": 409_600}}
+"""What a training changes in its recipe, by the last words of a policy's name."""
+
 FILTER, NOMINAL = "Kalman filter", "no memory: the nominal arm"
 PICKS, LOOKS, CAMERA_MM = 20, 10, 1.0
 TRIED = {"unmodelled_std": (0.1e-3, 0.2e-3, 0.5e-3, 1e-3), "prior": (0.5, 1.0, 2.0)}
@@ -106,17 +112,24 @@ def tuned_filter(arms: int = 12) -> tuple[float, float]:
     return tried[int(np.argmin(left))]
 
 
-def trained(name: str, seed: int, folder: Path) -> RememberingPolicy:
-    """A training of a baseline; what is there is not trained again."""
-    out = folder / name / str(seed)
+def trained(policy: str, seed: int, folder: Path) -> RememberingPolicy:
+    """A training of a learnt policy; what is there is not trained again."""
+    name, _, last = policy.partition(", ")
+    training = replace(training_of(LEARNT[name], seed, folder / "calibration.npz"), **CHANGES[last])
+    out = folder / "_".join([LEARNT[name], *last.replace(",", "").split()]) / str(seed)
     if not (out / "policy.npz").is_file():
-        train(training_of(name, seed, folder / "calibration.npz"), out, resume=(out / "checkpoint.pt").is_file())
+        train(training, out, resume=(out / "checkpoint.pt").is_file())
     return load_remembering(out / "policy.npz")
 
 
 def fits(training: int, plant: str, policy: str) -> bool:
     """What learns nothing beforehand is judged once."""
-    return policy in LEARNT or training == 0
+    return learns(policy) or training == 0
+
+
+def learns(policy: str) -> bool:
+    """Whether a policy is learnt beforehand."""
+    return policy.partition(", ")[0] in LEARNT
 
 
 def measure(
@@ -124,8 +137,8 @@ def measure(
 ) -> Any:
     """Errors of one policy, a row for each arm, run and pick."""
     make: Any = partial(Filtering, *tuned_filter()) if policy == FILTER else lambda: aims_at_the_fruit
-    if policy in LEARNT:
-        make = partial(Remembering, trained(LEARNT[policy], training, Path(folder)))
+    if learns(policy):
+        make = partial(Remembering, trained(policy, training, Path(folder)))
     errors = picked(task(plant, arms, 0, seed), make, runs, seed)
     arm, run, pick = (index.ravel() for index in np.indices(errors.shape))
     when = np.array([next((name for name, some in SHOWN.items() if k in some), "") for k in pick])
