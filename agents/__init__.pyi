@@ -6,7 +6,7 @@ from .evaluation.reaches import (
     run_reaches as run_reaches,
 )
 from .evaluation.rollout import Rollout as Rollout, roll_out as roll_out
-from .policies.adaptive import AdaptiveReach as AdaptiveReach
+from .policies.adaptive import AdaptiveReach as AdaptiveReach, FeelingPick as FeelingPick
 from .policies.foreign import foreign_policy as foreign_policy
 from .policies.learned import (
     BASELINES as BASELINES,
