@@ -391,7 +391,7 @@ PICK_FEEDBACK = ("encoders", "gripper")
 """What a policy gets to know of the true arm: nothing, or where each fruit that the gripper took lies in it."""
 
 MOST_FELT = 0.1
-"""Largest number by which an observation shows where a fruit lies in the gripper, m."""
+"""Bound of an observation of where a fruit lies in the gripper; fruit that far off was missed."""
 
 
 def make_pick(

@@ -26,7 +26,7 @@ MOST_STEPS = 20
 """Largest number of periods by which actions or readings can be late; so many of them have to be stored."""
 
 MOST_HOURS = 1000.0
-"""Longest time for which an arm can have been on, h."""
+"""Bound of `hours_on`."""
 
 Components = tuple[Scalar, ...]
 Given = float | Sequence[float]
