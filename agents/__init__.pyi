@@ -1,4 +1,5 @@
 from .evaluation.compare import PolicyComparison as PolicyComparison, compare as compare
+from .evaluation.contenders import maker_of as maker_of
 from .evaluation.reaches import (
     Reaches as Reaches,
     episode_seeds as episode_seeds,
