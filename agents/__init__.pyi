@@ -1,4 +1,5 @@
 from .evaluation.compare import PolicyComparison as PolicyComparison, compare as compare
+from .evaluation.contenders import maker_of as maker_of
 from .evaluation.reaches import (
     Reaches as Reaches,
     episode_seeds as episode_seeds,
@@ -6,7 +7,7 @@ from .evaluation.reaches import (
     run_reaches as run_reaches,
 )
 from .evaluation.rollout import Rollout as Rollout, roll_out as roll_out
-from .policies.adaptive import AdaptiveReach as AdaptiveReach
+from .policies.adaptive import AdaptiveReach as AdaptiveReach, FeelingPick as FeelingPick
 from .policies.foreign import foreign_policy as foreign_policy
 from .policies.learned import (
     BASELINES as BASELINES,

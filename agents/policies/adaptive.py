@@ -1,7 +1,8 @@
-"""A policy that goes on calibrating while it picks: the Kalman filter learns from what the camera saw of past picks.
+"""Policies that go on calibrating while they pick: a Kalman filter learns from what was seen or felt of past picks.
 
-It drives open loop, corrected by its own estimate of the arm. Once it stands still before a fruit, it averages the
-camera's view; when the next episode begins, each arm's filter takes that as one observation of the tool's position.
+In Reach such a policy drives open loop, corrected by its own estimate of the arm. Once it stands still before a fruit,
+it averages the camera's view; when the next episode begins, each arm's filter takes that as one observation of the
+tool's position. In Pick every fruit that the gripper took is one observation.
 """
 
 from __future__ import annotations
@@ -12,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.agents.policies.policy import ObservationParts, Policy, camera_of, read_observation, with_traits
-from pickenv.agents.policies.scripted import ScriptedReach
+from pickenv.agents.policies.scripted import AT, ScriptedPick, ScriptedReach
 from pickenv.arm import Array, MeasurementNoise
-from pickenv.base import register
+from pickenv.base import InputError, register
 from pickenv.calibration import aimed, link_model, random_joints
 from pickenv.calibration.identification import extended_kalman_filter
 
@@ -44,7 +45,7 @@ class LookingReach(ScriptedReach):
         super().reset()
         rows = np.flatnonzero(self._count)
         if len(rows):
-            self._learn(rows, self._joints[rows], self._sum[rows] / self._count[rows, None])
+            self.learn(rows, self._joints[rows], self._sum[rows] / self._count[rows, None], self._count[rows])
         self._count = np.zeros(len(self._count), dtype=np.int64)
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -58,19 +59,32 @@ class LookingReach(ScriptedReach):
         if len(self._count) != len(camera):
             self._count = np.zeros(len(camera), dtype=np.int64)
         if self._wanted is None:
-            self._wanted = self._corrected(self.wanted_joints(reading))
+            wanted = self.wanted_joints(reading)
+            self.meet(len(wanted))
+            self._wanted = self.corrected(np.arange(len(wanted)), wanted)
             self._joints: Array = np.zeros_like(reading.joints)
             self._sum: Array = np.zeros_like(camera)
         action = self.action(self._wanted - self.commanded(reading.joints))
         self._note(reading, camera, (np.abs(action).max(axis=-1) < ARRIVED) & self.settled)
         return action[0] if np.ndim(observation) == 1 else action
 
-    def _corrected(self, joints: Array) -> Array:
-        """Joint targets that bring each arm, as it is believed to be, to the nominal arm's place at ``joints``."""
+    def meet(self, arms: int) -> None:
+        """Begin anew with so many arms, unless there are as many already."""
         raise NotImplementedError
 
-    def _learn(self, rows: NDArray[np.intp], joints: Array, seen: Array) -> None:
-        """Learn that the arms ``rows`` stood at ``joints``, their tools seen at ``seen (rows, 3)`` on average, m."""
+    def corrected(self, rows: NDArray[np.intp], joints: Array) -> Array:
+        """Joint targets that bring the arms ``rows``, as believed, to the place of the nominal arm at ``joints``."""
+        raise NotImplementedError
+
+    def learn(self, rows: NDArray[np.intp], joints: Array, seen: Array, looks: NDArray[Any]) -> None:
+        """Learn where arms' tools were.
+
+        Args:
+            rows: Numbers of the arms.
+            joints: Joints at which they stood ``(rows, n)``, rad or m.
+            seen: Mean position at which each tool was seen ``(rows, 3)``, m.
+            looks: Number of pictures behind each mean ``(rows,)``.
+        """
         raise NotImplementedError
 
     def _note(self, reading: ObservationParts, camera: Array, arrived: NDArray[np.bool_]) -> None:
@@ -109,16 +123,65 @@ class AdaptiveReach(LookingReach):
         )
         self.filters: list[extended_kalman_filter.FilterState] = []
 
-    def _corrected(self, joints: Array) -> Array:
-        if len(self.filters) != len(joints):
-            self.filters = [self.start] * len(joints)
-        return aimed(self.geometry, self.filters, joints)
+    def meet(self, arms: int) -> None:
+        """Begin with the nominal arm, unless there are as many arms already."""
+        if len(self.filters) != arms:
+            self.filters = [self.start] * arms
 
-    def _learn(self, rows: NDArray[np.intp], joints: Array, seen: Array) -> None:
-        for i, at, tool in zip(rows, joints, seen, strict=True):
+    def corrected(self, rows: NDArray[np.intp], joints: Array) -> Array:
+        """As in `LookingReach`: by the arms that the filters believe in."""
+        return aimed(self.geometry, [self.filters[row] for row in rows], joints)
+
+    def learn(self, rows: NDArray[np.intp], joints: Array, seen: Array, looks: NDArray[Any]) -> None:
+        """As in `LookingReach`: each filter takes one observation."""
+        for i, at, tool, count in zip(rows, joints, seen, looks, strict=True):
             # The fruit is seen once per episode, the gap in every picture.
-            std = float(np.sqrt(self.camera_std**2 * (1.0 + 1.0 / int(self._count[i])) + self.unmodelled_std**2))
+            std = float(np.sqrt(self.camera_std**2 * (1.0 + 1.0 / int(count)) + self.unmodelled_std**2))
             self.filters[i] = extended_kalman_filter.update(self.filters[i], at, tool, MeasurementNoise(std, 0.0))
+
+
+class FeelingPick(ScriptedPick):
+    """Pick as scripted, aimed beside each fruit by what the gripper felt of the fruit that the same arm took before.
+
+    Several canopies follow each other with `reset` in between; another arm wants another policy. Fruit that the gripper
+    missed teaches nothing.
+    """
+
+    def __init__(self, env: Any, memory: LookingReach, **how: Any) -> None:
+        """Pick in ``env``, a `pickenv/Pick-v0` with `feedback="gripper"`.
+
+        Args:
+            env: The environment, single or native vector.
+            memory: What learns the arms and corrects by them; its arms are the environment's.
+            how: Arguments of `ScriptedPick`.
+
+        Raises:
+            InputError: If the gripper of ``env`` feels nothing.
+        """
+        if env.unwrapped.orchard.felt is None:
+            raise InputError("this policy learns from the gripper; make the environment with feedback='gripper'")
+        super().__init__(env, **how)
+        self.memory = memory
+
+    def reset(self) -> None:
+        """Forget the last canopy, but not the arm."""
+        super().reset()
+        self._held: NDArray[np.bool_] = np.zeros(0, dtype=np.bool_)
+
+    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The next action; what the gripper has just taken is learnt from first."""
+        values = np.atleast_2d(np.asarray(observation, dtype=float))
+        held = values[:, -6] + values[:, -5] > 0.5
+        if len(self._held) == len(held):
+            rows = np.flatnonzero(held & ~self._held)
+            if len(rows):
+                self.memory.learn(rows, self._way[rows, AT], self._fruit[rows] - values[rows, -3:], np.ones(len(rows)))
+        self._held = held
+        return super().act(observation)
+
+    def _corrected(self, rows: Any, at: Array) -> Array:
+        self.memory.meet(len(self._fruit))
+        return self.memory.corrected(np.atleast_1d(rows), np.atleast_2d(at)).reshape(at.shape)
 
 
 @register("policy", "adaptive")

@@ -160,14 +160,20 @@ class RememberingReach(LookingReach):
         self._tokens: NDArray[np.float32] = policy.memory.empty(0)
         self._state = policy.begin(0)
 
-    def _corrected(self, joints: Array) -> Array:
-        if len(self._tokens) != len(joints):
-            self._tokens, self._state = self.policy.memory.empty(len(joints)), self.policy.begin(len(joints))
-        observations = self.policy.memory.shown(scaled_joints(self.geometry, joints), self._tokens)
-        actions, self._state = self.policy.aim(observations, self._state)
+    def meet(self, arms: int) -> None:
+        """Begin with arms that have not picked yet, unless there are as many already."""
+        if len(self._tokens) != arms:
+            self._tokens, self._state = self.policy.memory.empty(arms), self.policy.begin(arms)
+
+    def corrected(self, rows: NDArray[np.intp], joints: Array) -> Array:
+        """As in `LookingReach`: beside the fruit by what the policy says."""
+        observations = self.policy.memory.shown(scaled_joints(self.geometry, joints), self._tokens[rows])
+        actions, state = self.policy.aim(observations, (self._state[0][rows], self._state[1][rows]))
+        self._state[0][rows], self._state[1][rows] = state
         return self.policy.memory.aim(self.geometry, joints, actions)
 
-    def _learn(self, rows: NDArray[np.intp], joints: Array, seen: Array) -> None:
+    def learn(self, rows: NDArray[np.intp], joints: Array, seen: Array, looks: NDArray[Any]) -> None:
+        """As in `LookingReach`: one more pick to remember."""
         error = seen - forward(self.geometry, joints).position
         self._tokens = self._tokens.copy()
         self._tokens[rows] = self.policy.memory.after(self._tokens[rows], scaled_joints(self.geometry, joints), error)

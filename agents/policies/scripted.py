@@ -268,11 +268,16 @@ class ScriptedPick(policy.ReachController):
         upright = policy.attitude_after(forward(self.geometry, joints), turn)
         aim = np.broadcast_to(self.aim, self._fruit.shape)[rows]
         down = np.broadcast_to(self.approach, len(self._fruit))[rows][..., None] * np.array([0.0, 0.0, 1.0])
-        at = self._solve(seen + aim, upright, joints)
-        last, below = self._way[rows, BELOW], self._solve(seen + aim - down, upright, at)
+        straight = self._solve(seen + aim, upright, joints)
+        at = self._corrected(rows, straight)
+        last, below = self._way[rows, BELOW], self._solve(seen + aim - down, upright, straight) + (at - straight)
         self._place[rows] = np.where(np.isnan(last[..., 0]), BELOW, OUT)
         self._way[rows, OUT], self._way[rows, BELOW], self._way[rows, AT] = last, below, at
         self._fruit[rows], self._spent[rows] = seen, 0.0
+
+    def _corrected(self, rows: Any, at: Array) -> Array:
+        """Joints to grasp at in the environments ``rows`` for nominal joints ``at``; those, where nothing is learnt."""
+        return at
 
     def _solve(self, position: Array, rotation: Array, start: Array) -> Array:
         pose = Pose(position, rotation)

@@ -512,6 +512,8 @@ def _check_asked(
         raise ValueError(f"'{of}' is of one column, not of {names}; give share, ratio or removed of two, or a function")
     if of == "ratio" and len(names) != 2:
         raise ValueError(f"'ratio' is of two columns, not of {names}")
+    if of in ("share", "ratio") and len(names) > 1 and against is not None:
+        raise ValueError(f"a {of} of two columns has no paired differences; give the mean of one column of {of}s")
     if of == "removed" and (against is None) == (len(names) == 1):
         raise ValueError("'removed' wants against, levels of which a share is gone, or two columns: before and after")
 

@@ -1,3 +1,4 @@
+from .colours import in_words as in_words
 from .figures.plot_calibration import (
     joint_coverage as joint_coverage,
     least_squares_convergence as least_squares_convergence,

@@ -17,6 +17,7 @@ from .mujoco_arm import (
 from .same_arm import (
     MOST_SEEN as MOST_SEEN,
     SEEN_MM as SEEN_MM,
+    ManyCanopies as ManyCanopies,
     PickMemory as PickMemory,
     SameArm as SameArm,
     SameArmMixture as SameArmMixture,

@@ -1,9 +1,9 @@
-"""Wrappers in which a policy picks many fruit with one arm, one action a fruit, and learns to calibrate as it picks.
+"""Wrappers in which a policy picks many fruit with one arm that it does not know, and learns to calibrate it.
 
-An episode is a run of picks on one true arm, which the policy does not know; the next episode may have another arm.
-Before each pick the policy says how far to aim beside the fruit. The nominal arm is put at that aim and stands there,
-and the camera measures how far true and believed tool differ. These measurements at past picks are all that tells one
-arm from another. Units: m and rad.
+An episode is a run of picks on one true arm; the next episode may have another arm. `ManyCanopies` makes such runs of
+whole canopies. With `SameArm` an action is a whole pick. Before each pick the policy says how far to aim beside the
+fruit. The nominal arm is put at that aim and stands there, and the camera measures how far true and believed tool
+differ. These measurements at past picks are all that tells one arm from another. Units: m and rad.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array, Geometry, joint_jacobian, truncated_inverse
 from pickenv.base import InputError
+from pickenv.envs.picking.pick import PickEnv
+from pickenv.envs.picking.pick_scene import given_hours, pick_reward
 from pickenv.envs.shared.backends import GOAL, NUMPY, episode_key, fresh_seed, seed_word, stream_key
 from pickenv.envs.shared.native_vector import checked_seeds, final_rows
 from pickenv.envs.shared.simulation import NUMBER_KEYS, gap_reward, goal_attempt
@@ -430,3 +432,90 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     def _info(self, info: dict[str, Any]) -> dict[str, Any]:
         return {key: info[key] for key in (*NUMBER_KEYS, "is_success")} | {"pick": self.run.pick, "arm": self._arm}
+
+
+class ManyCanopies(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
+    """Pick canopy after canopy with one unknown arm in the course of a day: the task of calibrating while picking.
+
+    An episode is a run of ``canopies`` episodes of `pickenv/Pick-v0` on one true arm, which warms up and sinks from
+    canopy to canopy: the hours for which it has been on rise evenly through ``hours``. Observations and actions are
+    those of the environment. With `feedback="gripper"` each fruit that the gripper took shows how far arm and camera
+    err there. The step that ends a canopy shows the next one. The run is truncated after the last.
+
+    The reward of a step is 1 for each fruit that comes into the bin, less 0.002: what a real arm could measure. A
+    policy may therefore be shown it. With `reward="true"` it is that of `pickenv/Pick-v0`, which knows of every bruise.
+    `info` is that of the environment, with the number of canopies done as `canopy`, the arm's number as `arm`, and
+    the fruit `attempted` and `collected` in the whole run so far as `run_attempted` and `run_collected`.
+
+    Example:
+        >>> import gymnasium as gym
+        >>> import pickenv
+        >>> from pickenv.wrappers import ManyCanopies
+        >>> env = ManyCanopies(gym.make("pickenv/Pick-v0", difficulty="own_eyes", feedback="gripper"), canopies=10)
+        >>> observation, info = env.reset(seed=0)
+        >>> observation.shape, info["canopy"]
+        ((26,), 0)
+
+    Change log:
+     * v0.3.0 - Added.
+    """
+
+    def __init__(
+        self, env: gym.Env[Any, Any], canopies: int = 20, hours: Sequence[float] = (0.0, 8.0), reward: str = "measured"
+    ) -> None:
+        """Wrap ``env``.
+
+        Args:
+            env: A `pickenv/Pick-v0`; make it with `arms="per_episode"`, or on the ladder, else every run has one arm.
+            canopies: Number of canopies in a run.
+            hours: Hours for which the arm has been on before the first canopy, and before the last.
+            reward: "measured", of what a real arm could measure, or "true", for training in simulation alone.
+
+        Raises:
+            InputError: If ``env`` is no `pickenv/Pick-v0`, or an argument is impossible.
+        """
+        RecordConstructorArgs.__init__(self, canopies=canopies, hours=hours, reward=reward)
+        gym.Wrapper.__init__(self, env)
+        if not isinstance(env.unwrapped, PickEnv):
+            raise InputError("ManyCanopies works on picking environments; wrap a pickenv/Pick-v0 environment")
+        check_choice("reward", reward, SAME_ARM_REWARDS)
+        check_count("canopies", canopies)
+        first, last = given_hours(hours, 2)
+        self.canopies, self.hours = int(canopies), np.linspace(first, last, int(canopies))
+        self.measured, self._inner = reward == SAME_ARM_REWARDS[0], env.unwrapped
+        self._done = np.zeros(2, dtype=np.int64)
+        self._canopy, self._binned = 0, 0
+
+    def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
+        """Begin a run on a newly drawn arm, or on the one whose number ``options["arm"]`` gives."""
+        options = given_options(options, ("arm",))
+        self._canopy, self._done[:] = 0, 0
+        return self._begin(seed, options)
+
+    def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
+        """Act for one period; where that ends a canopy, go to the next."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
+        if self.measured:
+            before, self._binned = self._binned, self._in_bin()
+            reward = pick_reward(self._binned - before, 0)
+        if not (terminated or truncated):
+            return observation, reward, False, False, self._info(info)
+        self._canopy += 1
+        if self._canopy == self.canopies:
+            return observation, reward, False, True, self._info(info)
+        self._done += [info["attempted"], info["collected"]]
+        observation, info = self._begin(None, {} if self._inner.task.arms == "fixed" else {"arm": self._inner.arm})
+        return observation, reward, False, False, info
+
+    def _begin(self, seed: int | None, options: dict[str, Any]) -> tuple[Any, dict[str, Any]]:
+        observation, info = self.env.reset(seed=seed, options=options | {"hours": self.hours[self._canopy]})
+        self._binned = 0
+        return observation, self._info(info)
+
+    def _in_bin(self) -> int:
+        return int(self._inner.scene.collected.sum())
+
+    def _info(self, info: dict[str, Any]) -> dict[str, Any]:
+        attempted, collected = self._done + np.array([info["attempted"], info["collected"]])
+        run = {"run_attempted": int(attempted), "run_collected": int(collected)}
+        return info | {"canopy": self._canopy, "arm": self._inner.arm} | run

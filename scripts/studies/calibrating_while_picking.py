@@ -5,11 +5,17 @@ ten looks at each fruit. A recurrent policy (RecurrentPPO) and one over a window
 `qiao2026`, class coarse; they are the shipped baselines and their other seeds, and are trained here where they are not
 there yet. "Two kinds" are the same trainings with half of their runs on 4096 arms of `orchard`. The filter has the same
 looks and the same action; its two settings are the best of a few on arms of its own. All are judged on the same fresh
-arms and fruit. Simulated throughout.
+arms and fruit.
+
+`picks` asks the same of whole canopies: `pickenv/Pick-v0` on one unknown arm in the course of a day, where only the
+gripper tells how far it was off. The filter's settings there are the better of two tried on arms of the split "train".
+
+Simulated throughout.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
 from itertools import product
@@ -21,11 +27,21 @@ import numpy as np
 from train_baselines import training_of
 
 import pickenv  # noqa: F401
-from pickenv.agents import AdaptiveReach, RememberingPolicy, load_remembering, train
+from pickenv.agents import (
+    AdaptiveReach,
+    FeelingPick,
+    RememberingPolicy,
+    RememberingReach,
+    ScriptedPick,
+    load_remembering,
+    pick_canopies,
+    train,
+)
 from pickenv.arm import Array, forward
 from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.base import seed_words, stream
 from pickenv.calibration.compensation.compensator import aimed, taught
+from pickenv.envs import PickVectorEnv
 from pickenv.experiments import Rows, estimate
 from pickenv.inspect.figures.style import WIDTH, new_figure
 from pickenv.wrappers import SEEN_MM, SameArmVector
@@ -148,6 +164,54 @@ def measure(
 def aims_at_the_fruit(envs: SameArmVector, seen: Any) -> Array:
     """The nominal arm's actions."""
     return np.zeros((envs.num_envs, 3))
+
+
+MEMORIES: dict[str, Callable[[Any], Any]] = {
+    "Kalman filter": lambda envs: AdaptiveReach(envs, camera_std=2e-3, prior=2.0),
+    "window": lambda envs: RememberingReach(envs, load_remembering(LEARNT["window"])),
+    "recurrent": lambda envs: RememberingReach(envs, load_remembering(LEARNT["recurrent"])),
+}
+"""What aims a picking policy by past picks."""
+
+DAY_H = 8.0
+"""Length of the day through which an arm picks."""
+
+PARTS = {"first canopy": range(1), "canopies 2 to 5": range(1, 5), "canopies 11 to 20": range(10, 20)}
+
+
+def picks(rng: np.random.Generator, rung: str, policy: str, arms: int, canopies: int, seed: int) -> Any:
+    """Grasps of one policy through a day, a row for each arm and canopy; the same arms and fruit for everybody."""
+    envs = PickVectorEnv(arms, difficulty=rung, split="test", feedback="gripper")
+    numbers = np.random.default_rng(stream(seed, "arms", 0)).permutation(envs.task.population)[:arms]
+    picker = FeelingPick(envs, MEMORIES[policy](envs)) if policy in MEMORIES else ScriptedPick(envs)
+    columns: dict[str, list[Any]] = {name: [] for name in ("attempted", "collected", "error_sum_mm")}
+    for canopy, hours in enumerate(np.linspace(0.0, DAY_H, canopies)):
+        fruit = seed_words(stream(seed, "picks", canopy), arms)
+        totals = pick_canopies(picker, envs, fruit, {"arm": numbers, "hours": hours})
+        for name, column in columns.items():
+            column.extend(totals[name])
+    canopy, arm = (index.ravel() for index in np.indices((canopies, arms)))
+    when = np.array([next((name for name, some in PARTS.items() if k in some), "") for k in canopy])
+    found = {name: np.array(column) for name, column in columns.items()}
+    found["success"] = found["collected"] / np.maximum(found["attempted"], 1.0)
+    return {"arm": arm, "canopy": canopy + 1, "when": when, **found}
+
+
+def day(rows: Rows) -> Any:
+    """Share of grasps that succeed against the number of the canopy, one panel per rung."""
+    rungs = [rung for (rung,) in rows.levels("rung")]
+    with new_figure(WIDTH, 2.9) as figure:
+        panels = figure.subplots(1, len(rungs), sharey=True, squeeze=False)[0]
+        for axes, rung in zip(panels, rungs, strict=True):
+            axes.set(title=f"rung {rung}", xlabel="canopy of the day")
+            for number, (policy,) in enumerate(rows.levels("policy")):
+                some = rows.where(rung=rung, policy=policy)
+                shares = [some.where(canopy=k) for (k,) in some.levels("canopy")]
+                share = [100.0 * each["collected"].sum() / each["attempted"].sum() for each in shares]
+                axes.plot(np.arange(1, len(share) + 1), share, color=f"C{number}", label=policy, linewidth=1.3)
+        panels[0].set_ylabel("grasps that succeed (%)")
+        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
+    return figure
 
 
 def curves(rows: Rows) -> Any:

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from pickenv.agents import Training, episode_seeds, load_policy, make_model, roll_out, train
-from pickenv.agents.evaluation.contenders import maker_of
+from pickenv.agents import Training, episode_seeds, load_policy, make_model, maker_of, roll_out, train
 from pickenv.base import InputError
 from pickenv.cli import app
 from pickenv.envs import ReachToolVectorEnv, ReachVectorEnv

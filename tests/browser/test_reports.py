@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from pickenv.inspect.colours import in_words
+from pickenv.inspect import in_words
 from tests.browser.chromium import PHONE, SIZE
 from tests.browser.report_page import BROKEN_IMAGES, CLIPPED, FAINT, PAPER, SIDEWAYS, Report, open_report
 

@@ -122,6 +122,7 @@ def test_what_would_be_mispaired_or_is_no_number_is_refused():
         ("error_mm", "ratio", None, "'ratio' is of two columns"),
         ("error_mm", "removed", None, "'removed' wants against"),
         ("error_mm", "mean", {"methods": "raw"}, "against names methods"),
+        (("error_mm", "taken"), "ratio", {"method": "raw"}, "a ratio of two columns has no paired differences"),
     ],
 )
 def test_arguments_that_do_not_go_together_are_refused(value, of, against, said):

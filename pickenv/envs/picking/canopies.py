@@ -45,6 +45,7 @@ class Canopies:
         present: Number of fruit in each canopy.
         held: Number of the fruit in each gripper, or -1.
         off: Whether the fruit in each gripper is off its stem.
+        felt: Where the fruit in each gripper lies as the gripper feels it, fruit minus tool, m, (N, 3).
         miss: How far each arm's last grasp was from its fruit, across and along the tool's axis, m, (N, 2).
         counts: Number of fruit of each canopy at the stages of `FUNNEL`, (7, N).
         sight: The arms as last seen, as `pickenv.envs.picking.pick_arm.look_at_arm` gives them, and then their joint
@@ -64,7 +65,7 @@ class Canopies:
         self.present = np.zeros(count, dtype=np.int64)
         self.held = np.full(count, -1)
         self.off = np.zeros(count, dtype=np.bool_)
-        self.miss = np.zeros((count, 2))
+        self.miss, self.felt = np.zeros((count, 2)), np.zeros((count, 3))
         self.counts = np.zeros((len(FUNNEL), count), dtype=np.int64)
         self.sight = np.zeros((SIGHT + 2 * task.joints, count))
         self.number: Rows = np.zeros(count, dtype=np.int64)
@@ -152,7 +153,7 @@ class Canopies:
         return np.asarray((self.held < 0) & (self._waiting() == 0))
 
     def observations(self, low: NDArray[Any], high: NDArray[Any]) -> NDArray[np.float32]:
-        """The controllers' observations, ``(N, n + 17)``, cut to the bounds ``low`` and ``high``."""
+        """The controllers' observations, ``(N, n + 17)`` or 3 more, cut to the bounds ``low`` and ``high``."""
         n = self.task.joints
         sight, tools = self.sight, self.sight[BELIEVED][9:]
         positions = self.fruit["seen"][np.arange(self.count), self.number].T
@@ -163,7 +164,8 @@ class Canopies:
             self.off,
             self._waiting() / pick_scene.MOST_LEFT,
         )
-        parts = (sight[SIGHT : SIGHT + n], tools, positions, positions - tools, sight[TURN], counters)
+        felt = () if self.orchard.felt is None else (self.felt.T,)
+        parts = (sight[SIGHT : SIGHT + n], tools, positions, positions - tools, sight[TURN], counters, *felt)
         return np.concatenate(parts).T.clip(low, high).astype(np.float32, order="C")
 
     def information(self) -> dict[str, NDArray[Any]]:
@@ -220,7 +222,7 @@ class Canopies:
         self.handling[row] = self.orchard.station.handling(*self.counts[[ATTEMPTED, COLLECTED], row])
         self.counts[COLLECTED, row] = np.count_nonzero(scene.collected & ~scene.damaged)
         self.held[row] = -1 if scene.held is None else scene.held
-        self.off[row], self.miss[row] = scene.holds_detached, scene.miss
+        self.off[row], self.miss[row], self.felt[row] = scene.holds_detached, scene.miss, scene.felt
 
 
 # A canopy and the arm that picks in it as a stage to draw. Units: m; mm in words.

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.base import InputError
 from pickenv.envs.picking.canopies import Canopies, draw_pick
 from pickenv.envs.picking.pick_arm import TOOL, act_arm, look_at_arm, reach_of
-from pickenv.envs.picking.pick_scene import PICK_OPTIONS, PickScene, draw_starts, make_pick, pick_spaces
+from pickenv.envs.picking.pick_scene import PICK_OPTIONS, PickScene, draw_starts, given_hours, make_pick, pick_spaces
 from pickenv.envs.shared.arm_env import ArmEnv, Information
 from pickenv.envs.shared.backends import Scalar
 from pickenv.envs.shared.difficulty import on_ladder
@@ -53,8 +53,8 @@ class PickEnv(ArmEnv):
 
     ## Observation Space
 
-    `Box(float32)`, 23 numbers. The first 18 are laid out as in `pickenv/Reach-v0`, so that a reach policy can be used
-    again. Nothing depends on the true arm but the gripper's two sensors. Base frame.
+    `Box(float32)`, 23 numbers, or 26 with `feedback="gripper"`. The first 18 are laid out as in `pickenv/Reach-v0`, so
+    that a reach policy can be used again. Nothing depends on the true arm but the gripper's sensors. Base frame.
 
     | Num   | Observation                                                          | Min  | Max  | Unit |
     |-------|----------------------------------------------------------------------|------|------|------|
@@ -68,6 +68,7 @@ class PickEnv(ArmEnv):
     | 20    | a fruit is in the gripper and on its stem                            | 0    | 1    | 1    |
     | 21    | a fruit is in the gripper and off its stem                           | 0    | 1    | 1    |
     | 22    | fruit still to try, in fifties                                       | 0    | 1    | 1    |
+    | 23-25 | where the fruit in the gripper lies from the tool, as it feels it    | -0.1 | 0.1  | m    |
 
     R is an upper bound of the arm's reach plus 1 m.
 
@@ -91,8 +92,9 @@ class PickEnv(ArmEnv):
 
     All joints at mid-range, the arm at rest, cold and not yet sunk. Fruit is drawn until at least one is in reach: seen
     by the camera, reachable with the tool upright there and 100 mm below, with no fruit in the way from below.
-    `reset(options=...)` takes `"fruit"`, positions (n, 3) in the base frame in m, `"start_joints"` (rad and m) and,
-    where `arms` is not "fixed", `"arm"`, the number of the arm in the population. Every draw comes from `np_random` in
+    `reset(options=...)` takes `"fruit"`, positions (n, 3) in the base frame in m, `"start_joints"` (rad and m),
+    `"hours"`, for which the arm has been on, in place of `hours_on`, and, where `arms` is not "fixed", `"arm"`, the
+    number of the arm in the population. Every draw comes from `np_random` in
     `reset`: what happens then depends on the actions alone, and one seed gives the same fruit to every arm.
 
     ## Episode End
@@ -158,6 +160,8 @@ class PickEnv(ArmEnv):
       `harvest`), "measured_errors" draws recall and errors from the table made that way in this canopy, "ideal" shows
       all fruit where it is. `detector`: what reads the pictures, "li2016" (default) or "circles".
     - `order` ("nearest" to the believed tool, the default, "lowest", "highest" or "foremost"): the fruit named next.
+    - `feedback` ("encoders", the default, or "gripper"): with "gripper" the gripper feels where a fruit that it took
+      lies in it, with noise of `grip_noise_mm` per axis (default 1). A fruit that it missed tells nothing.
     - `arms` ("fixed", "per_env" or "per_episode"), `tolerances`, `population` and `population_seed`: the plant's own
       true arm, or one of a population, as in `pickenv/Reach-v0`.
     - `out_of_range` ("clip" or "refuse"): as in `pickenv/Reach-v0`.
@@ -190,7 +194,7 @@ class PickEnv(ArmEnv):
         task, self.orchard = make_pick(**on_ladder("Pick", difficulty, split, arguments))
         super().__init__(task, render_mode, executor)
         self._reach = reach_of(task.plant.arm.nominal, self.orchard.station.approach)
-        space, self.action_space = pick_spaces(task)
+        space, self.action_space = pick_spaces(task, self.orchard)
         self.observation_space, self._bounds = space, (space.low, space.high)
         self.canopies: Canopies | None = None
         self.scene: PickScene
@@ -212,7 +216,9 @@ class PickEnv(ArmEnv):
         if number is not None and (task.arms != "fixed" or arm is not None):
             self._use_arm(number)
         target = self._start(joints)
-        self._state = begin(self._x, task, self.plant, self._key, target, (), self._command(target), gripper=1)
+        hours = None if options.get("hours") is None else float(given_hours(options["hours"]))
+        command = self._command(target)
+        self._state = begin(self._x, task, self.plant, self._key, target, (), command, gripper=1, hours=hours)
         self.canopies = Canopies(task, self.orchard, 1)
         self._look(self.canopies, self._state, 0.0)
         self.canopies.adopt(0, self.scene)

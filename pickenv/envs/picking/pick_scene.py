@@ -18,9 +18,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv import orchard as trees
 from pickenv.arm import Array, Frame, Scalar
-from pickenv.base import InputError
+from pickenv.base import InputError, shown
 from pickenv.envs.picking.pick_arm import UP, Reach
 from pickenv.envs.shared.backends import Flags
+from pickenv.envs.shared.situation import MOST_HOURS
 from pickenv.envs.shared.spaces import box
 from pickenv.envs.shared.task import Task, as_numbers, check_choice, check_count, check_number, make_task
 from pickenv.orchard import DRAWS
@@ -35,7 +36,10 @@ ATTEMPTS, GIVEN_ATTEMPTS = 200, 10
 
 @dataclass(frozen=True, eq=False)
 class PickSetting:
-    """The kind of fruit before the arm, the camera that sees it and the gripper that takes it."""
+    """The kind of fruit before the arm, the camera that sees it and the gripper that takes it.
+
+    `felt` is the noise per axis with which the gripper feels where a fruit lies in it, m; None if it feels nothing.
+    """
 
     canopy: trees.Canopy
     fruit_map: trees.FruitMap
@@ -48,6 +52,7 @@ class PickSetting:
     looks: int
     eyes: trees.Eyes | None
     order: str
+    felt: float | None
 
 
 ORDERS: dict[str, tuple[float, float, float] | None] = {
@@ -107,7 +112,7 @@ def _dot(one: Array, other: Array) -> Array:
 
 FRUIT = np.dtype(
     [
-        *((name, float, 3) for name in ("rest", "seen")),
+        *((name, float, 3) for name in ("rest", "seen", "noise")),
         *((name, float) for name in ("diameters", "masses")),
         *((name, float, 3) for name in ("displacement", "velocity")),
         *((name, float) for name in ("chance", "pull_limit", "twist_limit")),
@@ -128,6 +133,7 @@ class PickScene:
         fruit: Records of all fruit (n,); the attributes from `rest` to `damaged` are fields of it.
         rest: Where each fruit hangs at rest, m, shape (n, 3).
         seen: Where the camera saw the fruit, m, shape (n, 3).
+        noise: Error with which the gripper will feel the fruit's place, m, shape (n, 3).
         diameters: Diameters of the fruit, m.
         masses: Masses of the fruit, kg.
         displacement: Present position of the fruit minus `rest`, m, shape (n, 3).
@@ -175,6 +181,11 @@ class PickScene:
     def holds_detached(self) -> bool:
         """Whether the gripper holds a fruit that is off its stem."""
         return self.held is not None and bool(self.detached[self.held])
+
+    @property
+    def felt(self) -> Array:
+        """Where the fruit in the gripper lies as the gripper feels it, fruit minus tool, m, (3,); zeros without one."""
+        return np.zeros(3) if self.held is None else self.rest[self.held] + self.grip + self.noise[self.held]
 
     def following(self, tool: ArrayLike) -> int | None:
         """Number of the waiting fruit that comes next for a tool at position ``tool``; None if none is waiting."""
@@ -334,6 +345,8 @@ def _seen_scene(orchard: PickSetting, rng: np.random.Generator, given: Array | N
     fruit["pull_limit"], fruit["twist_limit"] = trees.sample_strength(orchard.detachment, len(positions), rng)
     fruit["chance"] = rng.random(len(positions))
     fruit["visible"], fruit["reachable"] = visible, visible & clear
+    if orchard.felt is not None:
+        fruit["noise"] = orchard.felt * rng.normal(size=(len(positions), 3))
     return PickScene(orchard, fruit)
 
 
@@ -374,6 +387,12 @@ STILL = 1.0
 MOST_LEFT = 50
 COLLECTED, DAMAGED, STEP = 1.0, -0.25, -0.002
 
+PICK_FEEDBACK = ("encoders", "gripper")
+"""What a policy gets to know of the true arm: nothing, or where each fruit that the gripper took lies in it."""
+
+MOST_FELT = 0.1
+"""Bound of an observation of where a fruit lies in the gripper; fruit that far off was missed."""
+
 
 def make_pick(
     plant: str = "orchard",
@@ -388,6 +407,8 @@ def make_pick(
     vision: str = PUBLISHED,
     detector: str = "li2016",
     order: str = "nearest",
+    feedback: str = "encoders",
+    grip_noise_mm: float = 1.0,
     arms: str = "fixed",
     tolerances: str = "medium",
     population: int = 256,
@@ -402,6 +423,8 @@ def make_pick(
     """
     check_number("fruit", fruit, positive=True)
     check_count("looks", looks)
+    check_choice("feedback", feedback, PICK_FEEDBACK)
+    check_number("grip_noise_mm", grip_noise_mm)
     arguments: dict[str, Any] = {"tolerances": tolerances, "population": population, "population_seed": population_seed}
     task = make_task(plant, without, arms=arms, out_of_range=out_of_range, **arguments, **situation)
     check_choice("order", order, tuple(ORDERS))
@@ -427,14 +450,16 @@ def make_pick(
         looks=looks,
         eyes=None if vision == PUBLISHED else trees.load_eyes(vision, section, detector),
         order=order,
+        felt=grip_noise_mm * 1e-3 if feedback == "gripper" else None,
     )
 
 
-def pick_spaces(task: Task) -> tuple[spaces.Box, spaces.Box]:
+def pick_spaces(task: Task, orchard: PickSetting) -> tuple[spaces.Box, spaces.Box]:
     """The observation space and the action space."""
     bounds = box([1.0] * task.joints + [task.reach] * 6 + [2 * task.reach] * 3 + [math.pi] * 3)
-    low = np.concatenate([bounds.low, np.zeros(5, np.float32)])
-    high = np.concatenate([bounds.high, np.ones(5, np.float32)])
+    felt = np.full(0 if orchard.felt is None else 3, MOST_FELT, np.float32)
+    low = np.concatenate([bounds.low, np.zeros(5, np.float32), -felt])
+    high = np.concatenate([bounds.high, np.ones(5, np.float32), felt])
     return spaces.Box(low, high, dtype=np.float32), spaces.Box(-1.0, 1.0, (task.joints + 1,), np.float32)
 
 
@@ -446,8 +471,23 @@ def pick_reward(collected: Scalar, damaged: Scalar) -> Scalar:
 # How an episode of `pickenv/Pick-v0` begins: everything that is drawn for it, from the environment's own generator.
 
 
-PICK_OPTIONS = ("fruit", "start_joints", "arm")
+PICK_OPTIONS = ("fruit", "start_joints", "arm", "hours")
 """Names of the options of `reset`."""
+
+
+def given_hours(hours: Any, count: int | None = None) -> Array:
+    """The hours that a reset option asks for, a number or, if ``count`` is given, ``(count,)``.
+
+    Raises:
+        InputError: If there are more or fewer, or one is not from 0 to `MOST_HOURS`.
+    """
+    values = as_numbers("option hours", hours)
+    if values.shape not in ((), () if count is None else (count,)) or not np.all(
+        (values >= 0) & (values <= MOST_HOURS)
+    ):
+        each = "" if count is None else f", or {count} of them"
+        raise InputError(f"option hours is {shown(hours)}; give a number from 0 to {MOST_HOURS:g}{each}")
+    return values if count is None else np.broadcast_to(values, (count,))
 
 
 PickStart = tuple[PickScene, int | None, int]

@@ -32,7 +32,7 @@ class PickVectorEnv(NativeVectorEnv):
 
     `reset(options={"reset_mask": mask})` begins episodes where the mask is True and leaves the others alone; the other
     options are as in `pickenv/Pick-v0`, given once for all environments or once for each: "fruit" as ``(n, 3)`` or
-    ``(N, n, 3)``, "start_joints" as ``(6,)`` or ``(N, 6)``, "arm" as a number or ``(N,)``.
+    ``(N, n, 3)``, "start_joints" as ``(6,)`` or ``(N, 6)``, "arm" and "hours" as a number or ``(N,)``.
 
     Args:
         num_envs: N.
@@ -74,7 +74,7 @@ class PickVectorEnv(NativeVectorEnv):
         self.task: Task = task
         self.metadata["render_fps"] = task.situation.frames_per_second
         self._reach = reach_of(task.plant.arm.nominal, self.orchard.station.approach)
-        observations, actions = pick_scene.pick_spaces(task)
+        observations, actions = pick_scene.pick_spaces(task, self.orchard)
         self._set_spaces(observations, actions)
         self._bounds = observations.low, observations.high
         self.batch = PickBatch(task, self.orchard, self.num_envs)
@@ -109,7 +109,9 @@ class PickVectorEnv(NativeVectorEnv):
         return np.asarray(np.clip(self.batch.numbers_of_actions(actions), -1.0, 1.0))
 
     def _begin(self, rows: Rows, options: Information, seeded: Flags) -> None:
-        joints, numbers = options.get("start_joints"), rows.tolist()
+        joints, hours, numbers = options.get("start_joints"), options.get("hours"), rows.tolist()
+        if hours is not None:
+            hours = pick_scene.given_hours(hours, self.num_envs)[rows]
         if joints is not None:
             joints = self.task.given_joints("start_joints", joints, self.num_envs)[rows]
         for row in rows[seeded[rows]].tolist():
@@ -123,7 +125,7 @@ class PickVectorEnv(NativeVectorEnv):
                 self._rngs[row].bit_generator.state = self._ahead.pop(row)[0]
             starts = self._drawn(rows, options, seeded)
         self._armed[rows] = True
-        self.batch.restart(rows, starts, joints, self.compensator)
+        self.batch.restart(rows, starts, joints, self.compensator, hours)
 
     def _drawn(self, rows: Rows, options: Information, seeded: Flags) -> list[pick_scene.PickStart]:
         count = self.num_envs
@@ -193,9 +195,22 @@ class PickBatch(NumpyArms):
         self.canopies = Canopies(task, orchard, count)
 
     def restart(
-        self, rows: Rows, starts: Sequence[pick_scene.PickStart], joints: Array | None, compensate: Compensate | None
+        self,
+        rows: Rows,
+        starts: Sequence[pick_scene.PickStart],
+        joints: Array | None,
+        compensate: Compensate | None,
+        hours: Array | None,
     ) -> None:
-        """Begin an episode in the environments ``rows``, from joint targets ``(rows, n)`` if they are given."""
+        """Begin an episode in the environments ``rows``.
+
+        Args:
+            rows: Numbers of the environments.
+            starts: What was drawn for each.
+            joints: Joint targets to start from ``(rows, n)``, or None.
+            compensate: Turns joint targets into joint commands, or None.
+            hours: Hours for which the arms have been on ``(rows,)``, or None for those of the situation.
+        """
         x, task, canopies = self.x, self.task, self.canopies
         scenes, arms, words = zip(*starts, strict=True)
         self.keys[rows] = keys = np.array(words, dtype=np.uint64)
@@ -206,7 +221,8 @@ class PickBatch(NumpyArms):
             some = rows[a:b]
             targets = self.starts(keys[a:b], None if joints is None else joints[a:b])
             plant = self.plant_of(some)
-            state = begin(x, task, plant, keys[a:b], targets, (), self.commands(compensate, targets), gripper=1)
+            command, on = self.commands(compensate, targets), None if hours is None else hours[a:b]
+            state = begin(x, task, plant, keys[a:b], targets, (), command, gripper=1, hours=on)
             self._look(some, state, plant, compensate, 0.0)
         for row, scene in zip(rows.tolist(), scenes, strict=True):
             canopies.adopt(row, scene)

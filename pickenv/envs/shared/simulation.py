@@ -157,6 +157,7 @@ def begin(
     goal: Frame,
     command: Sequence[Scalar],
     gripper: int = 0,
+    hours: Scalar | None = None,
 ) -> ArmState:
     """The state of an arm at the start of an episode.
 
@@ -169,6 +170,7 @@ def begin(
         goal: Frame of the fruit with the wanted attitude, or empty.
         command: Joint command that the drives get for ``start``.
         gripper: Count of the numbers that follow the arm's in an action.
+        hours: Hours for which the arm has been on; as the situation says, when left out.
     """
     setting, sighting = task.situation, goal[9:]
     if task.fruit_noise:
@@ -177,7 +179,7 @@ def begin(
     values = situation.drawn_values(x, setting, key)
     _, sent, late = setting.widths(task.moves + gripper, task.joints + 3 * task.camera)
     zero = start[0] * 0.0
-    memory = situation.warmed_up(x, setting, values, plant, plant.initial_state(x.m, command), command)
+    memory = situation.warmed_up(x, setting, values, plant, plant.initial_state(x.m, command), command, hours)
     return ArmState(tuple(start), goal, sighting, values, (zero,) * sent, (zero,) * late, memory)
 
 

@@ -25,6 +25,9 @@ CONTROL_PERIOD = 0.1
 MOST_STEPS = 20
 """Largest number of periods by which actions or readings can be late; so many of them have to be stored."""
 
+MOST_HOURS = 1000.0
+"""Bound of `hours_on`."""
+
 Components = tuple[Scalar, ...]
 Given = float | Sequence[float]
 """A number, or a range by its least and its largest number."""
@@ -108,7 +111,7 @@ def make_situation(
         latency=_span("latency", latency, 0, MOST_STEPS),
         delay=_span("action_delay", action_delay, 0, MOST_STEPS),
         joint_noise=Span(noise.low * 1e-3, noise.high * 1e-3),
-        hours=_span("hours_on", hours_on, 0.0, 1000.0),
+        hours=_span("hours_on", hours_on, 0.0, MOST_HOURS),
         spread=_span("start_spread", start_spread, 0.0, 1.0).low,
     )
 
@@ -144,12 +147,18 @@ def drawn_start(
 
 
 def warmed_up(
-    x: Executor, setting: Situation, drawn: Components, plant: Plant, state: PlantState, command: Sequence[Scalar]
+    x: Executor,
+    setting: Situation,
+    drawn: Components,
+    plant: Plant,
+    state: PlantState,
+    command: Sequence[Scalar],
+    hours: Scalar | None = None,
 ) -> PlantState:
-    """The memory of a plant that has stood at its first command for the situation's hours."""
-    if not setting.hours.high:
+    """The memory of a plant that has stood at its first command for ``hours``, or else for the situation's."""
+    if hours is None and not setting.hours.high:
         return state
-    return plant.carried(x.m, state, command, 3600.0 * setting.value("hours", drawn))
+    return plant.carried(x.m, state, command, 3600.0 * (setting.value("hours", drawn) if hours is None else hours))
 
 
 def acted(

@@ -35,7 +35,7 @@ VARIANTS = {
         "hours_on": [0.0, 8.0],
         "start_spread": 0.5,
     },
-    "own eyes": {"difficulty": "own_eyes", "split": "test"},
+    "own eyes": {"difficulty": "own_eyes", "split": "test", "feedback": "gripper"},
     "ideal": {"plant": "ideal", "vision": "ideal", "fruit_size": "apple", "out_of_range": "refuse"},
 }
 CASES = list(zip(list(VARIANTS)[2:5], AutoresetMode, strict=True))
