@@ -176,6 +176,11 @@ MEMORIES: dict[str, Callable[[Any], Any]] = {
 DAY_H = 8.0
 """Length of the day through which an arm picks."""
 
+MESSAGES = {
+    "day": "day: the script misses more by the hour",
+    "own_eyes": "own_eyes: the camera's errors remain",
+}
+
 PARTS = {"first canopy": range(1), "canopies 2 to 5": range(1, 5), "canopies 11 to 20": range(10, 20)}
 
 
@@ -203,7 +208,7 @@ def day(rows: Rows) -> Any:
     with new_figure(WIDTH, 2.9) as figure:
         panels = figure.subplots(1, len(rungs), sharey=True, squeeze=False)[0]
         for axes, rung in zip(panels, rungs, strict=True):
-            axes.set(title=f"rung {rung}", xlabel="canopy of the day")
+            axes.set(title=MESSAGES[rung], xlabel="canopy of the day")
             for number, (policy,) in enumerate(rows.levels("policy")):
                 some = rows.where(rung=rung, policy=policy)
                 shares = [some.where(canopy=k) for (k,) in some.levels("canopy")]
