@@ -275,14 +275,16 @@ def _folded(model) -> tuple[tuple[Array, ...], tuple[Array, ...]]:  # type: igno
 
 
 # A network as machine code, in single precision: each pose by itself, in one fixed order of sums. Sixteen poses go
-# through all layers together and stay in a core's first cache. A pose alone and one among thousands find the same bits.
+# through all layers together and stay in a core's first cache; a pose alone goes through with eight outputs at a time.
+# A pose alone and one among thousands find the same bits.
 
 
 POSES, TILE = 16, 8
 """Number of poses that go through the network together, and of outputs that are summed side by side."""
 
-MANY = f"<{POSES} x float>"
+MANY, SIDE = f"<{POSES} x float>", f"<{TILE} x float>"
 FUNCTION = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 4, ctypes.c_int64)
+ALONE = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 3)
 
 Layer = tuple[Array, Array]
 """A layer's matrix ``(in, out)`` and bias ``(out,)``."""
@@ -306,8 +308,10 @@ class CompiledNetwork:
         self._numbers, self._sizes = np.concatenate(parts), sizes
         from pickenv.arm.kinematics.machine_code import machine  # late: it needs llvmlite
 
-        self._engine, (address,) = machine(_code(calls, max(sizes) * POSES), ("network",), True)
-        self._run = FUNCTION(address)
+        code = _code(calls, max(sizes) * POSES) + _code_alone(starts[:-1], shapes)
+        self._engine, (network, alone) = machine(code, ("network", "alone"), True)
+        self._run, self._run_alone = FUNCTION(network), ALONE(alone)
+        self._there = self._numbers.__array_interface__["data"][0]
 
     def __reduce__(self) -> tuple[type[CompiledNetwork], tuple[Any]]:
         """Pickle and copy only the layers; the code is compiled anew."""
@@ -316,6 +320,11 @@ class CompiledNetwork:
     def __call__(self, rows: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
         """Outputs ``(N, out)`` for inputs ``(N, in)``."""
         count, inputs = len(rows), rows.shape[1]
+        if count == 1:
+            given, found = np.array(rows, dtype=np.float32), np.empty((1, sum(self._sizes[1:])), dtype=np.float32)
+            places = (array.__array_interface__["data"][0] for array in (given, found))
+            self._run_alone(*places, self._there)
+            return found[:, -self._sizes[-1] :][:, : self._outputs]
         width = max(-(-count // POSES), 1) * POSES
         table = np.empty((inputs + self._sizes[-1], width), dtype=np.float32)
         table[:inputs, :count], table[:inputs, count:] = rows.T, 0.0
@@ -363,6 +372,75 @@ head:
 done:
   ret void
 }}"""
+
+
+def _code_alone(starts: Sequence[int], shapes: Sequence[tuple[int, int]]) -> str:
+    """Code that takes one pose through the network, and writes all layers' outputs one after the other."""
+    parts, source, into = list[str](), "%given", 0
+    for i, (start, (inputs, outputs)) in enumerate(zip(starts, shapes, strict=True)):
+        least = "0xFFF0000000000000" if i + 1 == len(shapes) else "0.0"
+        beside = next(count for count in (4, 2, 1) if outputs // TILE % count == 0)
+        parts.append(_layer_alone(i, source, into, start, inputs, outputs, beside, least))
+        source, into = f"%out{i}", into + outputs
+    return f"""
+define void @alone(ptr %given, ptr %found, ptr %numbers) {{
+entry:
+  br label %begin0{"".join(parts)}
+begin{len(shapes)}:
+  ret void
+}}"""
+
+
+def _layer_alone(i: int, source: str, into: int, start: int, inputs: int, outputs: int, beside: int, least: str) -> str:
+    """Code of layer ``i`` for one pose, ``beside`` tiles at a time, so that none waits for another's sum."""
+    sums, adds, ends = list[str](), list[str](), list[str]()
+    for t in range(beside):
+        name = f"{i}_{t}"
+        sums.append(f"  %s{name} = phi {SIDE} [zeroinitializer, %tile{i}], [%n{name}, %sum{i}]")
+        adds.append(f"""  %a{name} = add i64 %at{i}, {t * inputs * TILE}
+  %q{name} = getelementptr float, ptr %numbers, i64 %a{name}
+  %w{name} = load {SIDE}, ptr %q{name}, align 4
+  %p{name} = fmul contract {SIDE} %w{name}, %x{i}
+  %n{name} = fadd contract {SIDE} %s{name}, %p{name}""")
+        ends.append(f"""  %o{name} = add i64 %tile_out{i}, {t * TILE}
+  %c{name} = add i64 %o{name}, {start + inputs * outputs}
+  %d{name} = getelementptr float, ptr %numbers, i64 %c{name}
+  %b{name} = load {SIDE}, ptr %d{name}, align 4
+  %r{name} = fadd {SIDE} %n{name}, %b{name}
+  %above{name} = fcmp ogt {SIDE} %r{name}, %floor{i}
+  %k{name} = select <{TILE} x i1> %above{name}, {SIDE} %r{name}, {SIDE} %floor{i}
+  %e{name} = getelementptr float, ptr %out{i}, i64 %o{name}
+  store {SIDE} %k{name}, ptr %e{name}, align 4""")
+    lines = "\n".join
+    return f"""
+begin{i}:
+  %out{i} = getelementptr float, ptr %found, i64 {into}
+  %first{i} = insertelement {SIDE} poison, float {least}, i64 0
+  %floor{i} = shufflevector {SIDE} %first{i}, {SIDE} poison, <{TILE} x i32> zeroinitializer
+  br label %tile{i}
+tile{i}:
+  %tile_out{i} = phi i64 [0, %begin{i}], [%next_out{i}, %end{i}]
+  %block{i} = mul i64 %tile_out{i}, {inputs}
+  %from{i} = add i64 %block{i}, {start}
+  br label %sum{i}
+sum{i}:
+  %in{i} = phi i64 [0, %tile{i}], [%next_in{i}, %sum{i}]
+{lines(sums)}
+  %within{i} = mul i64 %in{i}, {TILE}
+  %at{i} = add i64 %from{i}, %within{i}
+  %here{i} = getelementptr float, ptr {source}, i64 %in{i}
+  %one{i} = load float, ptr %here{i}, align 4
+  %lane{i} = insertelement {SIDE} poison, float %one{i}, i64 0
+  %x{i} = shufflevector {SIDE} %lane{i}, {SIDE} poison, <{TILE} x i32> zeroinitializer
+{lines(adds)}
+  %next_in{i} = add i64 %in{i}, 1
+  %more_in{i} = icmp ult i64 %next_in{i}, {inputs}
+  br i1 %more_in{i}, label %sum{i}, label %end{i}
+end{i}:
+{lines(ends)}
+  %next_out{i} = add i64 %tile_out{i}, {beside * TILE}
+  %more_out{i} = icmp ult i64 %next_out{i}, {outputs}
+  br i1 %more_out{i}, label %tile{i}, label %begin{i + 1}"""
 
 
 def _layer() -> str:
