@@ -9,8 +9,8 @@ import pytest
 from gymnasium.utils.env_checker import check_env
 
 import pickenv  # noqa: F401  # registers the environments
-from pickenv.arm import load_arm, shipped_arms
-from pickenv.envs.shared.task import usual_tilt
+from pickenv.arm import shipped_arms
+from pickenv.envs import make_task
 
 KINDS = ("ideal", "coarse")
 
@@ -62,7 +62,7 @@ def test_the_seed_of_the_population_draws_the_arm() -> None:
 
 @pytest.mark.parametrize(("arm", "tilt"), [("qiao2026", 30.0), ("ur5", 30.0), ("li2016_master", 120.0)])
 def test_goals_point_upwards_as_far_as_the_arm_can(arm: str, tilt: float) -> None:
-    assert usual_tilt(load_arm(arm).nominal) == tilt
+    assert np.degrees(np.arccos(make_task(f"ideal:{arm}").min_upright)) == pytest.approx(tilt, abs=1e-6)
 
 
 def test_files_of_ones_own_are_environments(data_folder: Path) -> None:
