@@ -254,11 +254,13 @@ def tool_steps_of(env: Any) -> ToolSteps:
     """The formulas for a picking environment's arm; the environment may be single or a native vector.
 
     Raises:
-        InputError: If ``env`` is no picking environment.
+        InputError: If ``env`` is no picking environment, or its gripper feels.
     """
     inner = env.unwrapped
     if (task := getattr(inner, "task", None)) is None or not isinstance(getattr(inner, "orchard", None), PickSetting):
         raise InputError("ToolStepping moves a picking arm's tool; wrap a pickenv/Pick-v0 environment")
+    if inner.orchard.felt is not None:
+        raise InputError("ToolStepping has no place for what the gripper feels; make the environment without feedback")
     return ToolSteps(task.plant.arm.nominal, np.array(task.increment))
 
 

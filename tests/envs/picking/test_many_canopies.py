@@ -8,7 +8,7 @@ from pickenv.agents import AdaptiveReach, FeelingPick, RememberingReach, Scripte
 from pickenv.arm import forward
 from pickenv.base import InputError
 from pickenv.envs import PickVectorEnv
-from pickenv.wrappers import ManyCanopies
+from pickenv.wrappers import ManyCanopies, ToolStepping
 
 FELT = slice(23, 26)
 
@@ -144,6 +144,7 @@ def test_a_bruise_that_no_arm_can_measure_costs_nothing_unless_the_reward_is_the
         (lambda: ManyCanopies(picking(), hours=(0.0, -1.0)), "option hours"),
         (lambda: ManyCanopies(picking(), reward="guess"), "reward"),
         (lambda: picking(feedback="smell"), "feedback"),
+        (lambda: ToolStepping(picking()), "what the gripper feels"),
         (lambda: picking(grip_noise_mm=-1.0), "grip_noise_mm"),
         (lambda: FeelingPick(env := gym.make("pickenv/Pick-v0"), AdaptiveReach(env)), "feedback='gripper'"),
     ],
