@@ -153,7 +153,7 @@ class FeelingPick(ScriptedPick):
         Args:
             env: The environment, single or native vector.
             memory: What learns the arms and corrects by them; its arms are the environment's.
-            how: Arguments of `ScriptedPick`.
+            how: Arguments of `ScriptedPick`, but for `patience`: what is learnt is of arms that have arrived.
 
         Raises:
             InputError: If the gripper of ``env`` feels nothing.
