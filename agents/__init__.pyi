@@ -23,6 +23,7 @@ from .policies.remembering import (
 )
 from .policies.scripted import (
     HASTY as HASTY,
+    OraclePick as OraclePick,
     OracleReach as OracleReach,
     RandomReach as RandomReach,
     ScriptedHarvest as ScriptedHarvest,

@@ -41,6 +41,7 @@ class Kind:
         raw_only: Whether a compensator would only stand in its way.
         files: Files of a learned policy, one per training seed; else empty.
         moves_tool: Whether it acts in `pickenv/ReachTool-v0`, where fruit lie elsewhere than for other policies.
+        picks: Whether it acts in `pickenv/Pick-v0`, and cannot reach.
     """
 
     feedback: tuple[str, ...] = FEEDBACK
@@ -48,6 +49,7 @@ class Kind:
     raw_only: bool = False
     files: tuple[str, ...] = ()
     moves_tool: bool = False
+    picks: bool = False
 
     @property
     def steps(self) -> int:
@@ -95,6 +97,9 @@ def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw")
         name: Name of a registered or shipped policy, or a policy file (.npz, or as `foreign_policy` takes it).
         camera_noise_mm: Noise that an adaptive policy expects, per axis.
         compensation: Compensation that the policy stands behind.
+
+    Raises:
+        InputError: If the policy cannot reach, or as for `kind_of`.
     """
 
     def make(env: Any, seed: int) -> Policy:
@@ -142,13 +147,16 @@ def _kind_of_policy(policy: LearnedPolicy | RememberingPolicy) -> Kind:
     if isinstance(policy, RememberingPolicy):
         return Kind(("camera",), sequential=True)
     if isinstance(policy.scaling, ToolSteps):
-        raise InputError("this policy picks, and cannot be compared on reaches; judge it in pickenv/Pick-v0")
+        return Kind(("encoders",), picks=True)
     return Kind(("camera",) if policy.scaling.camera else ("encoders",), moves_tool=policy.moves_tool)
 
 
 def _envs_of(name: str) -> Callable[..., ReachVectorEnv]:
     """What makes the environments that a policy is judged in, where `pickenv.agents.roll_out` makes them."""
-    if not kind_of(name).moves_tool:
+    kind = kind_of(name)
+    if kind.picks:
+        raise InputError(f"{policy_name(name)} picks, and cannot be compared on reaches; judge it in pickenv/Pick-v0")
+    if not kind.moves_tool:
         return ReachVectorEnv
     trained = load_policy(name).record["training"]["arguments"]
     known = signature(make_tool_task).parameters

@@ -9,7 +9,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.agents.policies import policy
-from pickenv.arm import Array, Pose, forward, inverse, joint_jacobian, pose_error, truncated_inverse
+from pickenv.arm import (
+    Array,
+    Geometry,
+    Plant,
+    Pose,
+    forward,
+    inverse,
+    joint_jacobian,
+    plants_on,
+    pose_error,
+    truncated_inverse,
+)
 from pickenv.base import InputError, register
 from pickenv.envs import CONTROL_PERIOD
 from pickenv.harvester import Work, assign, zone_work
@@ -99,13 +110,16 @@ class OracleReach(ScriptedReach):
 
     def wanted_joints(self, reading: policy.ObservationParts) -> Array:
         """Joints that bring the true arm's tool to the fruit."""
-        joints, pose, plant = super().wanted_joints(reading), self.wanted_pose(reading), self._env.plant
-        for _ in range(ITERATIONS):
-            error = pose_error(plant.tool_pose(joints), pose)
-            back = truncated_inverse(joint_jacobian(plant.geometry, joints))
-            joints = joints + np.einsum("...ij,...j->...i", back, error)
-            joints = joints.clip(self.geometry.lower, self.geometry.upper)
-        return np.asarray(joints)
+        return _of_true_arm(self._env.plant, super().wanted_joints(reading), self.wanted_pose(reading), self.geometry)
+
+
+def _of_true_arm(plant: Plant, joints: Array, pose: Pose, nominal: Geometry) -> Array:
+    """Joints near ``joints`` at which the tool of the true arm at rest has a pose."""
+    for _ in range(ITERATIONS):
+        back = truncated_inverse(joint_jacobian(plant.geometry, joints))
+        joints = joints + np.einsum("...ij,...j->...i", back, pose_error(plant.tool_pose(joints), pose))
+        joints = joints.clip(nominal.lower, nominal.upper)
+    return np.asarray(joints)
 
 
 # Visual servoing on the camera's view of the gap between tool and fruit (Chaumette and Hutchinson 2006). The camera
@@ -295,6 +309,19 @@ class ScriptedPick(policy.ReachController):
         way = np.linalg.norm((joint_jacobian(self.geometry, joints)[..., :3, :] @ step[..., None])[..., 0], axis=-1)
         most = np.maximum(np.abs(share).max(axis=-1), way / (self.tool_speed * CONTROL_PERIOD))
         return np.asarray(share / np.maximum(1.0, most)[..., None])
+
+
+class OraclePick(ScriptedPick):
+    """Pick as scripted, aimed by the true arm at rest, as `OracleReach` does; fruit is where the camera saw it."""
+
+    def __init__(self, env: Any, **how: Any) -> None:
+        """``env`` holds the true arms, which are read anew for every fruit; ``how`` is as for `ScriptedPick`."""
+        super().__init__(env, **how)
+        self._env = env.unwrapped
+
+    def _corrected(self, rows: Any, at: Array) -> Array:
+        plants = plants_on(self._env.plant, lambda values: values[rows])
+        return _of_true_arm(plants, at, forward(self.geometry, at), self.geometry)
 
 
 # A scripted policy for the harvester: plan the zone once, pick by the plan, plan anew for what was missed. It uses

@@ -17,8 +17,17 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pickenv.agents import Policy, ScriptedPick, roll_out
-from pickenv.agents.evaluation.contenders import Kind, kind_of, maker_of, policy_name
+from pickenv.agents import (
+    AdaptiveReach,
+    FeelingPick,
+    OraclePick,
+    Policy,
+    RememberingPolicy,
+    RememberingReach,
+    ScriptedPick,
+    roll_out,
+)
+from pickenv.agents.evaluation.contenders import Kind, kind_of, load_any, maker_of, policy_name
 from pickenv.agents.evaluation.reaches import pick_canopies
 from pickenv.agents.policies.learned import BASELINES
 from pickenv.agents.policies.scripted import HASTY
@@ -42,8 +51,17 @@ RUNG = "rung:"
 CYCLE_MM = 2.0
 """Distance to the fruit within which a cycle counts as over, mm, for the cycle time."""
 
-PICKERS: Mapping[str, Callable[[Any], Policy]] = {"scripted": ScriptedPick, "hasty": partial(ScriptedPick, **HASTY)}
-"""The picking policies by name: one is gentle and waits for the arm to settle, the other does neither."""
+PICKERS: Mapping[str, Callable[[Any], Policy]] = {
+    "scripted": ScriptedPick,
+    "hasty": partial(ScriptedPick, **HASTY),
+    "oracle": OraclePick,
+    "adaptive": lambda env: FeelingPick(env, AdaptiveReach(env, camera_std=2e-3, prior=2.0)),
+}
+"""The picking policies by name: one is gentle and waits for the arm to settle, the next does neither. The others wait;
+they aim by the true arm, or by what the gripper felt of the fruit before."""
+
+RAW_PICKERS = ("oracle", "adaptive")
+"""Those whom a compensator would only stand in the way."""
 
 
 @dataclass(frozen=True)
@@ -65,7 +83,7 @@ class PolicySettings:
         camera_noise_mm: Standard deviation per axis of the camera's view of the gap.
         fruit_noise_mm: Standard deviation per axis of the fruit's position as seen.
         plan: How arms are calibrated; its seed is the comparison's.
-        canopies: Canopies that each of `PICKERS` clears with each arm and gripper.
+        canopies: Canopies that each picking policy clears with each arm and gripper, one after the other.
     """
 
     policies: tuple[str, ...] = ("scripted", "oracle", "servo", "adaptive")
@@ -150,8 +168,9 @@ def run_policies(
     Args:
         settings: What is compared.
         folder: Where rows are kept for the next time, or None.
-        task: "reaching", for every policy with every feedback that it can use; "picking", where each of `PICKERS`
-            clears canopies of `pickenv/Pick-v0` on the same plants, the same for every compensation.
+        task: "reaching", for every policy with every feedback that it can use; "picking", where each of `PICKERS`, and
+            every learned policy that picks or remembers, clears canopies of `pickenv/Pick-v0` on the same plants, the
+            same for all.
         cache: Where calibrations are kept for the next time; when None, in "calibrations" below ``folder``, if given.
         backend: Where pieces are computed, as for `pickenv.experiments.run`.
         workers: Processes.
@@ -163,9 +182,9 @@ def run_policies(
         of one with several), whether it was ``learned``, ``arm`` (no two seeds share a number) and ``episode``;
         ``error_mm`` and ``attitude_deg`` at the end, ``way_mm`` after each step (NaN after the last), ``cycle_steps``
         until the tool is within `CYCLE_MM` to stay (NaN where it never is), ``chance_NAME`` that a gripper takes the
-        fruit, and the fields of `pickenv.agents.Reaches`. Of picking a row for each arm and gripper, over all canopies:
-        grasps ``attempted``, fruit ``collected`` undamaged, the time taken (``duration_s``), and sums over grasps of
-        the distance between fruit and true tool (``error_sum_mm``) and of the tool's angle with the vertical
+        fruit, and the fields of `pickenv.agents.Reaches`. Of picking a row for each arm, gripper and training, over all
+        canopies: grasps ``attempted``, fruit ``collected`` undamaged, the time taken (``duration_s``), and sums over
+        grasps of the distance between fruit and true tool (``error_sum_mm``) and of the tool's angle with the vertical
         (``tilt_sum_deg``).
 
     Raises:
@@ -258,7 +277,7 @@ def _reaching(settings: PolicySettings, kept: Path, fits: Callable[..., bool]) -
 
     experiment = Experiment(
         "reaching",
-        {"seed": settings.levels("seeds"), "training": range(max(len(kind.files) or 1 for kind in kinds.values()))},
+        {"seed": settings.levels("seeds"), "training": _trainings(kinds)},
         {"plant": settings.levels("plants"), "compensation": settings.levels("compensations")}
         | {"feedback": settings.levels("feedback"), "policy": tuple(kinds)},
         partial(_reaches, settings, kinds, kept),
@@ -277,9 +296,15 @@ def _reaching(settings: PolicySettings, kept: Path, fits: Callable[..., bool]) -
     return experiment
 
 
+def _trainings(kinds: Mapping[str, Kind]) -> range:
+    return range(max((len(kind.files) or 1 for kind in kinds.values()), default=1))
+
+
 def _entrant(name: str) -> Kind:
     """The kind of policy that a name stands for; which feedback a foreign policy can use is found by trying."""
     kind, able, refusal = kind_of(name), [], ""
+    if kind.picks:
+        maker_of(name)  # refuses it
     if len(kind.feedback) == 1:
         return kind
     for feedback in kind.feedback:
@@ -340,31 +365,57 @@ def reaches_in(rows: Rows) -> Reaches:
 
 
 def _picking(settings: PolicySettings, kept: Path, fits: Callable[..., bool]) -> Experiment:
+    every = {name: kind_of(name) for name in settings.policies if name not in PICKERS}
+    kinds = {name: kind for name, kind in every.items() if kind.picks or (kind.sequential and kind.files)}
+
+    def able(**levels: Any) -> bool:
+        kind = kinds.get(name := levels["policy"], Kind(raw_only=name in RAW_PICKERS))
+        behind = levels["compensation"] == "raw" or not (kind.raw_only or kind.sequential)
+        return behind and levels["training"] < (len(kind.files) or 1) and fits(**levels)
+
     return Experiment(
         "picking",
-        {"seed": settings.levels("seeds")},
+        {"seed": settings.levels("seeds"), "training": _trainings(kinds)},
         {"plant": settings.levels("plants"), "gripper": settings.levels("grippers")}
-        | {"policy": tuple(PICKERS), "compensation": settings.levels("compensations")},
-        partial(_picks, settings, kept),
-        inputs=partial(_inputs, settings, {}),
-        fits=fits,
+        | {"policy": (*PICKERS, *kinds), "compensation": settings.levels("compensations")},
+        partial(_picks, settings, kinds, kept),
+        inputs=partial(_inputs, settings, kinds),
+        fits=able,
     )
 
 
+def _picker(policy: str, kinds: Mapping[str, Kind], training: int) -> tuple[Callable[[Any], Policy], str]:
+    """What makes a picking policy, and the feedback of its environment."""
+    if policy in PICKERS:
+        return PICKERS[policy], "gripper" if policy == "adaptive" else "encoders"
+    learned = load_any(kinds[policy].files[training])
+    if isinstance(learned, RememberingPolicy):
+        return lambda env: FeelingPick(env, RememberingReach(env, learned)), "gripper"
+    return lambda env: learned, "encoders"
+
+
 def _picks(
-    settings: PolicySettings, kept: Path, *, rng: np.random.Generator, plant: str, gripper: str, policy: str,
-    compensation: str, seed: int,
+    settings: PolicySettings, kinds: Mapping[str, Kind], kept: Path, *, rng: np.random.Generator, plant: str,
+    gripper: str, policy: str, compensation: str, seed: int, training: int,
 ) -> Columns:  # fmt: skip
-    """Results of one picker with each arm of a seed, over all its canopies."""
-    first, population = settings.first_arm(plant, seed), settings.population(plant, seed)
+    """Results of one picker with each arm of a seed, over all its canopies.
+
+    Raw arms stand side by side, and each may learn from canopy to canopy. Behind its compensator an arm's canopies do.
+    """
+    first, arms = settings.first_arm(plant, seed), np.arange(settings.arms)
     world = settings.world(plant, seed, task="Pick") | {"arms": "per_episode", "population": first + settings.arms}
-    envs = PickVectorEnv(settings.canopies, gripper=gripper, **world)
-    correct = methods.compensators(population, compensation, replace(settings.plan, seed=seed), kept)
-    arms = []
-    for arm in range(settings.arms):
-        envs.compensator = None if correct is None else correct[arm]
-        canopies = seed_words(stream(seed, "picks", arm), settings.canopies)
-        arms.append(pick_canopies(PICKERS[policy](envs), envs, canopies, {"arm": first + arm}))
+    population, plan = settings.population(plant, seed), replace(settings.plan, seed=seed)
+    correct = methods.compensators(population, compensation, plan, kept)
+    fruit = np.array([seed_words(stream(seed, "picks", arm), settings.canopies) for arm in arms.tolist()])
+    rounds = fruit.T if correct is None else fruit
+    make, feedback = _picker(policy, kinds, training)
+    envs = PickVectorEnv(rounds.shape[1], gripper=gripper, feedback=feedback, **world)
+    picker, parts = make(envs), []
+    for number, seeds in enumerate(rounds):
+        envs.compensator = None if correct is None else correct[number]
+        where = {"arm": first + (arms if correct is None else number)}
+        parts.append(pick_canopies(picker, envs, seeds.tolist(), where))
     sums = ("attempted", "collected", "duration_s", "error_sum_mm", "tilt_sum_deg")
-    of_arms = {name: np.array([totals[name].sum() for totals in arms]) for name in sums}
-    return {"arm": settings.levels("seeds").index(seed) * settings.arms + np.arange(settings.arms), **of_arms}
+    of_arms = {name: np.sum([part[name] for part in parts], axis=0 if correct is None else 1) for name in sums}
+    arms += settings.levels("seeds").index(seed) * settings.arms
+    return {"policy": np.full(len(arms), policy_name(policy)), "arm": arms, **of_arms}

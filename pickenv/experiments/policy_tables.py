@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from pickenv.agents import Training
+from pickenv.agents.evaluation.contenders import kind_of
 from pickenv.base import (
     Estimate,
     InputError,
@@ -355,9 +356,11 @@ RECIPES: Mapping[str, Training] = {
     "her_camera": Training("tqc", "pickenv/ReachGoal-v0", arguments=_CAMERA),
     "window_camera": Training("ppo_history"),
     "recurrent_camera": Training("ppo_lstm"),
+    "ppo_pick": Training("ppo", "pickenv/Pick-v0"),
 }
 """Trainings of the leaderboard's learned policies, by their names on it; each is repeated with several seeds. PPO
-learns on the ideal arm, the others on the smooth arm or, those that remember, on many like it. None knew a delay."""
+learns to reach on the ideal arm, the others on the smooth arm or, those that remember, on many like it. None knew a
+delay."""
 
 LEADERBOARD = PolicySettings(
     policies=("scripted", "servo", "adaptive", "oracle"), compensations=("raw", "ls", "best"), arms=9, episodes=10,
@@ -412,7 +415,8 @@ def run_leaderboard(settings: PolicySettings, folder: Path, trainings: int = 0, 
     if trainings:
         learned = trained(folder / "trainings", trainings, **how)
         settings = replace(settings, policies=(*settings.policies, *learned))
-    reached = run_policies(settings, folder, fits=_worth_judging, **how)
+    reachers = tuple(name for name in settings.policies if not kind_of(name).picks)
+    reached = run_policies(replace(settings, policies=reachers), folder, fits=_worth_judging, **how)
     reach = evaluation_rows(settings, reached)
     for row in reach:
         cell = cell_of(reached, [row[name] for name in CELL])
@@ -442,7 +446,7 @@ def distance_within(cell: Rows, share: float) -> Estimate:
 
 
 def picking_rows(rows: Rows) -> list[dict[str, Any]]:
-    """One row per picker, compensation, plant and gripper, whose intervals are over arms."""
+    """One row per picker, compensation, plant and gripper; intervals are over arms, trainings taken together."""
     by = ("plant", "policy", "compensation", "gripper")
     numbers = {
         "error_mm": estimate(rows.columns, ("error_sum_mm", "attempted"), by, of="ratio"),
@@ -453,7 +457,9 @@ def picking_rows(rows: Rows) -> list[dict[str, Any]]:
     for lines in zip(*numbers.values(), strict=True):
         key = [lines[0][name] for name in by]
         cell = cell_of(rows, key, by)
-        row: dict[str, Any] = dict(zip(by, key, strict=True)) | {"arms": len(cell)}
+        row: dict[str, Any] = dict(zip(by, key, strict=True)) | {"arms": len(cell.levels("arm"))}
+        trainings = [cell.where(training=training) for (training,) in cell.levels("training")]
+        row["training_success"] = [float(one["collected"].sum() / one["attempted"].sum()) for one in trainings]
         row |= {name: int(cell[name].sum()) for name in ("attempted", "collected")}
         error, success, rate = (line["estimate"] for line in lines)
         row |= {"error_mm": error.value, "error_ci95": error.ends}
@@ -487,7 +493,7 @@ def leaderboard_tables(board: Mapping[str, Any]) -> dict[str, tuple[list[str], l
                 _percent(row["success"], row["success_ci95"]),
                 said(row["picks_per_hour"], row["picks_per_hour_ci95"], 0),
             ]
-            for row in group
+            for row in sorted(group, key=lambda row: float(-row["success"]))
         ]
         heads = ["policy", "calibration", "grasps", "error at the grasp (mm)", "success (%)", "picks per hour"]
         tables[f"Pick, {plant}"] = heads, cells
@@ -496,6 +502,11 @@ def leaderboard_tables(board: Mapping[str, Any]) -> dict[str, tuple[list[str], l
         title = "Mean error of each training on raw arms (mm)"
         tables[title] = pivot(
             several, ["policy"], "plant", lambda row: " ".join(f"{mm:.2f}" for mm in row["training_mm"])
+        )
+    raw = (row for row in board["pick"] if row["compensation"] == "raw")
+    if several := [row for row in raw if len(row["training_success"]) > 1]:
+        tables["Grasps of each training that succeed on raw arms (%)"] = pivot(
+            several, ["policy"], "plant", lambda row: " ".join(f"{100.0 * one:.1f}" for one in row["training_success"])
         )
     return tables
 

@@ -11,7 +11,15 @@ from typer.testing import CliRunner
 from pickenv.base import InputError, mean_interval
 from pickenv.cli import app
 from pickenv.commands import check
-from pickenv.experiments import PolicySettings, Rows, kept_rows, policy_tables, policy_tables as tables, run_policies
+from pickenv.experiments import (
+    PolicySettings,
+    Rows,
+    kept_rows,
+    policies,
+    policy_tables,
+    policy_tables as tables,
+    run_policies,
+)
 
 STILL = """
 import numpy as np
@@ -151,7 +159,7 @@ def test_rates_and_shares_of_picks_are_of_all_grasps_together():
     collected, attempted = rng.integers(3, 7, 12), np.full(12, 8)
     seconds = rng.uniform(40.0, 60.0, 12)
     key = {"plant": "rung:day", "gripper": "li_cup", "policy": "scripted", "compensation": "raw"}
-    columns = {name: np.full(12, word) for name, word in key.items()} | {"arm": np.arange(12)}
+    columns = {name: np.full(12, word) for name, word in key.items()} | {"arm": np.arange(12), "training": np.zeros(12)}
     columns |= {"collected": collected, "attempted": attempted, "duration_s": seconds}
     (row,) = policy_tables.picking_rows(Rows(columns | {"error_sum_mm": 3.0 * attempted}))
     assert (row["attempted"], row["collected"], row["arms"]) == (96, collected.sum(), 12)
@@ -164,18 +172,61 @@ def test_rates_and_shares_of_picks_are_of_all_grasps_together():
 
 
 @pytest.mark.slow
-def test_scripted_picking_is_counted_on_the_same_canopies():
+def test_pickers_are_counted_on_the_same_canopies():
+    """Whoever knows the arm, or feels it from canopy to canopy, grasps nearer; who remembers picks too."""
     settings = PolicySettings(
-        compensations=("raw",), arms=1, grippers=("li_cup",), plants=("field",), seeds=(3,), canopies=1
-    )
+        policies=("scripted", "recurrent_camera"), compensations=("raw", "ls"), arms=2, grippers=("li_cup",),
+        plants=("field",), seeds=(3,), canopies=3,
+    )  # fmt: skip
     rows = run_policies(settings, task="picking")
-    gentle, hasty = rows.dicts()
-    assert (gentle["policy"], hasty["policy"]) == ("scripted", "hasty")
-    assert gentle["attempted"] == hasty["attempted"] > 0
-    assert 0 <= gentle["collected"] <= gentle["attempted"]
-    assert hasty["duration_s"] < gentle["duration_s"]
-    again = run_policies(settings, task="picking")
-    assert all(np.array_equal(again[name], values) for name, values in rows.columns.items())
+    behind = {(row["policy"], row["compensation"]): row for row in policy_tables.picking_rows(rows)}
+    both = {name for name, compensation in behind if compensation == "ls"}
+    assert both == {"scripted", "hasty"} and {name for name, _ in behind} == {
+        *both, "oracle", "adaptive", "recurrent_camera"
+    }  # fmt: skip
+    gentle, hasty = behind["scripted", "raw"], behind["hasty", "raw"]
+    assert gentle["attempted"] > 0 and 0 <= gentle["collected"] <= gentle["attempted"]
+    assert hasty["picks_per_hour"] * hasty["attempted"] / hasty["collected"] > (
+        gentle["picks_per_hour"] * gentle["attempted"] / gentle["collected"]
+    )
+    for key in (("oracle", "raw"), ("adaptive", "raw"), ("scripted", "ls")):
+        assert behind[key]["error_mm"] < gentle["error_mm"], key
+    alone = run_policies(replace(settings, policies=("scripted",), compensations=("raw",)), task="picking")
+    some = rows.where(policy=("scripted", "hasty"), compensation="raw")
+    for name in ("attempted", "collected", "duration_s", "error_sum_mm"):
+        np.testing.assert_array_equal(alone.where(policy=("scripted", "hasty"))[name], some[name])
+
+
+@pytest.mark.slow
+def test_an_arm_picks_alike_beside_others_and_behind_nothing(monkeypatch):
+    """Raw arms stand side by side, compensated ones in turn; a compensator that changes nothing is no difference."""
+    settings = PolicySettings(
+        policies=(), compensations=("raw", "ls"), arms=2, grippers=("li_cup",), plants=("rung:orchard",), canopies=2
+    )
+    same = policies.methods.compensators
+
+    def idle(population, compensation, *rest):
+        return None if same(population, "raw", *rest) is compensation == "raw" else [lambda joints: joints] * 2
+
+    monkeypatch.setattr(policies.methods, "compensators", idle)
+    rows = run_policies(settings, task="picking").where(policy="scripted")
+    for name in ("attempted", "collected", "duration_s", "error_sum_mm", "tilt_sum_deg"):
+        np.testing.assert_array_equal(rows.where(compensation="raw")[name], rows.where(compensation="ls")[name])
+
+
+@pytest.mark.slow
+def test_a_policy_that_picks_enters_the_picking_alone(tmp_path, monkeypatch):
+    short = replace(policy_tables.RECIPES["ppo_pick"], steps=8, parameters={"n_envs": 2, "n_steps": 4, "batch_size": 8})
+    monkeypatch.setattr(policy_tables, "RECIPES", {"ppo_pick": short})
+    settings = replace(SMALL, compensations=("raw",), plants=("rung:fine",), arms=1, episodes=1, canopies=1)
+    board = policy_tables.run_leaderboard(settings, tmp_path, trainings=2)
+    assert {row["policy"] for row in board["reach"]} == {"scripted"}
+    (row,) = (row for row in board["pick"] if row["policy"] == "ppo_pick")
+    assert len(row["training_success"]) == 2 and row["arms"] == 5
+    title = "Grasps of each training that succeed on raw arms (%)"
+    assert policy_tables.leaderboard_tables(board)[title][1][0][0] == "ppo_pick"
+    with pytest.raises(InputError, match="ppo_pick picks, and cannot be compared on reaches; judge it in pickenv/Pick"):
+        run_policies(replace(settings, policies=(str(tmp_path / "trainings/ppo_pick"),)))
 
 
 def test_impossible_leaderboards_end_with_one_sentence(tmp_path):
