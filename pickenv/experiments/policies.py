@@ -170,7 +170,7 @@ def run_policies(
         folder: Where rows are kept for the next time, or None.
         task: "reaching", for every policy with every feedback that it can use; "picking", where each of `PICKERS`, and
             every learned policy that picks or remembers, clears canopies of `pickenv/Pick-v0` on the same plants, the
-            same for all.
+            same for all. Of several trainings each seed's arms meet one, in turn.
         cache: Where calibrations are kept for the next time; when None, in "calibrations" below ``folder``, if given.
         backend: Where pieces are computed, as for `pickenv.experiments.run`.
         workers: Processes.
@@ -367,15 +367,17 @@ def reaches_in(rows: Rows) -> Reaches:
 def _picking(settings: PolicySettings, kept: Path, fits: Callable[..., bool]) -> Experiment:
     every = {name: kind_of(name) for name in settings.policies if name not in PICKERS}
     kinds = {name: kind for name, kind in every.items() if kind.picks or (kind.sequential and kind.files)}
+    seeds = settings.levels("seeds")
 
     def able(**levels: Any) -> bool:
         kind = kinds.get(name := levels["policy"], Kind(raw_only=name in RAW_PICKERS))
         behind = levels["compensation"] == "raw" or not (kind.raw_only or kind.sequential)
-        return behind and levels["training"] < (len(kind.files) or 1) and fits(**levels)
+        own = seeds.index(levels["seed"]) % (len(kind.files) or 1)  # each seed's arms meet one of several trainings
+        return behind and levels["training"] == own and fits(**levels)
 
     return Experiment(
         "picking",
-        {"seed": settings.levels("seeds"), "training": _trainings(kinds)},
+        {"seed": seeds, "training": _trainings(kinds)},
         {"plant": settings.levels("plants"), "gripper": settings.levels("grippers")}
         | {"policy": (*PICKERS, *kinds), "compensation": settings.levels("compensations")},
         partial(_picks, settings, kinds, kept),

@@ -446,7 +446,7 @@ def distance_within(cell: Rows, share: float) -> Estimate:
 
 
 def picking_rows(rows: Rows) -> list[dict[str, Any]]:
-    """One row per picker, compensation, plant and gripper; intervals are over arms, trainings taken together."""
+    """One row per picker, compensation, plant and gripper; intervals are over arms, each with one training."""
     by = ("plant", "policy", "compensation", "gripper")
     numbers = {
         "error_mm": estimate(rows.columns, ("error_sum_mm", "attempted"), by, of="ratio"),
