@@ -29,6 +29,52 @@ NAMED = 6
 """Largest number of rows that a message names."""
 
 
+@dataclass(frozen=True)
+class Clocks:
+    """What a recording's two clocks were found to be, and which rows it gave.
+
+    Attributes:
+        file: The instrument's file.
+        offset: Reading of the instrument's clock minus that of the joint log's, in the middle of the recording, s.
+        offset_std: Its standard uncertainty, s.
+        rate: How much faster the instrument's clock runs, as a share.
+        rate_std: Its standard uncertainty.
+        expected_rate_std: The standard uncertainty of the rate before the recording.
+        still: Whether the rows are means over rests of the arm; else they are single samples of its motion.
+        rows: Number of rows.
+    """
+
+    file: str
+    offset: float
+    offset_std: float
+    rate: float
+    rate_std: float
+    expected_rate_std: float
+    still: bool
+    rows: int
+
+    def text(self) -> str:
+        """The clocks and the rows in words."""
+        rows = f"from {self.rows} {'still phases' if self.still else 'rows of motion'}"
+        clock = f"its clock is {self.offset * 1e3:.2f} ± {self.offset_std * 1e3:.2f} ms ahead of the joint log's"
+        if self.rate_std < self.expected_rate_std / 2:
+            clock += f", and {self.rate * 1e6:.1f} ± {self.rate_std * 1e6:.1f} parts in a million faster"
+        return f"{self.file}: {rows}; {clock}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """The clocks and the rows for JSON; the rate is None where the recording is too short to tell it."""
+        rate = self.rate_std < self.expected_rate_std / 2
+        return {
+            "file": self.file,
+            "offset_ms": self.offset * 1e3,
+            "offset_std_ms": self.offset_std * 1e3,
+            "rate_ppm": self.rate * 1e6 if rate else None,
+            "rate_std_ppm": self.rate_std * 1e6 if rate else None,
+            "rows_from": "still phases" if self.still else "motion",
+            "rows": self.rows,
+        }
+
+
 @dataclass(frozen=True, eq=False)
 class Origins:
     """File and line of N rows.
@@ -37,16 +83,18 @@ class Origins:
         files: The files.
         file: Index into ``files`` of each row ``(N,)``.
         line: Line of each row in its file ``(N,)``, from 1.
+        clocks: The clocks of the recordings among the files.
     """
 
     files: tuple[str, ...]
     file: NDArray[np.int64]
     line: NDArray[np.int64]
+    clocks: tuple[Clocks, ...] = ()
 
     def select(self, rows: ArrayLike) -> Origins:
         """The origins of the given rows (indices or a mask)."""
         rows = np.asarray(rows)
-        return Origins(self.files, self.file[rows], self.line[rows])
+        return replace(self, file=self.file[rows], line=self.line[rows])
 
     def place(self, row: int) -> tuple[str, int]:
         """File and line of one row."""
