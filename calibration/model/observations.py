@@ -35,7 +35,8 @@ class Clocks:
 
     Attributes:
         file: The instrument's file.
-        offset: Reading of the instrument's clock minus that of the joint log's, in the middle of the recording, s.
+        moment: A time of the instrument's clock amid the recording, s.
+        offset: Reading of the instrument's clock at that moment minus that of the joint log's, s.
         offset_std: Its standard uncertainty, s.
         rate: How much faster the instrument's clock runs, as a share.
         rate_std: Its standard uncertainty.
@@ -45,6 +46,7 @@ class Clocks:
     """
 
     file: str
+    moment: float
     offset: float
     offset_std: float
     rate: float
@@ -53,26 +55,37 @@ class Clocks:
     still: bool
     rows: int
 
+    @property
+    def rate_told(self) -> bool:
+        """Whether the recording is long enough to tell the rate."""
+        return self.rate_std < self.expected_rate_std / 2
+
     def text(self) -> str:
         """The clocks and the rows in words."""
         rows = f"from {self.rows} {'still phases' if self.still else 'rows of motion'}"
-        clock = f"its clock is {self.offset * 1e3:.2f} ± {self.offset_std * 1e3:.2f} ms ahead of the joint log's"
-        if self.rate_std < self.expected_rate_std / 2:
-            clock += f", and {self.rate * 1e6:.1f} ± {self.rate_std * 1e6:.1f} parts in a million faster"
+        clock = f"its clock is {uncertain(self.offset * 1e3, self.offset_std * 1e3)} ms ahead of the joint log's"
+        if self.rate_told:
+            clock += f", and {uncertain(self.rate * 1e6, self.rate_std * 1e6)} parts in a million faster"
         return f"{self.file}: {rows}; {clock}"
 
     def as_dict(self) -> dict[str, Any]:
         """The clocks and the rows for JSON; the rate is None where the recording is too short to tell it."""
-        rate = self.rate_std < self.expected_rate_std / 2
         return {
             "file": self.file,
+            "moment_s": self.moment,
             "offset_ms": self.offset * 1e3,
             "offset_std_ms": self.offset_std * 1e3,
-            "rate_ppm": self.rate * 1e6 if rate else None,
-            "rate_std_ppm": self.rate_std * 1e6 if rate else None,
+            "rate_ppm": self.rate * 1e6 if self.rate_told else None,
+            "rate_std_ppm": self.rate_std * 1e6 if self.rate_told else None,
             "rows_from": "still phases" if self.still else "motion",
             "rows": self.rows,
         }
+
+
+def uncertain(value: float, std: float) -> str:
+    """A value and its standard uncertainty, with the digits that mean something."""
+    digits = max(1 - int(np.floor(np.log10(max(std, 1e-12)))), 0)
+    return f"{value:.{digits}f} ± {std:.{digits}f}"
 
 
 @dataclass(frozen=True, eq=False)

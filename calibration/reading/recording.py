@@ -61,7 +61,7 @@ REST, SETTLING = 0.4, 0.3
 SPREADS, FINEST, COARSEST = 8.0, 2e-5, 3e-3
 """Resting joints stay within so many standard deviations of the log's noise, and between these bounds, rad or m."""
 
-PATH, MOST_ROWS = 0.1, 600
+PATH, MOST_ROWS = 0.02, 2000
 """Way of the joints between two rows of motion, rad or m together, and the most rows of motion."""
 
 Read = Callable[[Table, description.DescriptionFile], Observations]
@@ -184,6 +184,7 @@ class Logs:
         log: Time of each entry of the joint log ``(M,)``, s, from the first one.
         joints: Joints of each entry ``(M, n)``, rad or m.
         entries: Columns of the joint log that are read, and their numbers ``(M, j)``, in the file's units.
+        first: First time of the instrument's clock, s.
         began: First time of the instrument's clock minus that of the joint log's, s.
     """
 
@@ -195,6 +196,7 @@ class Logs:
     log: Array
     joints: Array
     entries: tuple[tuple[str, ...], Array]
+    first: float
     began: float
 
     @cached_property
@@ -271,7 +273,7 @@ def read_recording(
     groups = rests if still else _thinned(logs, times, usable)
     error = float(std["clock_offset"])
     clocks = Clocks(
-        table.where, logs.began + first + offset, error, rate, float(std["clock_rate"]), RATE_STD, still, len(groups)
+        table.where, logs.first + middle, logs.began + first + offset, error, rate, float(std["clock_rate"]), RATE_STD, still, len(groups)
     )
     if not still:
         drift = timed.drift(solution.arm_model, unknowns_of(solution, timed)) * error
@@ -322,6 +324,7 @@ def _logs(table: Table, layout: description.DescriptionFile, where: str, geometr
         entries - entries[0],
         joints,
         (columns, log.values(columns)),
+        float(stamps[0]),
         float(stamps[0] - entries[0]),
     )
 
