@@ -1,6 +1,7 @@
 """Two logs, each with its own clock, give the rows that a person would have typed in, and say how sure they are."""
 
 import re
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -39,7 +40,7 @@ def moving(rng: np.random.Generator, seconds: float) -> CubicSpline:
     return CubicSpline(np.arange(count) - 5.0, rng.uniform(-0.9, 0.9, (count, 6)) + [0.0, -1.2, 1.2, 0.0, 0.9, 0.0])
 
 
-def resting(rng: np.random.Generator, stops: int, seconds: float = 1.5) -> CubicSpline:
+def resting(rng: np.random.Generator, stops: int, seconds: float = 1.5) -> Callable[[np.ndarray], np.ndarray]:
     """Joints that rest at ``stops`` places for 1.5 s, and drive a second in between."""
     places = rng.uniform(-0.9, 0.9, (stops, 6)) + [0.0, -1.2, 1.2, 0.0, 0.9, 0.0]
     period = seconds + 1.0
@@ -50,12 +51,12 @@ def resting(rng: np.random.Generator, stops: int, seconds: float = 1.5) -> Cubic
         smooth = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
         return places[stop] + smooth[:, None] * (places[np.minimum(stop + 1, stops - 1)] - places[stop])
 
-    return joints  # type: ignore[return-value]
+    return joints
 
 
 def written(
     folder: Path,
-    joints: CubicSpline,
+    joints: Callable[[np.ndarray], np.ndarray],
     seconds: float,
     rng: np.random.Generator,
     *,
@@ -113,3 +114,136 @@ def test_the_offset_lies_within_its_uncertainty(
     _, clocks = read(file)
     assert abs(clocks.offset - offset) < 4.0 * clocks.offset_std + 3e-7
     assert clocks.offset_std < 1e-3
+
+
+def test_a_shifted_clock_shifts_the_offset_and_nothing_else(tmp_path: Path) -> None:
+    read_at = []
+    for offset in (0.0, 12.5):
+        rng = np.random.default_rng(5)
+        file = written(tmp_path, moving(rng, 30.0), 30.0, rng, geometry=UR5, offset=offset)
+        read_at.append(read(file))
+    (rows, clocks), (later, shifted) = read_at
+    assert shifted.offset - clocks.offset == pytest.approx(12.5, abs=1e-7)
+    np.testing.assert_allclose(later.joints, rows.joints, atol=1e-6)
+    np.testing.assert_array_equal(later.readings(), rows.readings())
+
+
+def test_intervals_hold_of_offset_and_rate(tmp_path: Path) -> None:
+    deviations = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        rate = 5e-5 * rng.normal()
+        file = written(tmp_path, moving(rng, 30.0), 30.0, rng, geometry=erring(rng), rate=rate, hertz=20.0)
+        clocks = read(file)[1]
+        assert clocks.rate_told
+        here = 0.083 + rate * (clocks.moment - 0.083 - 15.0) / (1.0 + rate)
+        deviations += [(clocks.offset - here) / clocks.offset_std, (clocks.rate - rate) / clocks.rate_std]
+    size = np.abs(deviations)
+    assert np.mean(size < 2.0) >= 0.8 and size.max() < 5.0
+    assert size.max() > 0.5  # the uncertainties are not just large
+
+
+def test_rests_are_the_rows_that_a_person_would_write(tmp_path: Path) -> None:
+    rng = np.random.default_rng(1)
+    true, way = erring(rng), resting(rng, 40)
+    rows, clocks = read(written(tmp_path, way, 100.0, rng, geometry=true))
+    assert clocks.still and clocks.rows == len(rows.joints) == 40
+    places = way(np.arange(40) * 2.5 + 0.7)
+    np.testing.assert_allclose(rows.joints, places, atol=6 * ENCODER)
+    pose = forward(true, places)
+    np.testing.assert_allclose(rows.readings(), pose.position + pose.rotation @ [0.03, -0.02, 0.09], atol=5 * NOISE)
+
+
+def test_motion_calibrates_about_as_well_as_rests(tmp_path: Path) -> None:
+    ratios = []
+    for seed in range(3):
+        rng = np.random.default_rng(100 + seed)
+        true, errors = erring(rng), {}
+        targets = resting(rng, 100)(np.arange(100) * 2.5 + 0.5)
+        pose = forward(true, targets)
+        for name, way in (("rests", resting(rng, 40)), ("motion", moving(rng, 100.0))):
+            file = written(tmp_path, way, 100.0, rng, geometry=true)
+            choices = pickenv.Choices(terms="none", residual="none")
+            result = pickenv.calibrate("ur5", file, columns=tmp_path / "columns.toml", choices=choices)
+            assert result.clocks[0].still == (name == "rests")
+            missed = result.calibration.model.pose(targets).position
+            missed = missed - pose.position - pose.rotation @ [0.03, -0.02, 0.09]
+            errors[name] = float(np.sqrt(np.mean(np.sum(missed**2, axis=1))))
+        ratios.append(errors["motion"] / errors["rests"])
+    assert np.median(ratios) < 1.5
+
+
+def changed(file: Path, row: int, column: int, text: str) -> None:
+    lines = [line.split(",") for line in file.read_text(encoding="utf-8").splitlines()]
+    lines[row - 1][column] = text
+    file.write_text("\n".join(map(",".join, lines)) + "\n", encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("name", "row", "column", "text", "words"),
+    [
+        ("tracker.csv", 9, 0, "0.0", "tracker.csv: row 9, column 't' lies before the time above it"),
+        ("tracker_joints.csv", 9, 0, "48.0", "tracker_joints.csv: row 9, column 'stamp' repeats the time before it"),
+        ("tracker_joints.csv", 9, 0, "nan", "tracker_joints.csv: row 9, column 'stamp' is nan"),
+        ("tracker_joints.csv", 9, 2, "3.3", "tracker_joints.csv: row 9, column 'j2' jumps by more than half a turn"),
+    ],
+)
+def test_faults_are_named_by_file_and_row(
+    tmp_path: Path, name: str, row: int, column: int, text: str, words: str
+) -> None:
+    rng = np.random.default_rng(2)
+    file = written(tmp_path, moving(rng, 10.0), 10.0, rng, geometry=UR5)
+    changed(tmp_path / name, row, column, text)
+    with pytest.raises(InputError, match=re.escape(words)):
+        read(file)
+
+
+def test_lost_samples_are_left_out(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    file = written(tmp_path, moving(rng, 20.0), 20.0, rng, geometry=UR5)
+    for row, text in ((30, ""), (31, "nan")):
+        changed(file, row, 2, text)
+    for column in (1, 2, 3):
+        changed(file, 60, column, "0.0")
+    rows, _ = read(file)
+    assert rows.origins is not None and not set(rows.origins.line.tolist()) & {30, 31, 60}
+
+
+def test_logs_that_tell_no_offset_are_refused(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    file = written(tmp_path, lambda times: np.tile(UR5.lower * 0.1, (len(times), 1)), 20.0, rng, geometry=UR5)
+    with pytest.raises(InputError, match=r"tracker.csv: .*(nothing moves|at no offset)"):
+        read(file)
+    file = written(tmp_path, moving(rng, 20.0), 20.0, rng, geometry=UR5)
+    readings = file.read_bytes()
+    written(tmp_path, moving(rng, 20.0), 20.0, rng, geometry=UR5)
+    file.write_bytes(readings)
+    with pytest.raises(InputError, match=r"tracker.csv: (at no offset|at the best offset|two offsets)"):
+        read(file)
+    way = moving(rng, 5.0)
+    file = written(tmp_path, lambda times: way(2.0 + np.sin(2.0 * times)), 30.0, rng, geometry=UR5)
+    with pytest.raises(InputError, match="two offsets"):
+        read(file)
+
+
+def test_contacts_have_no_recording(tmp_path: Path) -> None:
+    rng = np.random.default_rng(2)
+    file = written(tmp_path, moving(rng, 10.0), 10.0, rng, geometry=UR5, section="[touches]\n")
+    with pytest.raises(InputError, match=re.escape("[recording] is not for [touches]")):
+        read(file)
+
+
+def test_parquet_reads_as_csv(tmp_path: Path) -> None:
+    pyarrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
+    rng = np.random.default_rng(2)
+    file = written(tmp_path, moving(rng, 20.0), 20.0, rng, geometry=UR5)
+    rows, clocks = read(file)
+    names, *_ = file.read_text(encoding="utf-8").splitlines()
+    columns = dict(zip(names.split(","), np.loadtxt(file, delimiter=",", skiprows=1).T, strict=True))
+    parquet.write_table(pyarrow.table(columns), tmp_path / "tracker.parquet")
+    again, same = read(tmp_path / "tracker.parquet")
+    assert same.offset == clocks.offset
+    np.testing.assert_array_equal(again.readings(), rows.readings())
+    (tmp_path / "tracker.parquet").write_bytes(b"PAR1 is all there is")
+    with pytest.raises(InputError, match="give a Parquet file"):
+        read(tmp_path / "tracker.parquet")
