@@ -103,7 +103,8 @@ def read_observations(
     if given is not None and given.recording is not None:
 
         def read(table: csv_table.Table, layout: description.DescriptionFile) -> Observations:
-            return _rows([table], [layout], where, geometry, "fitted")
+            rows: Observations = _rows([table], [layout], where, geometry, "fitted")
+            return rows
 
         parts = [recording.read_recording(table, given, where, geometry, read) for table in tables]
         tables, layouts, clocks = [part[0] for part in parts], [part[1] for part in parts], tuple(p[2] for p in parts)

@@ -127,11 +127,11 @@ class Timed(Observations):
 
     def tolerances(self) -> Array:
         """Scales of the unknowns."""
-        return np.r_[self.rows.tolerances(), 1e-3, 1e-5]
+        return np.concatenate([self.rows.tolerances(), [1e-3, 1e-5]])
 
     def start(self, model: ArmModel) -> Array:
         """Starting values of the rows' own unknowns, and zero for the clock's."""
-        return np.r_[self.rows.start(model), 0.0, 0.0]
+        return np.concatenate([self.rows.start(model), np.zeros(2)])
 
     def equations(self) -> tuple[Rows, Rows]:
         """Row and channel of each equation; the last one, of the rate, belongs to no row."""
@@ -141,7 +141,7 @@ class Timed(Observations):
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
         """Whitened residual of the rows, then of the expected rate."""
         own, clock = np.split(unknowns, [-2])
-        return np.r_[self.at(clock).residual(model, own), -clock[1] / RATE_STD]
+        return np.concatenate([self.at(clock).residual(model, own), -clock[1:] / RATE_STD])
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
         """Whitened derivatives by the arm, and by the unknowns; the clock's come from the joints' velocities."""
@@ -158,7 +158,7 @@ class Timed(Observations):
     def drift(self, model: ArmModel, unknowns: Array) -> Array:
         """Change of the rows' whitened residual ``(E,)`` per second of the clock's offset."""
         own, clock = np.split(unknowns, [-2])
-        late, early = (self.at(clock + [step, 0.0]).residual(model, own) for step in (STEP, -STEP))
+        late, early = (self.at(clock + np.array([step, 0.0])).residual(model, own) for step in (STEP, -STEP))
         return np.asarray((late - early) / (2.0 * STEP))
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
@@ -273,12 +273,22 @@ def read_recording(
     groups = rests if still else _thinned(logs, times, usable)
     error = float(std["clock_offset"])
     clocks = Clocks(
-        table.where, logs.first + middle, logs.began + first + offset, error, rate, float(std["clock_rate"]), RATE_STD, still, len(groups)
+        table.where,
+        logs.first + middle,
+        logs.began + first + offset,
+        error,
+        rate,
+        float(std["clock_rate"]),
+        RATE_STD,
+        still,
+        len(groups),
     )
     if not still:
         drift = timed.drift(solution.arm_model, unknowns_of(solution, timed)) * error
         channels = timed.rows.equations()[1]
-        layout = _with_std(logs.layout, [np.sqrt(1.0 + np.mean(drift[channels == i] ** 2)) for i in np.unique(channels)])
+        layout = _with_std(
+            logs.layout, [np.sqrt(1.0 + np.mean(drift[channels == i] ** 2)) for i in np.unique(channels)]
+        )
     return logs.rows(times, groups), logs.layout if still else layout, clocks
 
 
@@ -383,11 +393,11 @@ def _speeds(logs: Logs) -> tuple[Array, Array, float]:
         columns = values[:, first : first + len(layout.rotation.columns)] * TO_SI[layout.rotation.checked_unit()]
         seen = Slerp(logs.times, Rotation.from_matrix(csv_table.rotations(layout.rotation.convention, columns)))
         turns = [Rotation.from_matrix(tool.rotation), seen(ends[1])]
-        pair = [(turn[:-width].inv() * turn[width:]).magnitude() for turn in turns]
+        pair = [np.asarray((turn[:-width].inv() * turn[width:]).magnitude()) for turn in turns]
     else:
         readings = values[:, : len(layout.columns)]
         read = np.stack([np.interp(ends[1], logs.times, column) for column in readings.T], -1)
-        pair = [np.linalg.norm(part[width:] - part[:-width], axis=1) for part in (tool.position, read)]
+        pair = [np.asarray(np.linalg.norm(part[width:] - part[:-width], axis=1)) for part in (tool.position, read)]
     if min(map(len, pair)) < 10:
         raise InputError(f"{logs.table.where}: the recording is too short to compare its clocks; record for a minute")
     return pair[0], pair[1], step

@@ -31,25 +31,27 @@ POSITION = '[position]\ncolumns = ["x", "y", "z"]\nunit = "mm"\nstd_mm = 0.03\n'
 WIRE = '[wire]\ncolumns = ["length"]\nunit = "mm"\nstd_mm = 0.1\n'
 ROTATION = '[rotation]\ncolumns = ["rx", "ry", "rz"]\nconvention = "rotation_vector"\nunit = "deg"\n'
 UR5 = load_arm("ur5").nominal
+TARGET, HOME = np.array([0.03, -0.02, 0.09]), np.array([0.0, -1.2, 1.2, 0.0, 0.9, 0.0])
 NOISE, ENCODER = 2e-5, 2e-6
 
 
 def moving(rng: np.random.Generator, seconds: float) -> CubicSpline:
     """Joints that never rest: a smooth way through random places, one a second."""
     count = int(seconds) + 12
-    return CubicSpline(np.arange(count) - 5.0, rng.uniform(-0.9, 0.9, (count, 6)) + [0.0, -1.2, 1.2, 0.0, 0.9, 0.0])
+    return CubicSpline(np.arange(count) - 5.0, rng.uniform(-0.9, 0.9, (count, 6)) + HOME)
 
 
 def resting(rng: np.random.Generator, stops: int, seconds: float = 1.5) -> Callable[[np.ndarray], np.ndarray]:
     """Joints that rest at ``stops`` places for 1.5 s, and drive a second in between."""
-    places = rng.uniform(-0.9, 0.9, (stops, 6)) + [0.0, -1.2, 1.2, 0.0, 0.9, 0.0]
+    places = rng.uniform(-0.9, 0.9, (stops, 6)) + HOME
     period = seconds + 1.0
 
     def joints(times: np.ndarray) -> np.ndarray:
         stop = np.clip((times // period).astype(int), 0, stops - 1)
         share = np.clip(times - stop * period - seconds, 0.0, 1.0)
         smooth = share**3 * (10.0 - 15.0 * share + 6.0 * share**2)
-        return places[stop] + smooth[:, None] * (places[np.minimum(stop + 1, stops - 1)] - places[stop])
+        here: np.ndarray = places[stop] + smooth[:, None] * (places[np.minimum(stop + 1, stops - 1)] - places[stop])
+        return here
 
     return joints
 
@@ -79,7 +81,7 @@ def written(
     seen = seen[np.diff(seen, prepend=-1.0) > 1e-4]
     pose, middle = forward(geometry, joints(seen)), seconds / 2
     stamps = (seen - middle) * (1.0 + rate) + middle + offset
-    point = pose.position + pose.rotation @ [0.03, -0.02, 0.09] + NOISE * rng.normal(size=pose.position.shape)
+    point = pose.position + pose.rotation @ TARGET + NOISE * rng.normal(size=pose.position.shape)
     if section == WIRE:
         values, header = 1e3 * np.linalg.norm(point - [0.9, -0.9, 0.1], axis=1)[:, None], "t,length"
     else:
@@ -106,9 +108,7 @@ def erring(rng: np.random.Generator) -> Geometry:
 
 @pytest.mark.parametrize("section", [POSITION, POSITION + ROTATION, WIRE], ids=["position", "pose", "wire"])
 @pytest.mark.parametrize("offset", [0.083, -37.2, 1.7e9])
-def test_the_offset_lies_within_its_uncertainty(
-    tmp_path: Path, section: str, offset: float
-) -> None:
+def test_the_offset_lies_within_its_uncertainty(tmp_path: Path, section: str, offset: float) -> None:
     rng = np.random.default_rng(3)
     file = written(tmp_path, moving(rng, 60.0), 60.0, rng, geometry=erring(rng), offset=offset, section=section)
     _, clocks = read(file)
@@ -151,7 +151,7 @@ def test_rests_are_the_rows_that_a_person_would_write(tmp_path: Path) -> None:
     places = way(np.arange(40) * 2.5 + 0.7)
     np.testing.assert_allclose(rows.joints, places, atol=6 * ENCODER)
     pose = forward(true, places)
-    np.testing.assert_allclose(rows.readings(), pose.position + pose.rotation @ [0.03, -0.02, 0.09], atol=5 * NOISE)
+    np.testing.assert_allclose(rows.readings(), pose.position + pose.rotation @ TARGET, atol=5 * NOISE)
 
 
 def test_motion_calibrates_about_as_well_as_rests(tmp_path: Path) -> None:
@@ -167,7 +167,7 @@ def test_motion_calibrates_about_as_well_as_rests(tmp_path: Path) -> None:
             result = pickenv.calibrate("ur5", file, columns=tmp_path / "columns.toml", choices=choices)
             assert result.clocks[0].still == (name == "rests")
             missed = result.calibration.model.pose(targets).position
-            missed = missed - pose.position - pose.rotation @ [0.03, -0.02, 0.09]
+            missed = missed - pose.position - pose.rotation @ TARGET
             errors[name] = float(np.sqrt(np.mean(np.sum(missed**2, axis=1))))
         ratios.append(errors["motion"] / errors["rests"])
     assert np.median(ratios) < 1.5
