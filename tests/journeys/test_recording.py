@@ -28,7 +28,7 @@ def test_two_logs_calibrate_an_arm(tmp_path: Path) -> None:
     log, seen = np.arange(0.0, 60.0, 0.008), np.arange(0.5, 59.5, 0.031)
     header = "stamp,j1,j2,j3,j4,j5,j6"
     np.savetxt(tmp_path / "joints.csv", np.c_[log * 1e3, np.degrees(way(log))], "%.7f", ",", header=header, comments="")
-    # Not `simulated_tracker`: its arm stops for each reading, and has not quite arrived, which looks like a later clock.
+    # Not `simulated_tracker`: its arm stops for each reading, not quite arrived, which looks like a later clock.
     position = forward(plant.geometry, way(seen)).position + NOISE * rng.normal(size=(len(seen), 3))
     values = np.c_[seen + OFFSET, position * 1e3]
     np.savetxt(tmp_path / "tracker.csv", values, "%.7f", ",", header="t,x,y,z", comments="")
