@@ -391,6 +391,7 @@ class Stacked(Observations):
             tuple(file for origins in parts for file in origins.files),
             np.concatenate([origins.file + start for origins, start in zip(parts, starts, strict=True)]),
             np.concatenate([origins.line for origins in parts]),
+            tuple(dict.fromkeys(clock for origins in parts for clock in origins.clocks)),
         )
 
     @property

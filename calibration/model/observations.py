@@ -29,6 +29,65 @@ NAMED = 6
 """Largest number of rows that a message names."""
 
 
+@dataclass(frozen=True)
+class Clocks:
+    """What a recording's two clocks were found to be, and which rows it gave.
+
+    Attributes:
+        file: The instrument's file.
+        moment: A time of the instrument's clock amid the recording, s.
+        offset: Reading of the instrument's clock at that moment minus that of the joint log's, s.
+        offset_std: Its standard uncertainty, s.
+        rate: How much faster the instrument's clock runs, as a share.
+        rate_std: Its standard uncertainty.
+        expected_rate_std: The standard uncertainty of the rate before the recording.
+        still: Whether the rows are means over rests of the arm; else they are single samples of its motion.
+        rows: Number of rows.
+    """
+
+    file: str
+    moment: float
+    offset: float
+    offset_std: float
+    rate: float
+    rate_std: float
+    expected_rate_std: float
+    still: bool
+    rows: int
+
+    @property
+    def rate_told(self) -> bool:
+        """Whether the recording is long enough to tell the rate."""
+        return self.rate_std < self.expected_rate_std / 2
+
+    def text(self) -> str:
+        """The clocks and the rows in words."""
+        rows = f"from {self.rows} {'still phases' if self.still else 'rows of motion'}"
+        clock = f"its clock is {uncertain(self.offset * 1e3, self.offset_std * 1e3)} ms ahead of the joint log's"
+        if self.rate_told:
+            clock += f", and {uncertain(self.rate * 1e6, self.rate_std * 1e6)} parts in a million faster"
+        return f"{self.file}: {rows}; {clock}"
+
+    def as_dict(self) -> dict[str, Any]:
+        """The clocks and the rows for JSON; the rate is None where the recording is too short to tell it."""
+        return {
+            "file": self.file,
+            "moment_s": self.moment,
+            "offset_ms": self.offset * 1e3,
+            "offset_std_ms": self.offset_std * 1e3,
+            "rate_ppm": self.rate * 1e6 if self.rate_told else None,
+            "rate_std_ppm": self.rate_std * 1e6 if self.rate_told else None,
+            "rows_from": "still phases" if self.still else "motion",
+            "rows": self.rows,
+        }
+
+
+def uncertain(value: float, std: float) -> str:
+    """A value and its standard uncertainty, with the digits that mean something."""
+    digits = max(1 - int(np.floor(np.log10(max(std, 1e-12)))), 0)
+    return f"{value:.{digits}f} ± {std:.{digits}f}"
+
+
 @dataclass(frozen=True, eq=False)
 class Origins:
     """File and line of N rows.
@@ -37,16 +96,18 @@ class Origins:
         files: The files.
         file: Index into ``files`` of each row ``(N,)``.
         line: Line of each row in its file ``(N,)``, from 1.
+        clocks: The clocks of the recordings among the files.
     """
 
     files: tuple[str, ...]
     file: NDArray[np.int64]
     line: NDArray[np.int64]
+    clocks: tuple[Clocks, ...] = ()
 
     def select(self, rows: ArrayLike) -> Origins:
         """The origins of the given rows (indices or a mask)."""
         rows = np.asarray(rows)
-        return Origins(self.files, self.file[rows], self.line[rows])
+        return replace(self, file=self.file[rows], line=self.line[rows])
 
     def place(self, row: int) -> tuple[str, int]:
         """File and line of one row."""

@@ -25,7 +25,7 @@ from pickenv.calibration.identification import diagnosis
 from pickenv.calibration.identification.term_choice import TermChoice
 from pickenv.calibration.model.arm_model import CARRIER, ArmModel, fitted_model
 from pickenv.calibration.model.measurements import joint_columns, random_joints
-from pickenv.calibration.model.observations import MISS_UNITS, Observations, equally_spaced
+from pickenv.calibration.model.observations import MISS_UNITS, Clocks, Observations, equally_spaced, origins_of
 from pickenv.calibration.pipeline import fitting
 from pickenv.calibration.pipeline.calibration import (
     QUANTITIES,
@@ -285,6 +285,7 @@ class Result:
             note = "by the fitted geometry; RMS, 95 % interval"
             blocks.append(replace(over, header=over.header[:-1], rows=rows, note=note))
         lines += [block.text() for block in blocks if block.rows]
+        lines += [line for clock in self.clocks for line in folded(f"recording {clock.text()}", width)]
         for verdict in self.gate:
             if "pip install" in verdict.reason:  # what the reader can change
                 lines += folded(f"{verdict.model}: {verdict.reason}", width)
@@ -323,6 +324,11 @@ class Result:
             rows.append((labels.get(name, name), *screen.error_cells(s), *turned))
         note = f"{self.held_out.text(len(self.test.joints), len(self.train.joints))}; used: {self.best_model}"
         return screen.Block(f"Errors on held-out {self.held_out.rows}", header, tuple(rows), note, "errors")
+
+    @property
+    def clocks(self) -> tuple[Clocks, ...]:
+        """The clocks of the recordings that the rows come from; empty if they come from an arm at rest."""
+        return origins_of(self.train).clocks
 
     @cached_property
     def set_ups(self) -> list[dict[str, Any]]:
@@ -394,6 +400,7 @@ class Result:
                 f"{len(solution.residual_rms) - 1} iterations, {screen.figure(1e3 * solution.solve_seconds)} ms",
             ),
         ]
+        rows += [("recording", clock.text()) for clock in self.clocks]
         if self.floor is not None:
             rows.append(("noise floor of a position", floor_text(self.floor)))
         return screen.Block("Evidence", (), tuple(rows), key="evidence")
@@ -452,6 +459,7 @@ class Result:
             "directions": screen.unknowns_in("1", solution.unknowns),
             "held_out": held_out,
             "noise_floor_mm": None if self.floor is None else floor_record(self.floor),
+            "recordings": [clock.as_dict() for clock in self.clocks],
             "terms": terms,
             "harmonics": {"note": screen.OWN, "found": self.harmonics} if self.harmonics else None,
             "stiffnesses": self.stiffnesses or None,

@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Array, Geometry
-from pickenv.base import InputError, decimal_number, listed, read_text, shortened, yaml_content
+from pickenv.base import InputError, decimal_number, listed, read_text, require, shortened, yaml_content
 from pickenv.base.texts import parsed
 from pickenv.calibration.identification.robust import align
 from pickenv.calibration.model.arm_model import frames_model
@@ -252,7 +252,7 @@ def refuse_repeated(paths: Sequence[str | Path]) -> None:
 def read_table(
     path: str | Path, separator: str = ",", decimal: str = ".", names: tuple[str, ...] | None = None
 ) -> Table:
-    """Read a CSV file, or a YAML file of entries (.yaml, .yml).
+    """Read a CSV file, a YAML file of entries (.yaml, .yml), or a Parquet file (.parquet), which needs pyarrow.
 
     Args:
         path: The file.
@@ -264,6 +264,8 @@ def read_table(
         InputError: If the file is missing, unreadable or without rows.
     """
     path = Path(path)
+    if path.suffix == ".parquet":
+        return _parquet_table(path)
     text = read_text(path, "a CSV file")
     if path.suffix in (".yaml", ".yml"):
         return _yaml_table(path, text)
@@ -317,6 +319,21 @@ def _refuse_other_separator(rows: list[list[str]], path: Path, separator: str, d
         f"{path} is separated by {SEPARATORS[better]}, not by {SEPARATORS.get(separator, repr(separator))}; separate "
         f"its columns so, or, if it holds measurements, give `columns` a description with {keys}"
     )
+
+
+def _parquet_table(path: Path) -> Table:
+    """The table of a Parquet file, whose numbers keep all their digits; missing values are empty cells."""
+    require("pyarrow")
+    import pyarrow.lib
+    import pyarrow.parquet
+
+    try:
+        entries = [dict(_flattened(row, "")) for row in pyarrow.parquet.read_table(path).to_pylist()]
+    except (OSError, pyarrow.lib.ArrowException) as error:
+        raise InputError(f"cannot read {path}: {shortened(error)}; give a Parquet file") from error
+    if not entries:
+        raise InputError(f"{path} has no rows; give one row per pose")
+    return table_of_entries(str(path), entries)
 
 
 def _yaml_table(path: Path, text: str) -> Table:

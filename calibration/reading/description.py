@@ -25,6 +25,7 @@ from pickenv.calibration.reading.csv_table import CONVENTIONS, columns_of, expre
 # Tables of a column description that say what was measured, one class for each way of saying it.
 
 LENGTHS, ANGLES = ("mm", "m"), ("deg", "rad")
+SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 KNOWN, FITTED = "known", "fitted"
 LOST = ("zeros", "empty")
 
@@ -167,6 +168,9 @@ COUNTS: dict[str, tuple[Callable[[int], bool], str]] = {
     "pixels": (lambda n: n in (0, 2), "two columns, across and down, where corners and not pictures are given"),
 }
 """Test of the number of columns of each section, and that number in words; a section not listed here has no columns."""
+RECORDED = ("position", "reflectors", "wire", "dial", "tilt")
+"""Kinds whose readings change while the arm moves, so that a recording of them can be compared with a joint log."""
+
 JOINT_UNIT = one_of(LENGTHS + ANGLES)
 
 
@@ -345,6 +349,20 @@ class ConditionsTable:
 
 
 @toml_table
+class RecordingTable:
+    """[recording]: times of the instrument's samples, and the log of joints that the arm wrote meanwhile.
+
+    The log's name is relative to the instrument's file, whose own name without its ending may stand in it as {file}.
+    """
+
+    time: Annotated[str, COLUMN]
+    unit: Annotated[str, one_of(SECONDS)]
+    joints: Annotated[str, COLUMN]
+    joints_time: Annotated[str, COLUMN]
+    joints_unit: Annotated[str, one_of(SECONDS)]
+
+
+@toml_table
 class DescriptionFile:
     """Content of a column description, with exactly one of the sections of `kinds`."""
 
@@ -370,6 +388,7 @@ class DescriptionFile:
     poses: PosesTable | None = None
     rotation: RotationTable | None = None
     conditions: ConditionsTable = ConditionsTable()
+    recording: RecordingTable | None = None
 
     def __post_init__(self) -> None:
         if self.decimal == self.separator:
@@ -400,6 +419,10 @@ class DescriptionFile:
             if self.position is None:
                 raise InputError(f"[rotation] belongs to [position], not to [{sections[0]}]")
             self.rotation.checked_unit()
+        if self.recording is not None and sections[0] not in RECORDED:
+            raise InputError(f"[recording] is not for [{sections[0]}]; give one row per pose, or {', '.join(RECORDED)}")
+        if self.recording is not None and getattr(self.measured, "contact", None) is not None:
+            raise InputError(f"contact of [{sections[0]}] is not read in a recording; leave one of them out")
         torques, n = self.conditions.torques, 0 if self.joints is None else len(self.joints.columns)
         if torques is not None and (len(torques.columns), len(torques.each or torques.columns)) != (n, n):
             raise InputError("[conditions.torques] needs one column, and one unit, per joint")

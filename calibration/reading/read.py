@@ -18,8 +18,8 @@ from pickenv.base import TO_SI, InputError, listed, register
 from pickenv.base.registry import get
 from pickenv.calibration.model.arm_model import Conditions
 from pickenv.calibration.model.measurements import FRAMES, FRAMES_COLUMN, Frames, Measurements, joint_columns
-from pickenv.calibration.model.observations import Observations, Origins
-from pickenv.calibration.reading import csv_table, description, kind_readers
+from pickenv.calibration.model.observations import Clocks, Observations, Origins, origins_of
+from pickenv.calibration.reading import csv_table, description, kind_readers, recording
 from pickenv.calibration.reading.kind_readers import Files
 
 NoiseFloor = tuple[float | None, float | None]
@@ -99,6 +99,28 @@ def read_observations(
     form = () if given is None else (given.separator, given.decimal, given.names)
     tables = [csv_table.read_table(path, *form) for path in paths]
     layouts = [given or description.own_description(geometry, table.header, table.where) for table in tables]
+    logged, described, clocks = tables, layouts, tuple[Clocks, ...]()
+    if given is not None and given.recording is not None:
+
+        def read(table: csv_table.Table, layout: description.DescriptionFile) -> Observations:
+            rows: Observations = _rows([table], [layout], where, geometry, "fitted")
+            return rows
+
+        parts = [recording.read_recording(table, given, where, geometry, read) for table in tables]
+        tables, layouts, clocks = [part[0] for part in parts], [part[1] for part in parts], tuple(p[2] for p in parts)
+    rows = _rows(tables, layouts, where, geometry, "fitted" if given is not None else _frames(tables))
+    kind_readers.refuse_duplicates(rows.joints, rows, origins_of(rows))
+    return FileReading(replace(rows, origins=replace(origins_of(rows), clocks=clocks)), _floor(logged, described))
+
+
+def _rows(
+    tables: list[csv_table.Table],
+    layouts: list[description.DescriptionFile],
+    where: str,
+    geometry: Geometry,
+    frames: Frames,
+) -> Any:
+    """The rows of tables of one layout, of any kind but pixels."""
     pairs = zip(tables, layouts, strict=True)
     joints = np.concatenate([kind_readers.read_joints(*pair, where or pair[0].where, geometry) for pair in pairs])
     source = tables[0].where if len(tables) == 1 else f"{tables[0].where} and {len(tables) - 1} more"
@@ -108,11 +130,9 @@ def read_observations(
     where = where or tables[0].where
     files = Files(tables, layouts, where, geometry, joints, source, origins)
     kind_readers.refuse_repeated_joints(files.first, where, joints, geometry)
-    frames = {"frames": _frames(tables)} if given is None else {}
     rows: Any = get("instrument", files.first.kind)(files, files.first.measured)
-    rows = replace(rows, source=source, conditions=_conditions(files), origins=origins, **frames)
-    kind_readers.refuse_duplicates(joints, rows, origins)
-    return FileReading(rows, _floor(files))
+    known: dict[str, Frames] = {} if frames == "fitted" else {"frames": frames}
+    return replace(rows, source=source, conditions=_conditions(files), origins=origins, **known)
 
 
 def _frames(tables: list[csv_table.Table]) -> Frames:
@@ -200,10 +220,10 @@ def _attitudes(table: csv_table.Table, described: description.RotationTable | No
     return values
 
 
-def _floor(files: Files) -> NoiseFloor:
+def _floor(tables: list[csv_table.Table], layouts: list[description.DescriptionFile]) -> NoiseFloor:
     """The noise floor of all files together, from repeat sigma and from the last digit."""
     repeat, digits = [], []
-    for table, layout in files.pairs():
+    for table, layout in zip(tables, layouts, strict=True):
         if layout.unit not in description.LENGTHS or not layout.columns:
             continue
         unit = TO_SI[layout.unit]
