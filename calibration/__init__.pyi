@@ -61,6 +61,7 @@ from .model.measurements import (
     simulated_tracker as simulated_tracker,
 )
 from .model.observations import (
+    Clocks as Clocks,
     Observations as Observations,
     blocked_split as blocked_split,
     contiguous_folds as contiguous_folds,

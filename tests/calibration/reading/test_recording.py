@@ -11,8 +11,7 @@ from scipy.interpolate import CubicSpline
 import pickenv
 from pickenv.arm import Geometry, forward, load_arm, rotation_vector
 from pickenv.base import InputError
-from pickenv.calibration import read_observations
-from pickenv.calibration.model.observations import Clocks, Observations
+from pickenv.calibration import Clocks, Observations, read_observations
 
 TOML = """
 [recording]
