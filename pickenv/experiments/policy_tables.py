@@ -415,8 +415,8 @@ def run_leaderboard(settings: PolicySettings, folder: Path, trainings: int = 0, 
     if trainings:
         learned = trained(folder / "trainings", trainings, **how)
         settings = replace(settings, policies=(*settings.policies, *learned))
-    reachers = tuple(name for name in settings.policies if not kind_of(name).picks)
-    reached = run_policies(replace(settings, policies=reachers), folder, fits=_worth_judging, **how)
+    reaching = tuple(name for name in settings.policies if not kind_of(name).picks)
+    reached = run_policies(replace(settings, policies=reaching), folder, fits=_worth_judging, **how)
     reach = evaluation_rows(settings, reached)
     for row in reach:
         cell = cell_of(reached, [row[name] for name in CELL])
