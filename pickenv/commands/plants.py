@@ -161,7 +161,7 @@ def _iso9283_of_rows(
 ) -> None:
     """The test by measured rows."""
     from pickenv.calibration import Measurements
-    from pickenv.calibration.assessment.repeats import measured_performance, performance_text
+    from pickenv.calibration.pipeline.repeats import measured_performance, performance_text
 
     if out is not None:
         raise InputError("--out is for the simulated arm; for measured rows give --json")

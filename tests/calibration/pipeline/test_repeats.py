@@ -10,7 +10,7 @@ from typer.testing import CliRunner
 from pickenv.arm import forward, load_arm, load_plant
 from pickenv.base import InputError
 from pickenv.calibration import Measurements, fit, random_joints, simulated_tracker
-from pickenv.calibration.assessment.repeats import measured_performance
+from pickenv.calibration.pipeline.repeats import measured_performance
 from pickenv.cli import app
 
 UR5 = load_arm("ur5")
