@@ -124,9 +124,9 @@ def iso9283(
     from pickenv.arm.plant.iso9283 import Iso9283Settings, iso9283 as test
     from pickenv.inspect.runs.run_folder import ISO9283, RECORD, recorded_run
 
+    saved: list[str | Path] = [] if calibration is None else [calibration, f"{calibration}.npz"]
     separate(
-        {"--plant": plant, "--calibration": [] if calibration is None else [calibration, f"{calibration}.npz"]}
-        | {"--rows": rows, "--columns": columns, "--arm": arm},
+        {"--plant": plant, "--calibration": saved, "--rows": rows, "--columns": columns, "--arm": arm},
         {"--out": [] if out is None else [out / RECORD, out / ISO9283], "--json": json_file},
     )
     if rows:
@@ -165,13 +165,15 @@ def _iso9283_of_rows(
 
     if out is not None:
         raise InputError("--out is for the simulated arm; for measured rows give --json")
-    if arm is None and calibration is None:
-        raise InputError("no arm is given; name that of the rows, or its file, as --arm")
     machine = None if arm is None else pickenv.load_arm(arm)
     fitted = None if calibration is None else pickenv.Calibration.load(calibration, machine)
     if fitted is not None:
         obey(fitted.reservations(), allow)
-    nominal = (machine or fitted.arm).nominal
+        nominal = fitted.nominal
+    elif machine is not None:
+        nominal = machine.nominal
+    else:
+        raise InputError("no arm is given; name that of the rows, or its file, as --arm")
     data = pickenv.calibration.read_observations(rows, nominal, columns).observations
     if not isinstance(data, Measurements):
         raise InputError(f"{data.source} holds {data.kind}; ISO 9283 is of poses or positions")
