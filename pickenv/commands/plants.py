@@ -160,7 +160,6 @@ def _iso9283_of_rows(
     out: Path | None,
 ) -> None:
     """The test by measured rows."""
-    from pickenv.calibration import Measurements
     from pickenv.calibration.pipeline.repeats import measured_performance, performance_text
 
     if out is not None:
@@ -175,10 +174,10 @@ def _iso9283_of_rows(
     else:
         raise InputError("no arm is given; name that of the rows, or its file, as --arm")
     data = pickenv.calibration.read_observations(rows, nominal, columns).observations
-    if not isinstance(data, Measurements):
+    if data.poses is None:
         raise InputError(f"{data.source} holds {data.kind}; ISO 9283 is of poses or positions")
-    figures = measured_performance(data, nominal, fitted)
-    content = {"standard": "ISO 9283:1998", "rows": len(data), "source": data.source, **figures}
+    figures = measured_performance(data.poses, nominal, fitted)
+    content = {"standard": "ISO 9283:1998", "rows": len(data.joints), "source": data.source, **figures}
     showing.deliver([(json_file, content)], performance_text(figures, data.source))
 
 

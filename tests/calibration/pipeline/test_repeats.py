@@ -9,8 +9,7 @@ from typer.testing import CliRunner
 
 from pickenv.arm import forward, load_arm, load_plant
 from pickenv.base import InputError
-from pickenv.calibration import Measurements, fit, random_joints, simulated_tracker
-from pickenv.calibration.pipeline.repeats import measured_performance
+from pickenv.calibration import Measurements, fit, measured_performance, random_joints, simulated_tracker
 from pickenv.cli import app
 
 UR5 = load_arm("ur5")
@@ -105,7 +104,20 @@ def test_a_file_of_visits_is_judged_from_the_command_line(tmp_path, monkeypatch)
     for pose, same in zip(figures["raw"]["poses"], alone, strict=True):
         assert pose["repeatability_mm"] == pytest.approx(same["repeatability_mm"], rel=1e-9)
         assert pose["accuracy_deg"] is None and pose["name"] in done.output
+    (tmp_path / "wire.toml").write_text(
+        'description = "a wire"\n[joints]\ncolumns = ["a", "b", "c", "d", "e", "f"]\nunit = "rad"\n'
+        '[wire]\ncolumns = ["x"]\nunit = "mm"\n'
+    )
     for faulty, message in {
+        (
+            "iso9283",
+            "--rows",
+            "visits.csv",
+            "--columns",
+            "wire.toml",
+            "--arm",
+            "ur5",
+        ): "ISO 9283 is of poses or positions",
         (*words[:5], "--json", "out.json"): "name that of the rows, or its file, as --arm",
         (*words, "--out", "run"): "--out is for the simulated arm",
     }.items():
