@@ -106,7 +106,7 @@ def test_a_file_of_visits_is_judged_from_the_command_line(tmp_path, monkeypatch)
         assert pose["accuracy_deg"] is None and pose["name"] in done.output
     (tmp_path / "wire.toml").write_text(
         'description = "a wire"\n[joints]\ncolumns = ["a", "b", "c", "d", "e", "f"]\nunit = "rad"\n'
-        '[wire]\ncolumns = ["x"]\nunit = "mm"\n'
+        '[wire]\ncolumns = ["x * x / 1000 + 500"]\nunit = "mm"\n'
     )
     for faulty, message in {
         (
