@@ -79,7 +79,6 @@ from .pipeline.fitting import (
     fit_remainder as fit_remainder,
     lens_of as lens_of,
 )
-from .pipeline.repeats import measured_performance as measured_performance
 from .pipeline.result import Result as Result, assess as assess, workspace_joints as workspace_joints
 from .pipeline.stages import (
     Choices as Choices,

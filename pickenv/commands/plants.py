@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from pathlib import Path
 from typing import Annotated, Any
@@ -10,7 +9,7 @@ from typing import Annotated, Any
 from typer import Option
 
 import pickenv
-from pickenv.base import InputError, command_line, obey, separate, write_json, write_text
+from pickenv.base import command_line, obey, separate, write_json, write_text
 from pickenv.commands import showing
 
 
@@ -91,11 +90,8 @@ def iso9283(
     seed: Annotated[int, Option(min=0)] = 0,
     json_file: Annotated[Path | None, Option("--json")] = None,
     out: Path | None = None,
-    rows: list[Path] | None = None,
-    arm: str | None = None,
-    columns: str | None = None,
 ) -> None:
-    """Accuracy AP, repeatability RP, vAP and drift dAP by ISO 9283: of the simulated arm, or of measured rows.
+    """Accuracy AP, repeatability RP, vAP and drift dAP of the simulated arm by ISO 9283, raw and calibrated.
 
     Args:
         plant: Plant preset or plant file (.toml).
@@ -106,14 +102,10 @@ def iso9283(
         dwell: Waiting time before each measurement, s.
         seed: Seed of friction and instrument noise.
         json_file: Write the figures to this file.
-        out: Run folder for `pickenv figures` and `pickenv report`; of the simulated arm.
-        rows: Judge a real arm by measured rows that visit each commanded pose again; nothing is simulated then.
-        arm: The arm of these rows: name or file; that of the calibration if left out.
-        columns: Column description of these rows; ours if left out.
+        out: Run folder for `pickenv figures` and `pickenv report`.
 
     Examples:
         pickenv iso9283 --plant qiao2026 --out runs/iso
-        pickenv iso9283 --rows visits.csv --arm ur5e
 
     More: commands.md
     """
@@ -124,13 +116,10 @@ def iso9283(
     from pickenv.arm.plant.iso9283 import Iso9283Settings, iso9283 as test
     from pickenv.inspect.runs.run_folder import ISO9283, RECORD, recorded_run
 
-    saved: list[str | Path] = [] if calibration is None else [calibration, f"{calibration}.npz"]
     separate(
-        {"--plant": plant, "--calibration": saved, "--rows": rows, "--columns": columns, "--arm": arm},
+        {"--plant": plant, "--calibration": [] if calibration is None else [calibration, f"{calibration}.npz"]},
         {"--out": [] if out is None else [out / RECORD, out / ISO9283], "--json": json_file},
     )
-    if rows:
-        return _iso9283_of_rows(rows, arm, columns, calibration, allow or (), json_file, out)
     machine = pickenv.load_plant(plant)
     fitted = pickenv.Calibration.load(calibration, machine.arm) if calibration is not None else None
     if fitted is not None:
@@ -148,37 +137,6 @@ def iso9283(
             return write_json(folder / ISO9283, result.as_dict())
 
     showing.deliver([(json_file, result.as_dict()), (out, write_run)], result.report())
-
-
-def _iso9283_of_rows(
-    rows: list[Path],
-    arm: str | None,
-    columns: str | None,
-    calibration: Path | None,
-    allow: Sequence[str],
-    json_file: Path | None,
-    out: Path | None,
-) -> None:
-    """The test by measured rows."""
-    from pickenv.calibration.pipeline.repeats import measured_performance, performance_text
-
-    if out is not None:
-        raise InputError("--out is for the simulated arm; for measured rows give --json")
-    machine = None if arm is None else pickenv.load_arm(arm)
-    fitted = None if calibration is None else pickenv.Calibration.load(calibration, machine)
-    if fitted is not None:
-        obey(fitted.reservations(), allow)
-        nominal = fitted.nominal
-    elif machine is not None:
-        nominal = machine.nominal
-    else:
-        raise InputError("no arm is given; name that of the rows, or its file, as --arm")
-    data = pickenv.calibration.read_observations(rows, nominal, columns).observations
-    if data.poses is None:
-        raise InputError(f"{data.source} holds {data.kind}; ISO 9283 is of poses or positions")
-    figures = measured_performance(data.poses, nominal, fitted)
-    content = {"standard": "ISO 9283:1998", "rows": len(data.joints), "source": data.source, **figures}
-    showing.deliver([(json_file, content)], performance_text(figures, data.source))
 
 
 WIDE = 170
