@@ -75,7 +75,7 @@ def read_measurements(path: str | Path, geometry: Geometry, columns: str | Path 
 
 
 def read_observations(
-    paths: Sequence[str | Path], geometry: Geometry, columns: str | Path | None = None
+    paths: Sequence[str | Path], geometry: Geometry, columns: str | Path | None = None, *, repeats: bool = False
 ) -> FileReading:
     """Read measurements of any kind from one file or several of one layout.
 
@@ -85,6 +85,7 @@ def read_observations(
         paths: The files.
         geometry: The arm's nominal geometry, for joint count and types.
         columns: Name or path of a column description; None for our own format.
+        repeats: Whether rows may repeat others to the last digit, as cycles do of an arm that repeats well.
 
     Raises:
         InputError: Names the file, row, column or unit at fault.
@@ -111,7 +112,8 @@ def read_observations(
     frames = {"frames": _frames(tables)} if given is None else {}
     rows: Any = get("instrument", files.first.kind)(files, files.first.measured)
     rows = replace(rows, source=source, conditions=_conditions(files), origins=origins, **frames)
-    kind_readers.refuse_duplicates(joints, rows, origins)
+    if not repeats:
+        kind_readers.refuse_duplicates(joints, rows, origins)
     return FileReading(rows, _floor(files))
 
 
