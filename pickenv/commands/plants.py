@@ -197,8 +197,8 @@ def show_measured(result: dict[str, Any], details: bool) -> None:
     poses = result["poses"]
     drifts = [{"name": pose["name"], **pose["drift"]} for pose in poses if pose["drift"] is not None]
 
-    def cell(item: dict[str, Any], figure: str, unit: str = "_mm", digits: int = 3) -> str:
-        return said(item[figure + unit], item[f"{figure}_ci95{unit}"], digits)
+    def cell(item: dict[str, Any], figure: str) -> str:
+        return said(item[f"{figure}_mm"], item[f"{figure}_ci95_mm"], 3)
 
     def worst(items: list[dict[str, Any]], figure: str) -> str:
         item = max(items, key=lambda item: item[f"{figure}_mm"])
@@ -242,7 +242,7 @@ def _reservations(result: dict[str, Any], cycles: int) -> Iterator[str]:
     if result["fitted"]:
         frames, count, numbers = " and ".join(result["fitted"]), result["fitted_numbers"], result["of_numbers"]
         if count < numbers:
-            yield f"{frames} fitted to these poses, {count} of their {numbers} numbers: AP in the real base is larger"
+            yield f"{frames} fitted to these poses, {count} of their {numbers} numbers: AP in the arm's own base may be larger"
         else:
             yield "too few poses to fit the base: AP needs three, or an instrument registered to the base"
     if cycles < result["cycles_of_the_standard"]:
