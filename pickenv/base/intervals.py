@@ -151,10 +151,13 @@ def statistic_interval(
         ordered: Whether rows stand in an order in which neighbours are alike: `ordered_interval` rather than
             `mean_interval`.
     """
-    pseudo = pseudo_values(np.asarray(table, dtype=float), statistic)
+    rows = np.asarray(table, dtype=float)
+    if len(rows) < least:
+        return None  # a statistic of fewer may not even exist
+    pseudo = pseudo_values(rows, statistic)
     if (ends := ordered_interval(pseudo, least) if ordered else mean_interval(pseudo, least)) is None:
         return None
-    shift = float(statistic(np.asarray(table, dtype=float))) - float(pseudo.mean())
+    shift = float(statistic(rows)) - float(pseudo.mean())
     return ends[0] + shift, ends[1] + shift
 
 
