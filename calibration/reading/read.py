@@ -56,21 +56,26 @@ class FileReading:
     floor: NoiseFloor
 
 
-def read_measurements(path: str | Path, geometry: Geometry, columns: str | Path | None = None) -> Measurements:
+def read_measurements(
+    path: str | Path, geometry: Geometry, columns: str | Path | None = None, *, repeats: bool = False
+) -> Measurements:
     """Read a file of poses or positions.
 
     Args:
         path: The file.
         geometry: The arm's nominal geometry, for joint count and types.
         columns: Name or path of a column description; None for our own format.
+        repeats: As of `read_observations`.
 
     Raises:
         InputError: Names the file, row, column or unit at fault.
     """
-    rows = read_observations([path], geometry, columns).observations
+    rows = read_observations([path], geometry, columns, repeats=repeats).observations
     poses: Measurements | None = rows.poses
     if poses is None:
-        raise InputError(f"{path}: holds {rows.kind}, not poses or positions; use read_observations")
+        raise InputError(
+            f"{path}: holds {rows.kind}, not poses or positions, which are needed here; describe them as [position]"
+        )
     return poses
 
 

@@ -73,11 +73,12 @@ def effects(
     """
     import numpy as np
 
-    from pickenv.arm.plant.campaign import Pace, draw_reaches, effect_shares, shares_report
+    from pickenv.arm.plant.campaign import Pace, effect_shares, shares_report
+    from pickenv.calibration import random_joints
 
     separate({"--plant": plant}, {"--json": json_file})
     machine = pickenv.load_plant(plant)
-    joints = draw_reaches(machine, reaches, np.random.default_rng(seed))
+    joints = random_joints(machine.arm.nominal, reaches, np.random.default_rng(seed))
     shares = effect_shares(machine, joints, running_time=3600.0 * hours, pace=Pace(dwell=dwell))
     next_step = f"what a calibration leaves: {command_line('pickenv', 'conditions', plant)}"
     showing.deliver([(json_file, shares)], shares_report(shares), next_step)
@@ -173,15 +174,13 @@ def deliver_measured(
     json_file: Path | None,
 ) -> None:
     """Compute, write and print AP, RP and drift of measured rows."""
-    from pickenv.calibration import measured_iso9283, read_observations
+    from pickenv.calibration import measured_iso9283, read_measurements
 
     separate({"--rows": rows, "--arm": arm, "--columns": columns}, {"--json": json_file})
     if arm is None:
         raise InputError("no arm is named for these `rows`; give its name, or its file, as `arm`")
     robot = pickenv.load_arm(arm)
-    measured = read_observations([rows], robot.nominal, columns, repeats=True).observations.poses
-    if measured is None:
-        raise InputError(f"{rows}: AP and RP are of poses or positions; describe these as [position] in `columns`")
+    measured = read_measurements(rows, robot.nominal, columns, repeats=True)
     result = measured_iso9283(robot, measured if frames is None else replace(measured, frames=frames))
     more = "" if details else "every pose, and its drift"
     next_step = (
@@ -242,7 +241,7 @@ def _reservations(result: dict[str, Any], cycles: int) -> Iterator[str]:
     if result["fitted"]:
         frames, count, numbers = " and ".join(result["fitted"]), result["fitted_numbers"], result["of_numbers"]
         if count < numbers:
-            yield f"{frames} fitted to these poses, {count} of their {numbers} numbers: AP in the arm's own base may be larger"
+            yield f"{frames} fitted to these poses, {count} of their {numbers} numbers: AP in its own base may be larger"
         else:
             yield "too few poses to fit the base: AP needs three, or an instrument registered to the base"
     if cycles < result["cycles_of_the_standard"]:

@@ -294,7 +294,7 @@ def test_the_screen_says_what_the_rows_cannot_tell(folder):
         (("--rows", "rows.csv", "--arm", "ur10"), "misses by"),
         (
             ("--rows", "touches.csv", "--arm", "ur5e", "--columns", "touches.toml"),
-            "AP and RP are of poses or positions",
+            "holds touches, not poses or positions",
         ),
     ],
 )
