@@ -241,7 +241,7 @@ def _reservations(result: dict[str, Any], cycles: int) -> Iterator[str]:
     if result["fitted"]:
         frames, count, numbers = " and ".join(result["fitted"]), result["fitted_numbers"], result["of_numbers"]
         if count < numbers:
-            yield f"{frames} fitted to these poses, {count} of their {numbers} numbers: AP in its own base may be larger"
+            yield f"{frames} fitted to these poses, {count} of their {numbers} numbers: AP in its own base is larger"
         else:
             yield "too few poses to fit the base: AP needs three, or an instrument registered to the base"
     if cycles < result["cycles_of_the_standard"]:
