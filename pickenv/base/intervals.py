@@ -178,7 +178,7 @@ def norm_interval(vectors: ArrayLike, least: int = LEAST) -> Ends | None:
     if ends is None:
         return None
     (n, k), mean = x.shape, x.mean(axis=0)
-    t_squared = n * mean @ np.linalg.pinv(np.cov(x.T)) @ mean
+    t_squared = n * mean @ np.linalg.pinv(np.atleast_2d(np.cov(x.T))) @ mean
     zero = t_squared * (n - k) / (k * (n - 1)) <= fdtri(k, n - k, 1.0 - 2.0 * _TAILS[0])
     return (0.0 if zero else max(ends[0], 0.0)), ends[1]
 
