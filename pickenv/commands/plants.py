@@ -105,7 +105,8 @@ def iso9283(
     Args:
         plant: Plant preset or plant file (.toml).
         rows: File of measured poses or positions instead, each commanded pose visited again and again; rows whose
-            joints differ by 2e-4 rad or m at most are of one pose. Goes with --arm, --columns and --frames only.
+            joints differ by 2e-4 rad or m at most are of one pose. Of the options below, --arm, --columns, --frames,
+            --details and --json go with it.
         arm: Arm of the rows: its name, or file ({arm_format}).
         columns: Column description of the rows, by name or path; ours if left out.
         frames: known: the instrument measures the arm's own tool in its own base frame; fitted: base and tool are
@@ -116,7 +117,7 @@ def iso9283(
         speed: Share of the largest speed.
         dwell: Waiting time before each measurement, s.
         seed: Seed of friction and instrument noise.
-        details: Of rows, print all poses, and the drift of each.
+        details: Print every pose of the rows, and its drift.
         json_file: Write the figures to this file.
         out: Run folder for `pickenv figures` and `pickenv report`.
 
@@ -127,9 +128,10 @@ def iso9283(
     More: commands.md
     """
     typed = dict(locals())
-    of_rows, of_both = ("arm", "columns", "frames"), ("rows", "json_file", "details")
-    changed = [name for name, each in signature(iso9283).parameters.items() if typed[name] != each.default]
-    stray = [name for name in changed if name not in of_both and (name in of_rows) != (rows is not None)]
+    of_rows, of_both = ("arm", "columns", "frames", "details"), ("rows", "json_file")
+    usual = {name: parameter.default for name, parameter in signature(iso9283).parameters.items()}
+    options = [name for name, value in typed.items() if value not in (usual[name], [])]
+    stray = [name for name in options if name not in of_both and (name in of_rows) != (rows is not None)]
     if stray:
         other = "`rows`" if rows is None else "a simulated arm"
         raise InputError(f"`{stray[0]}` goes with {other} only; leave it out{'' if rows is None else ', or `rows`'}")

@@ -286,6 +286,7 @@ def test_the_screen_says_what_the_rows_cannot_tell(folder):
     [
         (("--rows", "rows.csv"), "no arm is named for these --rows; give its name, or its file, as --arm"),
         (("--arm", "ur5e"), "--arm goes with --rows only; leave it out"),
+        (("--details",), "--details goes with --rows only; leave it out"),
         (("--rows", "rows.csv", "--arm", "ur5e", "--seed", 1), "--seed goes with a simulated arm only; .* or --rows"),
         (("--rows", "rows.csv", "--arm", "ur5e", "--out", "run"), "--out goes with a simulated arm only"),
         (("--rows", "none.csv", "--arm", "ur5e"), "none.csv"),
