@@ -87,7 +87,12 @@ from .plant.campaign import (
     shares_report as shares_report,
     switched_on as switched_on,
 )
-from .plant.iso9283 import Iso9283Settings as Iso9283Settings, iso9283 as iso9283
+from .plant.iso9283 import (
+    Iso9283Settings as Iso9283Settings,
+    iso9283 as iso9283,
+    pose_drift as pose_drift,
+    pose_performance as pose_performance,
+)
 from .plant.plant import Plant as Plant, PlantState as PlantState
 from .plant.plant_batch import (
     arrays_of as arrays_of,

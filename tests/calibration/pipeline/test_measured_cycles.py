@@ -18,13 +18,20 @@ from pickenv.arm import (
     largest_cube,
     load_arm,
     load_plant,
+    pose_drift,
+    pose_performance,
     rotation_matrix,
     rotation_vector,
 )
-from pickenv.arm.plant import iso9283 as simulated
 from pickenv.base import InputError
-from pickenv.calibration import Measurements, measured_iso9283, random_joints, read_measurements, read_observations
-from pickenv.calibration.model.observations import same_poses
+from pickenv.calibration import (
+    Measurements,
+    measured_iso9283,
+    random_joints,
+    read_measurements,
+    read_observations,
+    same_poses,
+)
 from pickenv.cli import app
 
 ARM = load_arm("ur5e")
@@ -78,13 +85,12 @@ def test_figures_are_those_of_the_standards_text(seed):
 def test_rows_of_the_simulated_arm_give_the_figures_of_the_simulated_test(tmp_path, monkeypatch):
     plant, errors = load_plant("qiao2026"), {}
     cube = largest_cube(plant.arm.nominal, steps=12)
-    real = simulated.pose_performance
 
     def noting(name, values):
         errors[name] = values
-        return real(name, values)
+        return pose_performance(name, values)
 
-    monkeypatch.setattr(simulated, "pose_performance", noting)
+    monkeypatch.setattr("pickenv.arm.plant.iso9283.pose_performance", noting)
     settings = Iso9283Settings(cycles=30, pace=Pace(period=0.1, dwell=2.0), drift_cycles=2, drift_interval=1e5)
     expected = iso9283(plant, rng=np.random.default_rng(0), settings=settings, cube=cube).raw["poses"]
     joints = np.tile(inverse(plant.arm.nominal, cube.inclined_plane()).joints, (30, 1))
@@ -120,7 +126,7 @@ def test_without_drift_its_intervals_hold_zero():
     inside = {"wander": 0, "accuracy_change": 0, "repeatability_change": 0}
     rng = np.random.default_rng(0)
     for _ in range(300):
-        drift = simulated.pose_drift(MILLIMETRE * ([0.5, 0.2, 0.1] + rng.normal(size=(30, 3)) * [0.05, 0.025, 0.015]))
+        drift = pose_drift(MILLIMETRE * ([0.5, 0.2, 0.1] + rng.normal(size=(30, 3)) * [0.05, 0.025, 0.015]))
         for figure in inside:
             low, high = drift[f"{figure}_ci95_mm"]
             inside[figure] += low <= 0 <= high
