@@ -79,6 +79,7 @@ from .pipeline.fitting import (
     fit_remainder as fit_remainder,
     lens_of as lens_of,
 )
+from .pipeline.measured_cycles import measured_iso9283 as measured_iso9283
 from .pipeline.result import Result as Result, assess as assess, workspace_joints as workspace_joints
 from .pipeline.stages import (
     Choices as Choices,

@@ -213,7 +213,7 @@ def simulated_tracker(
         plant: The arm.
         joints: Joint commands ``(N, n)`` in the order of the visits, rad or m.
         rng: Draws the readings' errors; a child of it draws the friction of each stop and the target's mounting.
-        instrument: One of `pickenv.arm.shipped_instruments`, a path to a file, or an `Instrument`.
+        instrument: A name of `pickenv.arm.load_instrument`, a path to a file, or an `Instrument`.
 
     Raises:
         InputError: If joints have another shape or are not finite, or the instrument is unknown.

@@ -56,26 +56,31 @@ class FileReading:
     floor: NoiseFloor
 
 
-def read_measurements(path: str | Path, geometry: Geometry, columns: str | Path | None = None) -> Measurements:
+def read_measurements(
+    path: str | Path, geometry: Geometry, columns: str | Path | None = None, *, repeats: bool = False
+) -> Measurements:
     """Read a file of poses or positions.
 
     Args:
         path: The file.
         geometry: The arm's nominal geometry, for joint count and types.
         columns: Name or path of a column description; None for our own format.
+        repeats: As of `read_observations`.
 
     Raises:
         InputError: Names the file, row, column or unit at fault.
     """
-    rows = read_observations([path], geometry, columns).observations
+    rows = read_observations([path], geometry, columns, repeats=repeats).observations
     poses: Measurements | None = rows.poses
     if poses is None:
-        raise InputError(f"{path}: holds {rows.kind}, not poses or positions; use read_observations")
+        raise InputError(
+            f"{path}: holds {rows.kind}, not poses or positions, which are needed here; describe them as [position]"
+        )
     return poses
 
 
 def read_observations(
-    paths: Sequence[str | Path], geometry: Geometry, columns: str | Path | None = None
+    paths: Sequence[str | Path], geometry: Geometry, columns: str | Path | None = None, *, repeats: bool = False
 ) -> FileReading:
     """Read measurements of any kind from one file or several of one layout.
 
@@ -85,6 +90,7 @@ def read_observations(
         paths: The files.
         geometry: The arm's nominal geometry, for joint count and types.
         columns: Name or path of a column description; None for our own format.
+        repeats: Whether rows may repeat others to the last digit, as cycles do of an arm that repeats well.
 
     Raises:
         InputError: Names the file, row, column or unit at fault.
@@ -109,7 +115,8 @@ def read_observations(
         parts = [recording.read_recording(table, given, where, geometry, read) for table in tables]
         tables, layouts, clocks = [part[0] for part in parts], [part[1] for part in parts], tuple(p[2] for p in parts)
     rows = _rows(tables, layouts, where, geometry, "fitted" if given is not None else _frames(tables))
-    kind_readers.refuse_duplicates(rows.joints, rows, origins_of(rows))
+    if not repeats:
+        kind_readers.refuse_duplicates(rows.joints, rows, origins_of(rows))
     return FileReading(replace(rows, origins=replace(origins_of(rows), clocks=clocks)), _floor(logged, described))
 
 

@@ -79,17 +79,20 @@ from .plant.campaign import (
     NormalDraws as NormalDraws,
     Pace as Pace,
     causes_of as causes_of,
-    draw_reaches as draw_reaches,
     effect_shares as effect_shares,
     load_instrument as load_instrument,
     measured_poses as measured_poses,
     moved as moved,
     normal_draws as normal_draws,
     shares_report as shares_report,
-    shipped_instruments as shipped_instruments,
     switched_on as switched_on,
 )
-from .plant.iso9283 import Iso9283Settings as Iso9283Settings, iso9283 as iso9283
+from .plant.iso9283 import (
+    Iso9283Settings as Iso9283Settings,
+    iso9283 as iso9283,
+    pose_drift as pose_drift,
+    pose_performance as pose_performance,
+)
 from .plant.plant import Plant as Plant, PlantState as PlantState
 from .plant.plant_batch import (
     arrays_of as arrays_of,

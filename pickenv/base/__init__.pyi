@@ -35,6 +35,7 @@ from .intervals import (
     crossed_interval as crossed_interval,
     estimate as estimate,
     mean_interval as mean_interval,
+    norm_interval as norm_interval,
     ordered_interval as ordered_interval,
     paired_share_interval as paired_share_interval,
     quantile_interval as quantile_interval,

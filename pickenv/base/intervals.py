@@ -151,11 +151,36 @@ def statistic_interval(
         ordered: Whether rows stand in an order in which neighbours are alike: `ordered_interval` rather than
             `mean_interval`.
     """
-    pseudo = pseudo_values(np.asarray(table, dtype=float), statistic)
+    rows = np.asarray(table, dtype=float)
+    if len(rows) < least:
+        return None  # a statistic of fewer may not even exist
+    pseudo = pseudo_values(rows, statistic)
     if (ends := ordered_interval(pseudo, least) if ordered else mean_interval(pseudo, least)) is None:
         return None
-    shift = float(statistic(np.asarray(table, dtype=float))) - float(pseudo.mean())
+    shift = float(statistic(rows)) - float(pseudo.mean())
     return ends[0] + shift, ends[1] + shift
+
+
+def norm_interval(vectors: ArrayLike, least: int = LEAST) -> Ends | None:
+    """95 % interval of the norm of the mean of independent vectors ``(n, k)``, such as the accuracy of a pose.
+
+    It is the jackknife's. A norm is never below zero, and that of a sample's mean is above it even where the true mean
+    is zero. So the lower end is zero where Hotelling's T^2 (1931, Ann. Math. Stat. 2) does not rule a mean of zero out.
+
+    Args:
+        vectors: One per cycle, fruit or arm.
+        least: Fewest vectors; more than k.
+    """
+    from scipy.special import fdtri
+
+    x = np.asarray(vectors, dtype=float)
+    ends = statistic_interval(x, lambda some: np.linalg.norm(some.mean(axis=0)), least)
+    if ends is None:
+        return None
+    (n, k), mean = x.shape, x.mean(axis=0)
+    t_squared = n * mean @ np.linalg.pinv(np.atleast_2d(np.cov(x.T))) @ mean
+    zero = t_squared * (n - k) / (k * (n - 1)) <= fdtri(k, n - k, 1.0 - 2.0 * _TAILS[0])
+    return (0.0 if zero else max(ends[0], 0.0)), ends[1]
 
 
 def ratio_interval(over: ArrayLike, under: ArrayLike, least: int = LEAST) -> Ends | None:

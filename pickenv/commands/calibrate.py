@@ -12,8 +12,8 @@ import pickenv
 from pickenv.base import command_line, npz_path, require, separate, write_json
 from pickenv.commands.showing import command_of, deliver, fields_among, progress_bars
 
-DO_NOT_USE = 3
-"""Exit code of a calibration whose verdict is "do not use", and of targets that cannot be reached."""
+NOT_GOOD = 3
+"""Exit code of a verdict "do not use", of unreachable targets, and of an old calibration that is not what it was."""
 
 
 def calibrate(
@@ -139,7 +139,7 @@ def calibrate(
         "" if details else "parameters, terms, notes and evidence",
     )
     if refused:
-        raise typer.Exit(DO_NOT_USE)
+        raise typer.Exit(NOT_GOOD)
 
 
 def next_step(arm: str | None, out: Path | None, refused: bool) -> str:

@@ -13,11 +13,8 @@ from typer import Option
 
 import pickenv
 from pickenv.base import DO_NOT_USE, InputError, command_line, npz_path, obey, separate
-from pickenv.commands.calibrate import next_step
+from pickenv.commands.calibrate import NOT_GOOD, next_step
 from pickenv.commands.showing import deliver, limited
-
-NOT_GOOD = 3
-"""Exit code where targets cannot be reached, and where an old calibration is not what it was."""
 
 
 def board(file: str, out: Path = Path("board.pdf")) -> None:

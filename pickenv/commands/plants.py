@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import replace
 from functools import partial
+from inspect import signature
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from typer import Option
 
 import pickenv
-from pickenv.base import command_line, obey, separate, write_json, write_text
+from pickenv.base import LEAST, InputError, command_line, folded, obey, screen_width, separate, write_json, write_text
 from pickenv.commands import showing
 
 
@@ -70,11 +73,12 @@ def effects(
     """
     import numpy as np
 
-    from pickenv.arm.plant.campaign import Pace, draw_reaches, effect_shares, shares_report
+    from pickenv.arm.plant.campaign import Pace, effect_shares, shares_report
+    from pickenv.calibration import random_joints
 
     separate({"--plant": plant}, {"--json": json_file})
     machine = pickenv.load_plant(plant)
-    joints = draw_reaches(machine, reaches, np.random.default_rng(seed))
+    joints = random_joints(machine.arm.nominal, reaches, np.random.default_rng(seed))
     shares = effect_shares(machine, joints, running_time=3600.0 * hours, pace=Pace(dwell=dwell))
     next_step = f"what a calibration leaves: {command_line('pickenv', 'conditions', plant)}"
     showing.deliver([(json_file, shares)], shares_report(shares), next_step)
@@ -82,34 +86,58 @@ def effects(
 
 def iso9283(
     plant: str = "orchard",
+    rows: Path | None = None,
+    arm: str | None = None,
+    columns: str | None = None,
+    frames: Literal["known", "fitted"] | None = None,
     calibration: Path | None = None,
     allow: list[str] | None = None,
     cycles: Annotated[int, Option(min=2, callback=showing.limited("cycles"))] = 30,
     speed: Annotated[float, Option(min=0.01, max=1.0)] = 1.0,
     dwell: Annotated[float, Option(min=0.0, callback=showing.limited("dwell_s"))] = 2.0,
     seed: Annotated[int, Option(min=0)] = 0,
+    details: Annotated[bool, Option("--details")] = False,
     json_file: Annotated[Path | None, Option("--json")] = None,
     out: Path | None = None,
 ) -> None:
-    """Accuracy AP, repeatability RP, vAP and drift dAP of the simulated arm by ISO 9283, raw and calibrated.
+    """Accuracy AP, repeatability RP and drift by ISO 9283: of a simulated arm, raw and calibrated, or of measured rows.
 
     Args:
         plant: Plant preset or plant file (.toml).
+        rows: File of measured poses or positions instead, each commanded pose visited again and again; rows whose
+            joints differ by 2e-4 rad or m at most are of one pose. Of the options below, --arm, --columns, --frames,
+            --details and --json go with it.
+        arm: Arm of the rows: its name, or file ({arm_format}).
+        columns: Column description of the rows, by name or path; ours if left out.
+        frames: known: the instrument measures the arm's own tool in its own base frame; fitted: base and tool are
+            fitted to the rows. As the file says if left out.
         calibration: Fitted calibration (.npz) to test as well.
         allow: Test the calibration in spite of this: fitted-frames, do-not-use.
         cycles: Measurements per pose; 30 by the standard.
         speed: Share of the largest speed.
         dwell: Waiting time before each measurement, s.
         seed: Seed of friction and instrument noise.
+        details: Print every pose of the rows, and its drift.
         json_file: Write the figures to this file.
         out: Run folder for `pickenv figures` and `pickenv report`.
 
     Examples:
         pickenv iso9283 --plant qiao2026 --out runs/iso
+        pickenv iso9283 --rows tracker.csv --arm ur10e
 
     More: commands.md
     """
     typed = dict(locals())
+    of_rows, of_both = ("arm", "columns", "frames", "details"), ("rows", "json_file")
+    usual = {name: parameter.default for name, parameter in signature(iso9283).parameters.items()}
+    options = [name for name, value in typed.items() if value not in (usual[name], [])]
+    stray = [name for name in options if name not in of_both and (name in of_rows) != (rows is not None)]
+    if stray:
+        other = "`rows`" if rows is None else "a simulated arm"
+        raise InputError(f"`{stray[0]}` goes with {other} only; leave it out{'' if rows is None else ', or `rows`'}")
+    if rows is not None:
+        deliver_measured(rows, arm, columns, frames, details, json_file)
+        return
     import numpy as np
 
     from pickenv.arm.plant.campaign import Pace
@@ -138,6 +166,98 @@ def iso9283(
 
     showing.deliver([(json_file, result.as_dict()), (out, write_run)], result.report())
 
+
+def deliver_measured(
+    rows: Path,
+    arm: str | None,
+    columns: str | None,
+    frames: Literal["known", "fitted"] | None,
+    details: bool,
+    json_file: Path | None,
+) -> None:
+    """Compute, write and print AP, RP and drift of measured rows."""
+    from pickenv.calibration import measured_iso9283, read_measurements
+
+    separate({"--rows": rows, "--arm": arm, "--columns": columns}, {"--json": json_file})
+    if arm is None:
+        raise InputError("no arm is named for these `rows`; give its name, or its file, as `arm`")
+    robot = pickenv.load_arm(arm)
+    measured = read_measurements(rows, robot.nominal, columns, repeats=True)
+    result = measured_iso9283(robot, measured if frames is None else replace(measured, frames=frames))
+    more = "" if details else "every pose, and its drift"
+    next_step = (
+        f"for a smaller AP, poses to calibrate from: {command_line('pickenv', 'plan-poses', arm=arm, out='poses.csv')}"
+    )
+    showing.deliver([(json_file, result)], partial(show_measured, result, details), next_step, more)
+
+
+def show_measured(result: dict[str, Any], details: bool) -> None:
+    """Print AP, RP and drift of measured rows: the worst, reservations, and a table of the poses."""
+    from pickenv.inspect.runs.number_words import said
+
+    poses = result["poses"]
+    drifts = [{"name": pose["name"], **pose["drift"]} for pose in poses if pose["drift"] is not None]
+
+    def cell(item: dict[str, Any], figure: str) -> str:
+        return said(item[f"{figure}_mm"], item.get(f"{figure}_ci95_mm"), 3)
+
+    def worst(items: list[dict[str, Any]], figure: str) -> str:
+        item = max(items, key=lambda item: item[f"{figure}_mm"])
+        return f"{cell(item, figure)} mm at {item['name']}"
+
+    counts = [pose["cycles"] for pose in poses]
+    cycles = f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
+    accuracy = f"AP up to {worst(poses, 'accuracy')}" if poses[0]["accuracy_mm"] is not None else "AP unknown"
+    showing.print_verdict(f"Measured {accuracy}; RP up to {worst(poses, 'repeatability')}", width=NARROW)
+    about = f"{result['rows']}: {len(poses)} poses of {result['arm']}, {cycles} cycles each; brackets: 95 % over cycles"
+    for sentence in (about, *_reservations(result, min(counts))):
+        print("\n".join(folded(sentence, screen_width(NARROW))))
+    heads, words = ["pose", "cycles", "AP (mm)", "RP (mm)"], ("pose",)
+    lines = [[pose["name"], str(pose["cycles"]), cell(pose, "accuracy"), cell(pose, "repeatability")] for pose in poses]
+    if "accuracy_deg" in poses[0]:
+        heads += ["AP (deg)", "RP (deg)"]
+        for line, pose in zip(lines, poses, strict=True):
+            line += [said(pose["accuracy_deg"], None, 4), said(max(pose["repeatability_deg"]), None, 4)]
+    most = None if details else showing.MOST
+    showing.print_table("accuracy and repeatability", heads, lines, words=words, width=NARROW, most=most)
+    if not drifts:
+        return
+    intervals = [ends for drift in drifts if (ends := drift["wander_ci95_mm"]) is not None]
+    beyond = f"beyond chance at {sum(low > 0 for low, _ in intervals)} of {len(intervals)} poses"
+    largest = max(drift["wander_mm"] for drift in drifts)
+    print(
+        f"first to last third of the cycles: means moved by up to {largest:.3f} mm, "
+        + (beyond if intervals else f"which needs {3 * LEAST} cycles to tell")
+    )
+    if details:
+        heads = ["pose", "cycles", "moved (mm)", "dAP (mm)", "dRP (mm)"]
+        changes = ("wander", "accuracy_change", "repeatability_change")
+        lines = [
+            [drift["name"], f"2 × {drift['cycles']}", *(cell(drift, change) for change in changes)] for drift in drifts
+        ]
+        showing.print_table("drift", heads, lines, words=words, width=NARROW)
+
+
+def _reservations(result: dict[str, Any], cycles: int) -> Iterator[str]:
+    """What a reader of AP and RP must know about the rows, a sentence a line."""
+    if result["fitted"]:
+        frames, count, numbers = " and ".join(result["fitted"]), result["fitted_numbers"], result["of_numbers"]
+        if count < numbers:
+            yield f"{frames} fitted to these poses, {count} of their {numbers} numbers: AP in its own base is larger"
+        else:
+            yield "too few poses to fit the base: AP needs three, or an instrument registered to the base"
+    if cycles < result["cycles_of_the_standard"]:
+        least = result["cycles_of_the_standard"]
+        yield f"the standard has {least} cycles; with fewer RP has no interval, and with fewer than {LEAST} AP has none"
+    if result["still"]:
+        yield (
+            f"{result['still']} rows follow one of the same pose: "
+            "unless the arm left it between, RP is the instrument's alone"
+        )
+
+
+NARROW = 100
+"""Characters of a line about measured rows."""
 
 WIDE = 170
 """Characters of a table of five levels with their intervals."""

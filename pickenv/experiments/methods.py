@@ -49,7 +49,7 @@ class CalibrationPlan:
         residual_poses: Poses for the residual model (the paper: 200).
         epochs: Passes of the network's training (the paper: 500).
         seed: Seed of poses, noise and networks; every arm has its own stream.
-        instrument: Instrument that measures the poses; one of `pickenv.arm.shipped_instruments`, or a path.
+        instrument: Instrument that measures the poses; a name of `pickenv.arm.load_instrument`, or a path.
     """
 
     identification_poses: int = 100

@@ -381,12 +381,19 @@ def rungs(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(plant for name in names for plant in (LEADERBOARD.plants if name == "all" else [f"{RUNG}{name}"]))
 
 
-def trained(folder: Path, trainings: int, **how: Any) -> tuple[str, ...]:
-    """Train every recipe that the folder does not hold yet, and return the folders of the trainings, one a recipe."""
-    levels = {"training": range(trainings)}
-    pieces = Experiment("trainings", levels, {"policy": tuple(RECIPES)}, partial(_train, folder))
+def trained(folder: Path, trainings: int, picking: bool = True, **how: Any) -> tuple[str, ...]:
+    """Train every recipe that the folder does not hold yet, and return the folders of the trainings, one a recipe.
+
+    Args:
+        folder: Where trainings are kept.
+        trainings: Trainings of each recipe.
+        picking: Whether those of `pickenv/Pick-v0` are trained as well.
+        how: Where pieces are computed.
+    """
+    recipes = tuple(name for name, recipe in RECIPES.items() if picking or recipe.env_id != "pickenv/Pick-v0")
+    pieces = Experiment("trainings", {"training": range(trainings)}, {"policy": recipes}, partial(_train, folder))
     run(pieces, **how)
-    return tuple(str(folder / name) for name in RECIPES)
+    return tuple(str(folder / name) for name in recipes)
 
 
 def _train(folder: Path, *, rng: np.random.Generator, policy: str, training: int) -> dict[str, NDArray[Any]]:
@@ -412,8 +419,11 @@ def run_leaderboard(settings: PolicySettings, folder: Path, trainings: int = 0, 
     """
     if len(set(settings.seeds)) < max(LEAST_SEEDS, len(settings.seeds)):
         raise InputError(f"seeds are {list(settings.seeds)}; give at least {LEAST_SEEDS}, each once")
+    pickers = [name for name in settings.policies if kind_of(name).picks]
+    if pickers and not settings.canopies:
+        raise InputError(f"{pickers[0]} picks, but no canopy is picked; give at least one of `canopies`")
     if trainings:
-        learned = trained(folder / "trainings", trainings, **how)
+        learned = trained(folder / "trainings", trainings, bool(settings.canopies), **how)
         settings = replace(settings, policies=(*settings.policies, *learned))
     reaching = tuple(name for name in settings.policies if not kind_of(name).picks)
     reached = run_policies(replace(settings, policies=reaching), folder, fits=_worth_judging, **how)

@@ -149,7 +149,7 @@ class StudyConfig:
         methods: Calibrations, of `METHODS`.
         poses: Numbers of calibration poses.
         noise: Standard deviations of the tracker's readings, range and centring within.
-        instrument: What measures the arms, and how long it waits; one of `pickenv.arm.shipped_instruments`, or a path.
+        instrument: What measures the arms, and how long it waits; a name of `pickenv.arm.load_instrument`, or a path.
         residual_poses: Further poses for a learnt residual.
     """
 

@@ -14,7 +14,6 @@ from .canopy import (
     Canopy as Canopy,
     Station as Station,
     approach_clear as approach_clear,
-    approach_direction as approach_direction,
     depth_behind_face as depth_behind_face,
     face as face,
     foliage_path as foliage_path,

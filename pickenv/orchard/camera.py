@@ -45,7 +45,6 @@ class Camera(checks.Preset):
         lost_below: Visible share of a fruit below which it is never found.
         found_above: Visible share from which on only ``dropout`` loses it. Between the two the probability is linear.
         occlusion_pull: Largest shift of the centroid to the visible side, as a share of the fruit's radius.
-        false_detections: Mean number of false detections per image; environments leave them out.
         light: Light in which the camera is used, lx.
     """
 
@@ -69,7 +68,6 @@ class Camera(checks.Preset):
     lost_below: Annotated[float, SHARE, REQUIRED] = 0.0
     found_above: Annotated[float, SHARE, REQUIRED] = 0.0
     occlusion_pull: Annotated[float, SHARE, REQUIRED] = 0.0
-    false_detections: Annotated[float, NUMBER.not_negative, REQUIRED] = 0.0
     light: Annotated[float, LX.not_negative] = 100_000.0
 
     def __post_init__(self) -> None:

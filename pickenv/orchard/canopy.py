@@ -140,7 +140,6 @@ class Canopy(checks.Preset):
         lean: Angle of the face from upright, rad; positive leans away from the aisle, negative hangs over it.
         leaf_area_per_volume: One-sided leaf area, m²/m³.
         leaf_projection: Mean share of a leaf's area that a line of sight meets.
-        approach_elevation: Angle above the horizontal at which the tool comes up to fruit, rad; π/2 is straight up.
     """
 
     name: str
@@ -153,7 +152,6 @@ class Canopy(checks.Preset):
     lean: Annotated[float, DEG]
     leaf_area_per_volume: Annotated[float, NUMBER.not_negative]
     leaf_projection: Annotated[float, SHARE]
-    approach_elevation: Annotated[float, DEG.within(0.0, 90.0, "from below")]
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -204,13 +202,6 @@ def foliage_transmission(canopy: Canopy, start: ArrayLike, end: ArrayLike) -> Ar
     """Expected share of a small target at ``end`` that leaves do not hide from ``start``; points (..., 3)."""
     extinction = canopy.leaf_projection * canopy.leaf_area_per_volume
     return np.asarray(np.exp(-extinction * foliage_path(canopy, start, end)))
-
-
-def approach_direction(canopy: Canopy, positions: ArrayLike) -> Array:
-    """Unit vectors along which the tool comes up to fruit at positions (..., 3): from the aisle and below."""
-    positions = checks.points("positions", positions)
-    along = np.array([0.0, np.cos(canopy.approach_elevation), np.sin(canopy.approach_elevation)])
-    return np.broadcast_to(along, positions.shape).copy()
 
 
 def occlusion(canopy: Canopy, positions: ArrayLike, diameters: ArrayLike, viewpoint: ArrayLike) -> tuple[Array, Array]:
@@ -277,7 +268,7 @@ def approach_clear(
     Args:
         positions: Fruit centres, m, shape (n, 3).
         diameters: Fruit diameters, m, shape (n,) or a number.
-        direction: Direction of approach, shape (3,) or (n, 3); see `approach_direction`.
+        direction: Direction of approach, shape (3,) or (n, 3).
         tool_radius: Radius of the tool, m.
         buffer: Length of the straight approach that ends at the fruit's centre, m.
 

@@ -13,10 +13,10 @@ from itertools import chain
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.stats import qmc
 
 from pickenv.arm import Array, Geometry
 from pickenv.arm.kinematics.forward import drawn_parts, nominal_points, true_points
+from pickenv.arm.kinematics.inverse import halton_joints
 from pickenv.pictures.solids import ring_around, turned
 from pickenv.pictures.stage import Mesh, Rgb, Rods, rgba, spheres
 
@@ -65,8 +65,7 @@ class ArmLook:
 @lru_cache(maxsize=8)
 def arm_look(geometry: Geometry) -> ArmLook:
     """The look of an arm from poses all over its joint ranges: the parts to draw, their thickness, and their room."""
-    share = qmc.Halton(geometry.joints, scramble=False).random(256)
-    points = nominal_points(geometry, geometry.lower + share * (geometry.upper - geometry.lower))
+    points = nominal_points(geometry, halton_joints(geometry, 256))
     parts = drawn_parts(points)
     lengths = np.linalg.norm(np.diff(points, axis=-2), axis=-1)[:, parts]
     thick = THICKNESS * float(lengths.mean(axis=0).sum())

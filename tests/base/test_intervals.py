@@ -13,6 +13,7 @@ from pickenv.base import (
     crossed_interval,
     intervals,
     mean_interval,
+    norm_interval,
     quantile_interval,
     quantile_levels,
     share_interval,
@@ -226,3 +227,26 @@ def test_the_ends_of_p95_are_open_below_72_arms() -> None:
     assert quantile_interval([], 0.5) == (None, None)
     low, high = quantile_interval(values, 0.5)
     assert low < 99.5 < high and low + high == pytest.approx(199.0)
+
+
+@pytest.mark.parametrize("k", [1, 2, 3])
+def test_a_norms_lower_end_is_zero_where_hotellings_test_allows_a_mean_of_zero(k: int) -> None:
+    """The test by another way: how well the vectors explain a column of ones (T^2 = (n - 1) R^2 / (1 - R^2))."""
+    rng, zeros = np.random.default_rng(k), 0
+    for size in np.linspace(0.0, 1.0, 60):
+        x = rng.normal(size=(12, k)) * np.arange(1, k + 1) + size
+        _, rest, *_ = np.linalg.lstsq(x, np.ones(12), rcond=None)
+        share = 1.0 - rest[0] / 12.0
+        p_value = stats.f.sf(share / (1.0 - share) * (12 - k) / k, k, 12 - k)
+        low, high = norm_interval(x)
+        assert high > np.linalg.norm(x.mean(axis=0)) and (low == 0.0 or p_value < 0.05)
+        assert low > 0.0 or p_value > 0.005  # of a clear mean the lower end is the jackknife's
+        zeros += low == 0.0
+    assert 5 < zeros < 55
+
+
+def test_a_norm_of_vectors_of_which_one_coordinate_never_changes_has_an_interval() -> None:
+    x = np.random.default_rng(0).normal(size=(30, 3)) * [1.0, 1.0, 0.0] + [9.0, 0.0, 0.5]
+    low, high = norm_interval(x)
+    assert 8 < low < np.linalg.norm(x.mean(axis=0)) < high < 10
+    assert norm_interval(x[: LEAST - 1]) is None and norm_interval(np.tile(x[0], (30, 1))) is None

@@ -17,6 +17,7 @@ from pickenv.base import (
     crossed_interval,
     estimate,
     mean_interval,
+    norm_interval,
     quantile_interval,
     ratio_interval,
     share_interval,
@@ -137,6 +138,14 @@ def test_quantile(repeats: Any, count: int, probability: float, most: float) -> 
     """With 20 values the upper end of the 95th percentile is open: one tail less to miss on."""
     found = lambda rng: quantile_interval(np.exp(rng.normal(size=count)), probability)  # noqa: E731
     repeats.check(found, float(np.exp(norm.ppf(probability))), most, share=0.2)
+
+
+@pytest.mark.parametrize("size", [0.0, 0.1, 0.3, 1.0, 10.0])
+@pytest.mark.parametrize("count", [LEAST, CYCLES])
+def test_size_of_a_mean(repeats: Any, count: int, size: float) -> None:
+    """The accuracy of a pose by ISO 9283, in scatters; near zero the lower end is zero, one tail less to miss on."""
+    draw = lambda rng: norm_interval(rng.normal(size=(count, 3)) + np.array([size, 0.0, 0.0]))  # noqa: E731
+    repeats.check(draw, size, most=1.0 if size < 1.0 else 0.98, share=0.2, least=0.92)
 
 
 def test_repeatability_by_iso_9283(repeats: Any) -> None:

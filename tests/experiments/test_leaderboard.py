@@ -225,6 +225,11 @@ def test_a_policy_that_picks_enters_the_picking_alone(tmp_path, monkeypatch):
     assert len(row["training_success"]) == 2 and row["arms"] == 5
     title = "Grasps of each training that succeed on raw arms (%)"
     assert policy_tables.leaderboard_tables(board)[title][1][0][0] == "ppo_pick"
+    with pytest.raises(InputError, match="ppo_pick picks, but no canopy is picked; give at least one"):
+        policy_tables.run_leaderboard(
+            replace(settings, canopies=0, policies=(str(tmp_path / "trainings/ppo_pick"),)), tmp_path
+        )
+    assert not policy_tables.trained(tmp_path / "none", 2, picking=False)
     with pytest.raises(InputError, match="ppo_pick picks, and cannot be compared on reaches; judge it in pickenv/Pick"):
         run_policies(replace(settings, policies=(str(tmp_path / "trainings/ppo_pick"),)))
 

@@ -67,7 +67,6 @@ CASES: dict[str, tuple[Callable[[], Any], str]] = {
     "no depth": (lambda: replace(CANOPY, depth=0.0), "depth"),
     "negative leaves": (lambda: replace(CANOPY, leaf_area_per_volume=-1.0), "leaf_area_per_volume"),
     "flat on the ground": (lambda: replace(CANOPY, lean=1.5), "leans"),
-    "from above": (lambda: replace(CANOPY, approach_elevation=-0.5), "from below"),
     "NaN point": (lambda: foliage_path(CANOPY, [0, NAN, 1], [0, 1, 1]), "NaN"),
     "flat point": (lambda: foliage_path(CANOPY, [0, 1], [0, 1]), "three coordinates"),
     "eye in a fruit": (lambda: occlusion(CANOPY, [[0, 0.1, 1]], 0.08, [0, 0.1, 1.01]), "inside a fruit"),

@@ -6,7 +6,6 @@ from hypothesis import given, settings, strategies as st
 
 from pickenv.orchard import (
     approach_clear,
-    approach_direction,
     depth_behind_face,
     foliage_path,
     foliage_transmission,
@@ -26,7 +25,6 @@ point = st.tuples(coordinates, coordinates, st.floats(0.0, 4.0))
 def test_lis_canopy_has_the_papers_dimensions() -> None:
     canopy = load_canopy("li2016")
     assert (canopy.bottom, canopy.top, canopy.depth, canopy.width, canopy.standoff) == (0.8, 2.8, 0.4, 2.5, 1.0)
-    assert canopy.approach_elevation == pytest.approx(np.pi / 2)
 
 
 def test_a_v_trellis_hangs_over_the_aisle() -> None:
@@ -110,13 +108,6 @@ def test_deeper_fruit_is_seen_less() -> None:
     canopy = load_canopy("v_trellis")
     row = [[x, 0.1 * i - 0.1, 1.5] for i, x in enumerate((-0.6, -0.2, 0.2, 0.6))]
     assert (np.diff(occlusion(canopy, row, 0.07, [0.0, -30.0, 1.5])[0]) < 0).all()
-
-
-def test_the_tool_comes_from_the_aisle_and_below() -> None:
-    for name in shipped("canopy"):
-        direction = approach_direction(load_canopy(name), np.zeros((4, 3)))
-        assert np.linalg.norm(direction, axis=-1) == pytest.approx(1.0)
-        assert (direction[:, 2] > 0).all() and (direction[:, 1] >= -1e-12).all()
 
 
 def test_a_fruit_right_below_blocks_the_cup_and_one_above_does_not() -> None:

@@ -23,7 +23,7 @@ from pickenv.arm.effects.structure import one_stop
 from pickenv.arm.kinematics.forward import Frame, Scalar, forward, pose_of, split_joints
 from pickenv.arm.kinematics.geometry import Array, Pose
 from pickenv.arm.plant.plant import Plant, PlantState
-from pickenv.base import HOURS, MILLISECONDS, MM, SECONDS, file_named, read_toml, shipped_in, toml_table
+from pickenv.base import HOURS, MILLISECONDS, MM, SECONDS, file_named, read_toml, toml_table
 
 # Point-to-point motion of the true arm: joint commands in steps of a control period, no joint above its speed. All
 # joints of a move start and arrive together; the arm then waits. The command is a staircase of held values, as a
@@ -174,13 +174,8 @@ class NormalDraws(NamedTuple):
         return NormalDraws(self.reading[:poses], self.mounting, self.stops[:poses])
 
 
-def shipped_instruments() -> list[str]:
-    """Names of the instruments that come with pickenv."""
-    return shipped_in(INSTRUMENTS)
-
-
 def load_instrument(name: str | Path) -> Instrument:
-    """Read an instrument by name or from a path to a TOML file.
+    """Read an instrument by name ("laser_tracker", "ideal") or from a path to a TOML file.
 
     Raises:
         InputError: If the instrument is unknown or a number is impossible; the message names the file and the key.
@@ -263,12 +258,6 @@ def alone(plant: Plant, *names: str) -> Plant:
     """The plant with only these of its `causes_of` on; if the geometry is not among them, it is the nominal one."""
     geometry = plant.geometry if GEOMETRY in names else plant.arm.nominal
     return replace(plant, geometry=geometry, effects=tuple(effect for effect in plant.effects if effect.name in names))
-
-
-def draw_reaches(plant: Plant, count: int, rng: np.random.Generator) -> Array:
-    """Joints ``(count, n)`` spread evenly over the ranges, rad or m."""
-    geometry = plant.arm.nominal
-    return rng.uniform(geometry.lower, geometry.upper, (count, geometry.joints))
 
 
 def effect_shares(

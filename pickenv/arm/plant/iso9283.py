@@ -1,8 +1,8 @@
 """Accuracy of an arm by ISO 9283:1998, on the simulated arm: AP, RP, vAP and dAP, raw and calibrated.
 
-The arm runs thirty cycles over five poses of the inclined plane of the largest cube in the workspace, at full speed; it
-is warm, except in the drift test. AP = |mean - command|; RP = mean distance from the mean + 3 standard deviations.
-Units: mm and deg.
+The simulated arm runs thirty cycles over five poses of the inclined plane of the largest cube in the workspace, at full
+speed; it is warm, except in the drift test. AP = |mean - command|; RP = mean distance from the mean + 3 standard
+deviations; `pose_performance` and `pose_drift` compute them of measured arms too. Units: mm and deg.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pickenv.arm.effects.drives import read_frame
 from pickenv.arm.kinematics.forward import pose_of
 from pickenv.arm.kinematics.inverse import Cube, largest_cube
 from pickenv.arm.plant.campaign import TRACKER, Instrument, Pace, move_time, moved, switched_on
-from pickenv.base import InputError, statistic_interval
+from pickenv.base import Ends, InputError, mean_interval, norm_interval, statistic_interval
 
 Compensate = Callable[[Array], Array]
 """A function from joint targets ``(..., n)`` for the nominal arm to joint commands for the real arm."""
@@ -33,6 +33,12 @@ ORDER = (4, 3, 2, 1, 0)
 
 VARIATION_POSES = (0, 1, 3)
 """vAP is taken at P1, P2 and P4."""
+
+FEWEST_CYCLES = 3
+"""Fewest measurements for RP: two are equally far from their mean, so that their distances have no deviation."""
+
+NO_SCATTER = 1e-9
+"""A scatter below this is rounding, in either unit."""
 
 NORM_OF_NOISE = 2.0 * math.sqrt(2.0 / math.pi) + 3.0 * math.sqrt(3.0 - 8.0 / math.pi)
 """RP_l of normal noise of standard deviation 1 in three axes: its norm has Maxwell's distribution."""
@@ -279,30 +285,85 @@ def _performance(
 
 
 def pose_performance(name: str, errors: Array) -> dict[str, Any]:
-    """The figures of one pose, P1 to P5, from its errors ``(cycles, 6)`` in m and rad.
+    """The figures of one pose from its errors ``(cycles, 6)`` in m and rad, or ``(cycles, 3)`` of positions alone.
+
+    All intervals are of 95 % over cycles; None with fewer than 10, or without any scatter; of RP, with fewer than
+    `CYCLES`.
 
     Returns:
-        accuracy_mm: AP_P, distance between the mean of the attained positions and the command. accuracy_deg: accuracy
-        of the attitude, the angle of the mean rotation vector. repeatability_mm: RP_l. repeatability_deg: RP_a, RP_b,
-        RP_c, three standard deviations about each world axis. repeatability_ci95_mm: 95 % interval of RP_l over cycles;
-        None with fewer than `CYCLES` or without any scatter. mean_error_mm: mean error in x, y, z of the world.
+        cycles: Number of them. accuracy_mm: AP_P, distance between the mean of the attained positions and the command.
+        mean_error_mm: mean error in x, y, z of the world. repeatability_mm: RP_l. Of poses also accuracy_deg: accuracy
+        of the attitude, the angle of the mean rotation vector. mean_error_deg: AP_a, AP_b, AP_c, the mean rotation
+        vector, about the axes of the world. repeatability_deg: RP_a, RP_b, RP_c, three standard deviations about each.
+        The interval of each number has its name with ci95 before the unit.
     """
-    mean, repeatability = errors.mean(axis=0), _repeatability(errors)
-    ends = None  # an arm that repeats to rounding has no scatter to resample
-    if repeatability > 1e-12:
-        ends = statistic_interval(errors, lambda some: math.log(1e3 * _repeatability(some)), CYCLES)
+    figures: dict[str, Any] = {"name": name, "cycles": len(errors)}
+    for unit, scale, part in (("mm", 1e3, errors[:, :3]), ("deg", math.degrees(1.0), errors[:, 3:])):
+        if part.shape[1]:
+            figures[f"accuracy_{unit}"] = scale * _size_of_mean(part)
+            figures[f"accuracy_ci95_{unit}"] = norm_interval(scale * part)
+            figures[f"mean_error_{unit}"] = (scale * part.mean(axis=0)).tolist()
+            figures[f"mean_error_ci95_{unit}"] = [mean_interval(column) for column in scale * part.T]
+    figures["repeatability_mm"] = 1e3 * _repeatability(errors)
+    figures["repeatability_ci95_mm"] = _interval_of_scatter(errors[:, :3], lambda some: 1e3 * _repeatability(some))
+    if errors.shape[1] > 3:
+        turns = np.degrees(errors[:, 3:])
+        figures["repeatability_deg"] = [_three_deviations(column) for column in turns.T]
+        figures["repeatability_ci95_deg"] = [_interval_of_scatter(column, _three_deviations) for column in turns.T]
+    return figures
+
+
+def pose_drift(errors: Array) -> dict[str, Any] | None:
+    """The drift of one pose over its errors ``(cycles, 3 or 6)``, m and rad, in the order of the cycles.
+
+    The last third of the cycles is compared with the first, which is ten with ten in thirty. The intervals, of 95 %,
+    are over the pairs of a first and a last cycle; None with fewer than ten pairs.
+
+    Returns:
+        None with fewer than `FEWEST_CYCLES` a third. Else cycles: number in a third. accuracy_change_mm: dAP_P, change
+        of AP_P. wander_mm: distance of the two mean positions; its lower end is zero where the cycles show no drift.
+        repeatability_change_mm: dRP, change of RP_l, without an interval: 10 to 30 scattered distances tell too little
+        for one that holds. The interval of each other has its name with ci95 before the unit.
+    """
+    third = len(errors) // 3
+    if third < FEWEST_CYCLES:
+        return None
+    pairs = 1e3 * np.stack([errors[:third, :3], errors[-third:, :3]], axis=1)
+    shift = pairs[:, 1] - pairs[:, 0]
+
+    def change(some: Array) -> float:
+        return _size_of_mean(some[:, 1]) - _size_of_mean(some[:, 0])
+
     return {
-        "name": name,
-        "accuracy_mm": 1e3 * float(np.linalg.norm(mean[:3])),
-        "accuracy_deg": math.degrees(float(np.linalg.norm(mean[3:]))),
-        "repeatability_mm": 1e3 * repeatability,
-        "repeatability_deg": np.degrees(3.0 * errors[:, 3:].std(axis=0, ddof=1)).tolist(),
-        "repeatability_ci95_mm": None if ends is None else (math.exp(ends[0]), math.exp(ends[1])),
-        "mean_error_mm": (1e3 * mean[:3]).tolist(),
+        "cycles": third,
+        "accuracy_change_mm": change(pairs),
+        "accuracy_change_ci95_mm": statistic_interval(pairs, change),
+        "wander_mm": _size_of_mean(shift),
+        "wander_ci95_mm": norm_interval(shift),
+        "repeatability_change_mm": _repeatability(pairs[:, 1]) - _repeatability(pairs[:, 0]),
     }
 
 
 def _repeatability(errors: Array) -> float:
-    """RP_l of errors ``(cycles, 6)``, m: the mean distance from the mean position plus three standard deviations."""
+    """RP_l of errors ``(cycles, 3 or more)``, m: the mean distance from the mean position plus three deviations."""
     distance = np.linalg.norm(errors[:, :3] - errors[:, :3].mean(axis=0), axis=-1)
     return float(distance.mean() + 3.0 * distance.std(ddof=1))
+
+
+def _three_deviations(values: Array) -> float:
+    return 3.0 * float(values.std(ddof=1))
+
+
+def _size_of_mean(vectors: Array) -> float:
+    return float(np.linalg.norm(vectors.mean(axis=0)))
+
+
+def _interval_of_scatter(values: Array, scatter: Callable[[Array], float]) -> Ends | None:
+    """95 % interval of a measure of scatter, by its logarithm; None where hardly any cycles differ."""
+
+    def logarithm(some: Array) -> float:
+        size = scatter(some)
+        return math.log(size) if size > NO_SCATTER else math.nan
+
+    ends = statistic_interval(values, logarithm, CYCLES)
+    return None if ends is None else (math.exp(ends[0]), math.exp(ends[1]))

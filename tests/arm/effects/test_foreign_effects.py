@@ -21,13 +21,13 @@ from pickenv.arm import (
     Plant,
     Scalar,
     draw_plants,
-    draw_reaches,
     effect_shares,
     load_plant,
     load_tolerances,
     plant_at,
 )
 from pickenv.base import ARCMIN, MM, SECONDS, InputError, registry, toml_table
+from pickenv.calibration import random_joints
 from pickenv.commands.plants import effects as effects_command
 from pickenv.experiments.study import deviations
 from pickenv.experiments.study_variance import tolerance_groups
@@ -123,7 +123,8 @@ def test_arms_are_drawn_with_its_spread_and_as_without_it(path):
 
 
 def test_it_has_its_row_in_tables(path, tmp_path, capsys):
-    shares = effect_shares(load_plant(path), draw_reaches(load_plant(path), 20, np.random.default_rng(0)))
+    plant = load_plant(path)
+    shares = effect_shares(plant, random_joints(plant.arm.nominal, 20, np.random.default_rng(0)))
     assert (
         shares["alone"]["belt_creep"]["mean"] > 1e-3
         and shares["without"]["belt_creep"]["mean"] != shares["all"]["mean"]

@@ -53,7 +53,11 @@ def test_figures_are_the_formulas_of_the_standard():
     low, high = found["repeatability_ci95_mm"]
     assert low < found["repeatability_mm"] < high
     assert pose_performance("P1", errors[:29])["repeatability_ci95_mm"] is None  # the standard's thirty, or none
+    assert pose_performance("P1", errors[:2])["repeatability_ci95_mm"] is None  # and no warning that one has no scatter
     assert pose_performance("P1", np.tile(errors[0], (30, 1)))["repeatability_ci95_mm"] is None
+    coarse = np.tile(errors[0], (30, 1))
+    coarse[7, 0] += 1e-4  # an instrument that prints tenths of a millimetre
+    assert pose_performance("P1", coarse)["repeatability_ci95_mm"] is None
     turn = 3 * np.degrees(np.sqrt(((errors - mean)[:, 3:] ** 2).sum(axis=0) / 29))
     assert found["repeatability_deg"] == pytest.approx(tuple(turn))
     assert found["mean_error_mm"] == pytest.approx(tuple(1e3 * mean[:3]))

@@ -11,7 +11,6 @@ from pickenv.arm import (
     PLANTS,
     Pace,
     causes_of,
-    draw_reaches,
     effect_shares,
     forward,
     load_plant,
@@ -20,6 +19,7 @@ from pickenv.arm import (
     shipped_effects,
 )
 from pickenv.base import InputError
+from pickenv.calibration import random_joints
 
 EFFECTS = shipped_effects()
 
@@ -38,7 +38,7 @@ def orchard():
 
 @pytest.fixture(scope="module")
 def shares(orchard):
-    return effect_shares(orchard, draw_reaches(orchard, 150, np.random.default_rng(4)))
+    return effect_shares(orchard, random_joints(orchard.arm.nominal, 150, np.random.default_rng(4)))
 
 
 def only(*effects):
@@ -181,7 +181,7 @@ def test_base_tilt_is_the_largest_effect_and_the_sum_is_plausible(shares):
 
 def test_without_an_effect_the_others_error_remains(orchard):
     """Of two effects each is what remains without the other; without the largest of many the least remains."""
-    joints = draw_reaches(orchard, 40, np.random.default_rng(4))
+    joints = random_joints(orchard.arm.nominal, 40, np.random.default_rng(4))
     two = effect_shares(orchard.without(set(EFFECTS) - {"base_tilt"}), joints)
     assert set(two["alone"]) == {"geometry", "base_tilt"}
     assert two["without"] == {"geometry": two["alone"]["base_tilt"], "base_tilt": two["alone"]["geometry"]}
@@ -191,7 +191,7 @@ def test_without_an_effect_the_others_error_remains(orchard):
 
 
 def test_waiting_longer_leaves_less_vibration(orchard):
-    joints = draw_reaches(orchard, 40, np.random.default_rng(4))
+    joints = random_joints(orchard.arm.nominal, 40, np.random.default_rng(4))
     left = [
         effect_shares(orchard, joints, pace=Pace(dwell=wait))["alone"]["settling"]["mean"] for wait in (0.2, 1.0, 3.0)
     ]

@@ -1,0 +1,108 @@
+"""Accuracy of a real arm by ISO 9283:1998, from measured rows that visit a few commanded poses again and again.
+
+The commanded poses are those of the nominal arm at the commanded joints. Where the instrument was not registered to
+the arm, its base, and with enough poses its tool, are fitted first. AP and RP are computed as in the simulated test
+(`pickenv.arm.plant.iso9283`). mm and deg.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from pickenv.arm import Arm, Geometry, forward, identity_pose
+from pickenv.arm.plant.iso9283 import CYCLES, FEWEST_CYCLES, pose_drift, pose_performance
+from pickenv.base import InputError
+from pickenv.calibration.identification.robust import refuse_another_arm, registered
+from pickenv.calibration.model.measurements import Measurements, joint_columns, screen_units
+from pickenv.calibration.model.observations import Rows, nearest_rotation, origins_of, same_poses
+from pickenv.calibration.pipeline.fitting import fit_frames
+
+
+def measured_iso9283(arm: Arm, rows: Measurements) -> dict[str, Any]:
+    """AP, RP and drift of a measured arm, pose by pose, with 95 % intervals over the cycles.
+
+    Rows whose joints differ by 2e-4 rad or m at most are cycles of one pose (`same_poses`), in the order of the rows.
+
+    Args:
+        arm: The arm.
+        rows: Measured poses or positions, in the order in which they were taken. Where their frames are fitted, base
+            and tool are fitted to the mean of each pose; that makes AP smaller than it is, and leaves RP as it is.
+
+    Returns:
+        The figures in the form of JSON. poses: for each its name, P1 the first in the file, the joints, the figures of
+        `pose_performance`, and `pose_drift` as "drift". fitted: which of base and tool were fitted. fitted_numbers,
+        of_numbers: how many numbers these have, and of how many numbers the means of the poses consist; where these are
+        no more, accuracies are None. still: number of rows that follow a row of the same pose.
+
+    Raises:
+        InputError: If a pose has too few cycles, or the rows do not fit the arm.
+    """
+    number = same_poses(rows.joints)
+    cycles = [np.flatnonzero(number == i) for i in range(int(number.max()) + 1)]
+    counts = np.array([len(visits) for visits in cycles])
+    if counts.min() < FEWEST_CYCLES:
+        i = int(np.argmax(counts < FEWEST_CYCLES))
+        file, line = origins_of(rows).place(int(cycles[i][0]))
+        raise InputError(
+            f"{file}: P{i + 1}, the pose of row {line}, has {counts[i]} cycle{'s' * int(counts[i] > 1)}, and "
+            f"repeatability needs {FEWEST_CYCLES} of each pose; measure more, or remove the rows of such poses "
+            f"({int((counts < FEWEST_CYCLES).sum())} of {len(counts)})"
+        )
+    means = _means(rows, cycles)
+    frames, geometry = _placed(arm, means)
+    numbers = means.rows_per_pose * len(means)
+    fitted = sum({"base": 6, "tool": means.rows_per_pose}[frame] for frame in frames)
+    errors = replace(rows, joints=means.joints[number]).difference(geometry)
+    poses = []
+    for i, visits in enumerate(cycles):
+        joints = dict(zip(joint_columns(rows.prismatic), means.joints[i] * screen_units(rows.prismatic), strict=True))
+        figures = pose_performance(f"P{i + 1}", errors[visits]) | {"drift": pose_drift(errors[visits])}
+        poses.append((figures if fitted < numbers else _without_accuracy(figures)) | {"joints": joints})
+    return {
+        **{"standard": "ISO 9283:1998", "measured": True, "rows": rows.source, "arm": arm.name},
+        **{"fitted": frames, "fitted_numbers": fitted, "of_numbers": numbers},
+        **{"cycles_of_the_standard": CYCLES, "still": int((np.diff(number) == 0).sum()), "poses": poses},
+    }
+
+
+def _means(rows: Measurements, cycles: Sequence[Rows]) -> Measurements:
+    """The mean of each pose's cycles, as one row."""
+    first = rows.select([visits[0] for visits in cycles])
+    rotation = None
+    if rows.rotation is not None:
+        rotation = nearest_rotation(np.array([rows.rotation[visits].mean(axis=0) for visits in cycles]))
+    joints, position = (
+        np.array([part[visits].mean(axis=0) for visits in cycles]) for part in (rows.joints, rows.position)
+    )
+    return replace(first, joints=joints, position=position, rotation=rotation)
+
+
+def _placed(arm: Arm, means: Measurements) -> tuple[list[str], Geometry]:
+    """Which of base and tool were fitted to the means, and the arm's geometry with them.
+
+    The tool is fitted where the means are twice as many numbers as both frames have. Else it is the arm's own: five
+    poses of one attitude, as the standard has them, tell nothing of it.
+
+    Raises:
+        InputError: If the means do not fit the arm.
+    """
+    if means.frames == "known" or means.rows_per_pose * len(means) >= 2 * (6 + means.rows_per_pose):
+        aligned = fit_frames(arm, means, means.frames == "known")
+        return ([], arm.nominal) if aligned is None else (["base", "tool"], aligned.geometry)
+    chain = forward(replace(arm.nominal, base=identity_pose(), tool=identity_pose()), means.joints)
+    geometry = registered(arm.nominal, arm.nominal.tool, chain, means)
+    refuse_another_arm(geometry, means, "after fitting its base")
+    return ["base"], geometry
+
+
+def _without_accuracy(figures: dict[str, Any]) -> dict[str, Any]:
+    """The figures of a pose, and of its drift, with None for those that need the arm's base."""
+
+    def without(part: dict[str, Any]) -> dict[str, Any]:
+        return {key: None if key.startswith(("accuracy", "mean_error")) else value for key, value in part.items()}
+
+    return without(figures) | {"drift": None if figures["drift"] is None else without(figures["drift"])}
