@@ -402,7 +402,8 @@ def piece_table(path: Path, key: str) -> pa.Table:
     except OSError as error:
         raise InputError(f"{path} is missing; {AGAIN}") from error
     check_sealed_parquet(content, path, AGAIN)
-    table = pq.read_table(pa.BufferReader(content))
+    # Not `read_table`: threads of its scanner may outlive the program, and then abort it.
+    table = pq.ParquetFile(pa.BufferReader(content)).read(use_threads=False)
     key_in_file = (table.schema.metadata or {}).get(b"pickenv.key", b"").decode()
     if key_in_file != key:
         raise InputError(f"{path} holds another piece than its name says (key {key_in_file[:12]}); {AGAIN}")
