@@ -333,9 +333,9 @@ def _parquet_table(path: Path) -> Table:
         ]
     except (OSError, pyarrow.lib.ArrowException) as error:
         raise InputError(f"cannot read {path}: {shortened(error)}; give a Parquet file") from error
-    if not entries:
+    if not rows:
         raise InputError(f"{path} has no rows; give one row per pose")
-    return table_of_entries(str(path), entries)
+    return table_of_entries(str(path), [dict(_flattened(row, "")) for row in rows])
 
 
 def _yaml_table(path: Path, text: str) -> Table:
