@@ -328,9 +328,7 @@ def _parquet_table(path: Path) -> Table:
     import pyarrow.parquet
 
     try:
-        entries = [
-            dict(_flattened(row, "")) for row in pyarrow.parquet.ParquetFile(path).read(use_threads=False).to_pylist()
-        ]
+        rows = pyarrow.parquet.ParquetFile(path).read(use_threads=False).to_pylist()
     except (OSError, pyarrow.lib.ArrowException) as error:
         raise InputError(f"cannot read {path}: {shortened(error)}; give a Parquet file") from error
     if not rows:
