@@ -248,10 +248,11 @@ def said_of_conditions(model: ArmModel, learnt: bool, data: Observations) -> Sai
         data: The rows that the arm was fitted to.
     """
 
-    def position(**changed: Array) -> Array:
+    def position(**changed: Any) -> Array:
         return model.pose(data.joints, replace(data.conditions, **changed)).position
 
-    recorded = {name: values for name, values in vars(data.conditions).items() if values is not None and len(values)}
+    conditions = {name: values for name, values in vars(data.conditions).items() if name != "between"}
+    recorded = {name: values for name, values in conditions.items() if values is not None and len(values)}
     unused = [
         name
         for name, values in recorded.items()

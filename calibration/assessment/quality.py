@@ -12,9 +12,10 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import stats
 
-from pickenv.arm import Array, Geometry
+from pickenv.arm import Array, Geometry, forward
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.diagnosis import Weight
 from pickenv.calibration.identification.least_squares import Identifiability, Identification, is_angle, observability
@@ -285,6 +286,7 @@ def workspace_error(
     joints: Array,
     region: str = "the joint limits",
     remains: float = 0.0,
+    between: NDArray[np.int64] | None = None,
 ) -> Workspace | None:
     """Expected errors at the measured joints and over a workspace; None if the parameters have no priors.
 
@@ -297,41 +299,53 @@ def workspace_error(
         joints: Joints of the workspace ``(M, n)``, rad or m.
         region: Name of the workspace.
         remains: RMS error on held-out rows, m.
+        between: On a whole robot, the links between which each row was measured ``(N, 2)``; the workspace's joints are
+            judged between the same links in turn.
     """
     if solution.prior is None or not solution.prior.proper:
         return None
     geometry = solution.geometry
     measured, declared = (np.ptp(np.quantile(poses, [0.02, 0.98], axis=0), axis=0) for poses in (rows, joints))
     thin = tuple(geometry.joint_names[i] for i in np.flatnonzero(measured < 0.5 * declared))
-    some = rows[equally_spaced(len(rows), POSES)]
-    here = _region("the poses measured", solution, nominal, some)
-    return Workspace(here, _region(region, solution, nominal, joints), thin, remains)
+    some = equally_spaced(len(rows), POSES)
+    ways = np.full((1, 2), -1) if between is None else np.unique(between, axis=0)
+    whole = np.resize(ways, (len(joints), 2))
+    here = _region("the poses measured", solution, nominal, rows[some], ways if between is None else between[some])
+    return Workspace(here, _region(region, solution, nominal, joints, whole), thin, remains)
 
 
-def _region(region: str, solution: Identification, nominal: Geometry, joints: Array) -> RegionError:
+def _region(
+    region: str, solution: Identification, nominal: Geometry, joints: Array, between: NDArray[np.int64]
+) -> RegionError:
     """Expected errors over joints ``(M, n)``, without terms: the conditions that they depend on are unknown there."""
-    prior, bare = solution.prior, ArmModel.of(solution.geometry)
+    prior, fitted = solution.prior, solution.geometry
     assert prior is not None
     names = solution.identifiability.kept_names
-    places = [i for i, name in enumerate(names) if name in bare.parameter_names]
-    columns = [bare.parameter_names.index(names[i]) for i in places]
-    jacobian = bare.jacobian(joints)[:, :3].reshape(3 * len(joints), -1)
-    effects = jacobian[:, columns]
-    change = (bare.pose(joints).position - ArmModel.of(nominal).pose(joints).position).ravel()
+    places = [i for i, name in enumerate(names) if name in fitted.parameter_names]
+    columns = [fitted.parameter_names.index(names[i]) for i in places]
     framed = dict(zip(prior.parameters.names, prior.group == FRAMES, strict=True))
-    if any(framed.values()):
-        frames = frames_model(solution.geometry)
-        basis = np.linalg.qr(jacobian[:, frames.columns] * frames.tolerance)[0]
-        effects = effects - basis @ (basis.T @ effects)
-        change = change - basis @ (basis.T @ change)
+    parts = []
+    for way in np.unique(between, axis=0).tolist():
+        one, other, some = fitted, nominal, joints
+        if fitted.tree is not None:
+            one, other, some = fitted.between(*way), nominal.between(*way), joints[(between == way).all(axis=1)]
+        jacobian = ArmModel.of(one).jacobian(some)[:, :3].reshape(3 * len(some), -1)
+        change = (forward(one, some).position - forward(other, some).position).ravel()
+        effect = jacobian[:, columns]
+        if any(framed.values()):
+            frames = frames_model(one)
+            basis = np.linalg.qr(jacobian[:, frames.columns] * frames.tolerance)[0]
+            effect, change = effect - basis @ (basis.T @ effect), change - basis @ (basis.T @ change)
+        parts.append((effect, change))
+    effects, change = parts[0] if len(parts) == 1 else map(np.concatenate, zip(*parts, strict=True))
     covariance = solution.covariance[np.ix_(places, places)]
     std = np.sqrt(np.diag(covariance))
     values, vectors = np.linalg.eigh(covariance / np.outer(std, std))
     root = std[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     draws = effects @ (root @ np.random.default_rng(0).standard_normal((len(places), DRAWS)))
     calibrated, by_drawing = (np.sqrt(3.0 * np.mean(errors**2, axis=0)) for errors in (draws, draws + change[:, None]))
-    parts = [i for i, place in enumerate(places) if not framed.get(names[place], True)]
-    before = effects[:, parts] * solution.prior_std[solution.identifiability.kept][places][parts]
+    made = [i for i, place in enumerate(places) if not framed.get(names[place], True)]
+    before = effects[:, made] * solution.prior_std[solution.identifiability.kept][places][made]
     expected, better = float(np.sqrt(np.sum(before**2) / len(joints))), float(np.mean(calibrated < by_drawing))
     return RegionError(region, *_size(calibrated), *_size(by_drawing), expected, better)
 

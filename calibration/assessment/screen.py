@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import zip_longest
 from textwrap import wrap
 from typing import Any
@@ -14,7 +14,7 @@ from pickenv.base import folded, screen_width, side_by_side
 from pickenv.calibration.assessment.metrics import ErrorStatistics
 from pickenv.calibration.identification.least_squares import Identification, is_angle, rms_of
 from pickenv.calibration.identification.term_choice import harmonics_of
-from pickenv.calibration.model.arm_model import ComplianceTerm, Conditions
+from pickenv.calibration.model.arm_model import ComplianceTerm
 from pickenv.calibration.model.measurements import screen_unit
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import LENS_NAMES
@@ -180,7 +180,7 @@ def stiffness_rows(found: Identification, data: Observations) -> list[dict[str, 
         if not isinstance(term, ComplianceTerm):
             continue
         measured = data.conditions.torque
-        bare = Conditions(payload=data.conditions.payload, temperature=data.conditions.temperature)
+        bare = replace(data.conditions, torque=None)
         expected = None if measured is None else term.torques(geometry, data.joints, bare)
         for joint, name in zip(term.joints, term.names(geometry), strict=True):
             c, std = float(value[name]), float(spread.get(name, np.inf))

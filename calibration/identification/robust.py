@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.special import gammaincinv
 
-from pickenv.arm import Arm, Array, Geometry, Pose, forward, identity_pose, rotation_matrix, rotation_vector
+from pickenv.arm import Arm, Array, Geometry, Pose, identity_pose, rotation_matrix, rotation_vector
 from pickenv.base import InputError, single_threaded
 from pickenv.calibration.identification.least_squares import Identification, identify, unknowns_of
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, fitted_model, frames_model
@@ -75,7 +75,8 @@ def misfit(geometry: Geometry, measurements: Measurements) -> tuple[float, float
 
 def _starts(geometry: Geometry, measurements: Measurements) -> Iterator[Geometry]:
     """Starting geometries, the best first: closed form and nominal tool, then other tools (the same every time)."""
-    chain = forward(replace(geometry, base=identity_pose(), tool=identity_pose()), measurements.joints)
+    bare = ArmModel.of(replace(geometry, base=identity_pose(), tool=identity_pose()))
+    chain = bare.pose(measurements.joints, measurements.conditions)
 
     def ranked(tools: Iterable[Pose]) -> list[Geometry]:
         starts = [registered(geometry, tool, chain, measurements) for tool in tools]
@@ -170,7 +171,8 @@ def refuse_another_arm(
     position, turn = misfit(geometry, measurements)
     spread = float(np.linalg.norm(measurements.position.std(axis=0)))
     if position * spread > MISFIT * max(spread, SPAN):
-        reach = float(np.linalg.norm(forward(nominal or geometry, measurements.joints).position.std(axis=0)))
+        whole = ArmModel.of(nominal or geometry).pose(measurements.joints, measurements.conditions)
+        reach = float(np.linalg.norm(whole.position.std(axis=0)))
         ratio = spread / max(reach, 1e-12)
         if not 0.05 < ratio < 20:
             raise InputError(
@@ -250,7 +252,8 @@ def robust_align(
     count = len(measurements)
     if count < 8:
         raise InputError(f"{measurements.source}: {count} poses are too few to tell outliers; measure at least 8")
-    nominal, measured = forward(geometry, measurements.joints).position, measurements.position
+    nominal = ArmModel.of(geometry).pose(measurements.joints, measurements.conditions).position
+    measured = measurements.position
     rows = np.argsort(rng.random((FOURS, count)), axis=1)[:, :4]
     turn, shift = laid_onto(nominal[rows], measured[rows])
     missed = np.linalg.norm(nominal @ np.swapaxes(turn, 1, 2) + shift[:, None] - measured, axis=2)
@@ -405,6 +408,31 @@ def _stations(arm: Arm, parts: Sequence[Observations], own: Sequence[Collection[
         start = robust_frames(arm, part) if part.framed else arm.nominal
         base = start.base if "base" in names and part.framed else None
         stations.append(InstrumentStation(part, number, base, start.tool if "tool" in names else None))
+    return Stacked(tuple(stations))
+
+
+def scene_of(arm: Arm, data: Sequence[Observations]) -> Stacked:
+    """Data sets as stations of one arm that share frames: the base where they name one sensor, the tool one target.
+
+    Args:
+        arm: The arm.
+        data: The data sets, whose origins name sensor and target; what has no name is shared with none.
+
+    Raises:
+        InputError: If a set does not fit the arm.
+    """
+    parts = sorted(data, key=lambda part: not part.framed)
+    starts = [robust_frames(arm, part) if part.framed else arm.nominal for part in parts]
+    stations: list[InstrumentStation] = []
+    for number, part in enumerate(parts, start=1):
+        owners: dict[str, int] = {}
+        for frame, names in zip(OWN, zip(*(origins_of(other).scene for other in parts), strict=True), strict=True):
+            name = names[number - 1]
+            first = names.index(name) + 1 if name else number
+            if first > 1 and (frame == "tool" or part.framed):
+                owners[frame] = first
+        frames = {frame: getattr(starts[first - 1], frame) for frame, first in owners.items()}
+        stations.append(InstrumentStation(part, number, **frames, owners=owners))
     return Stacked(tuple(stations))
 
 

@@ -6,7 +6,7 @@ model is exact to micrometres, and every parameter, geometric or not, is one col
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Protocol
 
@@ -27,11 +27,14 @@ class Conditions:
         payload: Mass held at the tool ``(N,)``, kg.
         temperature: Temperature above the reference ``(N,)``, K.
         torque: Measured joint torques or forces ``(N, n)``, N*m or N, positive along the joint as gravity's are.
+        between: On a whole robot, the links that carry the sensor and its target ``(N, 2)``, as of
+            `pickenv.arm.kinematics.geometry.Tree`.
     """
 
     payload: Array | None = None
     temperature: Array | None = None
     torque: Array | None = None
+    between: NDArray[np.int64] | None = None
 
     def select(self, rows: NDArray[Any]) -> Conditions:
         """The conditions of the given rows."""
@@ -40,7 +43,8 @@ class Conditions:
     def repeated(self, shape: tuple[int, ...]) -> Conditions:
         """Conditions of a flattened batch of poses of this shape: the one payload and one temperature, repeated."""
         count, parts = int(np.prod(shape)), (self.payload, self.temperature)
-        return Conditions(*(None if part is None else np.broadcast_to(part, (count,)) for part in parts))
+        payload, temperature = (None if part is None else np.broadcast_to(part, (count,)) for part in parts)
+        return Conditions(payload, temperature)
 
     def inputs(self) -> Array | None:
         """Payload and temperature as columns ``(N, k)`` for a learnt residual; None if neither is known."""
@@ -118,11 +122,16 @@ class ArmModel:
 
     def pose(self, joints: ArrayLike, conditions: Conditions | None = None) -> Pose:
         """Predicted tool pose at joints ``(..., n)``."""
+        if conditions is not None and conditions.between is not None:
+            parts = self._by_way(joints, conditions, lambda model, *row: np.dstack(model.pose(*row)[::-1]))
+            return Pose(parts[..., 3], np.ascontiguousarray(parts[..., :3]))
         pose = forward(self.geometry, joints)
         return pose if not self.terms else displace_pose(pose, self.displacement(joints, conditions))
 
     def displacement(self, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
         """Displacement of the pose by the terms ``(..., 6)``, m and rad."""
+        if conditions is not None and conditions.between is not None:
+            return self._by_way(joints, conditions, lambda model, *rows: model.displacement(*rows))
         joints = np.asarray(joints, dtype=float)
         flat, first = joints.reshape(-1, joints.shape[-1]), 0
         total = np.zeros((len(flat), 6))
@@ -134,9 +143,25 @@ class ArmModel:
 
     def jacobian(self, joints: Array, conditions: Conditions | None = None) -> Array:
         """Derivative of the pose with respect to every parameter ``(N, 6, 5n + 12 + k)``."""
+        if conditions is not None and conditions.between is not None:
+            return self._by_way(joints, conditions, lambda model, *rows: model.jacobian(*rows))
         conditions, geometric = conditions or Conditions(), parameter_jacobian(self.geometry, joints)
         columns = [term.columns(self.geometry, joints, conditions) for term in self.terms]
         return np.concatenate([geometric, *columns], axis=-1) if columns else geometric
+
+    def _by_way(self, joints: ArrayLike, conditions: Conditions, question: Callable[..., Array]) -> Array:
+        """Answers for the rows ``(N, ...)`` of a whole robot, those between the same two links at once."""
+        assert conditions.between is not None
+        ways, way = np.unique(conditions.between, axis=0, return_inverse=True)
+        answer, joints = np.zeros(0), np.asarray(joints, dtype=float)
+        for i, (sensor, target) in enumerate(ways.tolist()):
+            rows = np.flatnonzero(way.ravel() == i)
+            model = replace(self, geometry=self.geometry.between(sensor, target))
+            part = question(model, joints[rows], replace(conditions.select(rows), between=None))
+            if not i:
+                answer = np.empty((len(joints), *part.shape[1:]))
+            answer[rows] = part
+        return answer
 
     def displaced(self, delta: Array) -> ArmModel:
         """This model with ``delta`` ``(5n + 12 + k,)`` added to its parameters."""
@@ -328,7 +353,7 @@ class GravityTerm(JointTerm):
             if all(geometry.slides[link] for link in driven):
                 moments += [(i, link, "m") for link in driven]
             else:
-                links = range(driven[0], geometry.links)
+                links = [j for j, ratio in enumerate(geometry.ratios) if ratio and geometry.carries(driven[0], j)]
                 moments += [(i, j, moment) for j in links for moment in "mxyz" if (j, moment) != (driven[0], "m")]
             if self.payload:
                 moments.append((i, geometry.links, "p"))
@@ -358,11 +383,12 @@ class GravityTerm(JointTerm):
         """
         if self.payload and conditions.payload is None:
             raise InputError("the payload's deflection needs payloads; give a payload column")
+        geometry = geometry if geometry.tree is None else geometry.between(-1, geometry.tree.target)
         chain = chain_of(geometry)
         links = frames(np, chain, split_joints(geometry.joints, joints))
         # Axes and origin ``(4, 3, N)`` of each link, and of the tool: of what is carried. About an axis z a lever's
         # weight turns by z . (lever x up) = lever . (up x z).
-        driven = (*links[1:], attach(links[-1], chain.tool))
+        driven = (*links[1:], attach(chain.hand(links), chain.tool))
         placed = [np.stack([np.broadcast_to(a, len(joints)) for a in frame]).reshape(4, 3, -1) for frame in driven]
         up = geometry.base.rotation @ np.array(self.up)
         about = [np.cross(up, frame[2], axisb=0, axisc=0) for frame in placed]
@@ -370,8 +396,8 @@ class GravityTerm(JointTerm):
         for i, j, moment in self.moments(geometry):
             torque = np.zeros(len(joints))
             for k, ratio in geometry.links_of(i):
-                if k > j:
-                    continue  # what hangs on link j is carried by the links before it
+                if not geometry.carries(k, geometry.hand if moment == "p" else j):
+                    continue
                 if geometry.slides[k]:
                     torque -= ratio * (up @ placed[k][2]) * (moment in "mp")
                 else:

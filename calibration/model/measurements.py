@@ -7,9 +7,9 @@ vector rx_deg, ry_deg, rz_deg. Foreign files are read through a column descripti
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Literal, Self, get_args
 
@@ -277,6 +277,7 @@ class InstrumentStation:
         base: Starting value of the station's own base frame; None if it uses the arm's.
         tool: Starting value of the station's own tool frame; None if it uses the arm's.
         scale: Factor on the data's standard uncertainties, which weighs instruments by their scatter.
+        owners: Number of the station whose frame this one shares, by "base" or "tool"; its own are left out.
     """
 
     data: Observations
@@ -284,6 +285,7 @@ class InstrumentStation:
     base: Pose | None = None
     tool: Pose | None = None
     scale: float = 1.0
+    owners: Mapping[str, int] = field(default_factory=dict)
 
     @property
     def frames(self) -> dict[str, Pose]:
@@ -298,7 +300,8 @@ class InstrumentStation:
     def unknowns(self) -> tuple[str, ...]:
         """Names of the data's own unknowns, then of the frames' deviations, such as base2_x."""
         names = tuple(f"{name}{self.suffix}" for name in self.data.unknowns())
-        return names + tuple(f"{frame}{self.number}_{name}" for frame in self.frames for name in FRAME_PARAMETERS)
+        frames = [f"{frame}{self.owners.get(frame, self.number)}" for frame in self.frames]
+        return names + tuple(f"{frame}_{name}" for frame in frames for name in FRAME_PARAMETERS)
 
     def tolerances(self) -> Array:
         """Scales of the data's own unknowns, then of the frames' deviations, as for the arm's own base and tool."""
@@ -330,7 +333,7 @@ class InstrumentStation:
 
 @dataclass(frozen=True, eq=False)
 class Stacked(Observations):
-    """The data sets of several stations of one arm, stacked as one data set.
+    """The data sets of several stations of one arm, stacked as one data set; unknowns of one name are one unknown.
 
     Attributes:
         stations: The stations; those with an instrument's frame come first.
@@ -413,15 +416,27 @@ class Stacked(Observations):
 
     def unknowns(self) -> tuple[str, ...]:
         """Names of the unknowns of all stations."""
-        return tuple(name for station in self.stations for name in station.unknowns())
+        return tuple(dict.fromkeys(name for station in self.stations for name in station.unknowns()))
 
     def tolerances(self) -> Array:
         """Scales of the deviations of all stations' unknowns."""
-        return np.concatenate([station.tolerances() for station in self.stations])
+        return self._of_all([station.tolerances() for station in self.stations])
 
     def start(self, model: ArmModel) -> Array:
         """Starting values of the unknowns of all stations."""
-        return np.concatenate([station.start(model) for station in self.stations])
+        return self._of_all([station.start(model) for station in self.stations])
+
+    @cached_property
+    def _places(self) -> list[Rows]:
+        """The place of each station's unknowns among all."""
+        place = {name: i for i, name in enumerate(self.unknowns())}
+        return [np.array([place[name] for name in station.unknowns()], dtype=int) for station in self.stations]
+
+    def _of_all(self, parts: Sequence[Array]) -> Array:
+        values = np.zeros(len(self.unknowns()))
+        for places, part in zip(self._places, parts, strict=True):
+            values[places] = part
+        return values
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
         """Whitened residuals of all stations."""
@@ -431,7 +446,10 @@ class Stacked(Observations):
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
         """Whitened derivatives of all stations by the arm, and by the unknowns of all stations."""
         parts = [station.jacobian(model, values) for station, values in self._with(unknowns)]
-        return np.concatenate([by_arm for by_arm, _ in parts]), block_diag(*(by_own for _, by_own in parts))
+        by_unknowns = [np.zeros((len(by_own), len(unknowns))) for _, by_own in parts]
+        for (_, by_own), places, columns in zip(parts, self._places, by_unknowns, strict=True):
+            columns[:, places] = by_own
+        return np.concatenate([by_arm for by_arm, _ in parts]), np.concatenate(by_unknowns)
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
         """Misses of all stations ``(R, 3)``, m; misses with fewer components are padded with zeros."""
@@ -473,7 +491,7 @@ class Stacked(Observations):
             unknowns: Values of `unknowns`.
         """
         parts: list[Measurements] = [part.poses for part in self.parts if part.poses is not None]
-        if len(parts) < len(self.parts):
+        if len(parts) < len(self.parts) or model.geometry.tree is not None:
             return None
         wide = all(part.rotation is not None for part in parts)
         rows = rows_together([part if wide else part.positions_only() for part in parts])
@@ -505,8 +523,7 @@ class Stacked(Observations):
         return _starts([len(part.joints) for part in self.parts])
 
     def _with(self, unknowns: Array) -> Iterable[tuple[InstrumentStation, Array]]:
-        ends = np.cumsum([0] + [len(station.unknowns()) for station in self.stations])
-        return zip(self.stations, (unknowns[a:b] for a, b in pairwise(ends)), strict=True)
+        return zip(self.stations, (unknowns[places] for places in self._places), strict=True)
 
 
 def rows_together(parts: Sequence[Measurements]) -> Measurements:

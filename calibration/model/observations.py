@@ -97,12 +97,14 @@ class Origins:
         file: Index into ``files`` of each row ``(N,)``.
         line: Line of each row in its file ``(N,)``, from 1.
         clocks: The clocks of the recordings among the files.
+        scene: Names of the sensor and of the target that the rows are of; empty where the files name none.
     """
 
     files: tuple[str, ...]
     file: NDArray[np.int64]
     line: NDArray[np.int64]
     clocks: tuple[Clocks, ...] = ()
+    scene: tuple[str, str] = ("", "")
 
     def select(self, rows: ArrayLike) -> Origins:
         """The origins of the given rows (indices or a mask)."""
@@ -356,7 +358,8 @@ class Observations:
     def imagined(self, joints: Array) -> Self:
         """A data set of the same instrument at other joints ``(M, n)``, which repeats its readings in turn."""
         rows = np.resize(np.arange(len(self.joints)), len(joints))
-        return replace(self, joints=joints, conditions=Conditions(), origins=None, **self._arrays(rows))  # type: ignore[type-var]
+        alike = replace(self.conditions.select(rows), payload=None, temperature=None, torque=None)
+        return replace(self, joints=joints, conditions=alike, origins=None, **self._arrays(rows))  # type: ignore[type-var]
 
     def _arrays(self, rows: NDArray[Any]) -> dict[str, Any]:
         """The given rows of every array that holds one entry per row, by name."""

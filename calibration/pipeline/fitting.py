@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from pickenv.arm import Arm, Array, forward
+from pickenv.arm import Arm, Array
 from pickenv.base import InputError, mean_interval, versions
 from pickenv.base.intervals import LEAST
 from pickenv.calibration.assessment.metrics import LEAST_ROWS, error_statistics
@@ -191,7 +191,7 @@ def _refuse_misfit(found: Identification, data: Observations) -> None:
     """Refuse wires, sockets and the like that still miss by a large share of their span once the frames are fitted."""
     misses = data.misses(found.arm_model, unknowns_of(found, data))
     rms = float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))
-    span = data.span(forward(found.geometry, data.joints).position)
+    span = data.span(ArmModel.of(found.geometry).pose(data.joints, data.conditions).position)
     if rms > MISFIT * max(span, SPAN):
         missed = f"{rms * MISS_UNITS[data.miss_unit]:.0f} {data.miss_unit}"
         raise InputError(

@@ -567,7 +567,7 @@ def assess(
     uncertainty = pose_uncertainty(fit.identification, after, joints, held_out.blocks, conditions, train.miss_unit)
     base_frame = None
     rows = len(train.joints) + (held_out.blocks is None) * len(test.joints)
-    if aligned is not None:
+    if aligned is not None and arm.nominal.tree is None:
         remaining, tracked = after, fitting.tracked_rows(fit.identification, test) is not None
         if not tracked:  # then the misses are not one per row: any may go with any pose
             places = np.random.default_rng(0).integers(0, len(after), len(test.joints))
@@ -580,7 +580,8 @@ def assess(
         pixels = fitting.pixel_figures(bare, train.views, held_out)
     name, region = workspace or workspace_joints(None, arm.nominal)
     remains = position_rms(after) if train.miss_unit == "mm" else 0.0
-    over = workspace_error(fit.identification, bare.calibration.nominal, train.joints, region, name, remains)
+    between = train.conditions.between
+    over = workspace_error(fit.identification, bare.calibration.nominal, train.joints, region, name, remains, between)
     model = fitted_model(arm.name, bare.calibration.nominal, aligned is None)
     quality = grade_quality(
         fit.identification,

@@ -22,7 +22,7 @@ from pickenv.base import InputError
 from pickenv.base.registry import names
 from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, refuse_trained, without_blind_views
 from pickenv.calibration.identification.least_squares import Identification
-from pickenv.calibration.identification.robust import by_set_up, placed, stations_of
+from pickenv.calibration.identification.robust import by_set_up, placed, scene_of, stations_of
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from pickenv.calibration.model import observations
@@ -129,7 +129,7 @@ def given_arm(arm: Arm | str | Path | None, columns: Columns) -> Arm:
         return pose_carrier()
     if arm is None:
         raise InputError("no arm is given; name one, or its file, as `arm`")
-    return load_arm(arm) if isinstance(arm, str | Path) else arm
+    return load_arm(arm, whole=True) if isinstance(arm, str | Path) else arm
 
 
 def given_rows(
@@ -210,9 +210,12 @@ def _joined(
         if isinstance(like, Stacked) and tracked:
             return placed(arm, like, tracked)
         free = not known and like is None and all(part.frames == "fitted" for part in tracked)
+        free = free and not any(any(origins_of(part).scene) or part.conditions.between is not None for part in sets)
         if len(tracked) > 1 and free and all(part.poses is not None for part in sets):
             several = by_set_up(arm, tracked)
             return sets[0] if len(sets) == 1 and several.poses is not None else several
+    if len(sets) > 1 and stations is None and any(any(origins_of(part).scene) for part in sets):
+        return scene_of(arm, sets)
     return sets[0] if len(sets) == 1 else stations_of(arm, sets, STATIONS[stations or "base,tool"])
 
 
@@ -231,6 +234,8 @@ def _refuse_no_numbers(arm: Arm, data: Observations) -> None:
     shape, joint_count = data.joints.shape, arm.nominal.joints
     if shape != (len(data.joints), joint_count):
         raise InputError(f"{data.source}: joints have shape {shape}, but arm '{arm.name}' has {joint_count} joints")
+    if (data.conditions.between is None) != (arm.nominal.tree is None):
+        raise InputError(f"{data.source}: `between` of the conditions is for a whole robot, and needed there")
     named_values = {name: getattr(data, name, None) for name in ("joints", "position", "rotation", "length")}
     for name, values in {**named_values, "what was read": data.readings()}.items():
         if values is not None and not np.isfinite(values).all():
@@ -289,7 +294,8 @@ class Draft:
     @property
     def tracked(self) -> Measurements | None:
         """Training poses or positions, all as the first station would have measured them; None for other kinds."""
-        return fitting.tracked_rows(self.best[1].identification, self.train)
+        whole = self.arm.nominal.tree is not None  # one residual is not for the motion between any two links
+        return None if whole else fitting.tracked_rows(self.best[1].identification, self.train)
 
     @property
     def best(self) -> tuple[str, fitting.Fit]:
@@ -351,6 +357,8 @@ def calibrate(
         raise InputError(f"split is '{split}'; give {' or '.join(SPLITS)}")
     known_frames = choices.frames == "known"
     train, floor = given_rows(arm, data, columns, stations, known=known_frames)
+    if (between := train.parts[0].conditions.between) is not None:
+        arm = replace(arm, nominal=arm.nominal.between(*between[0].tolist()))
     rng = rng or np.random.default_rng(choices.seed)
     if choices.lens is not None and train.views is not None:
         train = with_lens(train.views, choices.lens)

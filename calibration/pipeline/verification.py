@@ -13,7 +13,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Array, Geometry, forward, identity_pose, rotation_matrix
+from pickenv.arm import Array, Geometry, identity_pose, rotation_matrix
 from pickenv.base import InputError
 from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
 from pickenv.calibration.assessment.quality import no_gain
@@ -169,7 +169,7 @@ def _starts(model: ArmModel, few: Measurements, own: Collection[str]) -> Iterato
     yield model
     if set(own) == {"tool"}:
         return
-    chain = forward(replace(geometry, base=identity_pose(), tool=identity_pose()), few.joints)
+    chain = ArmModel.of(replace(geometry, base=identity_pose(), tool=identity_pose())).pose(few.joints, few.conditions)
     yield replace(model, geometry=registered(geometry, geometry.tool, chain, few))
     if set(own) == set(OWN):
         yield replace(model, geometry=align(geometry, few, frames_model(geometry), judge=False).geometry)

@@ -363,6 +363,20 @@ class RecordingTable:
 
 
 @toml_table
+class SceneTable:
+    """[scene]: names of the sensor and of its target, and the links of a whole robot that carry them.
+
+    Rows of one sensor share its place, and rows of one target that target's, from file to file; what has no name is of
+    this file alone. What no link carries stands in the world. An inclinometer has no target.
+    """
+
+    sensor: str = ""
+    sensor_link: str = ""
+    target: str = ""
+    target_link: str = ""
+
+
+@toml_table
 class DescriptionFile:
     """Content of a column description, with exactly one of the sections of `kinds`."""
 
@@ -389,6 +403,7 @@ class DescriptionFile:
     rotation: RotationTable | None = None
     conditions: ConditionsTable = ConditionsTable()
     recording: RecordingTable | None = None
+    scene: SceneTable = SceneTable()
 
     def __post_init__(self) -> None:
         if self.decimal == self.separator:
@@ -444,6 +459,17 @@ class DescriptionFile:
         Empty for a section that another package reads: only that package knows what it means.
         """
         return getattr(self.measured, "columns", ()) if self.kind in COUNTS else ()
+
+    @property
+    def ends(self) -> tuple[tuple[str, str], tuple[str, str]]:
+        """Names, and links, of where a pose begins and ends: at the sensor and its target, or the other way round.
+
+        It is the other way round for a camera that the arm carries, and for an inclinometer.
+        """
+        scene = self.scene
+        names, links = (scene.sensor, scene.target), (scene.sensor_link, scene.target_link)
+        back = self.tilt is not None or (self.pixels is not None and self.pixels.mount == "hand")
+        return (names[::-1], links[::-1]) if back else (names, links)
 
     @property
     def unit(self) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm import Array, Geometry, Pose, inverse, rotation_matrix
-from pickenv.base import TO_SI, InputError, listed, register
+from pickenv.base import TO_SI, InputError, listed, register, shortened
 from pickenv.base.registry import get
 from pickenv.calibration.model.arm_model import Conditions
 from pickenv.calibration.model.measurements import FRAMES, FRAMES_COLUMN, Frames, Measurements, joint_columns
@@ -100,8 +100,14 @@ def read_observations(
     csv_table.refuse_repeated(paths)
     given = None if columns is None else description.load_description(columns)
     where = "" if columns is None else str(description.description_path(columns))
+    names, links = ("", ""), ("", "")
+    if given is not None:
+        names, links = given.ends
+    geometry = _between(geometry, links, where or str(paths[0]))
     if given is not None and given.pixels is not None:
-        return FileReading(kind_readers.read_views(paths, geometry, given, where), (None, None))
+        return FileReading(
+            _in_scene(kind_readers.read_views(paths, geometry, given, where), geometry, names), (None, None)
+        )
     form = () if given is None else (given.separator, given.decimal, given.names)
     tables = [csv_table.read_table(path, *form) for path in paths]
     layouts = [given or description.own_description(geometry, table.header, table.where) for table in tables]
@@ -117,7 +123,39 @@ def read_observations(
     rows = _rows(tables, layouts, where, geometry, "fitted" if given is not None else _frames(tables))
     if not repeats:
         kind_readers.refuse_duplicates(rows.joints, rows, origins_of(rows))
-    return FileReading(replace(rows, origins=replace(origins_of(rows), clocks=clocks)), _floor(logged, described))
+    rows = replace(rows, origins=replace(origins_of(rows), clocks=clocks))
+    return FileReading(_in_scene(rows, geometry, names), _floor(logged, described))
+
+
+def _between(geometry: Geometry, links: tuple[str, str], where: str) -> Geometry:
+    """The geometry with poses between two links of a whole robot, which an empty name leaves in the world.
+
+    Raises:
+        InputError: If a link is none of the robot's, if both are one, or if links of a single chain are named.
+    """
+    tree, ends = geometry.tree, []
+    for name in links:
+        if name and (tree is None or name not in tree.names):
+            what = "the arm is a single chain" if tree is None else f"the arm has {', '.join(tree.names)}"
+            advice = f"name all of [scene]'s links in the arm, as in robot.urdf#{','.join(filter(None, links))}"
+            raise InputError(f"{where}: [scene] names link '{shortened(name)}', but {what}; {advice}")
+        ends.append(-1 if tree is None or not name else tree.carriers[tree.names.index(name)])
+    if tree is None:
+        return geometry
+    if ends[0] == ends[1]:
+        both = f"'{shortened(links[0])}' and '{shortened(links[1])}'" if any(links) else "neither sensor nor target"
+        moved = "do not move against each other" if any(links) else "is on a link of this whole robot"
+        raise InputError(f"{where}: {both} {moved}; name sensor_link or target_link in [scene]")
+    return geometry.between(*ends)
+
+
+def _in_scene(rows: Any, geometry: Geometry, names: tuple[str, str]) -> Any:
+    """The rows with the names of where their poses begin and end, and on a whole robot with the links."""
+    rows = replace(rows, origins=replace(origins_of(rows), scene=names))
+    if geometry.tree is None:
+        return rows
+    between = np.tile([geometry.tree.sensor, geometry.tree.target], (len(rows.joints), 1))
+    return replace(rows, conditions=replace(rows.conditions, between=between))
 
 
 def _rows(
@@ -178,7 +216,7 @@ def _conditions(files: Files) -> Conditions:
                 parts.append(values if name == "torque" else values[:, 0])
         if len(parts) == len(files.tables):
             conditions[name] = np.concatenate(parts)
-    return Conditions(**conditions)
+    return Conditions(conditions.get("payload"), conditions.get("temperature"), conditions.get("torque"))
 
 
 @register("instrument", "position")

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Coupling, Geometry, Pose, geometry_fingerprint
+from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Coupling, Geometry, Pose, Tree, geometry_fingerprint
 from pickenv.base import InputError
 
 MOST_RATIO = 1e3
@@ -57,6 +57,9 @@ def geometry_arrays(geometry: Geometry) -> dict[str, Array]:
         arrays |= {f"{key}_position": pose.position, f"{key}_rotation": pose.rotation}
     if (coupling := geometry.coupling) is not None:
         arrays["coupling"] = np.array([coupling.joint, coupling.ratio, coupling.slides], dtype=float)
+    if (tree := geometry.tree) is not None:
+        arrays |= {"tree": np.array(tree.parent, dtype=float), "tree_names": np.array(tree.names)}
+        arrays["tree_links"] = np.array([*tree.carriers, tree.sensor, tree.target], dtype=float)
     return arrays
 
 
@@ -88,13 +91,24 @@ def geometry_from_arrays(
         if lower >= upper:
             raise InputError(f"the lower limit of joint {name} in {which} is not below its upper limit")
     base, tool = (_pose(named, key, which) for key in ("base", "tool"))
-    return Geometry(tuple(joint_names), tuple(prismatic), **numbers, base=base, tool=tool, coupling=coupling)
+    tree = _tree(named, links, which) if "tree" in named else None
+    return Geometry(tuple(joint_names), tuple(prismatic), **numbers, base=base, tool=tool, coupling=coupling, tree=tree)
+
+
+def _tree(named: Mapping[str, NDArray[Any]], links: int, which: str) -> Tree:
+    """The saved `Tree`, checked: each link stands on one before it."""
+    parts = tuple(str(name) for name in named["tree_names"])
+    parent = tuple(map(int, finite(named, "tree", (links,), which)))
+    *carriers, sensor, target = map(int, finite(named, "tree_links", (len(parts) + 2,), which))
+    if any(not -1 <= stands < i for i, stands in enumerate(parent)) or not -1 <= min(carriers) <= max(carriers) < links:
+        raise InputError(f"{which}/tree names a link that is not there, or comes later")
+    return Tree(parent, parts, tuple(carriers), sensor, target)
 
 
 def _coupling(named: Mapping[str, NDArray[Any]], joints: int, which: str) -> Coupling:
     """The saved `Coupling`, checked: the joint that moves each link."""
     joint, ratio, slides = finite(named, "coupling", (3, named["coupling"].shape[-1]), which).tolist()
-    if not set(joint) <= set(range(joints)) or 0.0 in ratio or not set(slides) <= {0.0, 1.0}:
+    if not set(joint) <= set(range(joints)) or ("tree" not in named and 0.0 in ratio) or not set(slides) <= {0.0, 1.0}:
         raise InputError(f"{which}/coupling names a joint that is not there, a ratio of zero, or no kind of link")
     return Coupling(tuple(map(int, joint)), tuple(ratio), tuple(map(bool, slides)))
 

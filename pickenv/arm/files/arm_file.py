@@ -243,17 +243,20 @@ def shipped_arms() -> list[str]:
     return toml_tables.shipped_in(ARMS)
 
 
-def load_arm(name: str | Path) -> Arm:
+def load_arm(name: str | Path, whole: bool = False) -> Arm:
     """Read an arm by name (a shipped one), or from a path to a TOML, URDF, MJCF or UR kinematics file.
 
     Args:
         name: "ur5", "arm.toml", "arm.urdf#tip_link", "arm.xml#body_or_site", or "default_kinematics.yaml" as
             `ur_description` has it. Without a tip the arm ends at its flange; its source then says at which link.
+        whole: Whether the name may be that of a whole robot, "robot.urdf#head,left_wrist,right_wrist".
 
     Raises:
         InputError: If the arm is unknown, or its file is malformed; the message names the file and the joint or key.
     """
     path, _, tip = str(name).partition("#")
+    if "," in tip and not whole:
+        raise InputError(f"{name} names several links, as `calibrate` takes a whole robot; name one here")
     ending = Path(path).suffix[1:]
     reader = registry.get("arm_format", ending) if ending in registry.names("arm_format") else load_toml
     arm: Arm = reader(path, tip or None)

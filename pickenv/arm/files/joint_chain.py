@@ -9,6 +9,7 @@ that it moves allows. Metres and radians.
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,8 +20,17 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.arm import Arm
-from pickenv.arm.kinematics.forward import PARALLEL, geometry_from_axes
-from pickenv.arm.kinematics.geometry import Array, Coupling, Geometry, Pose, behind, identity_pose
+from pickenv.arm.kinematics.forward import PARALLEL, chain_of, frames, geometry_from_axes, pose_of
+from pickenv.arm.kinematics.geometry import (
+    LINK_PARAMETERS,
+    Array,
+    Coupling,
+    Geometry,
+    Pose,
+    Tree,
+    behind,
+    identity_pose,
+)
 from pickenv.base import InputError, in_file, shortened
 
 
@@ -198,8 +208,20 @@ class JointRow(NamedTuple):
         Raises:
             InputError: If no joint moves, or limits or slides leave no motion.
         """
-        links: list[ChainJoint] = []  # in the world's axes
         drives: dict[str, Drive] = {}
+        links, tool = self.links(drives)
+        if not links:
+            raise InputError("the chain to the tip has no moving joint; name a link that an arm moves")
+        names, prismatic, limits, speed = _driven(links, drives)
+        points, axes = np.array([link.origin.position for link in links]), np.array([link.axis for link in links])
+        geometry = geometry_from_axes(names, prismatic, points, axes, tool, *limits)
+        coupling = Coupling(tuple(names.index(link.driver) for link in links), *_motions(links))
+        alone = coupling == Coupling(tuple(range(len(names))), (1.0,) * len(names), prismatic)
+        return geometry if alone else replace(geometry, coupling=coupling), speed
+
+    def links(self, drives: dict[str, Drive]) -> tuple[list[ChainJoint], Pose]:
+        """The joints that move, in the world's axes, and the tip's pose, all at zero; their drives are added."""
+        links: list[ChainJoint] = []
         pose = identity_pose()
         for joint in self.joints:
             pose = behind(pose, joint.origin)
@@ -207,18 +229,7 @@ class JointRow(NamedTuple):
                 drives[joint.driver] = _within(drives.get(joint.driver, self.drives[joint.driver]), joint)
                 links.append(replace(joint, origin=pose, axis=pose.rotation @ joint.axis))
             pose = behind(pose, joint.motion(joint.offset))
-        links = _one_slide_each(links)
-        if not links:
-            raise InputError("the chain to the tip has no moving joint; name a link that an arm moves")
-        names = _in_order(links, drives)
-        prismatic = tuple(drives[name].slides for name in names)
-        points, axes = np.array([link.origin.position for link in links]), np.array([link.axis for link in links])
-        lower, upper, speed = np.array([drives[name][1:] for name in names]).T
-        geometry = geometry_from_axes(names, prismatic, points, axes, behind(pose, self.tool), lower, upper)
-        slides, ratios = tuple(link.slides for link in links), tuple(link.ratio for link in links)
-        coupling = Coupling(tuple(names.index(link.driver) for link in links), ratios, slides)
-        alone = coupling == Coupling(tuple(range(len(names))), (1.0,) * len(names), prismatic)
-        return geometry if alone else replace(geometry, coupling=coupling), speed
+        return _one_slide_each(links), behind(pose, self.tool)
 
     def arm(self, path: Path, form: str, by_name: bool) -> Arm:
         """The arm that the row makes, with the file as its source.
@@ -235,6 +246,81 @@ class JointRow(NamedTuple):
             geometry, speed = self.geometry()
         default = "" if by_name else " by default its flange,"
         return Arm(self.name, f"{form} {path.name},{default} tip {self.tip}", geometry, None, speed)
+
+
+Driven = tuple[tuple[str, ...], tuple[bool, ...], Array, Array]
+"""Names of the joints that are commanded, whether each slides, their limits ``(2, n)`` and their largest speeds."""
+
+
+def _driven(links: list[ChainJoint], drives: Mapping[str, Drive]) -> Driven:
+    names = _in_order(links, drives)
+    lower, upper, speed = np.array([drives[name][1:] for name in names]).T
+    return names, tuple(drives[name].slides for name in names), np.stack([lower, upper]), speed
+
+
+def _motions(links: Sequence[ChainJoint]) -> tuple[tuple[float, ...], tuple[bool, ...]]:
+    """Ratio and kind of each link."""
+    return tuple(link.ratio for link in links), tuple(link.slides for link in links)
+
+
+def whole_robot(rows: Sequence[JointRow], path: Path, form: str) -> Arm:
+    """The robot whose branches are rows of joints that begin alike; one branch stands behind another in its table.
+
+    Args:
+        rows: A row for each part of the robot that carries a sensor or a target.
+        path: The file.
+        form: Its format.
+
+    Raises:
+        InputError: If no joint moves, or a row leaves a slide of several stages between them.
+    """
+    drives: dict[str, Drive] = {}
+    joints: list[ChainJoint] = []  # of all branches, in the world's axes, each behind a fixed link of no motion
+    zeros: list[Pose] = []  # their frames at zero joints
+    parents: list[int] = []
+    carriers: list[int] = []
+    table, base, tool = np.zeros((5, 0)), identity_pose(), identity_pose()
+    with in_file(path):
+        for row in rows:
+            links, tip = row.links(drives)
+            known = {joint.name: i for i, joint in enumerate(joints) if joint.ratio}
+            shared = [known[link.name] for link in links if link.name in known]
+            for link, i in zip(links, shared, strict=False):
+                if (link.ratio, *link.axis) != (joints[i].ratio, *joints[i].axis):
+                    raise InputError(f"'{row.tip}' leaves slide '{link.name}' between two of its stages; name one end")
+            last, branch = shared[-1] if shared else -1, links[len(shared) :]
+            if branch:
+                points, axes = [link.origin.position for link in branch], [link.axis for link in branch]
+                names, kinds = tuple(link.name for link in branch), tuple(link.slides for link in branch)
+                if joints:
+                    stand = zeros[last] if last >= 0 else base
+                    points, axes = [stand.position, *points], [stand.rotation[:, 2], *axes]
+                part = geometry_from_axes(names, kinds, points, axes, tip, np.zeros(0), np.zeros(0))
+                columns = np.stack([getattr(part, name) for name in LINK_PARAMETERS])
+                if joints:  # the branch begins beside the link before, turned and shifted along its axis
+                    turn = stand.rotation.T @ part.base.rotation
+                    rise = float((part.base.position - stand.position) @ stand.rotation[:, 2])
+                    columns[:, 0] = 0.0, 0.0, np.arctan2(turn[1, 0], turn[0, 0]), rise, 0.0
+                    branch = [replace(branch[0], ratio=0.0, slides=False), *branch]
+                else:
+                    base, tool = part.base, part.tool
+                first = len(joints)
+                parents += [last, *range(first, first + len(branch) - 1)]
+                joints, table = [*joints, *branch], np.concatenate([table, columns], axis=1)
+                part = replace(part, **dict(zip(LINK_PARAMETERS, columns, strict=True)), coupling=None)
+                still = replace(part, base=stand if first else base, prismatic=(False,) * len(branch))
+                zeros += [pose_of(frame) for frame in frames(math, chain_of(still), [0.0] * len(branch))[1:]]
+                last = len(joints) - 1
+            carriers.append(last)
+        if not joints:
+            raise InputError("the chain to the tips has no moving joint; name links that an arm moves")
+        names, prismatic, limits, speed = _driven([joint for joint in joints if joint.ratio], drives)
+    coupling = Coupling(tuple(names.index(joint.driver) for joint in joints), *_motions(joints))
+    tips = tuple(row.tip for row in rows)
+    tree = Tree(tuple(parents), tips, tuple(carriers), target=max(carriers))
+    numbers = {**dict(zip(LINK_PARAMETERS, table, strict=True)), "lower": limits[0], "upper": limits[1]}
+    geometry = Geometry(names, prismatic, **numbers, base=base, tool=tool, coupling=coupling, tree=tree)
+    return Arm(rows[0].name, f"{form} {path.name}, whole robot with {', '.join(tips)}", geometry, None, speed)
 
 
 def driver_of(name: str, followed: Callable[[str], tuple[str, float, float] | None]) -> tuple[str, float, float]:

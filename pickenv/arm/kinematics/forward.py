@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Coupling, Geometry, Pose
+from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Coupling, Geometry, Pose, Tree
 from pickenv.base import InputError
 
 # Modified DH parameters of any serial chain, from its joint axes at the zero position. Frame i has z on joint axis i
@@ -140,12 +140,17 @@ class Link(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """A geometry made ready for `frames`: base, links, tool (None where it is the identity) and coupling."""
+    """A geometry made ready for `frames`: base, links, tool (None where it is the identity), coupling and tree."""
 
     base: Frame
     links: tuple[Link, ...]
     tool: Frame | None
     coupling: Coupling | None = None
+    tree: Tree | None = None
+
+    def hand(self, links: Sequence[Frame]) -> Frame:
+        """The frame of the link that carries the tool, of the `frames` of all."""
+        return links[-1] if self.tree is None else links[self.tree.target + 1]
 
 
 def chain_of(geometry: Geometry, m: ModuleType = math) -> Chain:
@@ -164,7 +169,7 @@ def chain_of(geometry: Geometry, m: ModuleType = math) -> Chain:
         links.append(Link(prismatic, m.cos(alpha), m.sin(alpha), a, theta, d, m.cos(theta), m.sin(theta), bent))
     identity = not geometry.tool.position.any() and np.array_equal(geometry.tool.rotation, np.eye(3))
     tool = None if identity else frame_of(geometry.tool)
-    return Chain(frame_of(geometry.base), tuple(links), tool, geometry.coupling)
+    return Chain(frame_of(geometry.base), tuple(links), tool, geometry.coupling, geometry.tree)
 
 
 def frame_of(pose: Pose) -> Frame:
@@ -187,6 +192,8 @@ def pose_of(frame: Frame) -> Pose:
 def frames(m: ModuleType, chain: Chain, q: Sequence[Scalar], flexure: Flexure | None = None) -> list[Frame]:
     """Frames of base and links, L + 1 of them, in world axes.
 
+    Of a tree the base is where the link with the sensor stands; all that the robot carries moves against it.
+
     Args:
         m: ``math``, ``numpy`` or ``torch``.
         chain: From `chain_of`.
@@ -199,6 +206,8 @@ def frames(m: ModuleType, chain: Chain, q: Sequence[Scalar], flexure: Flexure | 
     xx, xy, xz, yx, yy, yz, zx, zy, zz, px, py, pz = frame = chain.base
     result = [frame]
     for i, (prismatic, ca, sa, a, theta, d, ct, st, beta) in enumerate(chain.links):
+        if chain.tree is not None:
+            xx, xy, xz, yx, yy, yz, zx, zy, zz, px, py, pz = result[chain.tree.parent[i] + 1]
         # Rot(x, alpha) turns y and z; Trans(x, a) is taken along the axis x before any further turn.
         yx, zx = ca * yx + sa * zx, ca * zx - sa * yx
         yy, zy = ca * yy + sa * zy, ca * zy - sa * yy
@@ -223,7 +232,17 @@ def frames(m: ModuleType, chain: Chain, q: Sequence[Scalar], flexure: Flexure | 
             frame = flexure(i, frame)
             xx, xy, xz, yx, yy, yz, zx, zy, zz, px, py, pz = frame
         result.append(frame)
+    if chain.tree is not None and chain.tree.sensor >= 0:
+        sensor = result[chain.tree.sensor + 1]
+        result = [attach(chain.base, _within(sensor, frame)) for frame in result]
     return result
+
+
+def _within(reference: Frame, frame: Frame) -> Frame:
+    """A frame in the axes of another, both given in world axes."""
+    gap = [p - q for p, q in zip(frame[9:], reference[9:], strict=True)]
+    vectors, axes = (*(frame[i : i + 3] for i in (0, 3, 6)), gap), [reference[i : i + 3] for i in (0, 3, 6)]
+    return tuple(x * u + y * v + z * w for x, y, z in vectors for u, v, w in axes)
 
 
 def attach(frame: Frame, tool: Frame | None) -> Frame:
@@ -240,7 +259,7 @@ def attach(frame: Frame, tool: Frame | None) -> Frame:
 
 def tool_frame(m: ModuleType, chain: Chain, q: Sequence[Scalar], flexure: Flexure | None = None) -> Frame:
     """Frame of the tool in world axes; arguments as in `frames`."""
-    return attach(frames(m, chain, q, flexure)[-1], chain.tool)
+    return attach(chain.hand(frames(m, chain, q, flexure)), chain.tool)
 
 
 def split_joints(geometry_joints: int, q: ArrayLike) -> list[Array]:

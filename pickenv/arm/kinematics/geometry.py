@@ -54,11 +54,13 @@ def behind(pose: Pose, after: Pose) -> Pose:
 class Coupling:
     """The joint that moves each link, where links move together: link i is displaced by ratio[i] q[joint[i]].
 
+    A ratio of 0 marks a fixed link, with which a branch of a `Tree` begins.
+
     Where a link stands at zero joints is part of its theta or d.
 
     Attributes:
         joint: Index of the joint that moves the link, from 0, one per link (L,).
-        ratio: Displacement of the link per displacement of its joint, rad or m per rad or m, not zero (L,).
+        ratio: Displacement of the link per displacement of its joint, rad or m per rad or m (L,).
         slides: Whether the link slides (L,); it may differ from its joint's kind (a rack and its pinion).
     """
 
@@ -71,9 +73,42 @@ class Coupling:
         return [ratio * q[joint] for joint, ratio in zip(self.joint, self.ratio, strict=True)]
 
 
+@dataclass(frozen=True)
+class Tree:
+    """How the links of a whole robot stand on one another, and between which two of them a pose is meant.
+
+    A pose leads from the link that carries a sensor to the link that carries its target: up the one branch, down the
+    other. Frame 0, on which the robot stands, has the index -1.
+
+    Attributes:
+        parent: Index of the link that each link stands on (L,); it comes before that link.
+        names: Names of the parts of the robot that may carry a sensor or a target.
+        carriers: Index of the link that each of these parts is fixed to.
+        sensor: Index of the link that carries the sensor.
+        target: Index of the link that carries the target.
+    """
+
+    parent: tuple[int, ...]
+    names: tuple[str, ...]
+    carriers: tuple[int, ...]
+    sensor: int = -1
+    target: int = -1
+
+    def carry(self, link: int) -> list[int]:
+        """Indices of a link and of all that it stands on, frame 0 left out."""
+        line = []
+        while link >= 0:
+            line.append(link)
+            link = self.parent[link]
+        return line
+
+
 @dataclass(frozen=True, eq=False)
 class Geometry:
     """Modified DH table of a serial chain with n joints and L links, its base and tool poses and its joint limits.
+
+    Of a whole robot it is the table of all branches, one behind another (`Tree`). A branch begins with a fixed link,
+    which no joint moves: its theta and d say where on the axis before it the branch leaves.
 
     Attributes:
         joint_names: One name per joint, as messages and tables print it.
@@ -89,6 +124,7 @@ class Geometry:
         base: Pose of the chain's frame 0 in the measurement (world) frame.
         tool: Pose of the tool in the last link's frame.
         coupling: Which joint moves which links; None where each joint moves its own.
+        tree: Which link stands on which; None where each stands on the one before.
     """
 
     joint_names: tuple[str, ...]
@@ -103,6 +139,7 @@ class Geometry:
     base: Pose
     tool: Pose
     coupling: Coupling | None = None
+    tree: Tree | None = None
 
     @property
     def joints(self) -> int:
@@ -132,16 +169,42 @@ class Geometry:
     @property
     def link_names(self) -> tuple[str, ...]:
         """One name per link, shape (L,): its joint's name, with a number where the joint moves several links."""
-        owners, names = self.owners, []
-        for i, joint in enumerate(owners):
-            place = f" ({owners[: i + 1].count(joint)} of {owners.count(joint)})" if owners.count(joint) > 1 else ""
-            names.append(self.joint_names[joint] + place)
+        names = []
+        for i, (joint, ratio) in enumerate(zip(self.owners, self.ratios, strict=True)):
+            moved = [link for link, _ in self.links_of(joint)]
+            place = f" ({moved.index(i) + 1} of {len(moved)})" if ratio and len(moved) > 1 else ""
+            names.append(self.joint_names[joint] + place if ratio else f"mount of {self.joint_names[joint]}")
         return tuple(names)
 
     def links_of(self, joint: int) -> list[tuple[int, float]]:
         """Index and ratio of each link that a joint moves (see `Coupling`)."""
         pairs = enumerate(zip(self.owners, self.ratios, strict=True))
-        return [(link, ratio) for link, (owner, ratio) in pairs if owner == joint]
+        return [(link, ratio) for link, (owner, ratio) in pairs if owner == joint and ratio]
+
+    @property
+    def hand(self) -> int:
+        """Index of the link that carries the tool; -1 for frame 0."""
+        return self.links - 1 if self.tree is None else self.tree.target
+
+    @cached_property
+    def senses(self) -> Array:
+        """How the tool moves with what each link carries (L,): 1 as it does, -1 the other way, 0 not at all.
+
+        It moves the other way where the link carries the sensor, and not at all where it carries both or neither.
+        """
+        if self.tree is None:
+            return np.ones(self.links)
+        target, sensor = self.tree.carry(self.tree.target), self.tree.carry(self.tree.sensor)
+        return np.array([float(i in target) - float(i in sensor) for i in range(self.links)])
+
+    def carries(self, link: int, other: int) -> bool:
+        """Whether a link carries another, or is it."""
+        return link <= other if self.tree is None else link in self.tree.carry(other)
+
+    def between(self, sensor: int, target: int) -> Geometry:
+        """This geometry with poses from one link of its tree to another."""
+        assert self.tree is not None
+        return replace(self, tree=replace(self.tree, sensor=sensor, target=target))
 
     @cached_property
     def parameter_names(self) -> tuple[str, ...]:
@@ -189,6 +252,8 @@ def geometry_fingerprint(geometry: Geometry) -> str:
     chain: list[object] = [geometry.prismatic, [v.tolist() for v in (*links, *geometry.base, *geometry.tool)]]
     if geometry.coupling is not None:
         chain.append([geometry.coupling.joint, geometry.coupling.ratio, geometry.coupling.slides])
+    if geometry.tree is not None:
+        chain.append([geometry.tree.parent, geometry.tree.names, geometry.tree.carriers])
     return hashlib.sha256(json.dumps(chain).encode()).hexdigest()[:16]
 
 

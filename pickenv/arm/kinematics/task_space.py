@@ -56,6 +56,9 @@ def jacobian_columns(geometry: Geometry, links: Sequence[Frame], tool: Frame) ->
     hand = tool[9:]
     pairs = zip(geometry.slides, links[1:], strict=True)
     columns = [link_column("d" if slides else "theta", (), link, hand, ()) for slides, link in pairs]
+    if geometry.tree is not None:
+        signs = geometry.senses.tolist()
+        columns = [tuple(sign * part for part in column) for sign, column in zip(signs, columns, strict=True)]
     if geometry.coupling is None:
         return columns
     gathered: list[Column] = [(0.0,) * 6] * geometry.joints
@@ -103,10 +106,13 @@ def parameter_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
     jacobian = np.zeros((6, 5 * n + 12, *shape))
     angles = np.cos(geometry.alpha), np.sin(geometry.alpha), geometry.a
     twist = [np.moveaxis(np.broadcast_to(values, (*shape, n)), -1, 0) for values in angles]
-    before, after, origin = tuple(links[:, :-1]), tuple(links[:, 1:]), tuple(tool)
+    parents = slice(0, n) if geometry.tree is None else np.array(geometry.tree.parent) + 1
+    before, after, origin = tuple(links[:, parents]), tuple(links[:, 1:]), tuple(tool)
     for k, kind in enumerate(LINK_PARAMETERS):
         for row, value in enumerate(link_column(kind, before, after, origin, twist)):
             jacobian[row, k * n : (k + 1) * n] = value
+    if geometry.tree is not None:
+        jacobian[:, : 5 * n] *= np.tile(geometry.senses, 5).reshape(-1, *[1] * len(shape))
     position, turn = jacobian[:3], jacobian[3:]
     base, hand = 5 * n, 5 * n + 6
     for k in range(3):
@@ -115,7 +121,7 @@ def parameter_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
         turn[k, base + 3 + k] = 1.0
         position[i, base + 3 + k] = geometry.base.position[j] - tool[j]  # axis k crossed with the lever
         position[j, base + 3 + k] = tool[i] - geometry.base.position[i]
-        position[:, hand + k] = turn[:, hand + 3 + k] = links[3 * k : 3 * k + 3, n]
+        position[:, hand + k] = turn[:, hand + 3 + k] = links[3 * k : 3 * k + 3, geometry.hand + 1]
     return np.moveaxis(jacobian, (0, 1), (-2, -1))
 
 
@@ -126,7 +132,7 @@ def _frames(geometry: Geometry, q: ArrayLike) -> tuple[list[Frame], Frame, tuple
     m = np if shape else math
     chain = chain_of(geometry, math if geometry.alpha.ndim == 1 else np)
     links = frames(m, chain, joints if shape else [value.item() for value in joints])
-    return links, attach(links[-1], chain.tool), shape
+    return links, attach(chain.hand(links), chain.tool), shape
 
 
 DIRECTION_TOLERANCE = 5e-3
