@@ -14,8 +14,8 @@ from __future__ import annotations
 import itertools
 import math
 import warnings
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -279,24 +279,8 @@ def corrected_chain(
     """
     root, sign, zero = same
     before, after = ([behind(root, pose) for pose in link_frames(geometry, zero)] for geometry in (nominal, identified))
-    links = links_moved(joints)
-    old = new = identity_pose()
-    origins = []
-    for place, joint in enumerate(joints):
-        old = behind(old, joint.origin)
-        stood = behind(new, joint.origin)
-        link = links[place]
-        if link is not None:
-            laid = behind(inverse_pose(before[link]), old)
-            if links.count(link) == 1:
-                laid = _laid_upon(laid, joint, float(sign[nominal.owners[link]]))
-            drawing, stood = stood, behind(after[link], laid)
-            if _slips(before, link, joint):
-                axis = stood.rotation @ joint.axis
-                stood = Pose(stood.position + axis * (axis @ (drawing.position - stood.position)), stood.rotation)
-        origins.append(behind(inverse_pose(new), stood))
-        motion = joint.motion(joint.offset)
-        old, new = behind(old, motion), behind(stood, motion)
+    signs = [float(sign[joint]) for joint in nominal.owners]
+    origins, old, new = _moved_origins(before, after, joints, signs)
     hand = behind(after[-1], identified.tool)
     if joints and joints[-1].ratio:
         drawing, placed = behind(before[-1], nominal.tool), behind(inverse_pose(new), hand)
@@ -306,6 +290,71 @@ def corrected_chain(
         along = Pose(axis * (axis @ moved.position), turn)
         origins[-1], new = behind(origins[-1], along), behind(new, along)
     return origins, behind(inverse_pose(new), hand)
+
+
+def corrected_tree(calibration: Calibration, rows: Sequence[JointRow]) -> dict[str, tuple[Pose, Pose]]:
+    """The origin of each joint of a whole robot, as the file has it and as corrected, by the joint's name.
+
+    Args:
+        calibration: The calibration.
+        rows: The file's joints up to each of the tree's named parts, in the tree's order.
+    """
+    nominal, identified = (
+        replace(geometry.between(-1, 0), base=calibration.arm.base)
+        for geometry in (calibration.arm, calibration.identified)
+    )
+    frames_before, frames_after = (
+        link_frames(geometry, np.zeros(geometry.joints)) for geometry in (nominal, identified)
+    )
+    tree, ratios = nominal.tree, nominal.ratios
+    assert tree is not None
+    origins: dict[str, tuple[Pose, Pose]] = {}
+    for row, carrier in zip(rows, tree.carriers, strict=True):
+        path = [link for link in reversed(tree.carry(carrier)) if ratios[link]]
+        before, after = ([frames[link] for link in path] for frames in (frames_before, frames_after))
+        corrected = {name: new for name, (_, new) in origins.items()}
+        moved, *_ = _moved_origins(before, after, row.joints, [1.0] * len(path), corrected)
+        origins |= {joint.name: (joint.origin, new) for joint, new in zip(row.joints, moved, strict=True)}
+    return origins
+
+
+def _moved_origins(
+    before: Sequence[Pose],
+    after: Sequence[Pose],
+    joints: Sequence[ChainJoint],
+    signs: Sequence[float],
+    corrected: Mapping[str, Pose] | None = None,
+) -> tuple[list[Pose], Pose, Pose]:
+    """The corrected origins of a file's joints, and the pose behind the last one as the file has it and as corrected.
+
+    Args:
+        before: Poses of the arm's links in the file's root, at the file's zero, before the calibration.
+        after: The same, as calibrated.
+        joints: The joints of the file.
+        signs: Sense of each link's motion in the table against the file's, 1 or -1.
+        corrected: Origins that are already corrected, by the joint's name.
+    """
+    links = links_moved(joints)
+    old = new = identity_pose()
+    origins = []
+    for place, joint in enumerate(joints):
+        old = behind(old, joint.origin)
+        stood = behind(new, joint.origin)
+        link = links[place]
+        if corrected and joint.name in corrected:
+            stood = behind(new, corrected[joint.name])
+        elif link is not None:
+            laid = behind(inverse_pose(before[link]), old)
+            if links.count(link) == 1:
+                laid = _laid_upon(laid, joint, signs[link])
+            drawing, stood = stood, behind(after[link], laid)
+            if _slips(before, link, joint):
+                axis = stood.rotation @ joint.axis
+                stood = Pose(stood.position + axis * (axis @ (drawing.position - stood.position)), stood.rotation)
+        origins.append(behind(inverse_pose(new), stood))
+        motion = joint.motion(joint.offset)
+        old, new = behind(old, motion), behind(stood, motion)
+    return origins, old, new
 
 
 def _slips(before: Sequence[Pose], link: int, joint: ChainJoint) -> bool:
@@ -464,16 +513,7 @@ def changed(old: Pose, new: Pose, place: str, attitude: str, words: Callable[[Po
 
 def _notes(calibration: Calibration, own: JointRow, origins: list[Pose], same: SameChain) -> list[str]:
     """Sentences on how far the file's joint origins move, and on joints that read otherwise than in the arm's table."""
-    pairs = zip(own.joints, origins, strict=True)
-    moves = {joint.name: apart(joint.origin, new) for joint, new in pairs if any(is_moved(joint.origin, new))}
-    notes = ["no joint origin differs from what the file has; nothing is changed"]
-    if moves:
-        far = max(moves, key=lambda name: moves[name][0])
-        turned = max(moves, key=lambda name: moves[name][1])
-        notes = [
-            f"{len(moves)} of {len(own.joints)} joint origins corrected: by up to {moves[far][0] * 1e3:.3g} mm ({far}) "
-            f"and {math.degrees(moves[turned][1]):.3g} deg ({turned}); everything else is as it was"
-        ]
+    notes = [moved_words({joint.name: (joint.origin, new) for joint, new in zip(own.joints, origins, strict=True)})]
     drivers = dict.fromkeys(joint.driver for joint in own.joints if joint.ratio)  # in the file's order
     readings = [
         f"{name} = {sign:+.0f} x {joint} {'+' if zero >= 0 else '-'} {abs(zero):.6g}"
@@ -483,6 +523,19 @@ def _notes(calibration: Calibration, own: JointRow, origins: list[Pose], same: S
     if readings:
         notes.append(f"joints read otherwise in the file (rad, m): {', '.join(readings)}; its own reading is kept")
     return notes
+
+
+def moved_words(origins: Mapping[str, tuple[Pose, Pose]]) -> str:
+    """A sentence on how far joint origins move, each given by its joint's name, as the file has it and as corrected."""
+    moves = {name: apart(*pair) for name, pair in origins.items() if any(is_moved(*pair))}
+    if not moves:
+        return "no joint origin differs from what the file has; nothing is changed"
+    far = max(moves, key=lambda name: moves[name][0])
+    turned = max(moves, key=lambda name: moves[name][1])
+    return (
+        f"{len(moves)} of {len(origins)} joint origins corrected: by up to {moves[far][0] * 1e3:.3g} mm ({far}) "
+        f"and {math.degrees(moves[turned][1]):.3g} deg ({turned}); everything else is as it was"
+    )
 
 
 def refuse_lost_files(path: Path, out: Path, names: Iterable[str]) -> None:

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Arm, Geometry, Pose, draw_plants, identity_pose, load_tolerances, plant_at, rotation_vector
 from pickenv.arm.files.arm_file import UR_KEYS, UR_LINKS, ur_row
-from pickenv.arm.files.joint_chain import ChainJoint, link_origins
+from pickenv.arm.files.joint_chain import ChainJoint, JointRow, link_origins, whole_robot
 from pickenv.arm.files.mjcf import ORIENTATIONS, MjcfValues, mjcf_row, mjcf_text
 from pickenv.arm.files.urdf import leading_links, roll_pitch_yaw, urdf_row, urdf_text
 from pickenv.arm.files.xml_values import numbers_text, xml_numbers, xml_root
@@ -132,23 +132,48 @@ def urdf_document(calibration: Calibration, order: document.Order) -> document.D
     if order.onto is None:
         return _new_urdf(calibration, order.arm_of(calibration))
     path = order.onto
-    chain = urdf_row(path, order.tip)
-    frame = f"{chain.tip}_calibrated"
-    new = corrected_chain.correction(calibration, chain, path, frame)
     data = path.read_bytes()
     tags = document.start_tags(data)
     meshes = [tag.attributes.get("filename", "") for tag in tags if tag.name == "mesh"]
     corrected_chain.refuse_lost_files(path, order.out, meshes)
+    if (tree := calibration.arm.tree) is not None:
+        return _whole_urdf(calibration, path, [urdf_row(path, name) for name in tree.names], data, tags)
+    chain = urdf_row(path, order.tip)
+    frame = f"{chain.tip}_calibrated"
+    new = corrected_chain.correction(calibration, chain, path, frame)
     moves = [(joint.name, joint.origin, origin) for joint, origin in zip(chain.joints, new.origins, strict=True)]
     if new.mount is not None and chain.mount is not None:
         moves.append((chain.mount, chain.tool, new.mount))
+    edits = _moved_joints(data, tags, moves)
+    if new.frame is not None:
+        edits += _behind_tip(data, tags, chain.joints[-1].name, chain.tip, frame, new.frame, path)
+    return document.Document(document.edited(data, edits), new.notes)
+
+
+def _whole_urdf(
+    calibration: Calibration, path: Path, rows: Sequence[JointRow], data: bytes, tags: list[document.StartTag]
+) -> document.Document:
+    """A whole robot's own URDF; where sensors and targets sit on their links is no part of it.
+
+    Raises:
+        InputError: If the file is of another robot.
+    """
+    calibration.refuse_another(whole_robot(rows, path, "URDF"), str(path))
+    origins = corrected_chain.corrected_tree(calibration, rows)
+    edits = _moved_joints(data, tags, [(name, old, new) for name, (old, new) in origins.items()])
+    notes = [corrected_chain.moved_words(origins), *document.left_out(calibration)]
+    return document.Document(document.edited(data, edits), tuple(notes))
+
+
+def _moved_joints(
+    data: bytes, tags: list[document.StartTag], moves: Iterable[tuple[str, Pose, Pose]]
+) -> list[document.Edit]:
+    """Edits that move joints, each given by its name and its origin, as the file has it and as corrected."""
     edits: list[document.Edit] = []
     for name, old, corrected in moves:
         joint = _joint(tags, name)
         edits += _moved(data, tags, joint, corrected_chain.own_origin(_origin(tags, joint), old, corrected))
-    if new.frame is not None:
-        edits += _behind_tip(data, tags, chain.joints[-1].name, chain.tip, frame, new.frame, path)
-    return document.Document(document.edited(data, edits), new.notes)
+    return edits
 
 
 def _new_urdf(calibration: Calibration, arm: Arm) -> document.Document:

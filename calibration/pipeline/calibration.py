@@ -383,7 +383,12 @@ class Calibration:
             iterations: See `Compensator`; one is the fastest.
             single_precision: See `Compensator`; for training in thousands of environments.
             fast: Whether a network runs in single precision (`Bpnn.fast`).
+
+        Raises:
+            InputError: If the calibration is of a whole robot.
         """
+        if self.arm.tree is not None:
+            raise InputError("a whole robot has no one tool to compensate; export its calibration onto its URDF")
         learnt = self.learnt if with_residual else None
         if learnt is not None and fast:
             learnt = learnt.faster()
@@ -489,7 +494,7 @@ class Calibration:
         return write_container(npz_path(path), KIND, header, arrays, version=FORMAT)
 
     @staticmethod
-    def load(path: str | Path, arm: Arm | None = None, unit: str | None = None) -> Calibration:
+    def load(path: str | Path, arm: Arm | None = None, unit: str | None = None, whole: bool = False) -> Calibration:
         """Read a file that `save` wrote; nothing in it is executed.
 
         A residual model of another package needs that package, which is imported.
@@ -499,6 +504,7 @@ class Calibration:
             arm: If given, the arm that it must belong to, known by its nominal geometry.
             unit: If given, the serial number of the robot that it must belong to; two robots of one model are alike
                 on paper, and only this tells them apart.
+            whole: Whether it may be of a whole robot, which has no one tool to compensate.
 
         Raises:
             InputError: If the file is missing, damaged in any byte, holds what cannot move an arm (numbers that are
@@ -517,6 +523,8 @@ class Calibration:
                 raise InputError(f"{path}: {error}") from error
         with refusing_damage(path, f"a {KIND} file", REMAKE):
             calibration = _from_parts(content.header, content.arrays)
+        if calibration.arm.tree is not None and not whole:
+            raise InputError(f"{path} is of a whole robot, which `export` writes onto its URDF; calibrate one arm here")
         if arm is not None:
             calibration.refuse_another(arm, str(path))
         if unit is not None and calibration.unit != unit:

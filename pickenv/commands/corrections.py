@@ -255,8 +255,8 @@ def export(
         mjcf_files(out, sample) if onto is None and (kind == "mjcf" or (out.suffix == ".xml" and kind is None)) else out
     )
     separate({"CALIBRATION": calibration, "--arm": arm, "--onto": onto}, {"--out": files, "--json": json_file})
-    robot = None if arm is None else pickenv.load_arm(arm)
-    loaded = pickenv.Calibration.load(calibration, robot, unit)
+    robot = None if arm is None else pickenv.load_arm(arm, whole=True)
+    loaded = pickenv.Calibration.load(calibration, robot, unit, whole=True)
     obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
     done = pickenv.calibration.export(
         loaded, out, kind=kind, onto=onto, arm=robot, counts_per_turn=counts_per_turn, sample=sample, seed=seed
