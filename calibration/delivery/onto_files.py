@@ -131,16 +131,18 @@ def urdf_document(calibration: Calibration, order: document.Order) -> document.D
     """
     if order.onto is None:
         return _new_urdf(calibration, order.arm_of(calibration))
-    path = order.onto
+    path, tree = order.onto, calibration.arm.tree
+    rows = [urdf_row(path, tip) for tip in ([order.tip] if tree is None else tree.names)]
     data = path.read_bytes()
     tags = document.start_tags(data)
     meshes = [tag.attributes.get("filename", "") for tag in tags if tag.name == "mesh"]
-    corrected_chain.refuse_lost_files(path, order.out, meshes)
-    if (tree := calibration.arm.tree) is not None:
-        return _whole_urdf(calibration, path, [urdf_row(path, name) for name in tree.names], data, tags)
-    chain = urdf_row(path, order.tip)
+    if tree is not None:
+        corrected_chain.refuse_lost_files(path, order.out, meshes)
+        return _whole_urdf(calibration, path, rows, data, tags)
+    chain = rows[0]
     frame = f"{chain.tip}_calibrated"
     new = corrected_chain.correction(calibration, chain, path, frame)
+    corrected_chain.refuse_lost_files(path, order.out, meshes)
     moves = [(joint.name, joint.origin, origin) for joint, origin in zip(chain.joints, new.origins, strict=True)]
     if new.mount is not None and chain.mount is not None:
         moves.append((chain.mount, chain.tool, new.mount))

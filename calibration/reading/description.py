@@ -204,7 +204,7 @@ class JointsTable:
 class PixelsTable:
     """[pixels]: views of a board, as pictures or as a table of corners found in them."""
 
-    mount: Annotated[Mount, one_of(get_args(Mount))]
+    mount: Annotated[Mount, one_of(get_args(Mount))] | None = None
     picture: Annotated[str, COLUMN] | None = None
     files: Annotated[str, COLUMN] | None = None
     columns: Annotated[tuple[str, ...], COLUMNS] = ()
@@ -417,6 +417,11 @@ class DescriptionFile:
             raise InputError("[joints] is missing" if self.poses is None else "[joints] and [poses] are both given")
         if self.poses is not None and self.pixels is None:
             raise InputError("[poses] belongs to [pixels]; give the joints in [joints]")
+        links = self.scene.sensor_link or self.scene.target_link
+        if self.pixels is not None and (self.pixels.mount is None) != bool(links):
+            mounts = " or ".join(get_args(Mount))
+            where = "the links of [scene] say where the camera is; leave it out" if links else f"give {mounts}"
+            raise InputError(f"mount of [pixels] is {self.pixels.mount or 'missing'}: {where}")
         if self.pixels is not None and self.conditions != ConditionsTable():
             raise InputError("[conditions] is not read for [pixels]; leave it out")
         for name, table in (("board", self.board), ("camera", self.camera)):

@@ -415,7 +415,7 @@ def read_views(
     lines = np.array(table.lines, dtype=np.int64)[rows]
     std = std if file.pixels.std is None else np.full_like(std, file.pixels.std)
     data = PixelObservations(
-        joints, corners, visible, file.board.corners, camera, _lens_std(file.camera), std, file.pixels.mount
+        joints, corners, visible, file.board.corners, camera, _lens_std(file.camera), std, file.pixels.mount or "world"
     )
     names = np.array([str(path) for path in pictures]) if pictures else None
     origins = Origins((table.where,), np.zeros_like(lines), lines)

@@ -1,0 +1,192 @@
+"""Simulated whole robots: URDF text, kinematics of their own, and what trackers and cameras see of them.
+
+The truth is built joint by joint from the URDF's numbers with matrices of 4 x 4, and knows nothing of DH tables.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from pickenv.arm import Array
+
+AXES = np.eye(3)[[2, 1, 1, 0, 1, 0]]
+"""Axes of a branch's joints in turn."""
+
+GRAVITY = 9.81
+LENS = {"fx": 900.0, "fy": 900.0, "cx": 640.0, "cy": 480.0, "width": 1280, "height": 960}
+BOARD = np.array([[0.03 * (i % 6 + 1), 0.03 * (i // 6 + 1), 0.0] for i in range(30)])
+"""Inner corners of a chessboard of 7 x 6 squares of 30 mm, m."""
+
+
+def matrix(position: Sequence[float] | Array = (0.0, 0.0, 0.0), rotation: Array | None = None) -> Array:
+    """A pose as a matrix ``(4, 4)``."""
+    pose = np.eye(4)
+    pose[:3, 3] = position
+    if rotation is not None:
+        pose[:3, :3] = rotation
+    return pose
+
+
+@dataclass(frozen=True, eq=False)
+class Joint:
+    """A joint of a tree: kind, link before and behind, origin ``(4, 4)`` and axis ``(3,)``."""
+
+    name: str
+    kind: str
+    parent: str
+    child: str
+    origin: Array
+    axis: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Robot:
+    """A tree of joints; the torso's last link yields about its axes under the weight of what it carries."""
+
+    joints: tuple[Joint, ...]
+    masses: Mapping[str, float]
+    yields: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def moving(self) -> list[str]:
+        """Names of the joints that move, from the root outwards."""
+        return [joint.name for joint in self.joints if joint.kind != "fixed"]
+
+    def poses(self, values: Mapping[str, float]) -> dict[str, Array]:
+        """The pose ``(4, 4)`` of each link at joint values by name; joints that are not named are at zero."""
+        poses = {"base": np.eye(4)}
+        for joint in self.joints:
+            value, moved = values.get(joint.name, 0.0), np.eye(4)
+            if joint.kind == "revolute":
+                moved = matrix(rotation=Rotation.from_rotvec(value * joint.axis).as_matrix())
+            elif joint.kind == "prismatic":
+                moved = matrix(value * joint.axis)
+            poses[joint.child] = poses[joint.parent] @ joint.origin @ moved
+        return self._bent(poses) if any(self.yields) else poses
+
+    def _bent(self, poses: dict[str, Array]) -> dict[str, Array]:
+        torso, carried = poses["torso2"], {link for link in poses if link.startswith(("left", "right", "head"))}
+        levers = {link: poses[link][:3, 3] - torso[:3, 3] for link in self.masses}
+        moment = sum(np.cross(levers[link], [0.0, 0.0, -GRAVITY * mass]) for link, mass in self.masses.items())
+        turn = Rotation.from_rotvec(np.array(self.yields) * (torso[:3, :3].T @ moment)).as_matrix()
+        bend = torso @ matrix(rotation=turn) @ np.linalg.inv(torso)
+        return {link: bend @ pose if link in carried else pose for link, pose in poses.items()}
+
+    def urdf(self) -> str:
+        """The robot as URDF."""
+        text = ['<robot name="torso">', '<link name="base"/>']
+        for joint in self.joints:
+            xyz = " ".join(map(repr, joint.origin[:3, 3].tolist()))
+            rpy = " ".join(map(repr, Rotation.from_matrix(joint.origin[:3, :3]).as_euler("xyz").tolist()))
+            axis = " ".join(map(str, joint.axis.tolist()))
+            inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
+            text += [
+                f'<link name="{joint.child}"><inertial><mass value="1"/>{inertia}</inertial></link>',
+                f'<joint name="{joint.name}" type="{joint.kind}"><parent link="{joint.parent}"/>',
+                f'<child link="{joint.child}"/><origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>',
+                '<limit lower="-1.5" upper="1.5" velocity="1" effort="1"/></joint>',
+            ]
+        return "\n".join([*text, "</robot>", ""])
+
+
+def drawn_robot(rng: np.random.Generator) -> Robot:
+    """A torso that lifts and leans, a head of two joints and two arms of six, with parts of random size."""
+    joints = _branch("torso", "base", 2, 0.25, rng)
+    joints[0] = replace(joints[0], kind="prismatic")
+    for name, count, size in (("head", 2, 0.15), ("left", 6, 0.25), ("right", 6, 0.25)):
+        joints += _branch(name, "torso2", count, size, rng)
+    masses = {f"{side}{i}": float(rng.uniform(0.5, 3.0)) for side in ("left", "right") for i in range(1, 7)}
+    return Robot(tuple(joints), masses)
+
+
+def _branch(name: str, parent: str, count: int, size: float, rng: np.random.Generator) -> list[Joint]:
+    joints = []
+    for i in range(count + 1):
+        kind, child = ("revolute", f"{name}{i + 1}") if i < count else ("fixed", f"{name}_tip")
+        turn = Rotation.from_euler("xyz", rng.uniform(-0.4, 0.4, 3)).as_matrix()
+        origin = matrix(rng.uniform(-size, size, 3), turn)
+        joints.append(Joint(f"{name}_j{i + 1}" if i < count else f"{name}_mount", kind, parent, child, origin, AXES[i % 6]))
+        parent = child
+    return joints
+
+
+def built(robot: Robot, rng: np.random.Generator, mm: float = 0.3, mrad: float = 0.5) -> Robot:
+    """The robot as it was built: each origin off by these standard deviations per axis."""
+    parts = []
+    for joint in robot.joints:
+        turn = Rotation.from_rotvec(rng.normal(size=3) * mrad * 1e-3).as_matrix() @ joint.origin[:3, :3]
+        parts.append(replace(joint, origin=matrix(joint.origin[:3, 3] + rng.normal(size=3) * mm * 1e-3, turn)))
+    return replace(robot, joints=tuple(parts))
+
+
+def _described(folder: Path, name: str, joints: Sequence[str], section: str, header: str, rows: Array, scene: str) -> None:
+    np.savetxt(folder / f"{name}.csv", rows, "%.9g", ",", header=header, comments="")
+    units = ["m" if joint == "torso_j1" else "rad" for joint in joints]
+    text = f"[joints]\ncolumns = {list(joints)}\nunits = {units}\n{section}\n[scene]\n{scene}\n".replace("'", '"')
+    (folder / f"{name}.toml").write_text(text, encoding="utf-8")
+
+
+def track(
+    robot: Robot, joints: Sequence[str], link: str, folder: Path, rng: np.random.Generator, stand: Array, rows: int = 120
+) -> None:
+    """Write what a tracker at the pose ``stand`` ``(4, 4)`` of the base sees of a ball on a link: <link>.csv and .toml."""
+    noise, ball = 3e-5, np.append(rng.uniform(-0.1, 0.1, 3), 1.0)
+    values = rng.uniform(-1.2, 1.2, (rows, len(joints)))
+    seen = [(stand @ robot.poses(dict(zip(joints, row, strict=True)))[link] @ ball)[:3] for row in values]
+    position = np.array(seen) + noise * rng.normal(size=(rows, 3))
+    section = '[position]\ncolumns = ["x", "y", "z"]\nunit = "m"\nstd_mm = 0.03'
+    scene = f'sensor = "tracker"\ntarget = "ball on {link}"\ntarget_link = "{link}"'
+    _described(folder, link, joints, section, ",".join([*joints, "x", "y", "z"]), np.c_[values, position], scene)
+
+
+def watch(
+    robot: Robot, joints: Sequence[str], link: str, folder: Path, rng: np.random.Generator, views: int = 40
+) -> None:
+    """Write the corners of a chessboard on a link that a camera on the head sees: camera.csv and camera.toml."""
+    at_zero, pixel = robot.poses({}), 0.15
+    there = np.linalg.inv(at_zero["head_tip"]) @ at_zero[link]
+    ahead = there[:3, 3] / np.linalg.norm(there[:3, 3])
+    across = np.cross([0.0, 0.0, 1.0], ahead) / np.linalg.norm(np.cross([0.0, 0.0, 1.0], ahead))
+    camera = matrix(rng.uniform(-0.05, 0.05, 3), np.stack([across, np.cross(ahead, across), ahead], 1))
+    facing = at_zero[link][:3, :3].T @ at_zero["head_tip"][:3, :3] @ camera[:3, :3]
+    board = matrix(rng.uniform(-0.05, 0.05, 3), facing)
+    table: list[list[float]] = []
+    view = 0
+    while view < views:
+        values = rng.uniform(-0.9, 0.9, len(joints))
+        poses = robot.poses(dict(zip(joints, values, strict=True)))
+        stands = np.linalg.inv(poses["head_tip"] @ camera) @ poses[link] @ board
+        points = BOARD @ stands[:3, :3].T + stands[:3, 3]
+        if points[:, 2].min() < 0.15 or stands[:3, 2] @ points.mean(0) < 0.5 * np.linalg.norm(points.mean(0)):
+            continue
+        seen = points[:, :2] / points[:, 2:] * 900.0 + (640.0, 480.0)
+        inside = ((seen > 5.0) & (seen < (1275.0, 955.0))).all(axis=1)
+        if inside.sum() < 12:
+            continue
+        noise = pixel * rng.normal(size=seen.shape)
+        table += [[view, *values, i, *(seen[i] + noise[i])] for i in np.flatnonzero(inside)]
+        view += 1
+    lens = "\n".join(f"{name} = {value}" for name, value in LENS.items())
+    section = f'[pixels]\ncolumns = ["u", "v"]\nview = "view"\ncorner = "corner"\nstd_px = {pixel}\n[camera]\n{lens}\n'
+    section += '[board]\nkind = "chessboard"\ncolumns = 7\nrows = 6\nsquare_mm = 30'
+    scene = f'sensor_link = "head_tip"\ntarget_link = "{link}"'
+    _described(folder, "camera", joints, section, ",".join(["view", *joints, "corner", "u", "v"]), np.array(table), scene)
+
+
+def apart(one: Array, other: Array) -> float:
+    """How far two motions ``(N, 4, 4)`` differ, m and rad, wherever the frames at either end are.
+
+    A motion away from the first pose is a screw. Its angle, its advance, and the angles between the screws' axes do
+    not depend on the frames.
+    """
+    numbers = []
+    for motion in (one, other):
+        steps = np.linalg.inv(motion[0]) @ motion[1:]
+        turns = Rotation.from_matrix(steps[:, :3, :3]).as_rotvec()
+        numbers.append(np.concatenate([(turns @ turns.T).ravel(), np.sum(turns * steps[:, :3, 3], axis=1)]))
+    return float(np.abs(numbers[0] - numbers[1]).max())
