@@ -7,6 +7,7 @@ from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+from warnings import catch_warnings
 
 import numpy as np
 import pytest
@@ -232,6 +233,29 @@ def test_where_no_stamp_is_set_the_log_tells_the_time(tmp_path: Path) -> None:
     with pytest.warns(UserWarning, match=r"^topic /tracker/pose of .*run has no stamps; .* logged are taken$"):
         rows = read(bag, described(tmp_path))
     assert_same(rows, from_csv(7))
+
+
+def test_a_wire_may_be_a_number_without_a_stamp(tmp_path: Path) -> None:
+    lengths = np.linalg.norm(MOTION.readings[:, :3] - [0.9, -0.9, 0.1], axis=1).tolist()
+    logged = list(zip(MOTION.sampled, lengths, strict=True))
+    wire = [(stamp, typed("std_msgs/msg/Float64", length)) for stamp, length in logged]
+    bag = write_bag(tmp_path / "run", StoragePlugin.SQLITE3, MOTION.topics() | {"/tracker/pose": wire})
+    MOTION.as_csv(tmp_path)
+    rows = [f"{stamp // 10**9}.{stamp % 10**9:09d},{length!r}" for stamp, length in logged]
+    (tmp_path / "wire.csv").write_text("\n".join(["t,length", *rows]), encoding="utf-8")
+    pair = []
+    for path, column, changes in (
+        (bag, "data", {}),
+        (tmp_path / "wire.csv", "length", {"time": "t", "joints": "joints.csv", "joints_time": "t", "topics": ""}),
+    ):
+        columns = described(tmp_path, POINT, **changes)
+        section = f'[wire]\ncolumns = ["{column}"]\nunit = "m"\nstd_mm = 0.1\n\n'
+        text = re.sub(r"\[position\].*?\n\n", section, columns.read_text(encoding="utf-8"), flags=re.DOTALL)
+        columns.write_text(text, encoding="utf-8")
+        with catch_warnings(record=True, action="always") as said:
+            pair.append(read(path, columns))
+        assert bool(said) == (path == bag)
+    assert_same(pair[0], pair[1])
 
 
 def acceleration(stamp: int) -> Any:
