@@ -75,6 +75,7 @@ HEAVY = (
         "tensorboard",
         "pettingzoo",
         "vtkmodules",
+        "rosbags",
     ),
     *("mujoco", "typer", "rich", "yaml", "tqdm", "pydantic"),
 )

@@ -124,6 +124,11 @@ class Table:
                     "separator and the decimal sign, and name them in a column description"
                 )
 
+    def select(self, rows: Sequence[int]) -> Table:
+        """The given rows alone."""
+        cells, lines = [self.rows[row] for row in rows], [self.lines[row] for row in rows]
+        return Table(self.where, self.header, cells, lines, self.decimal)
+
     def texts(self, name: str) -> list[str]:
         """The cells of a column as text, stripped; empty where a row is too short to have the column."""
         index = self.index(name)
@@ -216,7 +221,10 @@ class Table:
                 return function(*(self._evaluate(part, expression, quoted) for part in (left, right)))
             case ast.UnaryOp(op=op, operand=operand) if sign := SIGNS.get(type(op)):
                 return sign(self._evaluate(operand, expression, quoted))
-        raise InputError(f"{self.where}: cannot compute '{shortened(expression)}'; use names, numbers and + - * / only")
+        fault = f"{self.where}: cannot compute '{shortened(expression)}'"
+        if isinstance(node, ast.Attribute):  # a column of another file, such as pose.x
+            raise InputError(f"{fault}: there is no column '{shortened(ast.unparse(node))}', but {listed(self.header)}")
+        raise InputError(f"{fault}; use names, numbers and + - * / only")
 
 
 def expression_tree(expression: str) -> tuple[ast.expr | None, list[str]]:

@@ -34,6 +34,7 @@ DOUBT = Then(lambda word, _: inf if word == FITTED else 0.0, Annotated[str, one_
 """Reader of the word known or fitted as a standard uncertainty: zero if known, infinite if fitted."""
 
 COLUMN = Check(lambda value: isinstance(value, str), "the name of a column or an expression")
+TOPIC = Check(lambda value: isinstance(value, str), "the name of a topic")
 COLUMNS = Check(
     lambda value: isinstance(value, list) and all(isinstance(item, str) for item in value),
     "a list of column names or expressions",
@@ -353,6 +354,7 @@ class RecordingTable:
     """[recording]: times of the instrument's samples, and the log of joints that the arm wrote meanwhile.
 
     The log's name is relative to the instrument's file, whose own name without its ending may stand in it as {file}.
+    Where a topic is named, the file of that log is a ROS bag.
     """
 
     time: Annotated[str, COLUMN]
@@ -360,6 +362,8 @@ class RecordingTable:
     joints: Annotated[str, COLUMN]
     joints_time: Annotated[str, COLUMN]
     joints_unit: Annotated[str, one_of(SECONDS)]
+    topic: Annotated[str, TOPIC] | None = None
+    joints_topic: Annotated[str, TOPIC] | None = None
 
 
 @toml_table

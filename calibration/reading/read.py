@@ -20,6 +20,7 @@ from pickenv.calibration.model.arm_model import Conditions
 from pickenv.calibration.model.measurements import FRAMES, FRAMES_COLUMN, Frames, Measurements, joint_columns
 from pickenv.calibration.model.observations import Clocks, Observations, Origins, origins_of
 from pickenv.calibration.reading import csv_table, description, kind_readers, recording
+from pickenv.calibration.reading.bag_table import read_log
 from pickenv.calibration.reading.kind_readers import Files
 
 NoiseFloor = tuple[float | None, float | None]
@@ -109,7 +110,8 @@ def read_observations(
             _in_scene(kind_readers.read_views(paths, geometry, given, where), geometry, names), (None, None)
         )
     form = () if given is None else (given.separator, given.decimal, given.names)
-    tables = [csv_table.read_table(path, *form) for path in paths]
+    topic = None if given is None or given.recording is None else given.recording.topic
+    tables = [read_log(Path(path), topic, *form) for path in paths]
     layouts = [given or description.own_description(geometry, table.header, table.where) for table in tables]
     logged, described, clocks = tables, layouts, tuple[Clocks, ...]()
     if given is not None and given.recording is not None:
@@ -118,7 +120,10 @@ def read_observations(
             rows: Observations = _rows([table], [layout], where, geometry, "fitted")
             return rows
 
-        parts = [recording.read_recording(table, given, where, geometry, read) for table in tables]
+        parts = [
+            recording.read_recording(table, Path(path), given, where, geometry, read)
+            for table, path in zip(tables, paths, strict=True)
+        ]
         tables, layouts, clocks = [part[0] for part in parts], [part[1] for part in parts], tuple(p[2] for p in parts)
     rows = _rows(tables, layouts, where, geometry, "fitted" if given is not None else _frames(tables))
     if not repeats:

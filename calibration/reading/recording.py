@@ -21,7 +21,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
 from pickenv.arm import Array, Geometry, forward
-from pickenv.base import TO_SI, InputError
+from pickenv.base import TO_SI, InputError, listed
 from pickenv.calibration.identification.least_squares import Identification, identify, unknowns_of
 from pickenv.calibration.identification.robust import MISFIT, OUTLIER_SIGMA, SPAN, rough_start, sigma_of
 from pickenv.calibration.identification.solve import solve
@@ -29,10 +29,11 @@ from pickenv.calibration.model.arm_model import ArmModel, Conditions, complete_m
 from pickenv.calibration.model.observations import Clocks, Observations, Origins, Rows, equally_spaced, worked_out
 from pickenv.calibration.model.prior import prior_model
 from pickenv.calibration.reading import csv_table, description, kind_readers
+from pickenv.calibration.reading.bag_table import read_log
 from pickenv.calibration.reading.csv_table import Table
 
 STEM = "{file}"
-"""Placeholder in the joint log's name: the instrument file's name without its ending."""
+"""Placeholder in the joint log's name: the instrument file's name without its ending, or a bag folder's whole name."""
 
 LEAST_SAMPLES = 50
 """Fewest samples of an instrument, within the joint log, that tell the clocks."""
@@ -239,12 +240,13 @@ def _table(where: str, names: tuple[str, ...], numbers: Array, lines: list[int])
 
 
 def read_recording(
-    table: Table, layout: description.DescriptionFile, where: str, geometry: Geometry, read: Read
+    table: Table, path: Path, layout: description.DescriptionFile, where: str, geometry: Geometry, read: Read
 ) -> tuple[Table, description.DescriptionFile, Clocks]:
     """Turn an instrument's log and its joint log into rows of an arm at rest, or, if it hardly rested, of its motion.
 
     Args:
         table: The instrument's log.
+        path: Its file.
         layout: Its description, with [recording].
         where: Name of the description, for messages.
         geometry: The arm's nominal geometry.
@@ -256,7 +258,7 @@ def read_recording(
     Raises:
         InputError: If a time is out of order, the logs do not belong together, or nothing tells their offset.
     """
-    logs = _logs(table, layout, where, geometry)
+    logs = _logs(table, path, layout, where, geometry)
     timed, found, first, middle = _first_guess(logs, read)
     sure = sigma_of(found, timed) <= OUTLIER_SIGMA
     model = prior_model("recording", found.geometry, known=False)
@@ -302,14 +304,16 @@ def _with_std(layout: description.DescriptionFile, factors: list[float]) -> desc
     return layout
 
 
-def _logs(table: Table, layout: description.DescriptionFile, where: str, geometry: Geometry) -> Logs:
+def _logs(table: Table, path: Path, layout: description.DescriptionFile, where: str, geometry: Geometry) -> Logs:
     """Both logs, with times checked and lost samples left out."""
     told = layout.recording
     assert told is not None
-    path = Path(table.where)
-    home = path.parent / told.joints.replace(STEM, path.stem)
-    log = csv_table.read_table(home, layout.separator, layout.decimal)
+    home = path.parent / told.joints.replace(STEM, path.name if path.is_dir() else path.stem)
+    log = read_log(home, told.joints_topic, layout.separator, layout.decimal)
     torques = () if layout.conditions.torques is None else layout.conditions.torques.columns
+    columns = (*layout.joint_columns, *torques)
+    if told.joints_topic is not None:
+        log = _complete(log, columns)
     recorded = layout.conditions.recorded(layout.joint_units)
     further = [name for key, (columns, *_) in recorded.items() if key != "torque" for name in columns]
     rotation = () if layout.rotation is None else layout.rotation.columns
@@ -324,7 +328,6 @@ def _logs(table: Table, layout: description.DescriptionFile, where: str, geometr
         row, joint = np.argwhere(jumps)[0]
         place = log.cell(row + 1, layout.joint_columns[joint])
         raise InputError(f"{place} jumps by more than half a turn; write the joints without jumps of 360 deg")
-    columns = (*layout.joint_columns, *torques)
     return Logs(
         table,
         layout,
@@ -350,8 +353,17 @@ def _seen(table: Table, layout: description.DescriptionFile, names: tuple[str, .
     rows = np.flatnonzero(~lost).tolist()
     if len(rows) < LEAST_SAMPLES:
         raise InputError(f"{table.where} has {len(rows)} samples; a recording needs at least {LEAST_SAMPLES}")
-    lines = [table.lines[row] for row in rows]
-    return Table(table.where, table.header, [table.rows[row] for row in rows], lines, table.decimal)
+    return table.select(rows)
+
+
+def _complete(log: Table, names: tuple[str, ...]) -> Table:
+    """The messages of a joint log that have all these columns, without those of a gripper alone."""
+    lacking = np.zeros(len(log.lines), dtype=bool)
+    for name in {part for text in names for part in _plain(text, log.header)}:
+        lacking |= np.array([not cell for cell in log.texts(name)])
+    if lacking.all():
+        raise InputError(f"no message of {log.where} has all of {listed(names)}; record a topic where one has them all")
+    return log.select(np.flatnonzero(~lacking).tolist())
 
 
 def _plain(text: str, header: list[str]) -> Iterator[str]:

@@ -19,6 +19,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "inspect": ("rerun", "plotly", "matplotlib", "jinja2", "PIL"),
     "render": ("vtkmodules", "imageio_ffmpeg"),
     "camera": ("cv2",),
+    "recordings": ("rosbags",),
     "study": ("pyarrow", "joblib", "pandas"),
     "ray": ("ray",),
     "harvest": ("skimage", "ortools", "pettingzoo"),

@@ -87,6 +87,11 @@ MAKE = "import gymnasium, pickenv\ngymnasium.make"
         (("stable_baselines3",), "import pickenv\npickenv.agents.train"),
         (("pyarrow",), "import pickenv\npickenv.experiments.run_study"),
         (("skimage",), "import numpy as np\nfrom pickenv.orchard import fruit_mask\nfruit_mask(None, np.eye(3))"),
+        (
+            ("rosbags",),
+            "from pathlib import Path\nfrom pickenv.calibration.reading.bag_table import read_log\n"
+            "read_log(Path('run'), '/joint_states')",
+        ),
         (("cv2",), "from pickenv.calibration.camera.boards import opencv\nopencv()"),
     ],
 )

@@ -1,0 +1,104 @@
+"""Topics of ROS 2 bags, which are rosbag2 folders or .mcap files, as tables with one row per message.
+
+A message is read by the definition that ROS 2 has of its type. The definitions within a bag are left alone: rosbags
+would run code that it makes from them.
+"""
+
+from __future__ import annotations
+
+import warnings
+from operator import attrgetter
+from pathlib import Path
+from typing import Any
+
+from pickenv.base import InputError, listed, require
+from pickenv.base.texts import parsed
+from pickenv.calibration.reading import csv_table
+from pickenv.calibration.reading.csv_table import Table
+
+JOINTS = "sensor_msgs/msg/JointState"
+FIELDS: dict[str, tuple[str, ...]] = {
+    JOINTS: (),
+    "geometry_msgs/msg/PointStamped": ("point.x", "point.y", "point.z"),
+    "geometry_msgs/msg/PoseStamped": (
+        *("pose.position.x", "pose.position.y", "pose.position.z"),
+        *("pose.orientation.x", "pose.orientation.y", "pose.orientation.z", "pose.orientation.w"),
+    ),
+    "geometry_msgs/msg/TransformStamped": (
+        *("transform.translation.x", "transform.translation.y", "transform.translation.z"),
+        *("transform.rotation.x", "transform.rotation.y", "transform.rotation.z", "transform.rotation.w"),
+    ),
+    "sensor_msgs/msg/Imu": ("linear_acceleration.x", "linear_acceleration.y", "linear_acceleration.z"),
+    "std_msgs/msg/Float64": ("data",),
+}
+"""Types of messages that are read, and the fields of each that become columns; joints have columns by their names."""
+
+
+def read_log(
+    path: Path, topic: str | None, separator: str = ",", decimal: str = ".", names: tuple[str, ...] | None = None
+) -> Table:
+    """Read a topic of a bag, or, where none is named, a file as `read_table` does.
+
+    Columns of a topic are ``time`` and ``log_time``, s, and the fields of its messages. The joints of a JointState have
+    columns by their names, and their efforts have ``effort.NAME``.
+
+    Raises:
+        InputError: If the file or topic is missing, unreadable or empty, or if its type is not read.
+    """
+    if topic is not None:
+        return _bag_table(path, topic)
+    if path.suffix == ".mcap" or (path / "metadata.yaml").is_file():
+        raise InputError(f"{path} is a ROS bag; name its topic in [recording] of `columns`: topic, or joints_topic")
+    return csv_table.read_table(path, separator, decimal, names)
+
+
+def _bag_table(path: Path, topic: str) -> Table:
+    """The table of one topic; a publisher that sets no stamps is read by the times at which it was logged."""
+    require("rosbags")
+    kinds, messages = parsed(lambda: _messages(path, topic), path, "rosbag2 or MCAP of ROS 2")
+    if topic not in kinds:
+        topics = (f"{name} ({kind})" for name, kind in sorted(kinds.items()))
+        raise InputError(f"{path} has no topic '{topic}'; it has {listed(topics) or 'none'}")
+    where, kind = f"topic {topic} of {path}", kinds[topic]
+    if kind not in FIELDS:
+        raise InputError(f"{where} holds messages of {kind}; give one of {', '.join(FIELDS)}")
+    if not messages:
+        raise InputError(f"{where} has no messages; record it again")
+    stamps = [_stamp(message) for _, message in messages]
+    logged = [time for time, _ in messages]
+    if not any(stamps):
+        warnings.warn(f"{where} has no stamps; the times at which it was logged are taken", stacklevel=2)
+        stamps = logged
+    entries = []
+    for stamp, time, (_, message) in zip(stamps, logged, messages, strict=True):
+        cells = {field: attrgetter(field)(message) for field in FIELDS[kind]}
+        if kind == JOINTS:
+            cells |= zip(message.name, message.position.tolist(), strict=False)
+            cells |= {f"effort.{name}": part for name, part in zip(message.name, message.effort.tolist(), strict=False)}
+        texts = {name: repr(cell) for name, cell in cells.items()}
+        entries.append({"time": _seconds(stamp), "log_time": _seconds(time)} | texts)
+    return csv_table.table_of_entries(where, entries)
+
+
+def _messages(path: Path, topic: str) -> tuple[dict[str, str], list[tuple[int, Any]]]:
+    """The type of each topic, and log time, ns, and content of each message of one topic, if its type is read."""
+    from rosbags.rosbag2 import Reader
+    from rosbags.typesys import Stores, get_typestore
+
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    with Reader(path) as bag:
+        kinds = {connection.topic: connection.msgtype for connection in bag.connections}
+        publishers = [each for each in bag.connections if each.topic == topic and each.msgtype in FIELDS]
+        found = bag.messages(publishers) if publishers else ()
+        return kinds, [(time, store.deserialize_cdr(data, kinds[topic])) for _, time, data in found]
+
+
+def _stamp(message: Any) -> int:
+    """The stamp in a message's header, ns; 0 if it has none."""
+    header = getattr(message, "header", None)
+    return 0 if header is None else int(header.stamp.sec * 10**9 + header.stamp.nanosec)
+
+
+def _seconds(time: int) -> str:
+    """A time in ns as decimal text, s, with all its digits."""
+    return f"{time // 10**9}.{time % 10**9:09d}"
