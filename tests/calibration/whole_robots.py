@@ -110,7 +110,9 @@ def _branch(name: str, parent: str, count: int, size: float, rng: np.random.Gene
         kind, child = ("revolute", f"{name}{i + 1}") if i < count else ("fixed", f"{name}_tip")
         turn = Rotation.from_euler("xyz", rng.uniform(-0.4, 0.4, 3)).as_matrix()
         origin = matrix(rng.uniform(-size, size, 3), turn)
-        joints.append(Joint(f"{name}_j{i + 1}" if i < count else f"{name}_mount", kind, parent, child, origin, AXES[i % 6]))
+        joints.append(
+            Joint(f"{name}_j{i + 1}" if i < count else f"{name}_mount", kind, parent, child, origin, AXES[i % 6])
+        )
         parent = child
     return joints
 
@@ -124,7 +126,9 @@ def built(robot: Robot, rng: np.random.Generator, mm: float = 0.3, mrad: float =
     return replace(robot, joints=tuple(parts))
 
 
-def _described(folder: Path, name: str, joints: Sequence[str], section: str, header: str, rows: Array, scene: str) -> None:
+def _described(
+    folder: Path, name: str, joints: Sequence[str], section: str, header: str, rows: Array, scene: str
+) -> None:
     np.savetxt(folder / f"{name}.csv", rows, "%.9g", ",", header=header, comments="")
     units = ["m" if joint == "torso_j1" else "rad" for joint in joints]
     text = f"[joints]\ncolumns = {list(joints)}\nunits = {units}\n{section}\n[scene]\n{scene}\n".replace("'", '"')
@@ -132,9 +136,15 @@ def _described(folder: Path, name: str, joints: Sequence[str], section: str, hea
 
 
 def track(
-    robot: Robot, joints: Sequence[str], link: str, folder: Path, rng: np.random.Generator, stand: Array, rows: int = 120
+    robot: Robot,
+    joints: Sequence[str],
+    link: str,
+    folder: Path,
+    rng: np.random.Generator,
+    stand: Array,
+    rows: int = 120,
 ) -> None:
-    """Write what a tracker at the pose ``stand`` ``(4, 4)`` of the base sees of a ball on a link: <link>.csv and .toml."""
+    """Write what a tracker sees of a ball on a link, and its description; ``stand`` ``(4, 4)`` is the base's pose."""
     noise, ball = 3e-5, np.append(rng.uniform(-0.1, 0.1, 3), 1.0)
     values = rng.uniform(-1.2, 1.2, (rows, len(joints)))
     seen = [(stand @ robot.poses(dict(zip(joints, row, strict=True)))[link] @ ball)[:3] for row in values]
@@ -175,7 +185,9 @@ def watch(
     section = f'[pixels]\ncolumns = ["u", "v"]\nview = "view"\ncorner = "corner"\nstd_px = {pixel}\n[camera]\n{lens}\n'
     section += '[board]\nkind = "chessboard"\ncolumns = 7\nrows = 6\nsquare_mm = 30'
     scene = f'sensor_link = "head_tip"\ntarget_link = "{link}"'
-    _described(folder, "camera", joints, section, ",".join(["view", *joints, "corner", "u", "v"]), np.array(table), scene)
+    _described(
+        folder, "camera", joints, section, ",".join(["view", *joints, "corner", "u", "v"]), np.array(table), scene
+    )
 
 
 def apart(one: Array, other: Array) -> float:

@@ -1,0 +1,54 @@
+"""An owner of a robot with two arms on one torso: one fit, and the robot's own URDF corrected."""
+
+import json
+import os
+import re
+import shlex
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.calibration.whole_robots import built, drawn_robot, matrix, track
+
+ROOT = Path(__file__).parents[2]
+FORMATS = (ROOT / "docs/column-descriptions.md").read_text(encoding="utf-8")
+
+pytestmark = pytest.mark.slow
+
+
+def test_both_arms_of_a_robot_are_calibrated_at_once(tmp_path: Path) -> None:
+    rng = np.random.default_rng(12)
+    robot = drawn_robot(rng)
+    truth = replace(built(robot, rng), yields=(0.0, 4e-5, 0.0))
+    (tmp_path / "robot.urdf").write_text(robot.urdf(), encoding="utf-8")
+    section = re.search(r"^## \[scene\](.*?)^## ", FORMATS, re.MULTILINE | re.DOTALL)
+    assert section is not None
+    described, commands = (
+        re.search(rf"^```{kind}\n(.*?)^```$", section[1], re.MULTILINE | re.DOTALL) for kind in ("toml left.toml", "sh")
+    )
+    assert described is not None
+    assert commands is not None
+    joints = [name for name in robot.moving if not name.startswith("head")]
+    for side in ("left", "right"):
+        track(truth, joints, f"{side}_tip", tmp_path, rng, matrix((1.0, -0.5, 0.2)))
+        (tmp_path / f"{side}_tip.csv").rename(tmp_path / f"{side}.csv")
+        text = described[1].replace('"left ball"', f'"{side} ball"').replace('"left_tip"', f'"{side}_tip"')
+        (tmp_path / f"{side}.toml").write_text(text, encoding="utf-8")
+    environment = os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg"}
+    calibrate, export = (shlex.split(line)[1:] for line in commands[1].splitlines())
+    screens = []
+    for words in ([*calibrate, "--json", "robot.json"], export):
+        command = [sys.executable, "-m", "pickenv.cli", *words]
+        done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
+        assert done.returncode == 0, done.stdout + done.stderr
+        screens.append(" ".join(done.stdout.split()))
+    found = json.loads((tmp_path / "robot.json").read_text(encoding="utf-8"))
+    nominal, left = (found["held_out"][f"{name}_rms_mm"] for name in ("nominal", "best"))
+    assert screens[0].startswith("verdict: GOOD") and "geometry+gravity is used" in screens[0]
+    assert nominal > 0.5 and left < 0.085  # of which the tracker's own noise is 0.052
+    assert re.search(r"\d+ of 14 joint origins corrected: by up to", screens[1]), screens[1]
+    assert (tmp_path / "robot_calibrated.urdf").is_file()
