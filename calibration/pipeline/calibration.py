@@ -22,7 +22,7 @@ from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.model.arm_model import ArmModel, Conditions, specification, term_from
-from pickenv.calibration.model.measurements import Measurements, screen_unit
+from pickenv.calibration.model.measurements import InstrumentStation, Measurements, screen_unit
 from pickenv.calibration.model.observations import BLOCKS, Observations, Rows, equally_spaced, same_poses
 from pickenv.calibration.residuals.residual_models import LearntResidual
 
@@ -92,7 +92,9 @@ class PoseUncertainty:
 
         Each is the root of the sum of its three variances. The attitude's is None if only positions were measured.
         """
-        variance = np.diagonal(self.pose_covariance(model, joints, conditions), axis1=-2, axis2=-1)
+        return self._standard(np.diagonal(self.pose_covariance(model, joints, conditions), axis1=-2, axis2=-1))
+
+    def _standard(self, variance: Array) -> tuple[Array, Array | None]:
         position, attitude = np.sqrt(variance[..., :3].sum(-1)), np.sqrt(variance[..., 3:].sum(-1))
         return position, None if self.attitude_repeat is None else attitude
 
@@ -107,25 +109,41 @@ class PoseUncertainty:
 
         A bound is None if there were too few held-out errors to find it.
         """
+        return self._radii(self.standard(model, joints, conditions))
+
+    def _radii(self, standard: tuple[Array, Array | None]) -> tuple[Array | None, Array | None]:
         position, attitude = (
             None if size is None or name not in self.factors else self.factors[name]["factor"] * size
-            for name, size in zip(QUANTITIES, self.standard(model, joints, conditions), strict=True)
+            for name, size in zip(QUANTITIES, standard, strict=True)
         )
         return position, attitude
 
-    def block(self, model: ArmModel, joints: Array, conditions: Conditions) -> Block:
-        """A table of the bounds of errors at these poses, and of the share of held-out errors that kept them."""
+    def block(self, model: ArmModel, joints: Array, conditions: Conditions, variance: Array | None = None) -> Block:
+        """A table of the `bounds` of errors at these poses, and of the share of held-out errors that kept them."""
         rows = []
-        for quantity, (low, middle, high) in self.bounds(model, joints, conditions).items():
+        for quantity, (low, middle, high) in self.bounds(model, joints, conditions, variance).items():
             cell = f"{figure(middle)} {QUANTITIES[quantity][0]} ({figure(low)} to {figure(high)})"
             rows.append((quantity, cell, f"{100 * self.factors[quantity]['covered']:.1f} %"))
         heads = ("of", "95 of 100 are within (5 to 95 of 100 poses)", "held so")
         note = "by pose; held: of held-out rows, each judged by what was found without its block"
         return Block("How far errors go", heads, tuple(rows), note, "uncertainty")
 
-    def bounds(self, model: ArmModel, joints: Array, conditions: Conditions) -> dict[str, list[float]]:
-        """What 95 of 100 errors keep within, of position (mm) and attitude (deg): at 5, 50 and 95 of 100 poses."""
-        radii = zip(QUANTITIES.items(), self.within95(model, joints, conditions), strict=True)
+    def bounds(
+        self, model: ArmModel, joints: Array, conditions: Conditions, variance: Array | None = None
+    ) -> dict[str, list[float]]:
+        """What 95 of 100 errors keep within, of position (mm) and attitude (deg): at 5, 50 and 95 of 100 poses.
+
+        Args:
+            model: The arm.
+            joints: Joints of the poses ``(N, n)``, rad or m.
+            conditions: Their conditions.
+            variance: The parameters' part of the poses' variances ``(N, 6)``; as of the arm's own base and tool if left
+                out.
+        """
+        standard = self.standard(model, joints, conditions)
+        if variance is not None:
+            standard = self._standard(variance + np.repeat([self.position_repeat, self.attitude_repeat or 0.0], 3) ** 2)
+        radii = zip(QUANTITIES.items(), self._radii(standard), strict=True)
         return {
             quantity: np.percentile(radius * scale, [5, 50, 95]).tolist()
             for (quantity, (_, scale)), radius in radii
@@ -150,6 +168,7 @@ def pose_uncertainty(
     blocks: Rows | None = None,
     conditions: Conditions | None = None,
     unit: str = "mm",
+    variance: Array | None = None,
 ) -> PoseUncertainty:
     """The uncertainty of predicted poses, from an identification and the errors that it leaves.
 
@@ -164,6 +183,8 @@ def pose_uncertainty(
         conditions: Payload and temperature of each error's row, if known.
         unit: "deg" if the errors are misses of directions ``(N, k)``, rad; the uncertainty of positions is then the
             parameters' alone.
+        variance: The parameters' part of each pose's variances ``(N, 6)``; as of the arm's own base and tool if left
+            out.
     """
     positions, attitudes = (np.zeros((0, 3)), errors) if unit == "deg" else (errors[:, :3], errors[:, 3:])
     names = set(found.arm_model.parameter_names)
@@ -177,7 +198,8 @@ def pose_uncertainty(
     if joints is None or not np.isfinite(sure.covariance).all():
         return sure
     parametric = replace(sure, position_repeat=0.0, attitude_repeat=None)
-    variance = np.diagonal(parametric.pose_covariance(found.arm_model, joints, conditions), axis1=1, axis2=2)
+    if variance is None:
+        variance = np.diagonal(parametric.pose_covariance(found.arm_model, joints, conditions), axis1=1, axis2=2)
     factors = {
         name: part
         for name, first, errors in zip(QUANTITIES, (0, 3), (positions, attitudes), strict=True)
@@ -185,6 +207,27 @@ def pose_uncertainty(
         and (part := within95(joints, np.sum(errors**2, axis=1), variance[:, first : first + 3].sum(axis=1), blocks))
     }
     return replace(sure, factors=factors)
+
+
+def variance_by_station(found: Identification, data: Observations) -> Array:
+    """Variances ``(N, 6)`` of the pose of each row by the parameters, in the frames of its own station, m^2 and rad^2.
+
+    Args:
+        found: The identification.
+        data: Rows of its stations.
+    """
+    kept, parts = list(found.identifiability.kept_names), []
+    for station in data.stations or (InstrumentStation(data),):
+        model, _ = station.seen(found.arm_model, np.array([found.unknowns[name] for name in station.unknowns()]))
+        names = list(model.parameter_names)
+        for frame in station.frames:
+            label = f"{frame}{station.owners.get(frame, station.number)}"
+            names = [name.replace(f"{frame}_", f"{label}_") if name.startswith(f"{frame}_") else name for name in names]
+        pairs = [(names.index(name), kept.index(name)) for name in kept if name in names]
+        columns, places = np.array(pairs).T
+        jacobian = model.jacobian(station.data.joints, station.data.conditions)[..., columns]
+        parts.append(np.einsum("nip,pq,niq->ni", jacobian, found.covariance[np.ix_(places, places)], jacobian))
+    return np.concatenate(parts)
 
 
 def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None) -> dict[str, float] | None:

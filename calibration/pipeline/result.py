@@ -23,7 +23,7 @@ from pickenv.calibration.assessment.quality import Quality, grade_quality, works
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification import diagnosis
 from pickenv.calibration.identification.term_choice import TermChoice
-from pickenv.calibration.model.arm_model import CARRIER, ArmModel, fitted_model
+from pickenv.calibration.model.arm_model import CARRIER, ArmModel, Conditions, fitted_model
 from pickenv.calibration.model.measurements import joint_columns, random_joints
 from pickenv.calibration.model.observations import MISS_UNITS, Clocks, Observations, equally_spaced, origins_of
 from pickenv.calibration.pipeline import fitting
@@ -33,6 +33,7 @@ from pickenv.calibration.pipeline.calibration import (
     PoseUncertainty,
     pose_uncertainty,
     region_of,
+    variance_by_station,
 )
 from pickenv.calibration.pipeline.twin import SCATTER, SCATTER_PARTS, scatter_of, twin
 from pickenv.calibration.reading.read import NoiseFloor, floor_record, floor_text, joints_of, read_targets
@@ -140,7 +141,7 @@ class Result:
         """The calibration with verdict, frames and uncertainty in its record: what is saved and applied."""
         record = {**self.fit.calibration.record, "verdict": self.quality.as_dict()}
         record["uncertainty"] = self.uncertainty.as_record()
-        if np.isfinite(self.uncertainty.covariance).all():
+        if np.isfinite(self.uncertainty.covariance).all() and self.arm.nominal.tree is None:
             record |= region_of(self.uncertainty, self.fit.calibration.model, self.train)
         if self.base_frame is not None:
             record["base_frame"] = self.base_frame.as_dict()
@@ -195,6 +196,8 @@ class Result:
         """A sentence on base and tool, and on the error in the robot's own base frame."""
         if self.base_frame is not None:
             return self.base_frame.sentences()
+        if self.arm.nominal.tree is not None:
+            return "each sensor's and each target's place was fitted; errors are of the motion of one against the other"
         words = "base and tool are known; in the robot's own base frame the mean error at poses like those held out is "
         if self.own_mean_ci95 is None:
             return (
@@ -202,6 +205,13 @@ class Result:
             )
         low, high = map(screen.figure, self.own_mean_ci95)
         return f"{words}{low} to {high} mm (95 % interval; the lower end without the instrument's noise)"
+
+    @property
+    def _judged(self) -> tuple[ArmModel, Array, Conditions, Array | None]:
+        """The model used, and joints, conditions and variances of the rows judged, the last of a whole robot only."""
+        whole = self.arm.nominal.tree is not None
+        variance = variance_by_station(self.fit.identification, self.test) if whole else None
+        return self.fit.calibration.model, self.test.joints, self.test.conditions, variance
 
     def blocks(self) -> tuple[screen.Block, ...]:
         """The tables that terminal and page show after verdict and frames, in order; empty ones are left out."""
@@ -227,7 +237,7 @@ class Result:
         blocks += [screen.stiffness_block(self.stiffnesses), screen.harmonic_block(self.harmonics)]
         blocks += [self._gate()] if self.gate else []
         blocks += [] if self.pixels is None else [fitting.pixel_block(self.pixels, fitting.view_names(self.test.views))]
-        sure = self.uncertainty.block(self.fit.calibration.model, self.test.joints, self.test.conditions)
+        sure = self.uncertainty.block(*self._judged)
         return tuple(block for block in (*blocks, sure, self._facts()) if block.rows)
 
     def __str__(self) -> str:
@@ -437,9 +447,7 @@ class Result:
             "kind": solution.kind,
             "frames": "known" if self.known_frames else "fitted",
             "within95": {name: self.uncertainty.factors.get(name) for name in QUANTITIES},
-            "within95_by_pose": self.uncertainty.bounds(
-                self.fit.calibration.model, self.test.joints, self.test.conditions
-            ),
+            "within95_by_pose": self.uncertainty.bounds(*self._judged),
             "base_frame": None if self.base_frame is None else self.base_frame.as_dict(),
             "stations": self.set_ups,
             "rows": {"train": len(self.train.joints), "test": len(self.test.joints)},
@@ -564,7 +572,10 @@ def assess(
         noise = "stated noise" if stated else "noise stated or assumed"
     rows_of = test.rows_of_misses
     joints, conditions = test.joints[rows_of], test.conditions.select(rows_of)
-    uncertainty = pose_uncertainty(fit.identification, after, joints, held_out.blocks, conditions, train.miss_unit)
+    variance = None if arm.nominal.tree is None else variance_by_station(fit.identification, test)[rows_of]
+    uncertainty = pose_uncertainty(
+        fit.identification, after, joints, held_out.blocks, conditions, train.miss_unit, variance
+    )
     base_frame = None
     rows = len(train.joints) + (held_out.blocks is None) * len(test.joints)
     if aligned is not None and arm.nominal.tree is None:

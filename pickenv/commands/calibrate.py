@@ -51,7 +51,8 @@ def calibrate(
 
     Args:
         files: Files of measurements (CSV, YAML or Parquet) of one layout, or a folder of pictures.
-        arm: Arm name, or file ({arm_format}; .urdf#link, .xml#body); not for finished poses.
+        arm: Arm name, or file ({arm_format}; .urdf#link, .xml#body; .urdf#link,link for a whole robot); not for
+            finished poses.
         columns: Column description, by name or path; ours if left out. Repeat it, for one per file.
         stations: Each file is a station with these frames of its own; if left out, poses and positions tell.
         frames: known: the instrument measures the arm's own tool in its own base frame; fitted: base and tool are
@@ -150,6 +151,11 @@ def next_step(arm: str | None, out: Path | None, refused: bool) -> str:
         return f"measure more poses, or others: {command_line('pickenv', 'plan-poses', arm=arm, out='poses.csv')}"
     if out is None:
         return "keep it: the same command with --out my_arm.npz"
+    path, _, links = arm.partition("#")
+    if "," in links:
+        return "correct the robot's own URDF: " + command_line(
+            "pickenv", "export", npz_path(out), onto=path, out="robot_calibrated.urdf"
+        )
     targets = command_line("pickenv", "apply", npz_path(out), "targets.csv", arm=arm, out="commands.csv")
     return f"correct targets: {targets}"
 
