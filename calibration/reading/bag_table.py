@@ -11,8 +11,8 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from pickenv.base import InputError, listed, require
-from pickenv.base.texts import is_file, parsed
+from pickenv.base import InputError, is_file, listed, require
+from pickenv.base.texts import parsed
 from pickenv.calibration.reading import csv_table
 from pickenv.calibration.reading.csv_table import Table
 
