@@ -11,7 +11,7 @@ from operator import attrgetter
 from pathlib import Path
 from typing import Any
 
-from pickenv.base import InputError, listed, require
+from pickenv.base import InputError, is_file, listed, require
 from pickenv.base.texts import parsed
 from pickenv.calibration.reading import csv_table
 from pickenv.calibration.reading.csv_table import Table
@@ -28,10 +28,11 @@ FIELDS: dict[str, tuple[str, ...]] = {
         *("transform.translation.x", "transform.translation.y", "transform.translation.z"),
         *("transform.rotation.x", "transform.rotation.y", "transform.rotation.z", "transform.rotation.w"),
     ),
-    "sensor_msgs/msg/Imu": ("linear_acceleration.x", "linear_acceleration.y", "linear_acceleration.z"),
-    "std_msgs/msg/Float64": ("data",),
 }
-"""Types of messages that are read, and the fields of each that become columns; joints have columns by their names."""
+"""Types of messages that are read, and the fields of each that become columns; joints have columns by their names.
+
+All of them have a header with a stamp.
+"""
 
 
 def read_log(
@@ -45,11 +46,12 @@ def read_log(
     Raises:
         InputError: If the file or topic is missing, unreadable or empty, or if its type is not read.
     """
-    if topic is not None:
-        return _bag_table(path, topic)
-    if path.suffix == ".mcap" or (path / "metadata.yaml").is_file():
+    is_bag = is_file(path / "metadata.yaml") or (path.suffix in (".mcap", ".db3") and is_file(path))
+    if topic is not None and not is_bag:
+        raise InputError(f"{path} is no rosbag2 folder and no .mcap file; give one, or do not name its topic")
+    if topic is None and is_bag:
         raise InputError(f"{path} is a ROS bag; name its topic in [recording] of `columns`: topic, or joints_topic")
-    return csv_table.read_table(path, separator, decimal, names)
+    return csv_table.read_table(path, separator, decimal, names) if topic is None else _bag_table(path, topic)
 
 
 def _bag_table(path: Path, topic: str) -> Table:
@@ -64,13 +66,13 @@ def _bag_table(path: Path, topic: str) -> Table:
         raise InputError(f"{where} holds messages of {kind}; give one of {', '.join(FIELDS)}")
     if not messages:
         raise InputError(f"{where} has no messages; record it again")
-    stamps = [_stamp(message) for _, message in messages]
-    logged = [time for time, _ in messages]
+    logged, found = zip(*messages, strict=True)
+    stamps = tuple(message.header.stamp.sec * 10**9 + message.header.stamp.nanosec for message in found)
     if not any(stamps):
         warnings.warn(f"{where} has no stamps; the times at which it was logged are taken", stacklevel=2)
         stamps = logged
     entries = []
-    for stamp, time, (_, message) in zip(stamps, logged, messages, strict=True):
+    for stamp, time, message in zip(stamps, logged, found, strict=True):
         cells = {field: attrgetter(field)(message) for field in FIELDS[kind]}
         if kind == JOINTS:
             cells |= zip(message.name, message.position.tolist(), strict=False)
@@ -91,12 +93,6 @@ def _messages(path: Path, topic: str) -> tuple[dict[str, str], list[tuple[int, A
         publishers = [each for each in bag.connections if each.topic == topic and each.msgtype in FIELDS]
         found = bag.messages(publishers) if publishers else ()
         return kinds, [(time, store.deserialize_cdr(data, kinds[topic])) for _, time, data in found]
-
-
-def _stamp(message: Any) -> int:
-    """The stamp in a message's header, ns; 0 if it has none."""
-    header = getattr(message, "header", None)
-    return 0 if header is None else int(header.stamp.sec * 10**9 + header.stamp.nanosec)
 
 
 def _seconds(time: int) -> str:

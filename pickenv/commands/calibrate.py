@@ -50,7 +50,7 @@ def calibrate(
     The verdict comes first: good, with care, or do not use; then the exit code is 3.
 
     Args:
-        files: Files of measurements (CSV, YAML or Parquet) of one layout, or a folder of pictures.
+        files: Files of measurements (CSV, YAML, Parquet, ROS 2 bags) of one layout, or a folder of pictures.
         arm: Arm name, or file ({arm_format}; .urdf#link, .xml#body; .urdf#link,link for a whole robot); not for
             finished poses.
         columns: Column description, by name or path; ours if left out. Repeat it, for one per file.

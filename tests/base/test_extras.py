@@ -90,7 +90,7 @@ MAKE = "import gymnasium, pickenv\ngymnasium.make"
         (
             ("rosbags",),
             "from pathlib import Path\nfrom pickenv.calibration.reading.bag_table import read_log\n"
-            "read_log(Path('run'), '/joint_states')",
+            "Path('run.mcap').touch()\nread_log(Path('run.mcap'), '/joint_states')",
         ),
         (("cv2",), "from pickenv.calibration.camera.boards import opencv\nopencv()"),
     ],

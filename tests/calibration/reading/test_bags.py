@@ -7,7 +7,6 @@ from functools import lru_cache
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
-from warnings import catch_warnings
 
 import numpy as np
 import pytest
@@ -235,54 +234,24 @@ def test_where_no_stamp_is_set_the_log_tells_the_time(tmp_path: Path) -> None:
     assert_same(rows, from_csv(7))
 
 
-def test_a_wire_may_be_a_number_without_a_stamp(tmp_path: Path) -> None:
-    lengths = np.linalg.norm(MOTION.readings[:, :3] - [0.9, -0.9, 0.1], axis=1).tolist()
-    logged = list(zip(MOTION.sampled, lengths, strict=True))
-    wire = [(stamp, typed("std_msgs/msg/Float64", length)) for stamp, length in logged]
-    bag = write_bag(tmp_path / "run", StoragePlugin.SQLITE3, MOTION.topics() | {"/tracker/pose": wire})
-    MOTION.as_csv(tmp_path)
-    rows = [f"{stamp // 10**9}.{stamp % 10**9:09d},{length!r}" for stamp, length in logged]
-    (tmp_path / "wire.csv").write_text("\n".join(["t,length", *rows]), encoding="utf-8")
-    pair = []
-    for path, column, changes in (
-        (bag, "data", {}),
-        (tmp_path / "wire.csv", "length", {"time": "t", "joints": "joints.csv", "joints_time": "t", "topics": ""}),
-    ):
-        columns = described(tmp_path, POINT, **changes)
-        section = f'[wire]\ncolumns = ["{column}"]\nunit = "m"\nstd_mm = 0.1\n\n'
-        text = re.sub(r"\[position\].*?\n\n", section, columns.read_text(encoding="utf-8"), flags=re.DOTALL)
-        columns.write_text(text, encoding="utf-8")
-        with catch_warnings(record=True, action="always") as said:
-            pair.append(read(path, columns))
-        assert bool(said) == (path == bag)
-    assert_same(pair[0], pair[1])
-
-
-def acceleration(stamp: int) -> Any:
-    turn, unknown = typed("geometry_msgs/msg/Quaternion", 0.0, 0.0, 0.0, 1.0), np.zeros(9)
-    spin, pull = (typed("geometry_msgs/msg/Vector3", *values) for values in ((0.0, 0.0, 0.0), (0.5, 1.5, 9.5)))
-    return typed("sensor_msgs/msg/Imu", header(stamp), turn, unknown, spin, unknown, pull, unknown)
-
-
 @pytest.mark.parametrize(
     ("changes", "words"),
     [
         (
             {"topics": TOPICS.replace("/tracker/pose", "/laser")},
-            "run has no topic '/laser'; it has /joint_states (sensor_msgs/msg/JointState), "
-            "/level (sensor_msgs/msg/Imu), /status (std_msgs/msg/String), "
-            "/tracker/pose (geometry_msgs/msg/PoseStamped)",
+            "run has no topic '/laser'; it has /ball (geometry_msgs/msg/PointStamped), /joint_states "
+            "(sensor_msgs/msg/JointState), "
+            "/status (std_msgs/msg/String), /tracker/pose (geometry_msgs/msg/PoseStamped)",
         ),
         (
             {"topics": TOPICS.replace("/tracker/pose", "/status")},
             "topic /status of run holds messages of std_msgs/msg/String; give one of sensor_msgs/msg/JointState, "
-            "geometry_msgs/msg/PointStamped, geometry_msgs/msg/PoseStamped, geometry_msgs/msg/TransformStamped, "
-            "sensor_msgs/msg/Imu, std_msgs/msg/Float64",
+            "geometry_msgs/msg/PointStamped, geometry_msgs/msg/PoseStamped, geometry_msgs/msg/TransformStamped",
         ),
         (
-            {"topics": TOPICS.replace("/tracker/pose", "/level")},
-            "topic /level of run: cannot compute 'pose.position.x': there is no column 'pose.position.x', but "
-            "time, log_time, linear_acceleration.x, linear_acceleration.y, linear_acceleration.z",
+            {"topics": TOPICS.replace("/tracker/pose", "/ball")},
+            "topic /ball of run: cannot compute 'pose.position.x': there is no column 'pose.position.x', but "
+            "time, log_time, point.x, point.y, point.z",
         ),
         (
             {"topics": TOPICS.replace("/joint_states", "/tracker/pose")},
@@ -300,25 +269,33 @@ def acceleration(stamp: int) -> Any:
         ),
         (
             {"joints": "joints.csv"},
-            "joints.csv is not valid rosbag2 or MCAP of ROS 2: Unrecognized storage format '.csv'",
+            "joints.csv is no rosbag2 folder and no .mcap file; give one, or do not name its topic",
         ),
         (
-            {"joints": "empty"},
-            "empty is not valid rosbag2 or MCAP of ROS 2: Expected metadata file 'empty' does not exist.",
+            {"joints": "{file}.mcap"},
+            "run.mcap is no rosbag2 folder and no .mcap file; give one, or do not name its topic",
         ),
     ],
-    ids=["no such topic", "text", "acceleration", "no joints", "never together", "no topic named", "CSV", "no bag"],
+    ids=[
+        "no such topic",
+        "text",
+        "no attitudes",
+        "no joints",
+        "never together",
+        "no topic named",
+        "CSV",
+        "no such file",
+    ],
 )
 def test_what_cannot_be_read_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, changes: dict[str, Any], words: str
 ) -> None:
     topics = MOTION.topics() | {
-        "/level": [(stamp, acceleration(stamp)) for stamp in MOTION.sampled],
+        "/ball": MOTION.instrument(point),
         "/status": [(stamp, typed("std_msgs/msg/String", "ready")) for stamp in MOTION.sampled],
     }
     write_bag(tmp_path / "run", StoragePlugin.SQLITE3, topics)
     MOTION.as_csv(tmp_path)
-    (tmp_path / "empty").mkdir()
     monkeypatch.chdir(tmp_path)
     with pytest.raises(InputError) as refused:
         read(Path("run"), described(tmp_path, **changes))
