@@ -143,6 +143,7 @@ def track(
     rng: np.random.Generator,
     stand: Array,
     rows: int = 120,
+    whole: bool = True,
 ) -> None:
     """Write what a tracker sees of a ball on a link, and its description; ``stand`` ``(4, 4)`` is the base's pose."""
     noise, ball = 3e-5, np.append(rng.uniform(-0.1, 0.1, 3), 1.0)
@@ -150,27 +151,53 @@ def track(
     seen = [(stand @ robot.poses(dict(zip(joints, row, strict=True)))[link] @ ball)[:3] for row in values]
     position = np.array(seen) + noise * rng.normal(size=(rows, 3))
     section = '[position]\ncolumns = ["x", "y", "z"]\nunit = "m"\nstd_mm = 0.03'
-    scene = f'sensor = "tracker"\ntarget = "ball on {link}"\ntarget_link = "{link}"'
+    scene = f'sensor = "tracker"\ntarget = "ball on {link}"' + (f'\ntarget_link = "{link}"' if whole else "")
     _described(folder, link, joints, section, ",".join([*joints, "x", "y", "z"]), np.c_[values, position], scene)
 
 
-def watch(
-    robot: Robot, joints: Sequence[str], link: str, folder: Path, rng: np.random.Generator, views: int = 40
-) -> None:
-    """Write the corners of a chessboard on a link that a camera on the head sees: camera.csv and camera.toml."""
-    at_zero, pixel = robot.poses({}), 0.15
-    there = np.linalg.inv(at_zero["head_tip"]) @ at_zero[link]
-    ahead = there[:3, 3] / np.linalg.norm(there[:3, 3])
+def looking(place: Array, at: Array) -> Array:
+    """The pose ``(4, 4)`` of a camera at a place ``(3,)`` that looks at another."""
+    ahead = (at - place) / np.linalg.norm(at - place)
     across = np.cross([0.0, 0.0, 1.0], ahead) / np.linalg.norm(np.cross([0.0, 0.0, 1.0], ahead))
-    camera = matrix(rng.uniform(-0.05, 0.05, 3), np.stack([across, np.cross(ahead, across), ahead], 1))
-    facing = at_zero[link][:3, :3].T @ at_zero["head_tip"][:3, :3] @ camera[:3, :3]
-    board = matrix(rng.uniform(-0.05, 0.05, 3), facing)
+    return matrix(place, np.stack([across, np.cross(ahead, across), ahead], 1))
+
+
+def watch(
+    robot: Robot,
+    joints: Sequence[str],
+    link: str,
+    folder: Path,
+    rng: np.random.Generator,
+    *,
+    name: str,
+    carrier: str,
+    camera: Array,
+    board: Array,
+    scene: str,
+    views: int = 40,
+) -> None:
+    """Write the corners of a chessboard on a link that a camera sees, and their description.
+
+    Args:
+        robot: The robot.
+        joints: The joints that move.
+        link: The link with the board.
+        folder: Where to write <name>.csv and <name>.toml.
+        rng: Draws joints and noise.
+        name: Name of the files.
+        carrier: The link with the camera.
+        camera: Pose of the camera in its link ``(4, 4)``.
+        board: Pose of the board in its link ``(4, 4)``.
+        scene: Lines of [scene].
+        views: Number of views.
+    """
+    pixel = 0.15
     table: list[list[float]] = []
     view = 0
     while view < views:
         values = rng.uniform(-0.9, 0.9, len(joints))
         poses = robot.poses(dict(zip(joints, values, strict=True)))
-        stands = np.linalg.inv(poses["head_tip"] @ camera) @ poses[link] @ board
+        stands = np.linalg.inv(poses[carrier] @ camera) @ poses[link] @ board
         points = BOARD @ stands[:3, :3].T + stands[:3, 3]
         if points[:, 2].min() < 0.15 or stands[:3, 2] @ points.mean(0) < 0.5 * np.linalg.norm(points.mean(0)):
             continue
@@ -181,13 +208,37 @@ def watch(
         noise = pixel * rng.normal(size=seen.shape)
         table += [[view, *values, i, *(seen[i] + noise[i])] for i in np.flatnonzero(inside)]
         view += 1
-    lens = "\n".join(f"{name} = {value}" for name, value in LENS.items())
-    section = f'[pixels]\ncolumns = ["u", "v"]\nview = "view"\ncorner = "corner"\nstd_px = {pixel}\n[camera]\n{lens}\n'
-    section += '[board]\nkind = "chessboard"\ncolumns = 7\nrows = 6\nsquare_mm = 30'
+    lens = "\n".join(f"{key} = {value}" for key, value in LENS.items())
+    mount = "" if "_link" in scene else 'mount = "world"\n'
+    section = f'[pixels]\n{mount}columns = ["u", "v"]\nview = "view"\ncorner = "corner"\nstd_px = {pixel}\n'
+    section += f'[camera]\n{lens}\n[board]\nkind = "chessboard"\ncolumns = 7\nrows = 6\nsquare_mm = 30'
+    _described(folder, name, joints, section, ",".join(["view", *joints, "corner", "u", "v"]), np.array(table), scene)
+
+
+def head_watches(robot: Robot, joints: Sequence[str], link: str, folder: Path, rng: np.random.Generator) -> None:
+    """Write what a camera on the head sees of a board on a link: camera.csv and camera.toml."""
+    at_zero = robot.poses({})
+    there = np.linalg.inv(at_zero["head_tip"]) @ at_zero[link]
+    camera = looking(rng.uniform(-0.05, 0.05, 3), there[:3, 3])
+    facing = at_zero[link][:3, :3].T @ at_zero["head_tip"][:3, :3] @ camera[:3, :3]
+    board = matrix(rng.uniform(-0.05, 0.05, 3), facing)
     scene = f'sensor_link = "head_tip"\ntarget_link = "{link}"'
-    _described(
-        folder, "camera", joints, section, ",".join(["view", *joints, "corner", "u", "v"]), np.array(table), scene
-    )
+    watch(robot, joints, link, folder, rng, name="camera", carrier="head_tip", camera=camera, board=board, scene=scene)
+
+
+def two_cameras_watch(robot: Robot, joints: Sequence[str], link: str, folder: Path, rng: np.random.Generator) -> None:
+    """Write what two cameras in the world see of one board on a link: camera1 and camera2, .csv and .toml."""
+    tip = robot.poses({})[link]
+    board = looking(rng.uniform(-0.05, 0.05, 3), rng.uniform(-1.0, 1.0, 3))
+    there = tip @ board
+    for i, aside in enumerate((-0.35, 0.35), start=1):
+        place = there[:3, 3] + there[:3, :3] @ (aside, 0.1 * i, -0.9)
+        scene = f'sensor = "camera {i}"\ntarget = "board"'
+        camera = looking(place, there[:3, 3])
+        watch(
+            robot, joints, link, folder, rng,
+            name=f"camera{i}", carrier="base", camera=camera, board=board, scene=scene, views=25,
+        )  # fmt: skip
 
 
 def apart(one: Array, other: Array) -> float:

@@ -8,10 +8,19 @@ import numpy as np
 import pytest
 
 import pickenv
-from pickenv.arm import Array, forward, identity_pose, load_arm
+from pickenv.arm import Array, Geometry, forward, identity_pose, load_arm
 from pickenv.base import InputError
 from pickenv.calibration import Calibration, Choices, Result
-from tests.calibration.whole_robots import Robot, apart, built, drawn_robot, matrix, track, watch
+from tests.calibration.whole_robots import (
+    Robot,
+    apart,
+    built,
+    drawn_robot,
+    head_watches,
+    matrix,
+    track,
+    two_cameras_watch,
+)
 
 ARMS = ("left_tip", "right_tip")
 
@@ -36,6 +45,12 @@ def calibrated(folder: Path, files: Sequence[str], links: Sequence[str] = ARMS, 
     paths = [folder / f"{file}.csv" for file in files]
     columns = [folder / f"{file}.toml" for file in files]
     return pickenv.calibrate(name, paths, columns=columns, choices=Choices(**choices))
+
+
+def motion(geometry: Geometry, joints: Array) -> Array:
+    """Poses ``(N, 4, 4)`` of the target's link against the sensor's."""
+    bare = replace(geometry, base=identity_pose(), tool=identity_pose())
+    return np.stack([matrix(*pose) for pose in zip(*forward(bare, joints), strict=True)])
 
 
 def held_out(result: Result) -> Array:
@@ -67,11 +82,7 @@ def test_the_robots_own_urdf_moves_as_the_model(tmp_path: Path) -> None:
     assert found.arm.tree is not None
     left, right = found.arm.tree.carriers
     for ends in ((-1, left), (-1, right), (left, right)):
-        motions = []
-        for geometry in (found.identified, patched):
-            bare = replace(geometry.between(*ends), base=identity_pose(), tool=identity_pose())
-            motions.append(np.stack([matrix(*pose) for pose in zip(*forward(bare, joints), strict=True)]))
-        assert apart(*motions) < 1e-8
+        assert apart(*(motion(arm.between(*ends), joints) for arm in (found.identified, patched))) < 1e-8
 
 
 def test_a_whole_robot_compensates_no_tool(tmp_path: Path) -> None:
@@ -105,7 +116,7 @@ def test_a_wrist_that_is_left_out_leaves_the_other_as_it_was(tmp_path: Path) -> 
     assert np.mean(moved <= radius) > 0.95
 
 
-def load_left(geometry: pickenv.arm.Geometry) -> int:
+def load_left(geometry: Geometry) -> int:
     assert geometry.tree is not None
     return geometry.tree.carriers[0]
 
@@ -144,11 +155,29 @@ def test_a_head_camera_watches_the_wrist_of_its_own_robot(tmp_path: Path) -> Non
     rng = np.random.default_rng(6)
     robot = drawn_robot(rng)
     (tmp_path / "robot.urdf").write_text(robot.urdf(), encoding="utf-8")
-    watch(built(robot, rng), joints_of(robot, "left", "head"), "left_tip", tmp_path, rng)
+    head_watches(built(robot, rng), joints_of(robot, "left", "head"), "left_tip", tmp_path, rng)
     result = calibrated(tmp_path, ["camera"], ("left_tip", "head_tip"))
     nominal, left = held_out(result)
     assert left < 0.4 * nominal
     assert result.as_dict()["rms_px"] < 1.1 * 0.15 * np.sqrt(2.0)
+
+
+def test_two_cameras_and_a_tracker_are_one_fit(tmp_path: Path) -> None:
+    rng = np.random.default_rng(7)
+    robot = drawn_robot(rng)
+    truth, joints = built(robot, rng), joints_of(robot, "left")
+    (tmp_path / "robot.urdf").write_text(robot.urdf(), encoding="utf-8")
+    two_cameras_watch(truth, joints, "left_tip", tmp_path, rng)
+    track(truth, joints, "left_tip", tmp_path, rng, matrix((1.0, -0.5, 0.2)), rows=40, whole=False)
+    result = calibrated(tmp_path, ["camera1", "camera2", "left_tip"], ["left_tip"])
+    values = rng.uniform(-0.9, 0.9, (40, len(joints)))
+    true = np.stack([truth.poses(dict(zip(joints, row, strict=True)))["left_tip"] for row in values])
+    arms = (result.arm.nominal, result.calibration.identified)
+    before, after = (apart(motion(arm, values), true) for arm in arms)
+    assert after < before / 5.0
+    own = result.fit.identification.unknowns
+    assert sum(name.startswith("base") for name in own) == 12  # one more camera, one tracker
+    assert sum(name.startswith("tool") for name in own) == 6  # the ball's; both cameras see the arm's own tool
 
 
 @pytest.mark.slow
