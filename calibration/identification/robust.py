@@ -398,21 +398,11 @@ def stations_of(arm: Arm, data: Sequence[Observations], own: Collection[str]) ->
         InputError: If a set does not fit the arm.
     """
     parts = sorted(data, key=lambda part: not part.framed)
-    return _stations(arm, parts, [own] * (len(parts) - 1))
-
-
-def _stations(arm: Arm, parts: Sequence[Observations], own: Sequence[Collection[str]]) -> Stacked:
-    """Stations, all but the first with frames of their own, looked for from where they are if the arm is nominal."""
-    stations = [InstrumentStation(parts[0])]
-    for number, (part, names) in enumerate(zip(parts[1:], own, strict=True), start=2):
-        start = robust_frames(arm, part) if part.framed else arm.nominal
-        base = start.base if "base" in names and part.framed else None
-        stations.append(InstrumentStation(part, number, base, start.tool if "tool" in names else None))
-    return Stacked(tuple(stations))
+    return _stations(arm, parts, [dict.fromkeys(own, number) for number in range(2, len(parts) + 1)])
 
 
 def scene_of(arm: Arm, data: Sequence[Observations]) -> Stacked:
-    """Data sets as stations of one arm that share frames: the base where they name one sensor, the tool one target.
+    """Data sets as stations of one arm that share the base if they name one sensor, and the tool if one target.
 
     Args:
         arm: The arm.
@@ -422,17 +412,30 @@ def scene_of(arm: Arm, data: Sequence[Observations]) -> Stacked:
         InputError: If a set does not fit the arm.
     """
     parts = sorted(data, key=lambda part: not part.framed)
-    starts = [robust_frames(arm, part) if part.framed else arm.nominal for part in parts]
-    stations: list[InstrumentStation] = []
-    for number, part in enumerate(parts, start=1):
-        owners: dict[str, int] = {}
-        for frame, names in zip(OWN, zip(*(origins_of(other).scene for other in parts), strict=True), strict=True):
-            name = names[number - 1]
-            first = names.index(name) + 1 if name else number
-            if first > 1 and (frame == "tool" or part.framed):
-                owners[frame] = first
-        frames = {frame: getattr(starts[first - 1], frame) for frame, first in owners.items()}
-        stations.append(InstrumentStation(part, number, **frames, owners=owners))
+    scenes = [origins_of(part).scene for part in parts]
+    sensors_and_targets, owners = list(zip(*scenes, strict=True)), []
+    for number, scene in enumerate(scenes[1:], start=2):
+        pairs = zip(scene, sensors_and_targets, strict=True)
+        firsts = [names.index(name) + 1 if name else number for name, names in pairs]
+        owners.append(dict(zip(OWN, firsts, strict=True)))
+    return _stations(arm, parts, owners)
+
+
+def _stations(arm: Arm, parts: Sequence[Observations], owners: Sequence[Mapping[str, int]]) -> Stacked:
+    """Stations whose frames, looked for from where they are if the arm is nominal, are their own or another station's.
+
+    Args:
+        arm: The arm.
+        parts: The data sets; the first has the arm's own frames.
+        owners: For each set but the first, the number of the station that each frame belongs to; a frame that is left
+            out is the arm's.
+    """
+    starts = [robust_frames(arm, part) if part.framed else arm.nominal for part in parts[1:]]
+    stations = [InstrumentStation(parts[0])]
+    for number, (part, firsts) in enumerate(zip(parts[1:], owners, strict=True), start=2):
+        own = {frame: i for frame, i in firsts.items() if i > 1 and (frame == "tool" or part.framed)}
+        frames = {frame: getattr(starts[i - 2], frame) for frame, i in own.items()}
+        stations.append(InstrumentStation(part, number, **frames, owners=own))
     return Stacked(tuple(stations))
 
 
@@ -452,7 +455,8 @@ def by_set_up(arm: Arm, parts: Sequence[Measurements]) -> Measurements | Stacked
     """
     groups = set_ups(arm, parts)
     rows = [rows_together([parts[i] for i in numbers]) for numbers, _ in groups]
-    return rows[0] if len(rows) == 1 else _stations(arm, rows, [own for _, own in groups[1:]])
+    owners = [dict.fromkeys(own, number) for number, (_, own) in enumerate(groups[1:], start=2)]
+    return rows[0] if len(rows) == 1 else _stations(arm, rows, owners)
 
 
 def set_ups(arm: Arm, parts: Sequence[Measurements]) -> tuple[SetUp, ...]:

@@ -27,7 +27,7 @@ from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from pickenv.calibration.model import observations
 from pickenv.calibration.model.arm_model import CARRIER, ArmModel, kind_of_term, pose_carrier
-from pickenv.calibration.model.measurements import FRAMES, OWN, Frames, Measurements, Stacked
+from pickenv.calibration.model.measurements import FRAMES, OWN, Frames, InstrumentStation, Measurements, Stacked
 from pickenv.calibration.model.noise import noise_of
 from pickenv.calibration.model.observations import Observations, Rows, origins_of, pose_count
 from pickenv.calibration.model.pixels import with_lens
@@ -205,18 +205,34 @@ def _joined(
     arm: Arm, sets: list[Observations], stations: str | None, known: bool, like: Observations | None
 ) -> Observations:
     """Join several data sets as stations of one arm, as asked or as poses and positions show; leave one as it is."""
+    if stations is None and any(any(origins_of(part).scene) for part in sets):
+        if isinstance(like, Stacked):
+            return Stacked(tuple(_same_scene(like, part) for part in sets))
+        return scene_of(arm, sets) if len(sets) > 1 else sets[0]
     if stations is None:
         tracked = [file for part in sets if part.poses is not None for file in _files(part.poses)]
         if isinstance(like, Stacked) and tracked:
             return placed(arm, like, tracked)
         free = not known and like is None and all(part.frames == "fitted" for part in tracked)
-        free = free and not any(any(origins_of(part).scene) or part.conditions.between is not None for part in sets)
+        free = free and not any(part.conditions.between is not None for part in sets)
         if len(tracked) > 1 and free and all(part.poses is not None for part in sets):
             several = by_set_up(arm, tracked)
             return sets[0] if len(sets) == 1 and several.poses is not None else several
-    if len(sets) > 1 and stations is None and any(any(origins_of(part).scene) for part in sets):
-        return scene_of(arm, sets)
     return sets[0] if len(sets) == 1 else stations_of(arm, sets, STATIONS[stations or "base,tool"])
+
+
+def _same_scene(like: Stacked, data: Observations) -> InstrumentStation:
+    """Other rows of the sensor and the target of a station.
+
+    Raises:
+        InputError: If no station has them.
+    """
+    scene = origins_of(data).scene
+    for station in like.stations:
+        if (origins_of(station.data).scene, station.data.kind) == (scene, data.kind):
+            return replace(station, data=data)
+    named = " and ".join(f"'{name}'" for name in scene if name)
+    raise InputError(f"{data.source}: [scene] names {named}, as no fitted file of this kind does; name the same ones")
 
 
 def _files(data: Measurements) -> list[Measurements]:

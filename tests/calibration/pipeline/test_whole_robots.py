@@ -10,7 +10,7 @@ import pytest
 import pickenv
 from pickenv.arm import Array, Geometry, forward, identity_pose, load_arm
 from pickenv.base import InputError
-from pickenv.calibration import Calibration, Choices, Result
+from pickenv.calibration import Calibration, Choices, Result, read_observations
 from tests.calibration.whole_robots import (
     Robot,
     apart,
@@ -69,6 +69,57 @@ def test_two_arms_on_one_torso_are_one_fit(tmp_path: Path) -> None:
     names = result.fit.identification.unknowns
     assert [name for name in names if name.startswith("base")] == []  # one tracker, one base
     assert sum(name.startswith("tool2_") for name in names) == 6
+
+
+def test_other_rows_of_a_scene_are_judged_where_they_were_seen(tmp_path: Path) -> None:
+    two_arms(tmp_path, 1)
+    names, columns = [], [tmp_path / f"{link}.toml" for link in ARMS]
+    for link in ARMS:
+        header, *rows = (tmp_path / f"{link}.csv").read_text(encoding="utf-8").splitlines(keepends=True)
+        for part, some in (("a", rows[:90]), ("b", rows[90:])):
+            (tmp_path / f"{link}_{part}.csv").write_text(header + "".join(some), encoding="utf-8")
+        names.append(f"{tmp_path / link}")
+    files, others = ([f"{name}_{part}.csv" for name in names] for part in "ab")
+    robot = f"{tmp_path / 'robot.urdf'}#{','.join(ARMS)}"
+    result = pickenv.calibrate(robot, files, columns=columns, test=others, choices=Choices(terms="none"))
+    assert len(result.test.joints) == 60
+    assert held_out(result)[1] < 1.3 * 0.03 * np.sqrt(3.0)
+
+
+def test_other_rows_of_another_target_are_refused(tmp_path: Path) -> None:
+    two_arms(tmp_path, 1)
+    (tmp_path / "other.csv").write_text((tmp_path / "right_tip.csv").read_text(encoding="utf-8"), encoding="utf-8")
+    text = (tmp_path / "right_tip.toml").read_text(encoding="utf-8").replace("ball on right_tip", "prism")
+    (tmp_path / "other.toml").write_text(text, encoding="utf-8")
+    arm = load_arm(f"{tmp_path / 'robot.urdf'}#{','.join(ARMS)}", whole=True)
+    left, right, other = (
+        read_observations([tmp_path / f"{name}.csv"], arm.nominal, tmp_path / f"{name}.toml").observations
+        for name in (*ARMS, "other")
+    )
+    with pytest.raises(InputError, match="names 'tracker' and 'prism', as no fitted file of this kind does"):
+        pickenv.calibrate(arm, [left, right], test=[other])
+
+
+def test_an_inclinometer_on_a_middle_link_is_one_more_file(tmp_path: Path) -> None:
+    truth = two_arms(tmp_path, 8)
+    rng, joints = np.random.default_rng(9), joints_of(truth, "left", "right")
+    values = rng.uniform(-1.2, 1.2, (30, len(joints)))
+    poses = [truth.poses(dict(zip(joints, row, strict=True)))["left4"] for row in values]
+    down = np.array([pose[:3, :3].T @ (0.0, 0.0, -1.0) for pose in poses]) + 1e-4 * rng.normal(size=(30, 3))
+    table = np.c_[values, down / np.linalg.norm(down, axis=1)[:, None]]
+    np.savetxt(tmp_path / "tilt.csv", table, "%.9g", ",", header=",".join([*joints, "gx", "gy", "gz"]), comments="")
+    head, _, _ = (tmp_path / "left_tip.toml").read_text(encoding="utf-8").partition("[position]")
+    section = '[tilt]\ncolumns = ["gx", "gy", "gz"]\nunit = "g"\nstd_deg = 0.006\n[scene]\nsensor_link = "left4"\n'
+    (tmp_path / "tilt.toml").write_text(head + section, encoding="utf-8")
+    result = calibrated(tmp_path, [*ARMS, "tilt"], [*ARMS, "left4"], terms="none")
+    tilted = next(station for station in result.train.stations if station.data.kind == "tilt")
+    unknowns = np.array([result.fit.identification.unknowns[name] for name in tilted.unknowns()])
+    by_arm, _ = tilted.jacobian(result.fit.calibration.model, unknowns)
+    names = result.fit.calibration.model.parameter_names
+    moved = {name for name, column in zip(names, by_arm.T, strict=True) if np.abs(column).max() > 1e-9}
+    assert moved and not any(name in moved for name in ("theta7", "theta8", "theta10", "alpha12"))
+    missed = tilted.data.misses(*tilted.seen(result.fit.calibration.model, unknowns))
+    assert np.sqrt(np.mean(missed**2)) < 1.5e-4
 
 
 def test_the_robots_own_urdf_moves_as_the_model(tmp_path: Path) -> None:
