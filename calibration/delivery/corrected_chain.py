@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Array, Geometry, Pose, forward, identity_pose, rotation_matrix, rotation_vector
-from pickenv.arm.files.joint_chain import ChainJoint, JointRow
+from pickenv.arm.files.joint_chain import ChainJoint, JointRow, whole_robot
 from pickenv.arm.files.xml_values import numbers_text
 from pickenv.arm.kinematics.forward import NEARLY_PARALLEL, chain_of, frames, pose_of
 from pickenv.arm.kinematics.geometry import behind, inverse_pose
@@ -292,30 +292,38 @@ def corrected_chain(
     return origins, behind(inverse_pose(new), hand)
 
 
-def corrected_tree(calibration: Calibration, rows: Sequence[JointRow]) -> dict[str, tuple[Pose, Pose]]:
-    """The origin of each joint of a whole robot, as the file has it and as corrected, by the joint's name.
+def corrected_tree(
+    calibration: Calibration, rows: Sequence[JointRow], path: Path
+) -> tuple[list[tuple[ChainJoint, Pose]], tuple[str, ...]]:
+    """The joints of a whole robot with their corrected origins, and sentences on what the file holds of them.
+
+    Where sensors and targets sit on their links is no part of the robot.
 
     Args:
         calibration: The calibration.
         rows: The file's joints up to each of the tree's named parts, in the tree's order.
+        path: The file, for messages.
+
+    Raises:
+        InputError: If the file is of another robot.
     """
+    calibration.refuse_another(whole_robot(rows, path, "whole robot"), str(path))
     nominal, identified = (
         replace(geometry.between(-1, 0), base=calibration.arm.base)
         for geometry in (calibration.arm, calibration.identified)
     )
-    frames_before, frames_after = (
-        link_frames(geometry, np.zeros(geometry.joints)) for geometry in (nominal, identified)
-    )
-    tree, ratios = nominal.tree, nominal.ratios
+    all_before, all_after = (link_frames(geometry, np.zeros(geometry.joints)) for geometry in (nominal, identified))
+    tree = nominal.tree
     assert tree is not None
-    origins: dict[str, tuple[Pose, Pose]] = {}
+    corrected: dict[str, tuple[ChainJoint, Pose]] = {}
     for row, carrier in zip(rows, tree.carriers, strict=True):
-        path = [link for link in reversed(tree.carry(carrier)) if ratios[link]]
-        before, after = ([frames[link] for link in path] for frames in (frames_before, frames_after))
-        corrected = {name: new for name, (_, new) in origins.items()}
-        moved, *_ = _moved_origins(before, after, row.joints, [1.0] * len(path), corrected)
-        origins |= {joint.name: (joint.origin, new) for joint, new in zip(row.joints, moved, strict=True)}
-    return origins
+        line = [link for link in reversed(tree.carry(carrier)) if nominal.ratios[link]]
+        before, after = ([frames[link] for link in line] for frames in (all_before, all_after))
+        earlier = {name: new for name, (_, new) in corrected.items()}
+        moved, *_ = _moved_origins(before, after, row.joints, [1.0] * len(line), earlier)
+        corrected |= {joint.name: (joint, new) for joint, new in zip(row.joints, moved, strict=True)}
+    moves = list(corrected.values())
+    return moves, (moved_words(moves), *left_out(calibration, RIGID))
 
 
 def _moved_origins(
@@ -399,6 +407,9 @@ def _laid_upon(laid: Pose, joint: ChainJoint, sign: float) -> Pose:
 # rigid links has a place.
 
 
+RIGID = "not in the file, because rigid links cannot hold it"
+"""Words for what a file of rigid links leaves out."""
+
 NOTHING = 1e-12
 """Change of an origin, m or rad, up to which its text in the file is kept."""
 
@@ -476,7 +487,7 @@ def correction(calibration: Calibration, own: JointRow, path: Path, frame: str =
             f"of the tool's correction {size} are left out: the file's tip is not the calibrated tool on a fixed "
             "joint; `kind='transforms'` writes them"
         )
-    notes += left_out(calibration, "not in the file, because rigid links cannot hold it")
+    notes += left_out(calibration, RIGID)
     return Correction(origins, root, hand, mount, behind_tip, tuple(notes))
 
 
@@ -513,7 +524,7 @@ def changed(old: Pose, new: Pose, place: str, attitude: str, words: Callable[[Po
 
 def _notes(calibration: Calibration, own: JointRow, origins: list[Pose], same: SameChain) -> list[str]:
     """Sentences on how far the file's joint origins move, and on joints that read otherwise than in the arm's table."""
-    notes = [moved_words({joint.name: (joint.origin, new) for joint, new in zip(own.joints, origins, strict=True)})]
+    notes = [moved_words(zip(own.joints, origins, strict=True))]
     drivers = dict.fromkeys(joint.driver for joint in own.joints if joint.ratio)  # in the file's order
     readings = [
         f"{name} = {sign:+.0f} x {joint} {'+' if zero >= 0 else '-'} {abs(zero):.6g}"
@@ -525,16 +536,16 @@ def _notes(calibration: Calibration, own: JointRow, origins: list[Pose], same: S
     return notes
 
 
-def moved_words(origins: Mapping[str, tuple[Pose, Pose]]) -> str:
-    """A sentence on how far joint origins move, each given by its joint's name, as the file has it and as corrected."""
-    moves = {name: apart(*pair) for name, pair in origins.items() if any(is_moved(*pair))}
-    if not moves:
+def moved_words(moves: Iterable[tuple[ChainJoint, Pose]]) -> str:
+    """A sentence on how far joints' origins move, each given as the file has it and as corrected."""
+    moves = list(moves)
+    sizes = {joint.name: apart(joint.origin, new) for joint, new in moves if any(is_moved(joint.origin, new))}
+    if not sizes:
         return "no joint origin differs from what the file has; nothing is changed"
-    far = max(moves, key=lambda name: moves[name][0])
-    turned = max(moves, key=lambda name: moves[name][1])
+    far, turned = (max(sizes, key=lambda name: sizes[name][i]) for i in range(2))
     return (
-        f"{len(moves)} of {len(origins)} joint origins corrected: by up to {moves[far][0] * 1e3:.3g} mm ({far}) "
-        f"and {math.degrees(moves[turned][1]):.3g} deg ({turned}); everything else is as it was"
+        f"{len(sizes)} of {len(moves)} joint origins corrected: by up to {sizes[far][0] * 1e3:.3g} mm ({far}) "
+        f"and {math.degrees(sizes[turned][1]):.3g} deg ({turned}); everything else is as it was"
     )
 
 

@@ -150,8 +150,8 @@ def export(
     if robot_file is not None and robot_file.exists() and not robot_file.is_file():
         raise InputError(f"{robot_file} is no file on a disk; give `onto` the robot's own file")
     kind = kind or _kind(robot_file, out)
-    if calibration.arm.tree is not None and (kind != "urdf" or robot_file is None):
-        raise InputError("the calibration of a whole robot goes onto its own URDF; give that file as `onto`")
+    if calibration.arm.tree is not None and (kind not in ("urdf", "mjcf") or robot_file is None):
+        raise InputError("the calibration of a whole robot goes onto its own URDF or MJCF; give that file as `onto`")
     exporter = get("exporter", kind)
     if counts_per_turn is not None and (kind != "offsets" or counts_per_turn < 1):
         raise InputError("counts per turn are a whole number above zero and belong to `kind='offsets'`")

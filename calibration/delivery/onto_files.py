@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Arm, Geometry, Pose, draw_plants, identity_pose, load_tolerances, plant_at, rotation_vector
 from pickenv.arm.files.arm_file import UR_KEYS, UR_LINKS, ur_row
-from pickenv.arm.files.joint_chain import ChainJoint, JointRow, link_origins, whole_robot
+from pickenv.arm.files.joint_chain import ChainJoint, link_origins
 from pickenv.arm.files.mjcf import ORIENTATIONS, MjcfValues, mjcf_row, mjcf_text
 from pickenv.arm.files.urdf import leading_links, roll_pitch_yaw, urdf_row, urdf_text
 from pickenv.arm.files.xml_values import numbers_text, xml_numbers, xml_root
@@ -138,7 +138,9 @@ def urdf_document(calibration: Calibration, order: document.Order) -> document.D
     meshes = [tag.attributes.get("filename", "") for tag in tags if tag.name == "mesh"]
     if tree is not None:
         corrected_chain.refuse_lost_files(path, order.out, meshes)
-        return _whole_urdf(calibration, path, rows, data, tags)
+        joints, notes = corrected_chain.corrected_tree(calibration, rows, path)
+        edits = _moved_joints(data, tags, [(joint.name, joint.origin, new) for joint, new in joints])
+        return document.Document(document.edited(data, edits), notes)
     chain = rows[0]
     frame = f"{chain.tip}_calibrated"
     new = corrected_chain.correction(calibration, chain, path, frame)
@@ -150,21 +152,6 @@ def urdf_document(calibration: Calibration, order: document.Order) -> document.D
     if new.frame is not None:
         edits += _behind_tip(data, tags, chain.joints[-1].name, chain.tip, frame, new.frame, path)
     return document.Document(document.edited(data, edits), new.notes)
-
-
-def _whole_urdf(
-    calibration: Calibration, path: Path, rows: Sequence[JointRow], data: bytes, tags: list[document.StartTag]
-) -> document.Document:
-    """A whole robot's own URDF; where sensors and targets sit on their links is no part of it.
-
-    Raises:
-        InputError: If the file is of another robot.
-    """
-    calibration.refuse_another(whole_robot(rows, path, "URDF"), str(path))
-    origins = corrected_chain.corrected_tree(calibration, rows)
-    edits = _moved_joints(data, tags, [(name, old, new) for name, (old, new) in origins.items()])
-    notes = [corrected_chain.moved_words(origins), *document.left_out(calibration)]
-    return document.Document(document.edited(data, edits), tuple(notes))
 
 
 def _moved_joints(
@@ -265,17 +252,22 @@ def mjcf_document(calibration: Calibration, order: document.Order) -> document.D
     """
     if order.onto is None:
         return _new_mjcf(calibration, order)
-    path = order.onto
-    row = mjcf_row(path, order.tip)
+    path, tree = order.onto, calibration.arm.tree
+    rows = [mjcf_row(path, tip) for tip in ([order.tip] if tree is None else tree.names)]
+    row = rows[0]
     frame = f"{row.tip}_calibrated"
-    new = corrected_chain.correction(calibration, row, path, frame)
+    if tree is None:
+        new = corrected_chain.correction(calibration, row, path, frame)
+        moves, notes = list(zip(row.joints, new.origins, strict=True)), new.notes
+    else:
+        moves, notes = corrected_chain.corrected_tree(calibration, rows, path)
     values = MjcfValues.of(xml_root(path, "MJCF (.xml)"))
     data = path.read_bytes()
     tags = document.start_tags(data)
     corrected_chain.refuse_lost_files(path, order.out, _files(tags))
     edits: list[document.Edit] = []
     taken: set[str] = set()
-    for joint, origin in zip(row.joints, new.origins, strict=True):
+    for joint, origin in moves:
         if not any(corrected_chain.is_moved(joint.origin, origin)):
             continue
         if joint.body in taken:
@@ -287,6 +279,8 @@ def mjcf_document(calibration: Calibration, order: document.Order) -> document.D
         corrected = corrected_chain.own_origin(behind(values.pose(tag.attributes), place), joint.origin, origin)
         edits += _moved_body(data, tag, values, behind(corrected, inverse_pose(place)))
         taken.add(joint.body)
+    if tree is not None:
+        return document.Document(document.edited(data, edits), notes)
     if new.mount is not None and row.mount is not None:
         kind, _, name = row.mount.rpartition(" ") if row.mount.startswith("site ") else ("body", "", row.mount)
         tag = _named(tags, kind, name, path)

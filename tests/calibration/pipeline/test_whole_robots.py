@@ -122,13 +122,22 @@ def test_an_inclinometer_on_a_middle_link_is_one_more_file(tmp_path: Path) -> No
     assert np.sqrt(np.mean(missed**2)) < 1.5e-4
 
 
-def test_the_robots_own_urdf_moves_as_the_model(tmp_path: Path) -> None:
-    two_arms(tmp_path, 2)
-    calibrated(tmp_path, ARMS).save(tmp_path / "robot.npz")
-    found = Calibration.load(tmp_path / "robot.npz", whole=True)
-    done = pickenv.calibration.export(found, tmp_path / "new.urdf", onto=tmp_path / "robot.urdf")
-    assert "joint origins corrected" in done.notes[0]
-    patched = load_arm(f"{tmp_path / 'new.urdf'}#{','.join(ARMS)}", whole=True).nominal
+@pytest.mark.parametrize("ending", ["urdf", "xml"])
+def test_the_robots_own_file_moves_as_the_model(tmp_path: Path, ending: str) -> None:
+    truth = two_arms(tmp_path, 2)
+    own, new = tmp_path / f"robot.{ending}", tmp_path / f"new.{ending}"
+    if ending == "xml":
+        mujoco = pytest.importorskip("mujoco")
+        text = (tmp_path / "robot.urdf").read_text(encoding="utf-8")
+        start = '<mujoco><compiler fusestatic="false"/></mujoco><link name="base"/>'
+        model = mujoco.MjModel.from_xml_string(text.replace('<link name="base"/>', start, 1))
+        mujoco.mj_saveLastXML(str(own), model)
+    files, columns = ([tmp_path / f"{link}.{end}" for link in ARMS] for end in ("csv", "toml"))
+    result = pickenv.calibrate(f"{own}#{','.join(ARMS)}", files, columns=columns, choices=Choices(terms="none"))
+    found = Calibration.load(result.save(tmp_path / "robot.npz"), whole=True)
+    done = pickenv.calibration.export(found, new, onto=own)
+    assert f"of {len(joints_of(truth, 'left', 'right'))} joint origins corrected" in done.notes[0]
+    patched = load_arm(f"{new}#{','.join(ARMS)}", whole=True).nominal
     joints = np.random.default_rng(3).uniform(-1.2, 1.2, (10, patched.joints))
     assert found.arm.tree is not None
     left, right = found.arm.tree.carriers
@@ -144,7 +153,7 @@ def test_a_whole_robot_compensates_no_tool(tmp_path: Path) -> None:
         Calibration.load(path)
     with pytest.raises(InputError, match="a whole robot has no one tool to compensate"):
         result.calibration.compensator()
-    with pytest.raises(InputError, match="goes onto its own URDF; give that file as `onto`"):
+    with pytest.raises(InputError, match="goes onto its own URDF or MJCF; give that file as `onto`"):
         pickenv.calibration.export(result.calibration, tmp_path / "new.toml")
     (tmp_path / "other.urdf").write_text(drawn_robot(np.random.default_rng(9)).urdf(), encoding="utf-8")
     with pytest.raises(InputError, match="another geometry"):
