@@ -499,7 +499,8 @@ class ReflectorObservations(Observations):
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Measurements:
         """Measured positions of the reflector that is seen most often, as `Measurements`."""
         rows = self.seen[:, self.clearest]
-        return Measurements(self.joints[rows], self.points[rows, self.clearest], None, prismatic, source=self.source)
+        seen = self.joints[rows], self.points[rows, self.clearest], None, prismatic
+        return Measurements(*seen, source=self.source, conditions=self.conditions.select(rows))
 
     def seen_from(self, model: ArmModel) -> Array:
         """Mean of each reflector's measured points in the frame of the model's tool ``(k, 3)``, m."""

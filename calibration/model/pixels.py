@@ -184,7 +184,8 @@ class PixelObservations(Observations):
         if self.mount == "hand":
             back = np.swapaxes(poses.rotation, 1, 2)
             poses = Pose(-(back @ poses.position[..., None])[..., 0], back)
-        return Measurements(self.joints, poses.position, poses.rotation, prismatic, source=self.source)
+        seen = self.joints, poses.position, poses.rotation, prismatic
+        return Measurements(*seen, source=self.source, conditions=self.conditions)
 
     def visible(self, model: ArmModel, unknowns: Array, margin: float = 0.0) -> NDArray[np.bool_]:
         """Mask ``(V, K)`` of corners that a model predicts inside the picture, by a margin in px.

@@ -222,6 +222,25 @@ def test_a_head_camera_watches_the_wrist_of_its_own_robot(tmp_path: Path) -> Non
     assert result.as_dict()["rms_px"] < 1.1 * 0.15 * np.sqrt(2.0)
 
 
+def test_a_head_camera_and_a_tracker_are_one_fit(tmp_path: Path) -> None:
+    rng = np.random.default_rng(10)
+    robot = drawn_robot(rng)
+    truth, joints = built(robot, rng), joints_of(robot, "left", "head")
+    (tmp_path / "robot.urdf").write_text(robot.urdf(), encoding="utf-8")
+    head_watches(truth, joints, "left_tip", tmp_path, rng)
+    track(truth, joints, "left_tip", tmp_path, rng, matrix((1.0, -0.5, 0.2)), rows=40)
+    result = calibrated(tmp_path, ["left_tip", "camera"], ["left_tip", "head_tip"], terms="none")
+    values = rng.uniform(-0.9, 0.9, (40, len(joints)))
+    poses = [truth.poses(dict(zip(joints, row, strict=True))) for row in values]
+    assert result.arm.nominal.tree is not None
+    left, head = result.arm.nominal.tree.carriers
+    for sensor, name in ((-1, "base"), (head, "head_tip")):
+        true = np.stack([np.linalg.inv(pose[name]) @ pose["left_tip"] for pose in poses])
+        arms = (result.arm.nominal, result.calibration.identified)
+        before, after = (apart(motion(arm.between(sensor, left), values), true) for arm in arms)
+        assert after < before / 5.0, name
+
+
 def test_two_cameras_and_a_tracker_are_one_fit(tmp_path: Path) -> None:
     rng = np.random.default_rng(7)
     robot = drawn_robot(rng)
