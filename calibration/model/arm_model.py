@@ -28,7 +28,7 @@ class Conditions:
         temperature: Temperature above the reference ``(N,)``, K.
         torque: Measured joint torques or forces ``(N, n)``, N*m or N, positive along the joint as gravity's are.
         between: On a whole robot, the links that carry the sensor and its target ``(N, 2)``, as of
-            `pickenv.arm.kinematics.geometry.Tree`.
+            `pickenv.arm.kinematics.geometry.LinkTree`.
     """
 
     payload: Array | None = None

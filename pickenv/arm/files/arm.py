@@ -11,7 +11,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Coupling, Geometry, Pose, Tree, geometry_fingerprint
+from pickenv.arm.kinematics.geometry import (
+    LINK_PARAMETERS,
+    Array,
+    Coupling,
+    Geometry,
+    Pose,
+    LinkTree,
+    geometry_fingerprint,
+)
 from pickenv.base import InputError
 
 MOST_RATIO = 1e3
@@ -95,14 +103,14 @@ def geometry_from_arrays(
     return Geometry(tuple(joint_names), tuple(prismatic), **numbers, base=base, tool=tool, coupling=coupling, tree=tree)
 
 
-def _tree(named: Mapping[str, NDArray[Any]], links: int, which: str) -> Tree:
-    """The saved `Tree`, checked: each link stands on one before it."""
+def _tree(named: Mapping[str, NDArray[Any]], links: int, which: str) -> LinkTree:
+    """The saved `LinkTree`, checked: each link stands on one before it."""
     parts = tuple(str(name) for name in named["tree_names"])
     parent = tuple(map(int, finite(named, "tree", (links,), which)))
     *carriers, sensor, target = map(int, finite(named, "tree_links", (len(parts) + 2,), which))
     if any(not -1 <= stands < i for i, stands in enumerate(parent)) or not -1 <= min(carriers) <= max(carriers) < links:
         raise InputError(f"{which}/tree names a link that is not there, or comes later")
-    return Tree(parent, parts, tuple(carriers), sensor, target)
+    return LinkTree(parent, parts, tuple(carriers), sensor, target)
 
 
 def _coupling(named: Mapping[str, NDArray[Any]], joints: int, which: str) -> Coupling:

@@ -27,7 +27,7 @@ from pickenv.arm.kinematics.geometry import (
     Coupling,
     Geometry,
     Pose,
-    Tree,
+    LinkTree,
     behind,
     identity_pose,
 )
@@ -317,7 +317,7 @@ def whole_robot(rows: Sequence[JointRow], path: Path, form: str) -> Arm:
         names, prismatic, limits, speed = _driven([joint for joint in joints if joint.ratio], drives)
     coupling = Coupling(tuple(names.index(joint.driver) for joint in joints), *_motions(joints))
     tips = tuple(row.tip for row in rows)
-    tree = Tree(tuple(parents), tips, tuple(carriers), target=max(carriers))
+    tree = LinkTree(tuple(parents), tips, tuple(carriers), target=max(carriers))
     numbers = {**dict(zip(LINK_PARAMETERS, table, strict=True)), "lower": limits[0], "upper": limits[1]}
     geometry = Geometry(names, prismatic, **numbers, base=base, tool=tool, coupling=coupling, tree=tree)
     return Arm(rows[0].name, f"{form} {path.name}, whole robot with {', '.join(tips)}", geometry, None, speed)

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Coupling, Geometry, Pose, Tree
+from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Coupling, Geometry, Pose, LinkTree
 from pickenv.base import InputError
 
 # Modified DH parameters of any serial chain, from its joint axes at the zero position. Frame i has z on joint axis i
@@ -146,7 +146,7 @@ class Chain(NamedTuple):
     links: tuple[Link, ...]
     tool: Frame | None
     coupling: Coupling | None = None
-    tree: Tree | None = None
+    tree: LinkTree | None = None
 
     def hand(self, links: Sequence[Frame]) -> Frame:
         """The frame of the link that carries the tool, of the `frames` of all."""

@@ -54,7 +54,7 @@ def behind(pose: Pose, after: Pose) -> Pose:
 class Coupling:
     """The joint that moves each link, where links move together: link i is displaced by ratio[i] q[joint[i]].
 
-    A ratio of 0 marks a fixed link, with which a branch of a `Tree` begins.
+    A ratio of 0 marks a fixed link, with which a branch of a `LinkTree` begins.
 
     Where a link stands at zero joints is part of its theta or d.
 
@@ -74,7 +74,7 @@ class Coupling:
 
 
 @dataclass(frozen=True)
-class Tree:
+class LinkTree:
     """How the links of a whole robot stand on one another, and between which two of them a pose is meant.
 
     A pose leads from the link that carries a sensor to the link that carries its target: up the one branch, down the
@@ -107,7 +107,7 @@ class Tree:
 class Geometry:
     """Modified DH table of a serial chain with n joints and L links, its base and tool poses and its joint limits.
 
-    Of a whole robot it is the table of all branches, one behind another (`Tree`). A branch begins with a fixed link,
+    Of a whole robot it is the table of all branches, one behind another (`LinkTree`). A branch begins with a fixed link,
     which no joint moves: its theta and d say where on the axis before it the branch leaves.
 
     Attributes:
@@ -139,7 +139,7 @@ class Geometry:
     base: Pose
     tool: Pose
     coupling: Coupling | None = None
-    tree: Tree | None = None
+    tree: LinkTree | None = None
 
     @property
     def joints(self) -> int:
