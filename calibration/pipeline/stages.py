@@ -206,7 +206,7 @@ def _joined(
 ) -> Observations:
     """Join several data sets as stations of one arm, as asked or as poses and positions show; leave one as it is."""
     if stations is None and any(any(origins_of(part).scene) for part in sets):
-        if isinstance(like, Stacked):
+        if like is not None and like.stations:
             return Stacked(tuple(_same_scene(like, part) for part in sets))
         return scene_of(arm, sets) if len(sets) > 1 else sets[0]
     if stations is None:
@@ -221,7 +221,7 @@ def _joined(
     return sets[0] if len(sets) == 1 else stations_of(arm, sets, STATIONS[stations or "base,tool"])
 
 
-def _same_scene(like: Stacked, data: Observations) -> InstrumentStation:
+def _same_scene(like: Observations, data: Observations) -> InstrumentStation:
     """Other rows of the sensor and the target of a station.
 
     Raises:
@@ -230,7 +230,8 @@ def _same_scene(like: Stacked, data: Observations) -> InstrumentStation:
     scene = origins_of(data).scene
     for station in like.stations:
         if (origins_of(station.data).scene, station.data.kind) == (scene, data.kind):
-            return replace(station, data=data)
+            same: InstrumentStation = replace(station, data=data)
+            return same
     named = " and ".join(f"'{name}'" for name in scene if name)
     raise InputError(f"{data.source}: [scene] names {named}, as no fitted file of this kind does; name the same ones")
 

@@ -16,8 +16,8 @@ from pickenv.arm.kinematics.geometry import (
     Array,
     Coupling,
     Geometry,
-    Pose,
     LinkTree,
+    Pose,
     geometry_fingerprint,
 )
 from pickenv.base import InputError

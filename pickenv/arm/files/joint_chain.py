@@ -26,8 +26,8 @@ from pickenv.arm.kinematics.geometry import (
     Array,
     Coupling,
     Geometry,
-    Pose,
     LinkTree,
+    Pose,
     behind,
     identity_pose,
 )

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Coupling, Geometry, Pose, LinkTree
+from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Coupling, Geometry, LinkTree, Pose
 from pickenv.base import InputError
 
 # Modified DH parameters of any serial chain, from its joint axes at the zero position. Frame i has z on joint axis i

@@ -107,8 +107,8 @@ class LinkTree:
 class Geometry:
     """Modified DH table of a serial chain with n joints and L links, its base and tool poses and its joint limits.
 
-    Of a whole robot it is the table of all branches, one behind another (`LinkTree`). A branch begins with a fixed link,
-    which no joint moves: its theta and d say where on the axis before it the branch leaves.
+    Of a whole robot it is the table of all branches, one behind another (`LinkTree`). A branch begins with a fixed
+    link, which no joint moves: its theta and d say where on the axis before it the branch leaves.
 
     Attributes:
         joint_names: One name per joint, as messages and tables print it.
