@@ -320,19 +320,18 @@ def find_corners(board: Board, picture: Grey, where: str) -> Corners:
     numbers, places = _found(board, picture)
     if not len(numbers):
         raise InputError(f"{where}: no corner of the board was found; {_reason(board, picture)}")
-    return corners_at(board, numbers, places, corner_std(picture, places, LEAST_STD[board.kind]))
+    return corners_at(len(board.corners), numbers, places, corner_std(picture, places, LEAST_STD[board.kind]))
 
 
-def corners_at(board: Board, numbers: ArrayLike, places: ArrayLike, std: ArrayLike) -> Corners:
-    """The board's corners in a picture that shows only some of them.
+def corners_at(count: int, numbers: ArrayLike, places: ArrayLike, std: ArrayLike) -> Corners:
+    """The corners of a board, or other points of a target, in a picture that shows only some of them.
 
     Args:
-        board: The board.
+        count: Number of corners on the board.
         numbers: Numbers of the corners that the picture shows ``(N,)``, from 0.
         places: Their places in the picture ``(N, 2)``, px.
         std: Standard uncertainty of each, px: ``(N,)`` or one for all.
     """
-    count = len(board.corners)
     pixels, seen, stds = np.zeros((count, 2)), np.zeros(count, dtype=bool), np.ones(count)
     numbers = np.asarray(numbers, dtype=np.int64)
     pixels[numbers], seen[numbers], stds[numbers] = places, True, std

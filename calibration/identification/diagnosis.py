@@ -22,7 +22,7 @@ from pickenv.calibration.identification.robust import OUTLIER_SIGMA, align, apar
 from pickenv.calibration.model.arm_model import frames_model
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import MISS_UNITS, SAME_POSE, Kind, Observations, Rows, named, origins_of
-from pickenv.calibration.model.pixels import PixelObservations
+from pickenv.calibration.model.pixels import STARTING, PixelObservations
 
 # Rows to judge by that are rows trained on.
 
@@ -122,13 +122,10 @@ FEW = 4
 
 
 LEAST_CORNERS = 6
-"""A view with fewer corners says too little of where its board is."""
-
-LEAST_SPREAD = 0.05
-"""A view's corners must spread so far across their longest line, as a share of the spread along it."""
+"""A picture in which fewer corners of a board were found is not trusted; in a table of corners, one is enough."""
 
 LEAST_VIEWS = 4
-"""Views that a fit of camera and board needs: two frames of six numbers, with some to spare."""
+"""Views from which a fit of camera and board starts: two frames of six numbers, with some to spare."""
 
 
 @dataclass(frozen=True)
@@ -348,7 +345,11 @@ def _readings(arm: Arm, data: Measurements) -> Iterator[tuple[str, Measurements]
 
 
 def without_blind_views(data: Observations) -> tuple[Observations, tuple[LeftOut, ...]]:
-    """The rows without pictures in which too few corners show, and those pictures; other kinds are unchanged."""
+    """The rows without views that show too little of the board, and those views; other kinds are unchanged.
+
+    Raises:
+        InputError: If too few views show where their board is (`PixelObservations.starters`).
+    """
     first, left_out = 0, []
     for part in data.parts:
         reasons = {} if part.views is None else _blind_views(part.views)
@@ -361,26 +362,22 @@ def without_blind_views(data: Observations) -> tuple[Observations, tuple[LeftOut
 
 
 def _blind_views(views: PixelObservations) -> dict[int, str]:
-    """Views that cannot show where their board is, with the reason: too few corners, or all near one line."""
+    """Views that are left out, with the reason: no corner, or in a picture too few, or all near one line."""
+    counts, found = views.seen.sum(axis=1), views.pictures is not None
+    least, remarks = LEAST_CORNERS if found else 1, views.remarks
     reasons = {}
-    for row, visible in enumerate(views.seen):
-        count = int(visible.sum())
-        if count < LEAST_CORNERS:
-            remark = "" if views.remarks is None else str(views.remarks[row])
-            few = f"{count} {'corner' if count == 1 else 'corners'} found; a view needs {LEAST_CORNERS}"
-            reasons[row] = remark or few
-        elif _thinness(views.corners[row][visible]) < LEAST_SPREAD:
-            reasons[row] = f"its {count} corners lie near one line, and do not tell how the board is turned"
-    clear = len(views.joints) - len(reasons)
-    if clear < LEAST_VIEWS:
+    for row in np.flatnonzero(counts < least).tolist():
+        few = f"{counts[row]} {'corner' if counts[row] == 1 else 'corners'} found; a view needs {least}"
+        reasons[row] = (str(remarks[row]) if remarks is not None else "") or few
+    clear = np.setdiff1d(np.arange(len(counts)), list(reasons))
+    starts = views.starters()
+    if found:
+        for row in clear[~starts[clear]].tolist():
+            reasons[row] = f"its {counts[row]} corners lie near one line, and do not tell how the board is turned"
+    if (enough := int(np.sum(starts & (counts >= least)))) < LEAST_VIEWS:
+        more = "take more pictures, with the board larger in them" if found else f"see {STARTING} points in more views"
         raise InputError(
-            f"{views.source}: {clear} of {len(views.joints)} views show enough of the board, of which {LEAST_VIEWS} "
-            "are needed; take more pictures, with the board larger in them"
+            f"{views.source}: {enough} of {len(counts)} views show enough of the board, of which {LEAST_VIEWS} are "
+            f"needed; {more}"
         )
     return reasons
-
-
-def _thinness(places: Array) -> float:
-    """Spread of points ``(N, 2)`` across their longest line, as a share of their spread along it."""
-    along, across = np.linalg.svd(places - places.mean(axis=0))[1]
-    return float(across / along)

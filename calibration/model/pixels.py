@@ -1,6 +1,7 @@
-"""Corners of a board in pictures of a camera that is on the arm's hand, or that watches a board on it from outside.
+"""Points of a target in pictures of a camera that is on the arm's hand, or that watches a target on it from outside.
 
-The instrument's frame is the board's if the camera is on the tool, and the camera's if it watches a board on the tool.
+A target is a printed board, whose points are its corners, or any list of points in space. The instrument's frame is
+the target's if the camera is on the tool, and the camera's if it watches a target on the tool.
 So the arm's base and tool, which are fitted too, say where the fixed one of the two stands and how the other sits on
 the flange. Only the lens, if it is to be fitted, is an unknown of this kind's own. SI units; pictures in px.
 """
@@ -13,12 +14,20 @@ from typing import Literal, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
-from pickenv.arm import Array, Pose
+from pickenv.arm import Array, Pose, rotation_matrix
 from pickenv.base import register
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import Observations, Origins, Rows, Stated, nearest_rotation, point_jacobian
+from pickenv.calibration.model.observations import (
+    Observations,
+    Origins,
+    Rows,
+    Stated,
+    nearest_rotation,
+    point_jacobian,
+)
 
 # What a camera makes of a point: a pinhole, and the radial and tangential distortion of its lens. Brown 1971, with
 # the coefficients as OpenCV and ROS ("plumb_bob") order them: k1, k2, p1, p2, k3. Points lie in the camera's frame (x
@@ -120,13 +129,13 @@ Mount = Literal["hand", "world"]
 @register("observation", "pixels")
 @dataclass(frozen=True, eq=False)
 class PixelObservations(Observations):
-    """V views of a board with K corners.
+    """V views of a board with K corners, or of any K points that do not move against each other.
 
     Attributes:
         joints: ``(V, n)``, rad or m.
         corners: Pixel at which each corner was found ``(V, K, 2)``, px; values of corners not found are ignored.
         seen: Whether each corner was found ``(V, K)``.
-        board: Positions of the corners on the board ``(K, 3)``, m.
+        board: Positions of the corners on the board, or of the points ``(K, 3)``, m, in the frame of board or points.
         camera: The lens, as far as it is known.
         lens_std: Standard uncertainty of each of the lens' numbers ``(9,)``: 0 if it is exact, infinite if it is free.
         std: Standard uncertainty of a corner's coordinate ``(V, K)``, px.
@@ -178,26 +187,37 @@ class PixelObservations(Observations):
         full_views = replace(self, seen=np.ones_like(self.seen), std=usual, remarks=None, pictures=None)
         return Observations.imagined(full_views, joints)
 
+    def starters(self) -> NDArray[np.bool_]:
+        """Mask ``(V,)`` of views that show by themselves where the board is: `STARTING` points, not near one line."""
+        enough: NDArray[np.bool_] = self.seen.sum(axis=1) >= STARTING
+        for row in np.flatnonzero(enough):
+            places = self.corners[row][self.seen[row]]
+            along, across = np.linalg.svd(places - places.mean(axis=0))[1]
+            enough[row] = across >= LEAST_SPREAD * along
+        return enough
+
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Measurements:
         """Poses of the board in the camera's frame or, for a camera on the hand, of the camera in the board's frame."""
-        poses = board_poses(self)
+        views = self.select(self.starters())
+        poses = board_poses(views)
         if self.mount == "hand":
             back = np.swapaxes(poses.rotation, 1, 2)
             poses = Pose(-(back @ poses.position[..., None])[..., 0], back)
-        seen = self.joints, poses.position, poses.rotation, prismatic
-        return Measurements(*seen, source=self.source, conditions=self.conditions)
+        seen = views.joints, poses.position, poses.rotation, prismatic
+        return Measurements(*seen, source=self.source, conditions=views.conditions)
 
     def visible(self, model: ArmModel, unknowns: Array, margin: float = 0.0) -> NDArray[np.bool_]:
         """Mask ``(V, K)`` of corners that a model predicts inside the picture, by a margin in px.
 
-        Only boards that face the camera count.
+        A flat board must face the camera; other points are seen from all sides.
         """
         tool, points = model.pose(self.joints, self.conditions), self.in_camera(model)
-        values = self.numbers.whole(unknowns)
-        towards = tool.rotation[..., 2] if self.mount == "world" else tool.rotation[:, 2]  # into the board
-        middle = points.mean(axis=1)
-        facing = np.sum(towards * middle, axis=1) > SLANT * np.linalg.norm(middle, axis=1)
-        ahead = (points[..., 2] > 0.0) & facing[:, None]
+        values, ahead = self.numbers.whole(unknowns), points[..., 2] > 0.0
+        if not self.board[:, 2].any():
+            towards = tool.rotation[..., 2] if self.mount == "world" else tool.rotation[:, 2]  # into the board
+            middle = points.mean(axis=1)
+            facing = np.sum(towards * middle, axis=1) > SLANT * np.linalg.norm(middle, axis=1)
+            ahead = ahead & facing[:, None]
         points = np.where(ahead[..., None], points, [0.0, 0.0, 1.0])
         size = np.array(self.camera.size)
         pinhole = points[..., :2] / points[..., 2:] * values[:2] + values[2:4]
@@ -251,21 +271,69 @@ def with_lens(data: PixelObservations, kind: str) -> PixelObservations:
     return replace(data, lens_std=np.full(len(LENS_NAMES), 0.0 if kind == "fixed" else np.inf))
 
 
-# Where a flat board stands in a camera's frame, view by view: a homography, then its two rotations' common pose. A
-# first pose to start from (Zhang 2000, section 3.1), not a result: the fit of the arm takes the corners themselves.
+# Where a board or other points stand in a camera's frame, view by view. A first pose to start from, not a result: the
+# fit of the arm takes the corners themselves. Of a board a homography, then its two rotations' common pose (Zhang 2000,
+# section 3.1); of other points the attitude and place that least squares find from several attitudes.
+
+STARTING = 4
+"""Least number of points in a view that show where the board is: three may do so in up to four ways."""
+
+LEAST_SPREAD = 0.05
+"""A view's corners must spread so far across their longest line, as a share of the spread along it, to show it."""
+
+TRIED, STEPS = 4, 12
+"""Number of attitudes, of a cube's 24, that are tried for points in space, and of steps from each."""
 
 
 def board_poses(data: PixelObservations) -> Pose:
     """The board's pose in the camera's frame in each view ``(V,)``.
 
     Args:
-        data: Views with at least four corners each, not all in one line; the board's corners lie in its plane z = 0.
+        data: Views with at least four corners each, not all in one line.
     """
-    poses = [
-        _pose(data.board[visible, :2], undistorted(data.camera.values, corners[visible]))
-        for corners, visible in zip(data.corners, data.seen, strict=True)
-    ]
+    found = np.where(data.seen[..., None], data.corners, data.camera.values[2:4])
+    rays = undistorted(data.camera.values, found)
+    if data.board[:, 2].any():
+        return _poses_in_space(data.board, data.seen, rays)
+    poses = [_pose(data.board[seen, :2], these[seen]) for these, seen in zip(rays, data.seen, strict=True)]
     return Pose(np.array([p.position for p in poses]), np.array([p.rotation for p in poses]))
+
+
+def _poses_in_space(points: Array, seen: NDArray[np.bool_], rays: Array) -> Pose:
+    """Poses ``(V,)`` of points ``(K, 3)`` by Gauss-Newton steps: the directions to them differ least from the rays'.
+
+    The starts are the attitudes of a cube, each with the place that is best for it (least distances of the points from
+    their lines of sight), of which the `TRIED` best go on.
+    """
+    middle = points.mean(axis=0)
+    sight = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1)[:, None]
+    sight, weight = sight / np.linalg.norm(sight, axis=-1, keepdims=True), seen[:, None, :, None]
+
+    def missed(turn: Array, place: Array) -> tuple[Array, Array, Array, Array]:
+        lever = (points - middle) @ np.swapaxes(turn, -1, -2)
+        there = lever + place[..., None, :]
+        far = np.linalg.norm(there, axis=-1, keepdims=True)
+        return lever, far, there / far, weight * (sight - there / far)
+
+    turn = np.repeat(Rotation.create_group("O").as_matrix()[None], len(seen), axis=0)
+    lever = (points - middle) @ np.swapaxes(turn, -1, -2)
+    across = weight[..., None] * (np.eye(3) - sight[..., None] * sight[..., None, :])
+    place = -np.linalg.solve(across.sum(axis=2), (across @ lever[..., None]).sum(axis=2))[..., 0]
+
+    def nearest(turn: Array, place: Array, count: int) -> tuple[Array, Array]:
+        best = np.argsort(np.sum(missed(turn, place)[3] ** 2, axis=(2, 3)), axis=1)[:, :count]
+        return np.take_along_axis(turn, best[..., None, None], 1), np.take_along_axis(place, best[..., None], 1)
+
+    turn, place = nearest(turn, place, TRIED)
+    for _ in range(STEPS):
+        lever, far, ahead, errors = missed(turn, place)
+        slope = weight[..., None] * (np.eye(3) - ahead[..., None] * ahead[..., None, :]) / far[..., None]
+        slope = (slope @ point_jacobian(np.eye(6), lever)).reshape(*turn.shape[:2], -1, 6)
+        back = np.swapaxes(slope, -1, -2)
+        step = np.linalg.solve(back @ slope + 1e-12 * np.eye(6), back @ errors.reshape(*slope.shape[:3], 1))[..., 0]
+        turn, place = rotation_matrix(step[..., 3:]) @ turn, place + step[..., :3]
+    turn, place = (part[:, 0] for part in nearest(turn, place, 1))
+    return Pose(place - turn @ middle, turn)
 
 
 def _pose(flat: Array, rays: Array) -> Pose:

@@ -14,7 +14,9 @@ from math import inf
 from pathlib import Path
 from typing import Annotated, Any, get_args, get_type_hints
 
-from pickenv.arm import Geometry
+import numpy as np
+
+from pickenv.arm import Array, Geometry
 from pickenv.base import DEG, MM, NUMBER, WHOLE, Check, InputError, Key, Then, Unit, shortened, toml_table, toml_tables
 from pickenv.base.registry import load_all, names
 from pickenv.calibration.camera.boards import Board, one_of
@@ -221,6 +223,31 @@ class PixelsTable:
 
 
 @toml_table
+class TargetTable:
+    """[target]: x, y and z of any points that do not move against each other, in axes of their own, and their numbers.
+
+    A body with tags on its faces is the corners of all tags. Numbers count from 0 if they are left out.
+    """
+
+    points: Annotated[tuple[float, ...], MM]
+    numbers: Annotated[tuple[int, ...], WHOLE] = ()
+
+    def __post_init__(self) -> None:
+        count, rest = divmod(len(self.points), 3)
+        if rest or count < 4:
+            raise InputError(f"points_mm of [target] has {len(self.points)} numbers; give x, y and z of four or more")
+        if self.numbers and (len(self.numbers), len(set(self.numbers))) != (count, count):
+            raise InputError(f"numbers of [target] are not one for each of its {count} points; give each a number")
+        if np.linalg.matrix_rank(self.places - self.places.mean(axis=0), tol=1e-6) < 2:
+            raise InputError("points_mm of [target] lie in one line, which does not tell how the target is turned")
+
+    @property
+    def places(self) -> Array:
+        """The points ``(K, 3)``, m."""
+        return np.reshape(self.points, (-1, 3))
+
+
+@toml_table
 class LensTable:
     """[camera]: the lens, given as a file or as numbers, and whether it is to be fitted."""
 
@@ -402,6 +429,7 @@ class DescriptionFile:
     tilt: TiltTable | None = None
     pixels: PixelsTable | None = None
     board: Board | None = None
+    target: TargetTable | None = None
     camera: LensTable | None = None
     poses: PosesTable | None = None
     rotation: RotationTable | None = None
@@ -428,10 +456,12 @@ class DescriptionFile:
             raise InputError(f"mount of [pixels] is {self.pixels.mount or 'missing'}: {where}")
         if self.pixels is not None and self.conditions != ConditionsTable():
             raise InputError("[conditions] is not read for [pixels]; leave it out")
-        for name, table in (("board", self.board), ("camera", self.camera)):
+        for name, table in (("board", self.board or self.target), ("camera", self.camera)):
             if (table is None) != (self.pixels is None):
                 fault = "is missing; [pixels] needs it" if table is None else "belongs to [pixels]"
                 raise InputError(f"[{name}] {fault}")
+        if self.target is not None and (self.board is not None or (self.pixels and not self.pixels.columns)):
+            raise InputError("[target] stands in place of [board], for a table of corners; leave one of them out")
         fits, columns = COUNTS.get(sections[0], (lambda _: True, ""))
         count = len(self.columns)
         if not fits(count):
@@ -468,6 +498,14 @@ class DescriptionFile:
         Empty for a section that another package reads: only that package knows what it means.
         """
         return getattr(self.measured, "columns", ()) if self.kind in COUNTS else ()
+
+    @property
+    def target_points(self) -> tuple[Array, tuple[int, ...]]:
+        """The points that a camera sees ``(K, 3)``, m, and their numbers in a table of corners."""
+        if self.target is None:
+            assert self.board is not None
+            return self.board.corners, tuple(range(len(self.board.corners)))
+        return self.target.places, self.target.numbers or tuple(range(len(self.target.places)))
 
     @property
     def ends(self) -> tuple[tuple[str, str], tuple[str, str]]:

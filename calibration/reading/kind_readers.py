@@ -392,16 +392,17 @@ def read_views(
     Raises:
         InputError: If something is wrong; the message names the file, row, column or picture.
     """
-    assert file.pixels is not None and file.board is not None and file.camera is not None
+    assert file.pixels is not None and file.camera is not None
     if len(paths) != 1:
         raise InputError(f"views of a board are given as one file or folder, not as {len(paths)}; give one")
     table, home = _table(Path(paths[0]), file.pixels, file)
     camera = _lens(file.camera, home)
     pictures: list[Path] = []
     if file.pixels.columns:
-        rows, views = _found_in_table(table, file.pixels, file.board)
+        rows, views = _found_in_table(table, file.pixels, file.target_points[1])
         remarks = [""] * len(rows)
     else:
+        assert file.board is not None
         pictures = _pictures(table, file.pixels, home)
         views, remarks = _found_in_pictures(table, file.board, pictures, camera)
         rows = list(range(len(table.lines)))
@@ -415,7 +416,14 @@ def read_views(
     lines = np.array(table.lines, dtype=np.int64)[rows]
     std = std if file.pixels.std is None else np.full_like(std, file.pixels.std)
     data = PixelObservations(
-        joints, corners, visible, file.board.corners, camera, _lens_std(file.camera), std, file.pixels.mount or "world"
+        joints,
+        corners,
+        visible,
+        file.target_points[0],
+        camera,
+        _lens_std(file.camera),
+        std,
+        file.pixels.mount or "world",
     )
     names = np.array([str(path) for path in pictures]) if pictures else None
     origins = Origins((table.where,), np.zeros_like(lines), lines)
@@ -482,7 +490,7 @@ def _found_in_pictures(
         try:
             views.append(find_corners(board, picture, str(path)))
         except InputError as error:
-            views.append(corners_at(board, [], np.zeros((0, 2)), []))
+            views.append(corners_at(len(board.corners), [], np.zeros((0, 2)), []))
             remark = str(error)
         remarks.append(remark)
     faults = list(filter(None, remarks))
@@ -499,22 +507,27 @@ def _grey(path: Path) -> Grey:
     return np.asarray(picture, dtype=np.uint8)
 
 
-def _found_in_table(table: Table, pixels: description.PixelsTable, board: Board) -> tuple[list[int], list[Corners]]:
-    """The first row of each view, and its corners, read from a table of corners."""
+def _found_in_table(
+    table: Table, pixels: description.PixelsTable, known: Sequence[int]
+) -> tuple[list[int], list[Corners]]:
+    """The first row of each view, and its corners, read from a table of corners; ``known`` are the corners' numbers."""
     assert pixels.view is not None and pixels.corner is not None
     views, numbers, places = table.texts(pixels.view), table.value(pixels.corner), table.values(pixels.columns)
-    count, rows, corners = len(board.corners), [], []
-    for row in np.flatnonzero((numbers < 0) | (numbers >= count) | (numbers != np.rint(numbers)))[:1]:
+    rows: list[int] = []
+    corners: list[Corners] = []
+    for row in np.flatnonzero(~np.isin(numbers, known))[:1]:
         raise InputError(
-            f"{table.where}: row {table.lines[row]}: corner {numbers[row]:g} is none of the board's {count} (from 0); "
-            "correct it or [board]"
+            f"{table.where}: row {table.lines[row]}: corner {numbers[row]:g} is none of the board's {len(known)} "
+            f"({known[0]} to {known[-1]}); correct it, or [board] or [target]"
         )
+    places_of = {number: i for i, number in enumerate(known)}
+    numbers = np.array([places_of[int(number)] for number in numbers])
     for name in dict.fromkeys(views):
         mine = np.array([i for i, view in enumerate(views) if view == name])
         if len(np.unique(numbers[mine])) < len(mine):
             raise InputError(f"{table.where}: view '{name}' has a corner twice; remove one")
         rows.append(int(mine[0]))
-        corners.append(corners_at(board, numbers[mine], places[mine], DEFAULT_STD))
+        corners.append(corners_at(len(known), numbers[mine], places[mine], DEFAULT_STD))
     return rows, corners
 
 

@@ -17,10 +17,19 @@ from pickenv.arm import Array
 AXES = np.eye(3)[[2, 1, 1, 0, 1, 0]]
 """Axes of a branch's joints in turn."""
 
-GRAVITY = 9.81
+GRAVITY, GOLDEN = 9.81, (1.0 + np.sqrt(5.0)) / 2.0
 LENS = {"fx": 900.0, "fy": 900.0, "cx": 640.0, "cy": 480.0, "width": 1280, "height": 960}
 BOARD = np.array([[0.03 * (i % 6 + 1), 0.03 * (i // 6 + 1), 0.0] for i in range(30)])
 """Inner corners of a chessboard of 7 x 6 squares of 30 mm, m."""
+
+
+DODECAHEDRON = np.array(
+    [
+        *([x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)),
+        *(np.roll([0.0, a / GOLDEN, b * GOLDEN], k) for k in range(3) for a in (-1, 1) for b in (-1, 1)),
+    ]
+) * (0.05 / np.sqrt(3.0))
+"""The 20 points in the middle of an icosahedron's faces, m."""
 
 
 def matrix(position: Sequence[float] | Array = (0.0, 0.0, 0.0), rotation: Array | None = None) -> Array:
@@ -175,8 +184,9 @@ def watch(
     board: Array,
     scene: str,
     views: int = 40,
+    most: int = 0,
 ) -> None:
-    """Write the corners of a chessboard on a link that a camera sees, and their description.
+    """Write the corners of a chessboard on a link that a camera sees, or points of a body, and their description.
 
     Args:
         robot: The robot.
@@ -190,28 +200,36 @@ def watch(
         board: Pose of the board in its link ``(4, 4)``.
         scene: Lines of [scene].
         views: Number of views.
+        most: If given, the link has a dodecahedron for a board, and 3 to so many of its points are seen in a view.
     """
-    pixel = 0.15
+    pixel, places = 0.15, DODECAHEDRON if most else BOARD
     table: list[list[float]] = []
     view = 0
     while view < views:
         values = rng.uniform(-0.9, 0.9, len(joints))
         poses = robot.poses(dict(zip(joints, values, strict=True)))
         stands = np.linalg.inv(poses[carrier] @ camera) @ poses[link] @ board
-        points = BOARD @ stands[:3, :3].T + stands[:3, 3]
-        if points[:, 2].min() < 0.15 or stands[:3, 2] @ points.mean(0) < 0.5 * np.linalg.norm(points.mean(0)):
+        points = places @ stands[:3, :3].T + stands[:3, 3]
+        facing = stands[:3, 2] @ points.mean(0) > 0.5 * np.linalg.norm(points.mean(0))
+        if points[:, 2].min() < 0.15 or not (facing or most):
             continue
         seen = points[:, :2] / points[:, 2:] * 900.0 + (640.0, 480.0)
         inside = ((seen > 5.0) & (seen < (1275.0, 955.0))).all(axis=1)
         if inside.sum() < 12:
             continue
+        if most:  # of the near half, some
+            near = np.argsort(np.linalg.norm(points, axis=1))[:10]
+            inside &= np.isin(np.arange(20), rng.choice(near, rng.integers(3, most + 1), replace=False))
         noise = pixel * rng.normal(size=seen.shape)
         table += [[view, *values, i, *(seen[i] + noise[i])] for i in np.flatnonzero(inside)]
         view += 1
     lens = "\n".join(f"{key} = {value}" for key, value in LENS.items())
     mount = "" if "_link" in scene else 'mount = "world"\n'
     section = f'[pixels]\n{mount}columns = ["u", "v"]\nview = "view"\ncorner = "corner"\nstd_px = {pixel}\n'
-    section += f'[camera]\n{lens}\n[board]\nkind = "chessboard"\ncolumns = 7\nrows = 6\nsquare_mm = 30'
+    board_text = '[board]\nkind = "chessboard"\ncolumns = 7\nrows = 6\nsquare_mm = 30'
+    if most:
+        board_text = f"[target]\npoints_mm = {(1e3 * places).ravel().tolist()}"
+    section += f"[camera]\n{lens}\n{board_text}"
     _described(folder, name, joints, section, ",".join(["view", *joints, "corner", "u", "v"]), np.array(table), scene)
 
 
@@ -226,8 +244,10 @@ def head_watches(robot: Robot, joints: Sequence[str], link: str, folder: Path, r
     watch(robot, joints, link, folder, rng, name="camera", carrier="head_tip", camera=camera, board=board, scene=scene)
 
 
-def two_cameras_watch(robot: Robot, joints: Sequence[str], link: str, folder: Path, rng: np.random.Generator) -> None:
-    """Write what two cameras in the world see of one board on a link: camera1 and camera2, .csv and .toml."""
+def two_cameras_watch(
+    robot: Robot, joints: Sequence[str], link: str, folder: Path, rng: np.random.Generator, most: int = 0
+) -> None:
+    """Write what two cameras in the world see of one board or body on a link: camera1 and camera2, .csv and .toml."""
     tip = robot.poses({})[link]
     board = looking(rng.uniform(-0.05, 0.05, 3), rng.uniform(-1.0, 1.0, 3))
     there = tip @ board
@@ -237,7 +257,8 @@ def two_cameras_watch(robot: Robot, joints: Sequence[str], link: str, folder: Pa
         camera = looking(place, there[:3, 3])
         watch(
             robot, joints, link, folder, rng,
-            name=f"camera{i}", carrier="base", camera=camera, board=board, scene=scene, views=25,
+            name=f"camera{i}", carrier="base", camera=camera, board=board, scene=scene,
+            views=50 if most else 25, most=most,
         )  # fmt: skip
 
 

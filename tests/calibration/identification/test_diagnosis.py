@@ -336,7 +336,7 @@ def test_a_verdict_counts_rows_and_not_what_was_read_in_them(qiao):
 
 
 def test_views_of_few_corners_or_of_corners_near_one_line_are_left_out_and_four_must_stay():
-    """Corners as wide as 0.05 of their length across it, and six of them, are enough."""
+    """Corners as wide as 0.05 of their length across it, and six of them, are enough; a table's corners all count."""
     circle = np.linspace(0.0, 2 * np.pi, 8, endpoint=False)
     corners = np.stack([np.stack([100 * np.cos(circle), 100 * w * np.sin(circle)], 1) for w in (1, 1, 1, 0.06, 0.04)])
     turn = np.array([[0.8, -0.6], [0.6, 0.8]])  # whichever way they lie
@@ -350,6 +350,7 @@ def test_views_of_few_corners_or_of_corners_near_one_line_are_left_out_and_four_
         camera=Lens(np.zeros(9), (640, 480)),
         lens_std=np.zeros(9),
         std=np.ones((5, 8)),
+        pictures=np.full(5, "board.png"),
     )
     kept, (left,) = without_blind_views(views)
     np.testing.assert_array_equal(kept.corners, views.corners[:4])
@@ -357,6 +358,8 @@ def test_views_of_few_corners_or_of_corners_near_one_line_are_left_out_and_four_
     seen[0, 5:] = False
     with pytest.raises(InputError, match="3 of 5 views show enough of the board, of which 4 are needed"):
         without_blind_views(views)
+    table = replace(views, pictures=None)
+    assert without_blind_views(table) == (table, ())
     seen[1:3, 1:] = False
     with pytest.raises(InputError, match="1 of 5 views"):
         without_blind_views(views)
