@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm import Array, Geometry, Pose
-from pickenv.base import LIMITS, TO_SI, InputError, check_limit, read_text, register, yaml_content
+from pickenv.base import LIMITS, TO_SI, InputError, check_limit, listed, read_text, register, yaml_content
 from pickenv.calibration.camera.boards import Board, Corners, Grey, corners_at, find_corners, opencv, read_lens
 from pickenv.calibration.model import kinds
 from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_poses
@@ -134,7 +134,10 @@ def read_joints(table: Table, layout: description.DescriptionFile, where: str, g
     """
     columns, n = [], geometry.joints
     if len(layout.joint_units) != n:
-        raise InputError(f"{where}: {len(layout.joint_units)} joint columns are named, but the arm has {n} joints")
+        names = listed(geometry.joint_names)
+        raise InputError(
+            f"{where}: {len(layout.joint_units)} joint columns are named, but the arm has {n} joints: {names}"
+        )
     for i, (column, unit) in enumerate(zip(layout.joint_columns, layout.joint_units, strict=True)):
         kind, units = ("prismatic", description.LENGTHS) if geometry.prismatic[i] else ("revolute", description.ANGLES)
         if unit not in units:

@@ -147,15 +147,16 @@ def next_step(arm: str | None, out: Path | None, refused: bool) -> str:
     """What to do with the calibration, with a command to copy; empty for finished poses, which have no arm."""
     if arm is None:
         return ""
+    path, _, links = arm.partition("#")
+    whole = "," in links
     if refused:
-        return f"measure more poses, or others: {command_line('pickenv', 'plan-poses', arm=arm, out='poses.csv')}"
+        plan = "" if whole else f": {command_line('pickenv', 'plan-poses', arm=arm, out='poses.csv')}"
+        return f"measure more poses, or others{plan}"
     if out is None:
         return "keep it: the same command with --out my_arm.npz"
-    path, _, links = arm.partition("#")
-    if "," in links:
-        return "correct the robot's own URDF: " + command_line(
-            "pickenv", "export", npz_path(out), onto=path, out="robot_calibrated.urdf"
-        )
+    if whole:
+        new = f"robot_calibrated{Path(path).suffix}"
+        return "correct the robot's own file: " + command_line("pickenv", "export", npz_path(out), onto=path, out=new)
     targets = command_line("pickenv", "apply", npz_path(out), "targets.csv", arm=arm, out="commands.csv")
     return f"correct targets: {targets}"
 

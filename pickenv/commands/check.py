@@ -224,7 +224,7 @@ def _verified(path: Path, kind: str) -> str:
 def _calibration(path: Path) -> str:
     from pickenv.experiments.methods import ORIGIN
 
-    calibration = pickenv.Calibration.load(path)
+    calibration = pickenv.Calibration.load(path, whole=True)
     origin = calibration.record.get(ORIGIN)
     key = re.search("-([0-9a-f]{16})$", path.stem)  # as `pickenv evaluate --cache` names them
     if origin is not None and key is not None and not str(origin).startswith(key[1]):

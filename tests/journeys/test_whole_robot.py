@@ -41,14 +41,15 @@ def test_both_arms_of_a_robot_are_calibrated_at_once(tmp_path: Path) -> None:
     environment = os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg"}
     calibrate, export = (shlex.split(line)[1:] for line in commands[1].splitlines())
     screens = []
-    for words in ([*calibrate, "--json", "robot.json"], export):
+    for words in ([*calibrate, "--json", "robot.json"], ["check", "robot.npz"], export):
         command = [sys.executable, "-m", "pickenv.cli", *words]
         done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr
         screens.append(" ".join(done.stdout.split()))
+    assert "1 checked" in screens[1] and "refused" not in screens[1]
     found = json.loads((tmp_path / "robot.json").read_text(encoding="utf-8"))
     nominal, left = (found["held_out"][f"{name}_rms_mm"] for name in ("nominal", "best"))
     assert screens[0].startswith("verdict: GOOD") and "geometry+gravity is used" in screens[0]
     assert nominal > 0.5 and left < 0.085  # of which the tracker's own noise is 0.052
-    assert re.search(r"\d+ of 14 joint origins corrected: by up to", screens[1]), screens[1]
+    assert re.search(r"\d+ of 14 joint origins corrected: by up to", screens[2]), screens[2]
     assert (tmp_path / "robot_calibrated.urdf").is_file()

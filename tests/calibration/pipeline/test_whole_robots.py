@@ -134,7 +134,8 @@ def test_the_robots_own_file_moves_as_the_model(tmp_path: Path, ending: str) -> 
         mujoco.mj_saveLastXML(str(own), model)
     files, columns = ([tmp_path / f"{link}.{end}" for link in ARMS] for end in ("csv", "toml"))
     result = pickenv.calibrate(f"{own}#{','.join(ARMS)}", files, columns=columns, choices=Choices(terms="none"))
-    found = Calibration.load(result.save(tmp_path / "robot.npz"), whole=True)
+    saved = result.save(tmp_path / "robot.npz")
+    found = Calibration.load(saved, whole=True)
     done = pickenv.calibration.export(found, new, onto=own)
     assert f"of {len(joints_of(truth, 'left', 'right'))} joint origins corrected" in done.notes[0]
     patched = load_arm(f"{new}#{','.join(ARMS)}", whole=True).nominal
