@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Array, Pose, rotation_matrix
-from pickenv.base import register
+from pickenv.base import InputError, register
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import (
@@ -197,8 +197,17 @@ class PixelObservations(Observations):
         return enough
 
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Measurements:
-        """Poses of the board in the camera's frame or, for a camera on the hand, of the camera in the board's frame."""
+        """Poses of the board in the camera's frame or, for a camera on the hand, of the camera in the board's frame.
+
+        Raises:
+            InputError: If no view is one of the `starters`.
+        """
         views = self.select(self.starters())
+        if not len(views.joints):
+            raise InputError(
+                f"{self.source}: none of {len(self.joints)} views shows {STARTING} points that are not near one line, "
+                "to start from; give views that do"
+            )
         poses = board_poses(views)
         if self.mount == "hand":
             back = np.swapaxes(poses.rotation, 1, 2)
@@ -273,7 +282,11 @@ def with_lens(data: PixelObservations, kind: str) -> PixelObservations:
 
 # Where a board or other points stand in a camera's frame, view by view. A first pose to start from, not a result: the
 # fit of the arm takes the corners themselves. Of a board a homography, then its two rotations' common pose (Zhang 2000,
-# section 3.1); of other points the attitude and place that least squares find from several attitudes.
+# section 3.1); of few corners, three of which may lie in one line, and of points in space the attitude and place that
+# least squares find from several attitudes.
+
+ENOUGH = 6
+"""Least number of a board's corners from which a homography is taken."""
 
 STARTING = 4
 """Least number of points in a view that show where the board is: three may do so in up to four ways."""
@@ -291,12 +304,15 @@ def board_poses(data: PixelObservations) -> Pose:
     Args:
         data: Views with at least four corners each, not all in one line.
     """
-    found = np.where(data.seen[..., None], data.corners, data.camera.values[2:4])
-    rays = undistorted(data.camera.values, found)
-    if data.board[:, 2].any():
-        return _poses_in_space(data.board, data.seen, rays)
-    poses = [_pose(data.board[seen, :2], these[seen]) for these, seen in zip(rays, data.seen, strict=True)]
-    return Pose(np.array([p.position for p in poses]), np.array([p.rotation for p in poses]))
+    rays = undistorted(data.camera.values, np.where(data.seen[..., None], data.corners, data.camera.values[2:4]))
+    flat = (data.seen.sum(axis=1) >= ENOUGH) & (not data.board[:, 2].any())
+    poses = Pose(np.empty((len(flat), 3)), np.empty((len(flat), 3, 3)))
+    if not flat.all():
+        poses.position[~flat], poses.rotation[~flat] = _poses_in_space(data.board, data.seen[~flat], rays[~flat])
+    for view in np.flatnonzero(flat):
+        seen = data.seen[view]
+        poses.position[view], poses.rotation[view] = _pose(data.board[seen, :2], rays[view, seen])
+    return poses
 
 
 def _poses_in_space(points: Array, seen: NDArray[np.bool_], rays: Array) -> Pose:
