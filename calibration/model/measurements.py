@@ -277,7 +277,7 @@ class InstrumentStation:
         base: Starting value of the station's own base frame; None if it uses the arm's.
         tool: Starting value of the station's own tool frame; None if it uses the arm's.
         scale: Factor on the data's standard uncertainties, which weighs instruments by their scatter.
-        owners: Number of the station whose frame this one shares, by "base" or "tool"; its own are left out.
+        owners: Number of the station that "base" or "tool" belongs to; this station's own number where left out.
     """
 
     data: Observations

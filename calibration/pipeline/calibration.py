@@ -140,8 +140,9 @@ class PoseUncertainty:
             variance: The parameters' part of the poses' variances ``(N, 6)``; as of the arm's own base and tool if left
                 out.
         """
-        standard = self.standard(model, joints, conditions)
-        if variance is not None:
+        if variance is None:
+            standard = self.standard(model, joints, conditions)
+        else:
             standard = self._standard(variance + np.repeat([self.position_repeat, self.attitude_repeat or 0.0], 3) ** 2)
         radii = zip(QUANTITIES.items(), self._radii(standard), strict=True)
         return {

@@ -205,7 +205,10 @@ def _joined(
     arm: Arm, sets: list[Observations], stations: str | None, known: bool, like: Observations | None
 ) -> Observations:
     """Join several data sets as stations of one arm, as asked or as poses and positions show; leave one as it is."""
-    if stations is None and any(any(origins_of(part).scene) for part in sets):
+    named = any(any(origins_of(part).scene) or part.conditions.between is not None for part in sets)
+    if stations is not None and named:
+        raise InputError("[scene] says which files share a base or a tool; leave `stations` out")
+    if any(any(origins_of(part).scene) for part in sets):
         if like is not None and like.stations:
             return Stacked(tuple(_same_scene(like, part) for part in sets))
         return scene_of(arm, sets) if len(sets) > 1 else sets[0]
@@ -375,6 +378,8 @@ def calibrate(
     known_frames = choices.frames == "known"
     train, floor = given_rows(arm, data, columns, stations, known=known_frames)
     if (between := train.parts[0].conditions.between) is not None:
+        if known_frames or choices.refit:
+            raise InputError("`frames='known'` and `refit` are for a single arm; leave them out for a whole robot")
         arm = replace(arm, nominal=arm.nominal.between(*between[0].tolist()))
     rng = rng or np.random.default_rng(choices.seed)
     if choices.lens is not None and train.views is not None:

@@ -345,6 +345,8 @@ def joints_of(targets: Targets, geometry: Geometry) -> Array:
     if targets.joints is not None:
         return targets.joints
     assert targets.pose is not None
+    if geometry.tree is not None:
+        raise InputError(f"{targets.source} has poses, but a whole robot has no one tool to take them; give joints")
     solution = inverse(geometry, targets.pose)
     if not solution.reached.all():
         row = targets.lines[int(np.argmin(solution.reached))]

@@ -204,6 +204,20 @@ def test_links_of_a_scene_are_refused_by_name(tmp_path: Path, change: tuple[str,
         calibrated(tmp_path, ARMS)
 
 
+def test_what_a_scene_says_cannot_be_said_otherwise(tmp_path: Path) -> None:
+    two_arms(tmp_path, 1)
+    arm = f"{tmp_path / 'robot.urdf'}#{','.join(ARMS)}"
+    files, columns = ([tmp_path / f"{link}.{end}" for link in ARMS] for end in ("csv", "toml"))
+    with pytest.raises(InputError, match="says which files share a base or a tool; leave `stations` out"):
+        pickenv.calibrate(arm, files, columns=columns, stations="base,tool")
+    with pytest.raises(InputError, match="are for a single arm; leave them out for a whole robot"):
+        pickenv.calibrate(arm, files, columns=columns, choices=Choices(frames="known"))
+    poses = tmp_path / "poses.csv"
+    poses.write_text("x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n300,0,300,0,0,0\n", encoding="utf-8")
+    with pytest.raises(InputError, match="a whole robot has no one tool to take them; give joints"):
+        pickenv.calibrate(arm, files, columns=columns, choices=Choices(workspace=str(poses), terms="none"))
+
+
 def test_links_of_a_single_chain_are_refused(tmp_path: Path) -> None:
     two_arms(tmp_path, 1)
     with pytest.raises(InputError, match="but the arm is a single chain; name all of "):
