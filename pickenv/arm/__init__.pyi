@@ -23,6 +23,7 @@ from .files.model_arm import (
     arm_in_mujoco as arm_in_mujoco,
     geometry_in_mujoco as geometry_in_mujoco,
     joints_in_mujoco as joints_in_mujoco,
+    quaternion as quaternion,
 )
 from .files.urdf import load_urdf as load_urdf, urdf_text as urdf_text, write_urdf as write_urdf
 from .kinematics.backend import chosen as chosen, clipped as clipped

@@ -154,8 +154,12 @@ class ModelArm:
 
     def _put(self, body: int, frame: Frame) -> None:
         self.model.body_pos[body] = frame[9:]
-        x, y, z, w = Rotation.from_matrix(np.array(frame[:9]).reshape(3, 3).T).as_quat()
-        self.model.body_quat[body] = w, x, y, z
+        self.model.body_quat[body] = quaternion(np.array(frame[:9]).reshape(3, 3).T)
+
+
+def quaternion(rotation: Array) -> Array:
+    """The quaternion ``(4,)`` of a rotation matrix ``(3, 3)``, w first, as MuJoCo has it."""
+    return np.roll(Rotation.from_matrix(rotation).as_quat(), 1)
 
 
 def arm_in_mujoco(model: Any, nominal: Geometry) -> ModelArm:
