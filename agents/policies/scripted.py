@@ -105,6 +105,7 @@ class ScriptedScene(ScriptedReach):
     back, m at full scale."""
     STAND, GRIP = 12, 10
     """Steps for which it stands and looks, and for which it grips."""
+    _PATIENCE = (0, STAND, 0, GRIP, np.inf)
     SLOW, NEAR = 0.003, 2e-3
     """Distance that it goes in a step near fruit, m at full scale, and when joints have arrived, rad or m."""
 
@@ -129,13 +130,16 @@ class ScriptedScene(ScriptedReach):
         end = (self.FAR, self.BEFORE, self.PRESS, self.PRESS, self.AWAY)[self._stage]
         step = self.SLOW if self._stage in (2, 3) else 3.0 * self.SLOW
         self._at += float(np.clip(end - self._at, -step, step))
-        goal = self._along(self._wanted, self._at * self._scale)
+        if self._stage < len(self._PATIENCE) - 1:
+            goal = self._along(self._wanted, self._at * self._scale)
+        else:
+            goal = self._drawn(reading.joints, min(self._at, 0.0) * self._scale)
         if self._stage == 1 and self._at == end and reading.camera is not None:
             self._gaps.append(reading.camera - reading.offset)
         if self._stage >= 2 and self._gaps:
             goal = self._moved(goal, np.mean(self._gaps, axis=0))
         away = goal - reading.joints
-        patience = (0, self.STAND, 0, self.GRIP, np.inf)[self._stage]
+        patience = self._PATIENCE[self._stage]
         arrived = self._at == end and (float(np.abs(away).max()) < self.NEAR or self._waited > MOST_WAITED)
         self._waited += 1
         if arrived and self._waited > patience:
@@ -148,6 +152,22 @@ class ScriptedScene(ScriptedReach):
         for _ in range(3):
             joints = self._moved(joints, forward(self.geometry, joints).rotation[:, 2] * distance / 3.0)
         return joints
+
+    def _drawn(self, joints: Array, distance: float) -> Array:
+        """Joints whose tool is that far behind the fruit, m, in whatever attitude joints within limits allow."""
+        assert self._wanted is not None
+        goal, g = forward(self.geometry, self._wanted), self.geometry
+        target, free = goal.position + goal.rotation[:, 2] * distance, np.ones(g.joints, dtype=bool)
+        for _ in range(4):
+            gap = target - forward(g, joints).position
+            step = np.zeros(g.joints)
+            step[free] = truncated_inverse(joint_jacobian(g, joints)[:3, free]) @ gap
+            wanted = joints + step
+            joints = wanted.clip(g.lower, g.upper)
+            free = free & (wanted == joints)
+            if not free.any():
+                break
+        return np.asarray(joints)
 
     def _moved(self, joints: Array, shift: Array) -> Array:
         """Joints whose tool is moved by ``shift (3,)``, m, and keeps its attitude as far as it can."""

@@ -124,6 +124,7 @@ from .plant.tolerances import (
     TOLERANCES as TOLERANCES,
     Tolerances as Tolerances,
     draw_plants as draw_plants,
+    erring_by as erring_by,
     it_tolerance as it_tolerance,
     load_tolerances as load_tolerances,
     shipped_tolerances as shipped_tolerances,

@@ -17,7 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import (
     Arm,
@@ -56,14 +56,23 @@ TURNING = 2e-4
 
 GRIPPERS = ("cup", "jaw")
 CAMERAS = ("world", "wrist")
-HULL = 48
-"""Most corners of the hulls by which meshes of a maker touch, and as which they are drawn."""
+HULL, AS_DRAWN = 48, 2
+"""Most corners of the hulls by which meshes of a maker touch, and as which they are drawn; and the group of those that
+only show what the arm looks like, which are ten times as slow to draw."""
 
 OTHER, GRIPPER_BIT, FRUIT_BIT, LEAF_BIT = 0, 1, 2, 4
 SMALLEST, LARGEST = 16, 1024
 """Sizes of pictures, px."""
 
-WOOD, SKIN, LEAF = (0.36, 0.25, 0.16, 1.0), (0.78, 0.12, 0.10, 1.0), (0.25, 0.50, 0.18, 1.0)
+GRIP, WIDE = (1.5, 0.02, 1e-3), 60.0
+"""Friction of grippers and fruit (sliding, turning, rolling), and the wrist camera's angle of view, deg."""
+
+METAL, WOOD, SKIN, LEAF = (
+    (0.6, 0.6, 0.65, 1.0),
+    (0.36, 0.25, 0.16, 1.0),
+    (0.78, 0.12, 0.10, 1.0),
+    (0.25, 0.50, 0.18, 1.0),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,6 +167,7 @@ class ContactScene:
         self.model: Any = spec.compile()
         self.data: Any = self._mujoco.MjData(self.model)
         self._find()
+        self._untouchable()
         self.held = np.ones(around.fruit, dtype=np.bool_)
         self._pull = np.full(around.fruit, np.inf)
         self._pictures: Any = None
@@ -172,6 +182,8 @@ class ContactScene:
                 actuator.set_to_position(kp=STIFFNESS, kv=DAMPING)
             for joint in spec.joints:
                 joint.armature = ARMATURE
+                if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:  # the rod that slides out
+                    self._rod(joint.parent, np.zeros(3), [0.0, 0.0, -float(joint.range[1])], 0.02)
         else:
             if not is_file(Path(around.model)):
                 raise InputError(f"model {around.model} does not exist; give a maker's MJCF file (.xml)")
@@ -187,8 +199,8 @@ class ContactScene:
             mesh.maxhullvert = HULL
         for body in spec.bodies[1:]:
             body.gravcomp = 1.0
-        for geom in spec.geoms:
-            geom.contype, geom.conaffinity = OTHER, OTHER
+        for geom in spec.geoms:  # what touches nothing gets no hull to be drawn as
+            geom.contype = geom.conaffinity = OTHER if geom.group == AS_DRAWN else GRIPPER_BIT
         spec.option.timestep = TIMESTEP
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.visual.quality.shadowsize = spec.visual.quality.offsamples = 0
@@ -208,17 +220,19 @@ class ContactScene:
     def _equip(self, spec: Any, last: Any, tool: Frame) -> None:
         """Add to the last link what stands at its tool: the site, the wrist camera and the gripper."""
         mujoco, around = self._mujoco, self.around
-        rotation = np.array(tool[:9]).reshape(3, 3).T
+        rotation, face = np.array(tool[:9]).reshape(3, 3).T, -around.radius
+        if around.model is None:  # its last rod would end in the fruit
+            for geom in list(last.geoms):
+                spec.delete(geom)
+            self._rod(last, np.zeros(3), tool[9:] + rotation[:, 2] * (face - 0.08 * around.scale), 0.02)
         last.add_site(name="true tool", pos=tool[9:], quat=quaternion(rotation), size=[1e-3] * 3)
         hand = last.add_body(name="hand", pos=tool[9:], quat=quaternion(rotation), gravcomp=1.0)
-        back = np.array([0.0, -0.08, -0.16]) * around.scale - [0.0, 0.0, around.radius]
-        view = Eye(back, np.zeros(3))
-        ahead = (view.target - back) / np.linalg.norm(back)
-        right = np.array([1.0, 0.0, 0.0])
-        axes = np.stack([right, np.cross(-ahead, right), -ahead], axis=1)
-        hand.add_camera(name="wrist", pos=back, quat=quaternion(axes), fovy=60.0)
+        back = np.array([0.0, -0.12, -0.2]) * around.scale
+        ahead = -back / np.linalg.norm(back)
+        axes = np.stack([[1.0, 0.0, 0.0], np.cross(-ahead, [1.0, 0.0, 0.0]), -ahead], axis=1)
+        hand.add_camera(name="wrist", pos=back, quat=quaternion(axes), fovy=WIDE)
         if around.gripper == "cup":
-            face, radius = -around.radius, 3.0 * around.clearance
+            radius = 3.0 * around.clearance
             shape = {
                 "contype": GRIPPER_BIT,
                 "conaffinity": FRUIT_BIT | LEAF_BIT,
@@ -232,26 +246,22 @@ class ContactScene:
                 margin=LIP,
                 gap=LIP,
                 pos=[0.0, 0.0, face - CUP_DEPTH / 2],
-                friction=[1.5, 0.02, 1e-3],
+                friction=GRIP,
                 condim=4,
                 **shape,
             )
-            rod = [0.0, 0.0, face - CUP_DEPTH, 0.0, 0.0, face - 0.08 * around.scale]
-            hand.add_geom(
-                type=mujoco.mjtGeom.mjGEOM_CAPSULE,
-                fromto=rod,
-                size=[0.3 * radius, 0.0, 0.0],
-                contype=OTHER,
-                conaffinity=OTHER,
-                mass=0.01,
-                rgba=[0.6, 0.6, 0.65, 1.0],
-            )
+            self._rod(hand, [0.0, 0.0, face - CUP_DEPTH], [0.0, 0.0, face - 0.08 * around.scale], 0.3 * radius)
             return
-        touching = [last, *last.find_all("body")]
-        for body in touching:
+        for body in (last, *last.find_all("body")):
             for geom in body.geoms:
-                geom.contype, geom.conaffinity, geom.condim = GRIPPER_BIT, FRUIT_BIT | LEAF_BIT, 4
-                geom.friction = [1.5, 0.02, 1e-3]
+                geom.condim, geom.friction = 4, GRIP
+
+    def _rod(self, body: Any, start: ArrayLike, end: ArrayLike, radius: float) -> None:
+        """Add a rod that touches nothing and weighs next to nothing."""
+        if np.linalg.norm(np.subtract(end, start)) > radius:
+            look = {"contype": OTHER, "conaffinity": OTHER, "mass": 1e-3, "rgba": METAL}
+            ends = [*np.asarray(start).tolist(), *np.asarray(end).tolist()]
+            body.add_geom(type=self._mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=ends, size=[radius, 0.0, 0.0], **look)
 
     def _hang(self, spec: Any, number: int) -> None:
         """Add a branch with a fruit; leaves hang about the first one."""
@@ -282,7 +292,7 @@ class ContactScene:
             contype=FRUIT_BIT,
             conaffinity=GRIPPER_BIT | FRUIT_BIT,
             condim=4,
-            friction=[1.5, 0.02, 1e-3],
+            friction=GRIP,
         )
         fruit.add_geom(fromto=[0, 0, radius, 0, 0, radius + stem], size=[0.0015 * scale, 0, 0], mass=1e-6, **rod)
         tie = spec.add_equality(
@@ -345,6 +355,22 @@ class ContactScene:
         for name, i in self._cameras.items():
             self._mujoco.mju_quat2Mat(turned[name], model.cam_quat[i])
         self._said = {name: (model.cam_pos[i].copy(), turned[name].reshape(3, 3)) for name, i in self._cameras.items()}
+
+    def _untouchable(self) -> None:
+        """Leave contacts to fruit, leaves and what grips: the cup, or the bodies from the last link on."""
+        model, hand = self.model, {self.model.body("hand").id}
+        if self.around.gripper == "jaw":
+            hand.add(int(self.arm.bodies[-1]))
+        for body in range(model.nbody):
+            if int(model.body_parentid[body]) in hand:
+                hand.add(body)
+        for geom in range(model.ngeom):
+            if model.geom_contype[geom] != GRIPPER_BIT:
+                continue
+            if int(model.geom_bodyid[geom]) in hand:
+                model.geom_conaffinity[geom] = FRUIT_BIT | LEAF_BIT
+            else:
+                model.geom_contype[geom] = model.geom_conaffinity[geom] = OTHER
 
     def begin(self, plant: Plant, joints: Sequence[float], tool: Frame, fruit: Array, rng: np.random.Generator) -> None:
         """Begin an episode: the arm at rest, fruit on its stems.
@@ -494,8 +520,7 @@ class ContactScene:
                 advice = "install EGL (libegl1) or OSMesa (libosmesa6, MUJOCO_GL=osmesa), or give obs_type='state'"
                 raise InputError(f"MuJoCo cannot draw here; {advice}") from error
             self._shown = mujoco.MjvOption()
-            self._shown.geomgroup[2] = 0  # as fine as makers draw; their hulls (3) take a tenth of the time
-            self._shown.geomgroup[3] = 1
+            self._shown.geomgroup[AS_DRAWN], self._shown.geomgroup[AS_DRAWN + 1] = 0, 1
             self._shown.sitegroup[:] = 0
             self._shown.flags[mujoco.mjtVisFlag.mjVIS_CONVEXHULL] = 1
             for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):

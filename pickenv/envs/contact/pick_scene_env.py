@@ -9,17 +9,19 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike
 
-from pickenv.arm import Frame, Plant, Scalar, forward, frame_of
+from pickenv.arm import Array, Frame, Plant, Scalar, erring_by, forward
+from pickenv.arm.kinematics.inverse import halton_joints
 from pickenv.base import InputError, shown
 from pickenv.envs.contact.contact_scene import CAMERAS, GRIPPERS, LARGEST, SMALLEST, ContactScene, Surroundings
 from pickenv.envs.picking.pick_arm import act_arm
-from pickenv.envs.reaching.reach import ReachEnv, reach_eye
+from pickenv.envs.reaching.reach import VIEW, ReachEnv
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_env import RENDER_MODES, Information
 from pickenv.envs.shared.backends import FLOATS, Executor
 from pickenv.envs.shared.simulation import ArmState, View
 from pickenv.envs.shared.spaces import box, flat_space
 from pickenv.envs.shared.task import Task, check_choice, check_count, check_number, checked_action, make_task
+from pickenv.pictures.stage import fitted_eye
 from pickenv.orchard import load_branch, load_detachment, load_fruit_size, load_gripper
 from pickenv.orchard.gripper import misalignment
 
@@ -29,6 +31,9 @@ PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25
 
 HELD_STEPS, REACH_OF_APPLES = 5, 0.85
 """Steps for which a fruit must be held to count, and the reach, m, of an arm before a tree of apple's size."""
+
+SPREAD, ATTEMPTS = 64, 2000
+"""Number of poses over which the mean of `error_mm` is taken, and of poses tried to see where fruit may hang."""
 
 PICTURE = 480
 """Size of rendered pictures, px."""
@@ -52,6 +57,7 @@ class PickSceneEnv(ReachEnv):
         leaves: int = 0,
         scale: float | None = None,
         fruit_size: str = "li2016",
+        error_mm: float | None = None,
         camera_mm: float = 0.0,
         camera_deg: float = 0.0,
         control_period_s: float = PERIOD,
@@ -64,7 +70,7 @@ class PickSceneEnv(ReachEnv):
         check_choice("gripper", gripper, GRIPPERS)
         for name, count, least in (("fruit", fruit, 1), ("leaves", leaves, 0), ("pixels", pixels, SMALLEST)):
             check_count(name, count, least)
-        for name, number in (("camera_mm", camera_mm), ("camera_deg", camera_deg)):
+        for name, number in (("camera_mm", camera_mm), ("camera_deg", camera_deg), ("error_mm", error_mm or 0.0)):
             check_number(name, number)
         if pixels > LARGEST:
             raise InputError(f"pixels is {pixels}; give at most {LARGEST}")
@@ -74,8 +80,10 @@ class PickSceneEnv(ReachEnv):
             check_choice("render_mode", render_mode, RENDER_MODES)
         if not {"difficulty"} & set(arguments):
             arguments["plant"] = plant
+        self._error = error_mm
         super().__init__(executor="floats", control_period_s=control_period_s, **arguments)
         self.render_mode = render_mode
+        self.plant = self._scaled(self.plant)
         task, nominal = self.task, self.task.plant.arm.nominal
         if scale is None:
             scale = min(1.0, (task.reach - 1.0) / REACH_OF_APPLES)
@@ -92,7 +100,7 @@ class PickSceneEnv(ReachEnv):
             branch=load_branch("apple"),
             camera_mm=float(camera_mm),
             camera_deg=float(camera_deg),
-            eye=reach_eye(nominal),
+            eye=fitted_eye(self._places(), VIEW, (PICTURE, PICTURE)),
         )
         self.scene = ContactScene(task.plant.arm, around)
         self.obs_type, self.pixels, self.cameras = obs_type, int(pixels), tuple(cameras)
@@ -101,6 +109,23 @@ class PickSceneEnv(ReachEnv):
         self.observation_space = self._space()
         self._grip = -1.0
         self._holding, self._closed = 0, (0.0, 0.0)
+
+    def _places(self) -> Array:
+        """Where fruit may hang ``(k, 3)``, m, and where the arm stands."""
+        tries = (simulation.goal_attempt(FLOATS, self.task, 0, attempt) for attempt in range(ATTEMPTS))
+        joints = [pose for pose, fits in tries if fits][:SPREAD]
+        geometry = self.task.plant.arm.nominal
+        return np.concatenate([forward(geometry, joints).position, [geometry.base.position]])
+
+    def _use_arm(self, number: int) -> None:
+        super()._use_arm(number)
+        self.plant = self._scaled(self.plant)
+
+    def _scaled(self, plant: Plant) -> Plant:
+        """The true arm with its error made as large as asked for."""
+        if self._error is None:
+            return plant
+        return erring_by(plant, 1e-3 * self._error, halton_joints(plant.arm.nominal, SPREAD))
 
     def _space(self) -> spaces.Space[Any]:
         flat = flat_space(self.task)
