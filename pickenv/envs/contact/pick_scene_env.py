@@ -21,22 +21,22 @@ from pickenv.envs.shared.backends import FLOATS, Executor
 from pickenv.envs.shared.simulation import ArmState, View
 from pickenv.envs.shared.spaces import flat_space
 from pickenv.envs.shared.task import Task, check_choice, check_count, check_number, checked_action
-from pickenv.orchard import load_branch, load_detachment, load_fruit_size, load_gripper
+from pickenv.orchard import load_branch, load_detachment, load_fruit_size, load_gripper, load_suction
 from pickenv.orchard.gripper import misalignment
 from pickenv.pictures.stage import Pixels, fitted_eye
 
 OBSERVATIONS = ("state", "pixels", "pixels_agent_pos")
 PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25
-"""Default time between two actions, s, what each step costs, and what a fruit off its stem earns."""
+"""Default of `control_period_s`, what each step costs, and what a fruit off its stem earns."""
 
 HELD_STEPS, REACH_OF_APPLES = 5, 0.85
-"""Steps for which a fruit must be held to count, and the reach, m, of an arm before a tree of apple's size."""
+"""Steps for which a fruit must be held to count, and the reach of an arm before a tree of apple's size."""
 
 SPREAD, ATTEMPTS = 64, 2000
 """Number of poses over which the mean of `error_mm` is taken, and of poses tried to see where fruit may hang."""
 
 PICTURE = 480
-"""Size of rendered pictures, px."""
+"""Size of rendered pictures."""
 
 
 class PickSceneEnv(ReachEnv):
@@ -185,6 +185,7 @@ class PickSceneEnv(ReachEnv):
             scale=float(scale),
             size=load_fruit_size(fruit_size),
             cup=load_gripper("li_cup"),
+            suction=load_suction("bellows"),
             detachment=load_detachment("apple"),
             branch=load_branch("apple"),
             camera_mm=float(camera_mm),
@@ -219,14 +220,16 @@ class PickSceneEnv(ReachEnv):
     def _space(self) -> spaces.Space[Any]:
         flat = flat_space(self.task)
         if self.obs_type == OBSERVATIONS[0]:
-            assert isinstance(flat, spaces.Box)
-            return spaces.Box(np.append(flat.low, [0.0, 0.0]), np.append(flat.high, [1.0, 1.0]), dtype=np.float32)
+            low, high = (
+                np.append(limit, np.full(2, end, np.float32)) for limit, end in ((flat.low, 0), (flat.high, 1))
+            )
+            return spaces.Box(low, high, dtype=np.float32)
         picture = spaces.Box(0, 255, (self.pixels, self.pixels, 3), dtype=np.uint8)
         parts: dict[str, spaces.Space[Any]] = {"pixels": spaces.Dict(dict.fromkeys(self.cameras, picture))}
         if self.obs_type == OBSERVATIONS[2]:
-            low, high = (np.append(limits, end) for limits, end in ((self.task.lower, 0.0), (self.task.upper, 1.0)))
-            wide = 0.1 * (high - low)
-            parts["agent_pos"] = spaces.Box(*((low - wide).astype(np.float32), (high + wide).astype(np.float32)))
+            low, high = np.append(self.task.lower, 0.0), np.append(self.task.upper, 1.0)
+            margin = 1e-6 * (high - low)  # of rounding to single precision
+            parts["agent_pos"] = spaces.Box((low - margin).astype(np.float32), (high + margin).astype(np.float32))
         return spaces.Dict(parts)
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, Information]:
