@@ -166,6 +166,7 @@ class ContactScene:
         self._untouchable()
         self.held, self.suction = np.ones(around.fruit, dtype=np.bool_), False
         self.strength = np.full(around.fruit, np.inf)
+        self._plant: Plant | None = None
         self._pictures: Any = None
         self._sent: Array = np.zeros(self.model.nu)
 
@@ -369,10 +370,9 @@ class ContactScene:
         """
         mujoco, model, data, around = self._mujoco, self.model, self.data, self.around
         mujoco.mj_resetData(model, data)
-        self._exact = not plant.effects and plant.geometry is plant.arm.nominal
-        self._plant = plant
-        if not self._exact:
+        if plant.geometry is not (plant.arm.nominal if self._plant is None else self._plant.geometry):
             self.arm.take(plant.geometry)
+        self._plant = plant
         hangs = around.radius + around.scale * around.detachment.stem + around.sag
         model.body_pos[self._bearers] = fruit + np.array([0.0, 0.0, hangs])
         self.strength = np.asarray(sample_strength(around.detachment, around.fruit, rng)[0]) * around.scale**2
@@ -413,13 +413,13 @@ class ContactScene:
         self._mujoco.mj_kinematics(self.model, data)
 
     def _place(self, joints: Sequence[float], tool: Frame) -> None:
-        if not self._exact:
+        if self._plant is not None and self._plant.effects:
             self.arm.put_tool(self._plant.chain, list(joints), tool)
 
     def _hold(self) -> None:
         """Let a cup whose suction is on take the fruit that lies in it, and drop what it holds when suction is off."""
         data, model, touched = self.data, self.model, self.touched
-        for i, hold in enumerate(self._holds):
+        for i, hold in enumerate(self._holds) if self.suction or self.taken.any() else ():
             if data.eq_active[hold]:
                 data.eq_active[hold] = self.suction
             elif self.suction and touched[i]:
@@ -461,6 +461,8 @@ class ContactScene:
     @property
     def touched(self) -> NDArray[np.bool_]:
         """Which fruit the cup touches ``(f,)``."""
+        if not self.data.ncon:
+            return np.zeros(self.around.fruit, dtype=np.bool_)
         pairs = self.data.contact.geom[: self.data.ncon]
         return np.isin(self._spheres, pairs[(pairs == self._cup).any(axis=1)])
 

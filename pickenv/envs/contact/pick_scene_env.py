@@ -261,7 +261,7 @@ class PickSceneEnv(ReachEnv):
         dt: Scalar,
     ) -> tuple[ArmState, View]:
         """Hold the joint command for ``dt`` seconds in the scene; arguments as in `simulation.look`."""
-        memory, _ = plant.advance(x.m, state.plant, command, dt)
+        memory = plant.carried(x.m, state.plant, command, dt)
         joints, tool = plant.stands(x.m, memory, command)
         scene = self.scene
         if dt == 0.0:
