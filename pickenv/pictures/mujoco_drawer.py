@@ -135,8 +135,7 @@ def _model(side: int, width: int, height: int, faces: int) -> str:
         <deformable>
             <flex name="faces" dim="2" body="world" material="faces" element="{" ".join(map(str, range(3 * count)))}"
                 vertex="{" ".join(f"{i} 0 0 {i} 1 0 {i} 0 1" for i in range(count))}"/>
-        </deformable>
-    </mujoco>"""
+        </deformable></mujoco>"""
 
 
 if __name__ == "__main__":  # try it out, in a process of its own

@@ -19,13 +19,13 @@ EYE = Eye(np.array([0.0, -3.0, 1.0]), np.array([0.0, 0.0, 0.0]))
 RED, BLUE = (230, 10, 10), (10, 10, 230)
 
 
-@pytest.fixture(params=["plain", "vtk"])
+@pytest.fixture(params=["plain", "mujoco"])
 def draw(request):
     if request.param == "plain":
         return draw_plainly
-    if drawers.drawer_name() != "vtk":
-        pytest.skip("VTK cannot draw here")
-    return lambda stage: drawers._vtk(stage.size, 0).draw(stage)
+    if drawers.drawer_name() != "mujoco":
+        pytest.skip("MuJoCo cannot draw here")
+    return drawers._mujoco(0).draw
 
 
 def balls(*places, colour=RED, radius=0.12, opacity=1.0):
@@ -137,14 +137,14 @@ def test_the_dial_shows_which_way_the_tool_was_off(miss):
         assert 0.85 < np.linalg.norm(found) / half < 1.0  # on the rim
 
 
-def test_where_vtk_ends_the_trial_pictures_are_plain_and_one_sentence_says_why(monkeypatch):
+def test_where_mujoco_ends_the_trial_pictures_are_plain_and_one_sentence_says_why(monkeypatch):
     monkeypatch.setattr(drawers, "is_there", lambda module: True)
     monkeypatch.setattr(drawers, "TRIAL", "pickenv.no_such_module")
     said = drawers.why_plain()
     assert said is not None and "EGL" in said and said.count(".") <= 1 and "\n" not in said
 
 
-def test_where_vtk_is_absent_one_sentence_names_the_extra(monkeypatch):
+def test_where_mujoco_is_absent_one_sentence_names_the_extra(monkeypatch):
     monkeypatch.setattr(drawers, "is_there", lambda module: False)
     assert "pip install 'pickenv[render]'" in drawers.why_plain()
     monkeypatch.setenv("PICKENV_PLAIN_PICTURES", "1")
@@ -161,7 +161,7 @@ print(env.render().shape, drawer_name())
 
 
 def test_an_environment_is_drawn_plainly_where_that_is_asked_for():
-    code = f"{DRAWN}\nimport sys\nprint('vtkmodules' in sys.modules)"
+    code = f"{DRAWN}\nimport sys\nprint('mujoco' in sys.modules)"
     plain = os.environ | {"PICKENV_PLAIN_PICTURES": "1"}
     done = subprocess.run([sys.executable, "-c", code], env=plain, capture_output=True, text=True, check=False)
     assert done.stdout.split("\n")[:2] == ["(360, 480, 3) plain", "False"], done.stderr
