@@ -17,7 +17,7 @@ import numpy as np
 
 from pickenv.arm import Array
 from pickenv.pictures.solids import all_triangles, mesh_triangles
-from pickenv.pictures.stage import Eye, Mesh, Pixels, Rods, Stage, backdrop
+from pickenv.pictures.stage import SIZE, Eye, Mesh, Pixels, Rods, Stage, backdrop
 
 NEAR, FAR = 0.02, 100.0
 """Distances from the eye between which bodies are seen, m."""
@@ -34,7 +34,7 @@ class MujocoDrawer:
             from mujoco.egl import GLContext
         else:
             GLContext = mujoco.GLContext
-        self.gl = GLContext(0, 0)
+        self.gl = GLContext(*SIZE)
         atexit.register(self.gl.free)  # before MuJoCo ends EGL
         self.room = np.zeros(4, dtype=int)
 
