@@ -76,9 +76,7 @@ def why_plain() -> str | None:
     if not is_there("mujoco"):
         return "Pictures are drawn plainly; for solid bodies install MuJoCo: pip install 'pickenv[render]'"
     if subprocess.run([sys.executable, "-m", TRIAL], capture_output=True, check=False, timeout=120).returncode != 0:
-        return (
-            "Pictures are drawn plainly: MuJoCo needs EGL to draw; on Debian and Ubuntu: apt install libegl1 libopengl0"
-        )
+        return "Pictures are drawn plainly, as MuJoCo needs EGL; on Debian or Ubuntu: apt install libegl1 libopengl0"
     return None
 
 
