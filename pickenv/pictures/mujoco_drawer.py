@@ -1,6 +1,6 @@
 """Draws stages with MuJoCo's renderer, off screen: lit, with smooth edges, on a graphics adapter or on the processor.
 
-Rods and balls are shapes of MuJoCo's own. All surfaces together are the faces of one soft body, which are replaced for
+Rods and balls are shapes of MuJoCo's own. All surfaces, which are opaque, are the faces of one soft body, replaced for
 each picture, and a texture has one pixel for the colour of each face. The background is a plane behind everything.
 """
 
@@ -45,7 +45,7 @@ class MujocoDrawer:
         groups = (*stage.rods, *stage.balls)
         needed = np.array([*stage.size, len(surfaces.triangles), 2 + sum(len(rods.start) for rods in groups)])
         if np.any(needed > self.room):
-            self._make_room(np.maximum(self.room, 2 * needed))
+            self._make_room(np.maximum(self.room, [1, 1, 2, 2] * needed))
         self.scene.ngeom = 0
         for rods in groups:
             self._add_rods(rods)
