@@ -22,9 +22,6 @@ os.environ["COLUMNS"] = "400"
 # MKL sums in another order on another processor, and a network's training then ends elsewhere.
 os.environ["MKL_CBWR"] = "COMPATIBLE"
 
-# MuJoCo chooses how it draws when it is first imported; no test has a screen.
-os.environ.setdefault("MUJOCO_GL", "egl")
-
 ROOT = Path(__file__).parents[1]
 
 

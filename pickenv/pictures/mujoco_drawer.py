@@ -26,16 +26,58 @@ LIGHTS = (((-0.6, 0.9, 1.0), 0.85), ((0.8, 0.2, 1.0), 0.4), ((0.0, -0.5, 1.0), 0
 AMBIENT, DIFFUSE, SPECULAR, SHININESS = 0.3, 0.8, 0.18, 24 / 128
 
 
+def screenless(width: int, height: int) -> Any:
+    """A graphics context that needs no screen."""
+    if sys.platform == "linux" and "MUJOCO_GL" not in os.environ:  # where MuJoCo itself would ask for a screen
+        from mujoco.egl import GLContext
+    else:
+        GLContext = mujoco.GLContext
+    context = GLContext(width, height)
+    atexit.register(context.free)  # before MuJoCo ends EGL
+    return context
+
+
+class ModelPictures:
+    """Pictures of a MuJoCo model by its own cameras, without shadows.
+
+    Args:
+        model: `mujoco.MjModel`.
+        size: Width and height of the pictures, px.
+    """
+
+    def __init__(self, model: Any, size: tuple[int, int]) -> None:
+        self.model, self.size, self.gl = model, size, screenless(*size)
+        self.gl.make_current()
+        self.context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self.context)
+        self.scene, self.camera = mujoco.MjvScene(model, maxgeom=model.ngeom + 100), mujoco.MjvCamera()
+        for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+            self.scene.flags[flag] = False
+
+    def draw(self, data: Any, camera: int, option: Any) -> Pixels:
+        """What a camera of the model sees ``(height, width, 3)``, of the bodies that an option of MuJoCo's shows."""
+        self.gl.make_current()
+        self.camera.type, self.camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, camera
+        seen = mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(self.model, data, option, None, self.camera, seen, self.scene)
+        pixels, view = np.empty((*self.size[::-1], 3), dtype=np.uint8), mujoco.MjrRect(0, 0, *self.size)
+        mujoco.mjr_render(view, self.scene, self.context)
+        mujoco.mjr_readPixels(pixels, None, view, self.context)
+        return pixels[::-1].copy()
+
+    def close(self) -> None:
+        """Give back what drawing took."""
+        atexit.unregister(self.gl.free)
+        self.gl.make_current()
+        self.context.free()
+        self.gl.free()
+
+
 class MujocoDrawer:
     """MuJoCo's renderer without a screen; its room for pixels, faces and shapes grows with what it has to draw."""
 
     def __init__(self) -> None:
-        if sys.platform == "linux" and "MUJOCO_GL" not in os.environ:  # where MuJoCo itself would ask for a screen
-            from mujoco.egl import GLContext
-        else:
-            GLContext = mujoco.GLContext
-        self.gl = GLContext(*SIZE)
-        atexit.register(self.gl.free)  # before MuJoCo ends EGL
+        self.gl = screenless(*SIZE)
         self.room = np.zeros(4, dtype=int)
 
     def draw(self, stage: Stage) -> Pixels:

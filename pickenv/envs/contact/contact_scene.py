@@ -8,13 +8,11 @@ carry no weight of their own here: how they sag is the plant's business. Units: 
 from __future__ import annotations
 
 import math
-import os
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -36,7 +34,7 @@ from pickenv.arm import (
 from pickenv.base import GRAVITY, InputError, is_file, require
 from pickenv.orchard.fruit import Branch, Detachment, FruitSize, fruit_masses, sample_strength
 from pickenv.orchard.gripper import Gripper, Suction
-from pickenv.pictures.stage import Eye
+from pickenv.pictures.stage import Eye, Pixels
 
 TIMESTEP, CHUNK = 0.004, 5
 """Length of a physical step, and the number of them after which stems are asked whether they hold."""
@@ -118,18 +116,6 @@ class Surroundings:
         return self.mass * GRAVITY / (self.branch.stiffness_upright * self.scale)
 
 
-def mujoco_module() -> Any:
-    """MuJoCo, told to draw without a screen where there is none.
-
-    Raises:
-        MissingExtra: If MuJoCo is not installed.
-    """
-    require("mujoco")
-    if sys.platform == "linux" and not os.environ.get("DISPLAY"):
-        os.environ.setdefault("MUJOCO_GL", "egl")
-    return import_module("mujoco")
-
-
 class ContactScene:
     """The scene of one environment: a model that is made once, and its present state.
 
@@ -146,7 +132,7 @@ class ContactScene:
     """
 
     def __init__(self, arm: Arm, around: Surroundings) -> None:
-        mujoco_module()
+        require("mujoco")
         self.around, self.nominal = around, arm.nominal
         spec = self._robot(arm)
         robot = spec.compile()
@@ -168,11 +154,12 @@ class ContactScene:
         self.strength = np.full(around.fruit, np.inf)
         self._plant: Plant | None = None
         self._pictures: Any = None
+        self._shown: Any = None
         self._sent: Array = np.zeros(self.model.nu)
 
     def __getstate__(self) -> dict[str, Any]:
         """What a copy keeps: all but what draws pictures."""
-        return self.__dict__ | {"_pictures": None}
+        return self.__dict__ | {"_pictures": None, "_shown": None}
 
     @property
     def _mujoco(self) -> Any:
@@ -471,30 +458,28 @@ class ContactScene:
         """Which fruit the cup holds ``(f,)``."""
         return np.asarray(self.data.eq_active[self._holds] != 0)
 
-    def picture(self, camera: str, size: int) -> NDArray[np.uint8]:
-        """What a camera sees ``(size, size, 3)``.
+    def picture(self, camera: str, size: tuple[int, int]) -> Pixels:
+        """What a camera sees ``(height, width, 3)``; ``size`` is width and height, px.
 
         Raises:
             InputError: If nothing on this machine draws without a screen.
         """
         mujoco = self._mujoco
-        if self._pictures is None or self._pictures.height != size:
+        if self._pictures is None or self._pictures.size != size:
+            from pickenv.pictures.mujoco_drawer import ModelPictures  # late: it loads MuJoCo
+
             self.close()
             try:
-                self._pictures = mujoco.Renderer(self.model, size, size)
+                self._pictures = ModelPictures(self.model, size)
             except Exception as error:  # each way of drawing has its own errors
-                advice = "set MUJOCO_GL to egl (libegl1) or osmesa (libosmesa6) before Python starts, or give obs_type='state'"
+                advice = "install EGL (libegl1, libopengl0, libgl1-mesa-dri), or give obs_type='state'"
                 raise InputError(f"MuJoCo cannot draw here; {advice}") from error
             self._shown = mujoco.MjvOption()
             self._shown.geomgroup[AS_DRAWN], self._shown.geomgroup[AS_DRAWN + 1] = 0, 1
             self._shown.sitegroup[:] = 0
             self._shown.flags[mujoco.mjtVisFlag.mjVIS_CONVEXHULL] = 1
-            for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
-                self._pictures.scene.flags[flag] = 0
         mujoco.mj_camlight(self.model, self.data)
-        self._pictures.update_scene(self.data, camera, self._shown)
-        pixels: NDArray[np.uint8] = self._pictures.render()
-        return pixels
+        return cast(Pixels, self._pictures.draw(self.data, self._cameras[camera], self._shown))
 
     def close(self) -> None:
         """Give back what drawing took."""

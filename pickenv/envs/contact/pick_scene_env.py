@@ -23,7 +23,7 @@ from pickenv.envs.shared.spaces import flat_space
 from pickenv.envs.shared.task import Task, check_choice, check_count, check_number, checked_action
 from pickenv.orchard import load_branch, load_detachment, load_fruit_size, load_gripper, load_suction
 from pickenv.orchard.gripper import misalignment
-from pickenv.pictures.stage import Pixels, fitted_eye
+from pickenv.pictures.stage import SIZE, Pixels, fitted_eye
 
 OBSERVATIONS = ("state", "pixels", "pixels_agent_pos")
 PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25
@@ -34,9 +34,6 @@ HELD_STEPS, REACH_OF_APPLES = 5, 0.85
 
 SPREAD, ATTEMPTS = 64, 2000
 """Number of poses over which the mean of `error_mm` is taken, and of poses tried to see where fruit may hang."""
-
-PICTURE = 480
-"""Size of rendered pictures."""
 
 
 class PickSceneEnv(ReachEnv):
@@ -170,7 +167,7 @@ class PickSceneEnv(ReachEnv):
             check_choice("render_mode", render_mode, RENDER_MODES)
         if not {"difficulty"} & set(arguments):
             arguments["plant"] = plant
-        self._error = error_mm
+        self._error, self.pixels = error_mm, int(pixels)
         super().__init__(executor="floats", control_period_s=control_period_s, **arguments)
         self.render_mode = render_mode
         self.plant = self._scaled(self.plant)
@@ -190,10 +187,10 @@ class PickSceneEnv(ReachEnv):
             branch=load_branch("apple"),
             camera_mm=float(camera_mm),
             camera_deg=float(camera_deg),
-            eye=fitted_eye(self._places(), VIEW, (PICTURE, PICTURE)),
+            eye=fitted_eye(self._places(), VIEW, (self.pixels, self.pixels)),
         )
         self.scene = ContactScene(task.plant.arm, around)
-        self.obs_type, self.pixels, self.cameras = obs_type, int(pixels), tuple(cameras)
+        self.obs_type, self.cameras = obs_type, tuple(cameras)
         self.task_description = "pick the fruit that hangs from the branch"
         self.action_space = spaces.Box(-1.0, 1.0, (task.joints + 1,), dtype=np.float32)
         self.observation_space = self._space()
@@ -305,7 +302,9 @@ class PickSceneEnv(ReachEnv):
         if self.obs_type == OBSERVATIONS[0]:
             grip = [float(self.scene.suction), float(self.scene.taken[0])]
             return np.append(flat, grip).astype(np.float32), reward
-        seen: dict[str, Any] = {"pixels": {name: self.scene.picture(name, self.pixels) for name in self.cameras}}
+        seen: dict[str, Any] = {
+            "pixels": {name: self.scene.picture(name, (self.pixels, self.pixels)) for name in self.cameras}
+        }
         if self.obs_type == OBSERVATIONS[2]:
             low, high = np.array(self.task.lower), np.array(self.task.upper)
             joints = low + (np.array(scene.readings) + 1.0) * 0.5 * (high - low)
@@ -315,7 +314,7 @@ class PickSceneEnv(ReachEnv):
     def _picture(self) -> Pixels:
         if self._state is None:
             raise InputError("render was called before reset; call reset first")
-        return self.scene.picture("world", PICTURE)
+        return self.scene.picture("world", SIZE)
 
     def close(self) -> None:
         """Close the window and what draws pictures."""
