@@ -54,9 +54,10 @@ class ModelPictures:
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
             self.scene.flags[flag] = False
 
-    def draw(self, data: Any, camera: int, option: Any) -> Pixels:
+    def draw(self, data: Any, camera: int, option: Any, dark: bool = False) -> Pixels:
         """What a camera of the model sees ``(height, width, 3)``, of the bodies that an option of MuJoCo's shows."""
         self.gl.make_current()
+        self.scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = not dark
         self.camera.type, self.camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, camera
         seen = mujoco.mjtCatBit.mjCAT_ALL
         mujoco.mjv_updateScene(self.model, data, option, None, self.camera, seen, self.scene)

@@ -458,8 +458,8 @@ class ContactScene:
         """Which fruit the cup holds ``(f,)``."""
         return np.asarray(self.data.eq_active[self._holds] != 0)
 
-    def picture(self, camera: str, size: tuple[int, int]) -> Pixels:
-        """What a camera sees ``(height, width, 3)``; ``size`` is width and height, px.
+    def picture(self, camera: str, size: tuple[int, int], dark: bool = False) -> Pixels:
+        """What a camera sees ``(height, width, 3)``; ``size`` is width and height, px; a dark background is black.
 
         Raises:
             InputError: If nothing on this machine draws without a screen.
@@ -479,7 +479,7 @@ class ContactScene:
             self._shown.sitegroup[:] = 0
             self._shown.flags[mujoco.mjtVisFlag.mjVIS_CONVEXHULL] = 1
         mujoco.mj_camlight(self.model, self.data)
-        return cast(Pixels, self._pictures.draw(self.data, self._cameras[camera], self._shown))
+        return cast(Pixels, self._pictures.draw(self.data, self._cameras[camera], self._shown, dark))
 
     def close(self) -> None:
         """Give back what drawing took."""

@@ -314,7 +314,7 @@ class PickSceneEnv(ReachEnv):
     def _picture(self) -> Pixels:
         if self._state is None:
             raise InputError("render was called before reset; call reset first")
-        return self.scene.picture("world", SIZE)
+        return self.scene.picture("world", SIZE, self.dark)
 
     def close(self) -> None:
         """Close the window and what draws pictures."""
