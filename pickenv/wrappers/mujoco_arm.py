@@ -141,14 +141,14 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             raise InputError(f"plant '{true.name}' has effects with a memory; switch them off (without=…)")
         self._nominal, self._true, self._compensator = nominal, true, compensator
         self._contact = contact
-        self._hung: _Hung | None = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment; `info` gets the entries that the class names."""
         self._put_back()
         observation, info = self.env.reset(seed=seed, options=options)
-        inner: Any = self.env.unwrapped
-        self._hung = _Hung(inner.model, inner.data, self._nominal) if self._contact else None
+        if self._contact:
+            inner: Any = self.env.unwrapped
+            inner.hung_on_tool = _Hung(inner.model, inner.data, self._nominal)  # where the next wrapper finds it
         return observation, self._judged(observation, info)
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
@@ -178,23 +178,23 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return forward(self._nominal, joints), true
 
     def _put_back(self) -> None:
-        if self._hung is not None:
-            self._hung.put(None)
+        if (hung := getattr(self.env.unwrapped, "hung_on_tool", None)) is not None:
+            hung.put(None)
 
     def _judged(self, observation: Any, info: dict[str, Any]) -> dict[str, Any]:
         believed, true = self._tools()
         error = pose_error(believed, true)[:3]
         info = dict(info) | {"tool_error_mm": float(np.linalg.norm(error)) * 1e3}
-        if self._hung is not None:
+        inner: Any = self.env.unwrapped
+        if self._contact:
             same = all(map(np.array_equal, believed, true))
-            self._hung.put(None if same else behind(inverse_pose(believed), true))
+            inner.hung_on_tool.put(None if same else behind(inverse_pose(believed), true))
             return info
         achieved, desired = (np.asarray(observation[key], dtype=float) for key in ("achieved_goal", "desired_goal"))
         if achieved.shape != (3,) or np.linalg.norm(achieved - believed.position) > FAR:
             wrong = "achieved_goal is not the position of the nominal arm's tool"
             raise InputError(f"{wrong}; name the site that the goal is of, or give contact=True where it is of no tool")
         self._achieved = achieved + error
-        inner: Any = self.env.unwrapped
         distance = float(np.linalg.norm(self._achieved - desired))
         info["true_distance_mm"] = distance * 1e3
         if hasattr(inner, "_is_success"):

@@ -306,6 +306,16 @@ def test_a_calibration_puts_the_finger_back():
     assert np.mean(distances["mended"]) < 0.1 * np.mean(distances["raw"])
 
 
+def test_another_wrapper_of_the_same_task_starts_from_the_model_as_it_was():
+    env, before = Touch(), edited(Touch().model)
+    for seed in (0, 1):
+        Miscalibrate(env, env.nominal, erring(env.nominal, 20.0, seed), contact=True).reset(seed=0)
+        assert not np.array_equal(env.model.geom_pos, before[2])
+    Miscalibrate(env, env.nominal, env.nominal, contact=True).reset(seed=0)
+    for was, now in zip(before, edited(env.model), strict=True):
+        np.testing.assert_array_equal(was, now)
+
+
 def same_bits(one, other, parts):
     for part in parts:
         np.testing.assert_array_equal(getattr(one.data, part), getattr(other.data, part))
