@@ -63,6 +63,9 @@ ERRORS_MM, NEAR_MM = (3.0, 10.0, 20.0, 30.0, 40.0), 10.0
 SPAN, RISE = 0.5, 0.02
 """How far from the start joints go for them: those that turn, rad, and the torso, m."""
 
+PAST = 0.05
+"""How far past their limits a correction may take joints that turn, rad; the torso may go `RISE` past its own."""
+
 OWN_MM = 50.0
 """Within so many millimetres the environments themselves count success."""
 
@@ -174,15 +177,16 @@ def share(distances: Array, most: float) -> str:
     """The share of distances ``(arms, count)`` that are within so much, with its 95 % interval over arms."""
     within = (distances < most).sum(axis=1)
     ends = clustered_share_interval(within, distances.shape[1])
-    return f"{within.sum() / distances.size:.0%}" + (f" ({ends[0]:.0%} to {ends[1]:.0%})" if ends else "")
+    return f"{np.mean(distances < most):.0%}" + (f" ({ends[0]:.0%} to {ends[1]:.0%})" if ends else "")
 
 
 def picked(arms: int, count: int) -> dict[str, dict[str, Array]]:
     """Distances ``(arms, count)`` of picks, by the arms' error and what was done about it, mm."""
     env = fetch("PickAndPlace")
     nominal, start = started(env)
-    # The torso stands at its lower end; a correction may take it farther, or it could not correct downwards.
-    nominal = replace(nominal, lower=nominal.lower - np.where(nominal.prismatic, RISE, 0.0))
+    # Torso and shoulder come to their limits, which are soft; beyond them a compensator would correct nothing.
+    past = np.where(nominal.prismatic, RISE, PAST)
+    nominal = replace(nominal, lower=nominal.lower - past, upper=nominal.upper + past)
     perfect = picks(env, replace(arms_of(nominal, start, 1.0, 1)[0], geometry=nominal), None, count)[None]
     found = {"0": {"raw": perfect, "calibrated": perfect}}
     for millimetres in ERRORS_MM:
