@@ -36,10 +36,10 @@ class _Hung:
         Raises:
             InputError: If no site that is fixed to the last link stands at the nominal arm's tool.
         """
-        self._model, self._mujoco = model, import_module("mujoco")
-        still = self._mujoco.MjData(model)  # the environment's own data stay as they are
+        mujoco: Any = import_module("mujoco")
+        still = mujoco.MjData(model)  # the environment's own data stay as they are
         still.qpos[:], still.mocap_pos[:], still.mocap_quat[:] = data.qpos, data.mocap_pos, data.mocap_quat
-        self._mujoco.mj_kinematics(model, still)
+        mujoco.mj_kinematics(model, still)
         link = model.joint(nominal.joint_names[-1]).bodyid[0]
         believed = forward(nominal, joints_in_mujoco(model, data, nominal))
         off = pose_error(believed, Pose(still.site_xpos, still.site_xmat.reshape(-1, 3, 3)))
@@ -60,15 +60,17 @@ class _Hung:
                 bodies = Pose(still.xpos[carriers[rows]], still.xmat[carriers[rows]].reshape(-1, 3, 3))
                 tool = behind(inverse_pose(bodies), believed)
                 self._parts.append((place, turn, rows, place[rows], turn[rows], tool))
-        self._geoms = np.isin(model.geom_bodyid, path)
-        self._flags = model.geom_sameframe[self._geoms], model.opt.disableflags
+        geoms = np.isin(model.geom_bodyid, path)
+        boxes = [box for p in path for box in range(model.body_bvhadr[p], model.body_bvhadr[p] + model.body_bvhnum[p])]
+        self._hints = (
+            (model.geom_sameframe, geoms, model.geom_sameframe[geoms], 0),  # else some stand where their bodies are
+            (model.bvh_aabb[:, 3:], boxes, model.bvh_aabb[boxes, 3:], 1e3),  # else contacts outside are not looked for
+        )
 
     def put(self, shift: Pose | None) -> None:
         """Move them as the true tool stands in the believed one's frame; None puts them back."""
-        same, flags = self._flags
-        if shift is not None:  # MuJoCo takes some geoms' places from their body, and bodies' boxes from the compiler
-            same, flags = 0, flags | int(self._mujoco.mjtDisableBit.mjDSBL_MIDPHASE)
-        self._model.geom_sameframe[self._geoms], self._model.opt.disableflags = same, flags
+        for hint, numbers, own, safe in self._hints:
+            hint[numbers] = own if shift is None else safe
         for place, turn, rows, home, aim, tool in self._parts:
             place[rows], turn[rows] = home, aim
             if shift is not None:

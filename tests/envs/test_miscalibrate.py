@@ -135,8 +135,8 @@ def check_displaced(wrapped, bare, nominal, true, command, parts):
 
 def edited(model):
     """All of a model that the wrapper writes."""
-    names = ("body_pos", "body_quat", "geom_pos", "geom_quat", "geom_sameframe", "cam_pos", "cam_quat")
-    return [getattr(model, name).copy() for name in names] + [model.opt.disableflags]
+    names = ("body_pos", "body_quat", "geom_pos", "geom_quat", "geom_sameframe", "cam_pos", "cam_quat", "bvh_aabb")
+    return [getattr(model, name).copy() for name in names]
 
 
 def erring(geometry, millimetres, seed=0):
