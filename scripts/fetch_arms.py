@@ -177,7 +177,8 @@ def share(distances: Array, most: float) -> str:
     """The share of distances ``(arms, count)`` that are within so much, with its 95 % interval over arms."""
     within = (distances < most).sum(axis=1)
     ends = clustered_share_interval(within, distances.shape[1])
-    return f"{np.mean(distances < most):.0%}" + (f" ({ends[0]:.0%} to {ends[1]:.0%})" if ends else "")
+    between = f" ({100 * ends[0]:.0f} to {100 * ends[1]:.0f})" if ends else ""
+    return f"{100 * np.mean(distances < most):.0f} %{between}"
 
 
 def picked(arms: int, count: int) -> dict[str, dict[str, Array]]:

@@ -57,4 +57,4 @@ def test_picks_of_a_perfect_arm_end_near_and_a_calibration_brings_those_of_20_mm
 
 def test_a_share_has_its_interval_over_arms():
     distances = np.repeat([[1.0, 2.0, 30.0, 60.0]], 12, axis=0)
-    assert fetch_arms.share(distances, 50.0).startswith("75% (") and fetch_arms.share(distances[:2], 20.0) == "50%"
+    assert fetch_arms.share(distances, 50.0).startswith("75 % (") and fetch_arms.share(distances[:2], 20.0) == "50 %"
