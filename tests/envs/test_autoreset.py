@@ -19,12 +19,17 @@ ARGUMENTS = {
     "pickenv/Pick-v0": {"arms": "per_episode", "population": 8, "camera": "perfect"},
     "pickenv/Harvest-v0": {"fruit": 1},
 }
-IDS = sorted(name for name in gym.registry if name.startswith("pickenv/"))
+IDS = sorted(ARGUMENTS)
+"""Every environment that has a native vector."""
 OPTIONS = {"pickenv/Pick-v0": {"fruit": [[0.6, -0.767, 0.549]]}}
 """A fruit beside the tool, so that the first grasp misses and is the last."""
 LONGEST, STEPS = 6, 15
 ONLY_TRUNCATED = ("pickenv/Harvest-v0",)
 """Random actions do not pick all its fruit in so short a time."""
+
+
+def test_every_native_vector_is_tried():
+    assert sorted(n for n in gym.registry if n.startswith("pickenv/") and gym.spec(n).vector_entry_point) == IDS
 
 
 def vector(name, count, mode):

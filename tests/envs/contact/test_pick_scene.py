@@ -166,6 +166,21 @@ def test_the_script_picks_with_a_good_arm_and_misses_with_a_bad_one_until_it_is_
     assert max(info["grasp_lateral_mm"] for info in good_again) < 2.0
 
 
+def test_many_are_what_each_is_alone_in_every_mode():
+    for mode in gym.vector.AutoresetMode:
+        envs = gym.vector.SyncVectorEnv([lambda: gym.make(NAME, max_episode_steps=4)] * 2, autoreset_mode=mode)
+        single = gym.make(NAME, max_episode_steps=4)
+        together, _ = envs.reset(seed=[5, 6])
+        assert_array_equal(together[1], single.reset(seed=6)[0])
+        for step in range(4):
+            action = np.full((2, 7), 0.1 * step, dtype=np.float32)
+            together, _, _, truncated, _ = envs.step(action)
+            alone, *_ = single.step(action[1])
+            if mode is not gym.vector.AutoresetMode.SAME_STEP or step < 3:
+                assert_array_equal(together[1], alone)
+        assert truncated.all()
+
+
 def test_pictures_are_of_the_true_cameras_and_the_same_for_a_seed():
     one, other = (made(obs_type="pixels_agent_pos", pixels=48, camera_mm=mm, leaves=2) for mm in (0.0, 30.0))
     try:
