@@ -17,6 +17,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "learn": ("torch",),
     "rl": ("stable_baselines3", "sb3_contrib", "tensorboard"),
     "inspect": ("rerun", "plotly", "matplotlib", "jinja2", "PIL"),
+    "scene": ("mujoco",),
     "render": ("mujoco", "imageio_ffmpeg"),
     "camera": ("cv2",),
     "recordings": ("rosbags",),
@@ -25,7 +26,6 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "harvest": ("skimage", "ortools", "pettingzoo"),
     "export": ("onnx",),
     "data": ("minari",),
-    "scene": ("mujoco",),
     "compiled": ("llvmlite",),
 }
 """Extras by name, each with the modules that it brings."""
