@@ -162,9 +162,9 @@ class ScriptedScene(ScriptedReach):
             gap = target - forward(g, joints).position
             step = np.zeros(g.joints)
             step[free] = truncated_inverse(joint_jacobian(g, joints)[:3, free]) @ gap
-            wanted = joints + step
-            joints = wanted.clip(g.lower, g.upper)
-            free = free & (wanted == joints)
+            unlimited = joints + step
+            joints = unlimited.clip(g.lower, g.upper)
+            free = free & (unlimited == joints)
             if not free.any():
                 break
         return np.asarray(joints)

@@ -157,8 +157,8 @@ def listed_findings(folder: Path) -> list[Finding]:
     except InputError as error:
         return [Finding(record, what, reason=str(error))]
     sealed = {path for path, reason in faults if reason is None and path.suffix in SEALED}
-    found = zip(faults, _faults("file of the run", faults), strict=True)
-    return [about, *(file_finding(path) if path in sealed else finding for (path, _), finding in found)]
+    findings = zip(faults, _faults("file of the run", faults), strict=True)
+    return [about, *(file_finding(path) if path in sealed else finding for (path, _), finding in findings)]
 
 
 def file_finding(path: Path) -> Finding:
@@ -297,7 +297,7 @@ def class_of_file(kind: str) -> Any:
 
     place = FILES[kind]
     if isinstance(place, str):
-        found = resolve_name(place)
-        return found() if isfunction(found) else found
+        result = resolve_name(place)
+        return result() if isfunction(result) else result
     name, sections = place
     return toml_table(make_dataclass(name, [(key, resolve_name(part)) for key, part in sections.items()]))

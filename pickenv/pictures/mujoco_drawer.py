@@ -59,8 +59,7 @@ class ModelPictures:
         self.gl.make_current()
         self.scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = not dark
         self.camera.type, self.camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, camera
-        seen = mujoco.mjtCatBit.mjCAT_ALL
-        mujoco.mjv_updateScene(self.model, data, option, None, self.camera, seen, self.scene)
+        mujoco.mjv_updateScene(self.model, data, option, None, self.camera, mujoco.mjtCatBit.mjCAT_ALL, self.scene)
         pixels, view = np.empty((*self.size[::-1], 3), dtype=np.uint8), mujoco.MjrRect(0, 0, *self.size)
         mujoco.mjr_render(view, self.scene, self.context)
         mujoco.mjr_readPixels(pixels, None, view, self.context)

@@ -41,8 +41,8 @@ class _Hung:
         still.qpos[:], still.mocap_pos[:], still.mocap_quat[:] = data.qpos, data.mocap_pos, data.mocap_quat
         mujoco.mj_kinematics(model, still)
         link = model.joint(nominal.joint_names[-1]).bodyid[0]
-        believed = forward(nominal, joints_in_mujoco(model, data, nominal))
-        off = pose_error(believed, Pose(still.site_xpos, still.site_xmat.reshape(-1, 3, 3)))
+        nominal_tool = forward(nominal, joints_in_mujoco(model, data, nominal))
+        off = pose_error(nominal_tool, Pose(still.site_xpos, still.site_xmat.reshape(-1, 3, 3)))
         near = (np.linalg.norm(off, axis=-1) < FAR) & (model.body_weldid[model.site_bodyid] == link)
         if not near.any():
             raise InputError("no site of the last link is the nominal arm's tool; read the arm with geometry_in_mujoco")
@@ -58,7 +58,7 @@ class _Hung:
         ):
             if len(rows := np.flatnonzero(np.isin(carriers, path))):
                 bodies = Pose(still.xpos[carriers[rows]], still.xmat[carriers[rows]].reshape(-1, 3, 3))
-                tool = behind(inverse_pose(bodies), believed)
+                tool = behind(inverse_pose(bodies), nominal_tool)
                 self._parts.append((place, turn, rows, place[rows], turn[rows], tool))
         geoms = np.isin(model.geom_bodyid, path)
         boxes = [box for p in path for box in range(model.body_bvhadr[p], model.body_bvhadr[p] + model.body_bvhnum[p])]
@@ -69,8 +69,8 @@ class _Hung:
 
     def put(self, shift: Pose | None) -> None:
         """Move them as the true tool stands in the believed one's frame; None puts them back."""
-        for hint, numbers, own, safe in self._hints:
-            hint[numbers] = own if shift is None else safe
+        for hint, numbers, usual, safe in self._hints:
+            hint[numbers] = usual if shift is None else safe
         for place, turn, rows, home, aim, tool in self._parts:
             place[rows], turn[rows] = home, aim
             if shift is not None:
@@ -184,16 +184,16 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             hung.put(None)
 
     def _judged(self, observation: Any, info: dict[str, Any]) -> dict[str, Any]:
-        believed, true = self._tools()
-        error = pose_error(believed, true)[:3]
+        nominal, true = self._tools()
+        error = pose_error(nominal, true)[:3]
         info = dict(info) | {"tool_error_mm": float(np.linalg.norm(error)) * 1e3}
         inner: Any = self.env.unwrapped
         if self._contact:
-            same = all(map(np.array_equal, believed, true))
-            inner.hung_on_tool.put(None if same else behind(inverse_pose(believed), true))
+            same = all(map(np.array_equal, nominal, true))
+            inner.hung_on_tool.put(None if same else behind(inverse_pose(nominal), true))
             return info
         achieved, desired = (np.asarray(observation[key], dtype=float) for key in ("achieved_goal", "desired_goal"))
-        if achieved.shape != (3,) or np.linalg.norm(achieved - believed.position) > FAR:
+        if achieved.shape != (3,) or np.linalg.norm(achieved - nominal.position) > FAR:
             wrong = "achieved_goal is not the position of the nominal arm's tool"
             raise InputError(f"{wrong}; name the site that the goal is of, or give contact=True where it is of no tool")
         self._achieved = achieved + error

@@ -123,7 +123,7 @@ class ModelArm:
         """Give the model's arm another geometry: base, links and tool. What hangs on a link goes with it."""
         chain = chain_of(geometry)
         links = frames(math, chain, self.rest)[1:]
-        steps = [links[0], *(frame_within(one, other) for one, other in pairwise(links))]
+        steps = [links[0], *(frame_within(*pair) for pair in pairwise(links))]
         for body, above, step, within in zip(self.bodies, self.above, steps, self.within, strict=True):
             self._put(body, attach(frame_within(above, step), within))
         self.put_tool(chain, self.rest, attach(links[-1], chain.tool))
@@ -157,9 +157,9 @@ class ModelArm:
 
 def quaternion(rotation: Array) -> Array:
     """The quaternion ``(4,)`` of a rotation matrix ``(3, 3)``, w first, as MuJoCo has it."""
-    found = np.zeros(4)
-    import_module("mujoco").mju_mat2Quat(found, np.ravel(rotation))
-    return found
+    quaternion = np.zeros(4)
+    import_module("mujoco").mju_mat2Quat(quaternion, np.ravel(rotation))
+    return quaternion
 
 
 def arm_in_mujoco(model: Any, nominal: Geometry) -> ModelArm:

@@ -167,9 +167,9 @@ def erring_by(plant: Plant, size: float, joints: Array) -> Plant:
         InputError: If the arm's parts have no error that could be made larger or smaller.
     """
     nominal = plant.arm.nominal
-    delta, believed = nominal.difference(plant.geometry), forward(nominal, joints).position
+    delta, ideal = nominal.difference(plant.geometry), forward(nominal, joints).position
     for _ in range(4 if size else 0):  # errors are nearly linear in the deviations
-        error = np.linalg.norm(forward(nominal.displaced(delta), joints).position - believed, axis=-1).mean()
+        error = np.linalg.norm(forward(nominal.displaced(delta), joints).position - ideal, axis=-1).mean()
         if not error:
             raise InputError(
                 f"plant '{plant.name}' has no error of its parts; give one of a class, 'coarse:{plant.arm.name}'"

@@ -319,10 +319,12 @@ class ContactScene:
         model, around = self.model, self.around
         self.arm: ModelArm = arm_in_mujoco(model, self.nominal)
         joints = self.arm.joints.tolist()
-        moved = {int(model.actuator_trnid[i, 0]): i for i in range(model.nu) if model.actuator(i).name in self._own}
-        if lost := [name for name, joint in zip(self.nominal.joint_names, joints, strict=True) if joint not in moved]:
+        drive_of = {int(model.actuator_trnid[i, 0]): i for i in range(model.nu) if model.actuator(i).name in self._own}
+        if lost := [
+            name for name, joint in zip(self.nominal.joint_names, joints, strict=True) if joint not in drive_of
+        ]:
             raise InputError(f"the model has no drive for joint '{lost[0]}'; add a position actuator")
-        self._drives = np.array([moved[joint] for joint in joints])
+        self._drives = np.array([drive_of[joint] for joint in joints])
         self._holds = np.array([model.equality(f"hold {i}").id for i in range(around.fruit)])
         self._hand, self._cup = model.body("hand").id, model.geom("cup").id
         self._site = model.site("true tool").id

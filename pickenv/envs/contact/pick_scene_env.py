@@ -302,14 +302,14 @@ class PickSceneEnv(ReachEnv):
         if self.obs_type == OBSERVATIONS[0]:
             grip = [float(self.scene.suction), float(self.scene.taken[0])]
             return np.append(flat, grip).astype(np.float32), reward
-        seen: dict[str, Any] = {
+        views: dict[str, Any] = {
             "pixels": {name: self.scene.picture(name, (self.pixels, self.pixels)) for name in self.cameras}
         }
         if self.obs_type == OBSERVATIONS[2]:
             low, high = np.array(self.task.lower), np.array(self.task.upper)
             joints = low + (np.array(scene.readings) + 1.0) * 0.5 * (high - low)
-            seen["agent_pos"] = np.append(joints, float(self.scene.suction)).astype(np.float32)
-        return seen, reward
+            views["agent_pos"] = np.append(joints, float(self.scene.suction)).astype(np.float32)
+        return views, reward
 
     def _picture(self) -> Pixels:
         if self._state is None:

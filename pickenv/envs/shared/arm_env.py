@@ -126,12 +126,12 @@ class ArmEnv(DrawnEnv):
         self.task: Task = task
         self.metadata = {**type(self).metadata, "render_fps": task.situation.frames_per_second}
         self._x: Executor = EXECUTORS[executor]
-        own = all(type(effect).__module__.startswith("pickenv.") for effect in task.plant.effects)
+        shipped = all(type(effect).__module__.startswith("pickenv.") for effect in task.plant.effects)
         fixed = task.arms == "fixed"  # the numbers of one arm are constants of the code
         self._compiled: Any = None
         if executor == "compiled" and not fixed:
             raise InputError("a population of arms is not compiled; give executor='floats'")
-        if executor == "compiled" or (executor == "auto" and own and fixed and is_there("llvmlite")):
+        if executor == "compiled" or (executor == "auto" and shipped and fixed and is_there("llvmlite")):
             require("llvmlite")
             from pickenv.envs.shared.compiled_look import CompiledLook
 
