@@ -1,8 +1,9 @@
 """Recorded episodes to learn from without an environment: Minari data sets of good, middling and random policies.
 
-Reach is recorded on `pickenv/ReachScaled-v0`, since a network that reads a gap in metres is blind to millimetres, and
-Pick on `pickenv/Pick-v0`. Each data set stands in its folder whole or not at all, with a card that says what it is and
-the hashes of its files; those that are there are kept, so that a run that was cut off goes on.
+Reach is recorded on `pickenv/ReachScaled-v0`, since a network that reads a gap in metres is blind to millimetres, Pick
+on `pickenv/Pick-v0`, and the scene on `pickenv/PickScene-v0`. Each data set stands in its folder whole or not at all,
+with a card that says what it is and the hashes of its files; those that are there are kept, so that a run that was cut
+off goes on.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ import os
 import shutil
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -22,16 +23,16 @@ import numpy as np
 
 import pickenv  # noqa: F401  (registers the environments)
 from pickenv.agents.policies.learned import load_policy
-from pickenv.agents.policies.scripted import HASTY, ScriptedPick
+from pickenv.agents.policies.scripted import HASTY, ScriptedPick, ScriptedScene
 from pickenv.base import InputError, check_limit, file_sha256, locked, require, seed_words, stream, versions, write_json
 from pickenv.envs import check_choice, check_count
 
-TASKS = {"reach": "pickenv/ReachScaled-v0", "pick": "pickenv/Pick-v0"}
+TASKS = {"reach": "pickenv/ReachScaled-v0", "pick": "pickenv/Pick-v0", "scene": "pickenv/PickScene-v0"}
 """Tasks and the environments that they are recorded on, with default arguments."""
 
 QUALITIES = ("expert", "medium", "random")
 
-EPISODES = {"reach": 256, "pick": 32}
+EPISODES = {"reach": 256, "pick": 32, "scene": 64}
 """Episodes of a data set, where no number is given."""
 
 POLICIES = {
@@ -41,8 +42,18 @@ POLICIES = {
     ("pick", "expert"): "ScriptedPick: gentle, waits until the arm has settled",
     ("pick", "medium"): "ScriptedPick with HASTY: full speed, no waiting",
     ("pick", "random"): "actions drawn evenly",
+    ("scene", "expert"): "ScriptedScene with a perfect arm",
+    ("scene", "medium"): "ScriptedScene with an arm that errs",
+    ("scene", "random"): "actions drawn evenly",
 }
 """The policy of each data set."""
+
+ARMS: Mapping[tuple[str, str], dict[str, Any]] = {
+    ("scene", "expert"): {"plant": "ideal:so101"},
+    ("scene", "medium"): {"plant": "coarse:so101", "error_mm": 5.0},
+    ("scene", "random"): {"plant": "ideal:so101"},
+}
+"""Arguments that say which arm a data set is of, where that is not the environment's own."""
 
 COLUMNS = ("observations", "actions", "rewards", "terminations", "truncations")
 
@@ -65,9 +76,9 @@ def datasets(
 
     Args:
         out: Folder of data sets; Minari finds them by name where MINARI_DATASETS_PATH names it.
-        tasks: Any of "reach" and "pick".
+        tasks: Any of "reach", "pick" and "scene".
         qualities: Any of "expert", "medium" and "random".
-        episodes: Episodes of each data set; 256 reaches or 32 canopies if left out.
+        episodes: Episodes of each data set; 256 reaches, 32 canopies or 64 scenes if left out.
         seed: Seed of the episodes and of all that is drawn; no two seeds, tasks or qualities share any.
         progress: Called with (name, done, in all).
 
@@ -105,13 +116,13 @@ def _kept_or_made(
         return _kept(folder, settings)
     parts = stream(seed, "datasets", list(TASKS).index(task), QUALITIES.index(quality)).spawn(2)
     seeds, rng = seed_words(parts[0], count), np.random.default_rng(parts[1])
-    record = _reaches if task == "reach" else _canopies
     rows: list[dict[str, Any]] = []
-    for episode in record(quality, seeds, rng):
+    for episode in _reaches(quality, seeds, rng) if task == "reach" else _episodes(task, quality, seeds, rng):
         rows.append(episode)
         report(name, len(rows), count)
     card = settings | {
         "environment": TASKS[task],
+        "arguments": ARMS.get((task, quality), {}),
         "policy": POLICIES[task, quality],
         "seeds": seeds,
         "steps": sum(len(row["rewards"]) for row in rows),
@@ -144,10 +155,13 @@ def _reaches(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> It
         yield {"seed": seed, "said": result} | {name: column[i] for name, column in columns.items()}
 
 
-def _canopies(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
-    """Record canopies, one after the other."""
-    env = gym.make(TASKS["pick"])
-    policy = ScriptedPick(env, **(HASTY if quality == "medium" else {}))
+def _episodes(task: str, quality: str, seeds: Sequence[int], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
+    """Record canopies or scenes, one after the other."""
+    env = gym.make(TASKS[task], **ARMS.get((task, quality), {}))
+    if task == "scene":
+        policy: Any = ScriptedScene(env)
+    else:
+        policy = ScriptedPick(env, **(HASTY if quality == "medium" else {}))
     for seed in seeds:
         observation, info = env.reset(seed=seed)
         policy.reset()
@@ -159,7 +173,8 @@ def _canopies(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> I
             observation, reward, terminated, truncated, info = env.step(action)
             for name, value in zip(COLUMNS, (observation, action, reward, terminated, truncated), strict=True):
                 rows[name].append(value)
-        result = {"collected": info["collected"]}
+        keys = {"success": "is_success"} if task == "scene" else {"collected": "collected"}
+        result = {key: info[name] for key, name in keys.items()}
         yield {"seed": seed, "said": result} | {name: np.array(column) for name, column in rows.items()}
 
 
@@ -179,7 +194,7 @@ def _write(folder: Path, name: str, episodes: Sequence[dict[str, Any]], card: di
             minari.create_dataset_from_buffers(
                 name,
                 buffers,
-                env=gym.make(card["environment"]),
+                env=gym.make(card["environment"], **card["arguments"]),
                 algorithm_name=card["policy"],
                 author="pickenv",
                 description=f"{card['policy']}; simulated; seed {card['seed']}; licence {LICENCE}",

@@ -119,3 +119,16 @@ def test_canopies_are_recorded_too(tmp_path):
         np.testing.assert_array_equal(env.reset(seed=card["seeds"][0])[0], episode.observations[0])
         for i, action in enumerate(episode.actions[:40]):
             np.testing.assert_array_equal(env.step(action)[0], episode.observations[i + 1])
+
+
+def test_scenes_are_recorded_with_the_arm_that_they_are_of(tmp_path):
+    good, bad = datasets(tmp_path, ("scene",), ("expert", "medium"), episodes=2, seed=3)
+    assert good["arguments"] == {"plant": "ideal:so101"} and bad["arguments"]["error_mm"] == 5.0
+    assert 0.0 <= bad["success"] <= good["success"] <= 1.0
+    data = read(tmp_path, "pickenv/scene/medium-v0")
+    episode = data[0]
+    env = data.recover_environment()
+    observation, _ = env.reset(seed=bad["seeds"][0])
+    for step, action in enumerate(episode.actions):
+        np.testing.assert_array_equal(observation, episode.observations[step])
+        observation, *_ = env.step(action)

@@ -244,7 +244,7 @@ def test_what_cannot_be_wrapped_is_refused_in_a_sentence(monkeypatch):
     with pytest.raises(InputError, match="is not the position of the nominal arm's tool"):
         Miscalibrate(env, elsewhere, elsewhere).reset(seed=0)
     monkeypatch.setitem(sys.modules, "mujoco", None)
-    with pytest.raises(InputError, match="pip install .pickenv.scene"):
+    with pytest.raises(InputError, match=r"pip install .pickenv.scene"):
         geometry_in_mujoco(env.model, "tool")
 
 
