@@ -20,7 +20,7 @@ from lerobot.processor import ActionProcessorStep, ProcessorStepRegistry
 from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 
 import pickenv
-from pickenv.base import obey
+from pickenv.base.limits import DO_NOT_USE, obey
 from pickenv.wrappers import CompensationWrapper
 
 ERRORS = ("position_error_mm", "grasp_lateral_mm", "grasp_axial_mm")
@@ -168,7 +168,7 @@ class CompensationStep(ActionProcessorStep):
         path: File of the calibration.
         joints: Names of the joints in LeRobot, in the arm's order; as the calibration names them if left out.
         unit: Unit of turning joints, "deg" or "rad"; sliding joints are in m.
-        allow: Reservations of the calibration to accept, by name.
+        allow: Reservations of the calibration to accept, by name; as for `pickenv apply`, "do-not-use" alone matters.
     """
 
     path: str
@@ -179,9 +179,9 @@ class CompensationStep(ActionProcessorStep):
     def __post_init__(self) -> None:
         """Load the calibration; raises `InputError` if it does not fit, or if something stands against its use."""
         self.compensator = pickenv.Calibration.load(self.path).compensator()
-        obey(self.compensator.reservations, self.allow)
-        if self.compensator.caution is not None:
-            logging.warning("%s", self.compensator.caution)
+        obey(self.compensator.reservations, self.allow, [DO_NOT_USE])
+        for sentence in filter(None, (*self.compensator.reservations.values(), self.compensator.caution)):
+            logging.warning("%s", sentence)
         nominal = self.compensator.nominal
         self.joints = self.joints or list(nominal.joint_names)
         if len(self.joints) != nominal.joints:

@@ -203,7 +203,7 @@ def test_a_policys_tensor_is_corrected_in_its_first_columns(calibration: Path) -
 def test_a_step_comes_back_from_the_files_of_a_policy(calibration: Path, tmp_path: Path) -> None:
     folder, file = saved("act", tmp_path / "act"), "policy_postprocessor.json"
     pipeline = PolicyProcessorPipeline.from_pretrained(folder, config_filename=file)
-    step = plugin.CompensationStep(str(calibration), unit="deg", allow=["fitted-frames"])
+    step = plugin.CompensationStep(str(calibration), unit="deg", allow=["do-not-use"])
     pipeline.steps.append(step)
     pipeline.save_pretrained(folder)
     config = json.loads((folder / file).read_text())["steps"][-1]
@@ -219,13 +219,13 @@ def test_a_step_comes_back_from_the_files_of_a_policy(calibration: Path, tmp_pat
 def test_mistakes_are_told_in_a_sentence(calibration: Path, tmp_path: Path) -> None:
     step = plugin.CompensationStep(str(calibration))
     arm = pickenv.load_arm("so101")
-    fitted = Calibration(arm.name, arm.nominal, arm.nominal, ArmModel.of(arm.nominal), None, {"frames": "fitted"})
-    fitted.save(tmp_path / "fitted.npz")
+    record = {"frames": "known", "verdict": {"grade": "do not use", "reason": "too few rows"}}
+    Calibration(arm.name, arm.nominal, arm.nominal, ArmModel.of(arm.nominal), None, record).save(tmp_path / "bad.npz")
     mistakes = {
         "the action has no shoulder_pan.pos; it has pan.pos": lambda: step.action({"pan.pos": 1.0}),
         "the unit is 'range'; give one of deg, rad": lambda: plugin.CompensationStep(str(calibration), unit="range"),
         "is of 5 joints, not 2": lambda: plugin.CompensationStep(str(calibration), joints=["pan", "lift"]),
-        "were fitted": lambda: plugin.CompensationStep(str(tmp_path / "fitted.npz")),
+        "do not use (too few rows)": lambda: plugin.CompensationStep(str(tmp_path / "bad.npz")),
         "none.npz does not exist": lambda: plugin.CompensationStep(str(tmp_path / "none.npz")),
         "obs_type is 'state'; LeRobot takes one of pixels_agent_pos, pixels": lambda: plugin.PickenvEnv(
             obs_type="state"
