@@ -20,7 +20,7 @@ from lerobot.processor import ActionProcessorStep, ProcessorStepRegistry
 from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 
 import pickenv
-from pickenv.base.limits import DO_NOT_USE, obey
+from pickenv.base import DO_NOT_USE, obey
 from pickenv.wrappers import CompensationWrapper
 
 ERRORS = ("position_error_mm", "grasp_lateral_mm", "grasp_axial_mm")
