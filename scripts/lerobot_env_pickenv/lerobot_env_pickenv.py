@@ -24,7 +24,10 @@ from pickenv.base import DO_NOT_USE, obey
 from pickenv.wrappers import CompensationWrapper
 
 ERRORS = ("position_error_mm", "grasp_lateral_mm", "grasp_axial_mm")
-"""Errors in `info`, mm, which are noted where an episode ends."""
+"""Errors in `info`, mm, which are noted where an episode ends; one of a grasp is 0 where nothing was grasped."""
+
+PASSED = ("plant", "arms", "population_seed", "error_mm", "obs_type", "pixels", "cameras")
+"""Fields of the configuration that the environment has under the same names."""
 
 OBSERVATIONS = ("pixels_agent_pos", "pixels")
 RADIANS = {"deg": math.pi / 180.0, "rad": 1.0}
@@ -40,7 +43,8 @@ class Noting:
     errors_to: str | None
 
     def reset(self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None) -> Any:
-        """Start an episode in every environment."""
+        """Start an episode in every environment; LeRobot's own options are not for them."""
+        options = {name: value for name, value in (options or {}).items() if not name.startswith("lerobot_")}
         first = isinstance(seed, int)
         self._seeds = [seed + i for i in range(self.num_envs)] if first else seed or [None] * self.num_envs
         self._runs, self._succeeded = np.ones((2, self.num_envs), dtype=bool) & [[True], [False]]
@@ -54,9 +58,9 @@ class Noting:
         ended = self._runs & (terminated | truncated)
         self._runs &= ~ended
         for i in np.flatnonzero(ended):
-            errors = {name: float(last[name][i]) for name in ERRORS if name in last}
-            finite = {name: value if math.isfinite(value) else None for name, value in errors.items()}
-            self._note({"seed": self._seeds[i], "is_success": bool(self._succeeded[i]), **finite})
+            errors = {name: float(last[name][i]) for name in ERRORS}
+            known = {name: value if value and math.isfinite(value) else None for name, value in errors.items()}
+            self._note({"seed": self._seeds[i], "is_success": bool(self._succeeded[i]), **known})
         return result
 
     def _note(self, end: dict[str, Any]) -> None:
@@ -90,6 +94,9 @@ class PickenvEnv(EnvConfig):
 
     Attributes:
         plant: The simulated true arm.
+        arms: "fixed", or "per_episode" for another arm of the plant's kind in each.
+        population_seed: Seed from which true arms are drawn.
+        error_mm: Mean error to which the true arm's is scaled, mm; None leaves it.
         calibration: File of a calibration to put between policy and arm, or None.
         allow: Reservations of the calibration to accept, by name.
         obs_type: "pixels_agent_pos" or "pixels".
@@ -101,14 +108,17 @@ class PickenvEnv(EnvConfig):
     """
 
     task: str | None = "PickScene-v0"
-    fps: int = 10
-    plant: str = "so101"
+    fps: int = 25
+    plant: str = "printed:so101"
+    arms: str = "fixed"
+    population_seed: int = 0
+    error_mm: float | None = None
     calibration: str | None = None
     allow: list[str] = field(default_factory=list)
     obs_type: str = "pixels_agent_pos"
     pixels: int = 64
     cameras: list[str] = field(default_factory=lambda: ["world", "wrist"])
-    episode_length: int = 200
+    episode_length: int = 300
     errors_to: str | None = None
     arguments: dict[str, Any] = field(default_factory=dict)
 
@@ -133,9 +143,9 @@ class PickenvEnv(EnvConfig):
     @property
     def gym_kwargs(self) -> dict[str, Any]:
         """Arguments of `gymnasium.make`."""
-        chosen = {name: getattr(self, name) for name in ("plant", "obs_type", "pixels")}
-        length, cameras = self.episode_length, tuple(self.cameras)
-        return {**chosen, "cameras": cameras, "max_episode_steps": length, "render_mode": "rgb_array", **self.arguments}
+        chosen = {name: getattr(self, name) for name in PASSED}
+        timing = {"control_period_s": 1.0 / self.fps, "max_episode_steps": self.episode_length}
+        return {**chosen, **timing, "render_mode": "rgb_array", **self.arguments}
 
     def make_one(self) -> gymnasium.Env[Any, Any]:
         """One environment, with the calibration in between."""
@@ -150,6 +160,7 @@ class PickenvEnv(EnvConfig):
         apart = use_async_envs and n_envs > 1
         vector = NotingAsync(makers, context="forkserver", **options) if apart else NotingSync(makers, **options)
         vector.noted, vector.errors_to = [], self.errors_to
+        vector.metadata = {**vector.metadata, "render_fps": self.fps}  # a whole number, or no film is written
         if self.errors_to is not None:
             Path(self.errors_to).write_text("", encoding="utf-8")
         return {self.type: {0: vector}}
