@@ -22,13 +22,14 @@ __getattr__, __dir__, __all__ = _offered("pickenv", __file__)
 _REACH, _VECTOR = "pickenv.envs.reaching.reach:", "pickenv.envs.reaching.vector:"
 _SCALED = "pickenv.envs.reaching.scaled:"
 _HARVEST = "pickenv.envs.harvesting.harvest_env:"
-_ENVIRONMENTS: dict[str, tuple[str, str, int]] = {
+_ENVIRONMENTS: dict[str, tuple[str, str | None, int]] = {
     "Reach": (f"{_REACH}ReachEnv", f"{_VECTOR}ReachVectorEnv", 60),
     "ReachGoal": (f"{_REACH}ReachGoalEnv", f"{_VECTOR}ReachGoalVectorEnv", 60),
     "ReachIdeal": (f"{_REACH}ReachIdealEnv", f"{_VECTOR}ReachIdealVectorEnv", 60),
     "ReachScaled": (f"{_SCALED}ReachScaledEnv", f"{_SCALED}ReachScaledVectorEnv", 60),
     "ReachTool": (f"{_SCALED}ReachToolEnv", f"{_SCALED}ReachToolVectorEnv", 60),
     "Harvest": (f"{_HARVEST}HarvestEnv", f"{_HARVEST}HarvestVectorEnv", 600),
+    "PickScene": ("pickenv.envs.contact.pick_scene_env:PickSceneEnv", None, 300),
     "Pick": ("pickenv.envs.picking.pick:PickEnv", "pickenv.envs.picking.pick_vector:PickVectorEnv", 400),
 }
 """Environments that Gymnasium is told of: makers of one and of many, and most steps; modules are loaded by making."""

@@ -22,13 +22,24 @@ import typer
 from matplotlib.figure import Figure
 from measuring import ROOT, markdown_table
 
-from pickenv.arm import Arm, Array, Geometry, Plant, draw_plants, forward, load_tolerances, plant_at
+from pickenv.arm import (
+    Arm,
+    Array,
+    Geometry,
+    Plant,
+    draw_plants,
+    forward,
+    geometry_in_mujoco,
+    joints_in_mujoco,
+    load_tolerances,
+    plant_at,
+)
 from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.base import InputError, write_json
 from pickenv.calibration import fit, simulated_tracker
 from pickenv.inspect import save_figure
 from pickenv.inspect.figures.style import COLUMN, LINES, STYLE
-from pickenv.wrappers import Compensate, Miscalibrate, geometry_in_mujoco, joints_in_mujoco
+from pickenv.wrappers import Compensate, Miscalibrate
 
 SITE = "robot0:grip"
 JOINTS = (

@@ -93,6 +93,91 @@ class RandomReach:
 # The oracle: a policy that knows the true arm. What remains with it, no calibration can remove.
 
 
+class ScriptedScene(ScriptedReach):
+    """Take the fruit of `pickenv/PickScene-v0`: come from behind it, stand, go to it, grip, and draw it away.
+
+    It uses the state observation and the nominal arm. With `feedback="camera"` it looks while it stands, and corrects
+    by what the camera's gap to the fruit differs from the believed one.
+    """
+
+    FAR, BEFORE, PRESS, AWAY = -0.2, -0.08, 0.003, -0.4
+    """Where the tool comes to along its axis, where it stands and looks, how far it presses, and how far it draws
+    back, m at full scale."""
+    STAND, GRIP = 12, 10
+    """Steps for which it stands and looks, and for which it grips."""
+    _PATIENCE = (0, STAND, 0, GRIP, np.inf)
+    SLOW, NEAR = 0.003, 2e-3
+    """Distance that it goes in a step near fruit, m at full scale, and when joints have arrived, rad or m."""
+
+    def __init__(self, env: Any) -> None:
+        """Read the arm and the scene's scale from ``env``."""
+        super().__init__(env)
+        around = env.unwrapped.scene.around
+        self._scale, self._cup = around.scale, around.gripper == "cup"
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget the last episode's fruit."""
+        super().reset()
+        self._stage, self._waited, self._at = 0, 0, self.FAR
+        self._gaps: list[Array] = []
+
+    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+        """The next action: increments of the joints, and the gripper, which is open below 0."""
+        reading = self.present(np.asarray(observation)[:-2])
+        if self._wanted is None:
+            self._wanted = self.wanted_joints(reading)
+        end = (self.FAR, self.BEFORE, self.PRESS, self.PRESS, self.AWAY)[self._stage]
+        step = self.SLOW if self._stage in (2, 3) else 3.0 * self.SLOW
+        self._at += float(np.clip(end - self._at, -step, step))
+        if self._stage < len(self._PATIENCE) - 1:
+            goal = self._along(self._wanted, self._at * self._scale)
+        else:
+            goal = self._drawn(reading.joints, min(self._at, 0.0) * self._scale)
+        if self._stage == 1 and self._at == end and reading.camera is not None:
+            self._gaps.append(reading.camera - reading.offset)
+        if self._stage >= 2 and self._gaps:
+            goal = self._moved(goal, np.mean(self._gaps, axis=0))
+        away = goal - reading.joints
+        patience = self._PATIENCE[self._stage]
+        arrived = self._at == end and (float(np.abs(away).max()) < self.NEAR or self._waited > MOST_WAITED)
+        self._waited += 1
+        if arrived and self._waited > patience:
+            self._stage, self._waited = self._stage + 1, 0
+        closed = self._stage >= (2 if self._cup else 3)
+        return np.append(self.action(away), 1.0 if closed else -1.0).astype(np.float32)
+
+    def _along(self, joints: Array, distance: float) -> Array:
+        """Joints whose tool is moved along its own axis, m."""
+        for _ in range(3):
+            joints = self._moved(joints, forward(self.geometry, joints).rotation[:, 2] * distance / 3.0)
+        return joints
+
+    def _drawn(self, joints: Array, distance: float) -> Array:
+        """Joints whose tool is that far behind the fruit, m, in whatever attitude joints within limits allow."""
+        assert self._wanted is not None
+        goal, g = forward(self.geometry, self._wanted), self.geometry
+        target, free = goal.position + goal.rotation[:, 2] * distance, np.ones(g.joints, dtype=bool)
+        for _ in range(4):
+            gap = target - forward(g, joints).position
+            step = np.zeros(g.joints)
+            step[free] = truncated_inverse(joint_jacobian(g, joints)[:3, free]) @ gap
+            wanted = joints + step
+            joints = wanted.clip(g.lower, g.upper)
+            free = free & (wanted == joints)
+            if not free.any():
+                break
+        return np.asarray(joints)
+
+    def _moved(self, joints: Array, shift: Array) -> Array:
+        """Joints whose tool is moved by ``shift (3,)``, m, and keeps its attitude as far as it can."""
+        step = truncated_inverse(joint_jacobian(self.geometry, joints)) @ np.concatenate([shift, np.zeros(3)])
+        return np.asarray((joints + step).clip(self.geometry.lower, self.geometry.upper))
+
+
+MOST_WAITED = 60
+"""Steps after which an arm that comes no nearer goes on."""
+
 ITERATIONS = 6
 """Newton steps from the nominal solution; millimetres shrink to nothing in three."""
 

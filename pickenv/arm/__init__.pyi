@@ -18,6 +18,13 @@ from .files.arm import Arm as Arm, content_sha256 as content_sha256
 from .files.arm_file import ARMS as ARMS, load_arm as load_arm, shipped_arms as shipped_arms
 from .files.joint_keys import PER_JOINT as PER_JOINT
 from .files.mjcf import mjcf_text as mjcf_text
+from .files.model_arm import (
+    ModelArm as ModelArm,
+    arm_in_mujoco as arm_in_mujoco,
+    geometry_in_mujoco as geometry_in_mujoco,
+    joints_in_mujoco as joints_in_mujoco,
+    quaternion as quaternion,
+)
 from .files.urdf import load_urdf as load_urdf, urdf_text as urdf_text, write_urdf as write_urdf
 from .kinematics.backend import chosen as chosen, clipped as clipped
 from .kinematics.forward import (
@@ -29,6 +36,7 @@ from .kinematics.forward import (
     drawn_parts as drawn_parts,
     forward as forward,
     frame_of as frame_of,
+    frame_within as frame_within,
     frames as frames,
     geometry_from_axes as geometry_from_axes,
     nominal_points as nominal_points,
@@ -116,6 +124,7 @@ from .plant.tolerances import (
     TOLERANCES as TOLERANCES,
     Tolerances as Tolerances,
     draw_plants as draw_plants,
+    erring_by as erring_by,
     it_tolerance as it_tolerance,
     load_tolerances as load_tolerances,
     shipped_tolerances as shipped_tolerances,

@@ -9,11 +9,7 @@ from .gap import (
     Scaling as Scaling,
     joined_observation as joined_observation,
 )
-from .mujoco_arm import (
-    Miscalibrate as Miscalibrate,
-    geometry_in_mujoco as geometry_in_mujoco,
-    joints_in_mujoco as joints_in_mujoco,
-)
+from .mujoco_arm import Miscalibrate as Miscalibrate
 from .same_arm import (
     MOST_SEEN as MOST_SEEN,
     SEEN_MM as SEEN_MM,

@@ -1,79 +1,20 @@
-"""The arm inside a MuJoCo model: its nominal geometry, its present joints, and a wrapper that gives it an error."""
+"""A real arm's error in somebody else's environment: success is judged where the true tool is, not where it seems.
+
+Reaching tasks on MuJoCo end where their perfect arm believes to be. Here the environment's own arm is that belief; the
+true tool differs from it by what a plant says at the same joints, and the policy never sees it. Metres, radians.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from importlib import import_module
 from typing import Any, SupportsFloat
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
 
-from pickenv.arm import Array, Geometry, Plant, Pose, forward, geometry_from_axes, pose_error
+from pickenv.arm import Array, Geometry, Plant, forward, joints_in_mujoco, pose_error
 from pickenv.base import InputError
 from pickenv.wrappers.compensation import Compensate
-
-SLIDE, HINGE = 2, 3
-"""MuJoCo's numbers for sliding and hinged joints, the types that an arm may have."""
-
-
-def geometry_in_mujoco(model: Any, site: str, joints: Sequence[str] | None = None, data: Any = None) -> Geometry:
-    """The nominal geometry of the arm that moves a site, in the model's world frame.
-
-    Args:
-        model: `mujoco.MjModel`.
-        site: Name of the site at the tool.
-        joints: The arm's joints from base to tool; all that move the site when left out.
-        data: `mujoco.MjData` with the positions of all other joints; the model's own positions when left out.
-
-    Raises:
-        InputError: If MuJoCo, the site or a joint is missing, a joint does not move the site, or is a ball.
-    """
-    try:
-        mujoco: Any = import_module("mujoco")
-    except ImportError as error:
-        raise InputError("MuJoCo is not installed, and the environment is one of it; pip install mujoco") from error
-    if (number := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)) < 0:
-        raise InputError(f"the model has no site '{site}'; name the one at the arm's tool")
-    chain: list[int] = []
-    body = int(model.site_bodyid[number])
-    while body > 0:
-        first = int(model.body_jntadr[body])
-        chain += reversed(range(first, first + int(model.body_jntnum[body])))
-        body = int(model.body_parentid[body])
-    chain.reverse()
-    names = {mujoco.mj_id2name(model, mujoco.mjtObj.mjOBJ_JOINT, joint) or f"joint{joint}": joint for joint in chain}
-    selection = tuple(joints) if joints is not None else tuple(names)
-    if lost := [name for name in selection if name not in names]:
-        raise InputError(f"joint '{lost[0]}' does not move site '{site}'; its joints are {', '.join(names)}")
-    numbers = [joint for name, joint in names.items() if name in selection]
-    kinds = [int(model.jnt_type[joint]) for joint in numbers]
-    if not numbers or not set(kinds) <= {SLIDE, HINGE}:
-        raise InputError(f"the joints before site '{site}' are not all slides and hinges; name those of the arm")
-    still = mujoco.MjData(model)
-    if data is not None:
-        still.qpos[:] = data.qpos
-        still.mocap_pos[:], still.mocap_quat[:] = data.mocap_pos, data.mocap_quat
-    still.qpos[model.jnt_qposadr[numbers]] = 0.0
-    mujoco.mj_kinematics(model, still)
-    ranges = np.array(model.jnt_range[numbers], dtype=float)
-    ranges[~((model.jnt_limited[numbers] != 0) & (np.ptp(ranges, axis=1) > 0.0))] = -np.pi, np.pi
-    tool = Pose(still.site_xpos[number].copy(), still.site_xmat[number].reshape(3, 3).copy())
-    titles, slides = tuple(name for name in names if name in selection), tuple(kind == SLIDE for kind in kinds)
-    return geometry_from_axes(titles, slides, still.xanchor[numbers], still.xaxis[numbers], tool, *ranges.T)
-
-
-def joints_in_mujoco(model: Any, data: Any, geometry: Geometry) -> Array:
-    """Present joint displacements ``(n,)``, rad or m, of an arm whose ``geometry`` came from `geometry_in_mujoco`."""
-    return np.array([data.qpos[model.joint(name).qposadr[0]] for name in geometry.joint_names])
-
-
-# A real arm's error in somebody else's environment: success is judged where the true tool is, not where it seems.
-# Reaching tasks on MuJoCo end where their perfect arm believes to be. Here the environment's own arm is that belief;
-# the true tool differs from it by what a plant says at the same joints, and the policy never sees it. Metres,
-# radians.
-
 
 FAR = 1e-3
 """Largest distance allowed between the achieved goal and the nominal arm's tool, m."""
@@ -89,7 +30,7 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     Example:
         >>> import gymnasium as gym
-        >>> from pickenv.wrappers import Miscalibrate, geometry_in_mujoco
+        >>> from pickenv.wrappers import Miscalibrate
         >>> def with_error(env: gym.Env, plant) -> gym.Env:
         ...     return Miscalibrate(env, plant.arm.nominal, plant)
 

@@ -9,10 +9,10 @@ import mujoco
 import numpy as np
 import pytest
 
-from pickenv.arm import Arm, Plant, forward, load_arm, load_plant, mjcf_text
+from pickenv.arm import Arm, Plant, forward, geometry_in_mujoco, joints_in_mujoco, load_arm, load_plant, mjcf_text
 from pickenv.base import InputError
 from pickenv.calibration import fit, simulated_tracker
-from pickenv.wrappers import Miscalibrate, geometry_in_mujoco, joints_in_mujoco
+from pickenv.wrappers import Miscalibrate
 
 ARMS = ("ur5", "panda", "so101")
 

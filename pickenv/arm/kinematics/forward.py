@@ -234,12 +234,12 @@ def frames(m: ModuleType, chain: Chain, q: Sequence[Scalar], flexure: Flexure | 
         result.append(frame)
     if chain.tree is not None and chain.tree.sensor >= 0:
         sensor = result[chain.tree.sensor + 1]
-        result = [attach(chain.base, _within(sensor, frame)) for frame in result]
+        result = [attach(chain.base, frame_within(sensor, frame)) for frame in result]
     return result
 
 
-def _within(reference: Frame, frame: Frame) -> Frame:
-    """A frame in the axes of another, both given in world axes."""
+def frame_within(reference: Frame, frame: Frame) -> Frame:
+    """A frame in the axes of another, both given in world axes; `attach` undoes it."""
     gap = [p - q for p, q in zip(frame[9:], reference[9:], strict=True)]
     vectors, axes = (*(frame[i : i + 3] for i in (0, 3, 6)), gap), [reference[i : i + 3] for i in (0, 3, 6)]
     return tuple(x * u + y * v + z * w for x, y, z in vectors for u, v, w in axes)

@@ -268,6 +268,13 @@ class Plant:
             act(at, ())
         return at.frame
 
+    def stands(self, m: ModuleType, state: PlantState, q: Sequence[Scalar]) -> tuple[list[Scalar], Frame]:
+        """Positions of the joints ``(n,)``, rad or m, and the tool's frame, after `advance` to ``state`` at ``q``."""
+        at, memories = Passage(m, self.chain, self.load, q), iter(state)
+        for ways, act in (step for part in self._steps for step in part):
+            act(at, next(memories) if ways else ())
+        return list(at.joints), at.frame
+
     def readings(self, m: ModuleType, state: PlantState, q: Sequence[Scalar]) -> list[Scalar]:
         """What the motor encoders report after `advance` to ``state`` at the command ``q``, rad or m.
 

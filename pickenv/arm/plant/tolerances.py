@@ -14,6 +14,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from pickenv.arm.effects.effect import Draws, standard_normal_of
+from pickenv.arm.kinematics.forward import forward
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
 from pickenv.arm.plant.plant import Plant
 from pickenv.arm.plant.twin_file import twin_arms
@@ -152,6 +153,29 @@ def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random
         return twin_arms(plant, lambda even: half * _deviation(tolerances, even), rng.spawn(count))
     total = max(columns.stop for columns in random_columns(plant).values())
     return plants_from(plant, tolerances, np.stack([child.random(total) for child in rng.spawn(count)]))
+
+
+def erring_by(plant: Plant, size: float, joints: Array) -> Plant:
+    """An arm whose parts err in the same proportions, and by so much that its tool errs by ``size`` on average.
+
+    Args:
+        plant: One true arm; only its geometry counts, and the arm that comes back has no effects.
+        size: Mean distance between the true and the nominal tool, m.
+        joints: Joints over which the mean is taken ``(..., n)``, rad or m.
+
+    Raises:
+        InputError: If the arm's parts have no error that could be made larger or smaller.
+    """
+    nominal = plant.arm.nominal
+    delta, believed = nominal.difference(plant.geometry), forward(nominal, joints).position
+    for _ in range(4 if size else 0):  # errors are nearly linear in the deviations
+        error = np.linalg.norm(forward(nominal.displaced(delta), joints).position - believed, axis=-1).mean()
+        if not error:
+            raise InputError(
+                f"plant '{plant.name}' has no error of its parts; give one of a class, 'coarse:{plant.arm.name}'"
+            )
+        delta = delta * (size / error)
+    return replace(plant, geometry=nominal.displaced(delta) if size else nominal, effects=())
 
 
 def plants_from(plant: Plant, tolerances: Tolerances, even: Array) -> Plant:

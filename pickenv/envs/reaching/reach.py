@@ -223,6 +223,8 @@ class ReachEnv(ArmEnv):
 
     task_of: Callable[..., Task] = staticmethod(make_task)
     """Makes the task of the arguments."""
+    gripper = 0
+    """Count of the numbers that follow the arm's in an action."""
 
     def __init__(
         self,
@@ -256,7 +258,8 @@ class ReachEnv(ArmEnv):
         self._take_arm(options.get("arm"))
         start = self._start(options.get("start_joints"))
         goal = self._wanted(options)
-        self._state = simulation.begin(x, task, self.plant, self._key, start, goal, self._command(start))
+        command = self._command(start)
+        self._state = simulation.begin(x, task, self.plant, self._key, start, goal, command, self.gripper)
         self._step = 0
         observation, _, information = self._look(0.0)
         return observation, information

@@ -250,9 +250,24 @@ def look(
     Returns:
         The state afterwards, and the view of it.
     """
-    m, target, goal, sighting, setting = x.m, state.target, state.goal, state.seen, task.situation
-    plant_state, ended = plant.advance(m, state.plant, command, dt)
-    read, true = nominal_readings(x, plant, plant_state, target, command), inexact(ended)
+    plant_state, ended = plant.advance(x.m, state.plant, command, dt)
+    read = nominal_readings(x, plant, plant_state, state.target, command)
+    return viewed(x, task, state._replace(plant=plant_state), read, inexact(ended), command, key, moment, dt)
+
+
+def viewed(
+    x: Executor,
+    task: Task,
+    state: ArmState,
+    read: Sequence[Scalar],
+    true: Frame,
+    command: Sequence[Scalar],
+    key: Scalar,
+    moment: Scalar,
+    dt: Scalar,
+) -> tuple[ArmState, View]:
+    """Measure an arm whose encoders read ``read`` ``(n,)`` and whose true tool is at a frame; arguments as in `look`."""
+    m, goal, sighting, setting = x.m, state.goal, state.seen, task.situation
     dx, dy, dz, *turn = error = frame_error(m, goal, true)
     camera: Components = ()
     if task.camera:
@@ -273,7 +288,7 @@ def look(
     noncompensable_deg = DEGREES * _lost_angle(x, task, links, turn)
     square = angle_deg * angle_deg - noncompensable_deg * noncompensable_deg
     compensable_deg = m.sqrt(clipped(m, square, 0.0, math.inf))
-    return state._replace(sensed=late, plant=plant_state), View(
+    return state._replace(sensed=late), View(
         readings=scaled(x, task, readings),
         believed=pose[9:],
         attitude=(*pose[6:9], *pose[:3]),

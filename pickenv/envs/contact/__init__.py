@@ -1,0 +1,1 @@
+"""The Pick scene: fruit that hangs from a branch, touched and seen, in MuJoCo."""

@@ -1,0 +1,537 @@
+"""What stands in the scene of `pickenv/PickScene-v0`, as a MuJoCo model: the arm, fruit on a branch, leaves, cameras.
+
+The model's arm is the true one. Its joints are driven to where the plant has them once drives, gears and joints have
+erred, and its last link to where the plant has the tool, so that whatever touches the fruit is the true gripper. Arms
+carry no weight of their own here: how they sag is the plant's business. Units: m, kg, s, N, rad.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.arm import (
+    Arm,
+    Array,
+    Frame,
+    ModelArm,
+    Plant,
+    Pose,
+    arm_in_mujoco,
+    frame_of,
+    frame_within,
+    mjcf_text,
+    quaternion,
+    rotation_matrix,
+)
+from pickenv.base import GRAVITY, InputError, is_file, require
+from pickenv.orchard.fruit import Branch, Detachment, FruitSize, fruit_masses, sample_strength
+from pickenv.orchard.gripper import Gripper
+from pickenv.pictures.stage import Eye
+
+TIMESTEP, CHUNK = 0.004, 5
+"""Time of a physical step, s, and the number of them after which stems are asked whether they hold."""
+
+STIFFNESS, DAMPING, ARMATURE = 5000.0, 150.0, 1.0
+"""Of the drives of arms without a model of their own, and the inertia that their gears add; they settle in a few
+hundredths of a second. Without that inertia the damping would rule the wrist, and touching it would be unstable."""
+
+HOLDS = 1.5
+"""Force with which a cup holds fruit, as a multiple of the pull that detaches 95 % of fruit."""
+
+CUP_DEPTH, LIP = 0.004, 0.002
+"""Thickness of a cup, and the distance at which its soft lip closes on a fruit, m."""
+
+TURNING = 2e-4
+"""Damping of a fruit that turns about its stem, N*m*s/rad at full scale; it comes to rest within a second."""
+
+GRIPPERS = ("cup", "jaw")
+CAMERAS = ("world", "wrist")
+HULL, AS_DRAWN = 48, 2
+"""Most corners of the hulls by which meshes of a maker touch, and as which they are drawn; and the group of those that
+only show what the arm looks like, which are ten times as slow to draw."""
+
+OTHER, GRIPPER_BIT, FRUIT_BIT, LEAF_BIT = 0, 1, 2, 4
+SMALLEST, LARGEST = 16, 1024
+"""Sizes of pictures, px."""
+
+GRIP, WIDE = (1.5, 0.02, 1e-3), 60.0
+"""Friction of grippers and fruit (sliding, turning, rolling), and the wrist camera's angle of view, deg."""
+
+METAL, WOOD, SKIN, LEAF = (
+    (0.6, 0.6, 0.65, 1.0),
+    (0.36, 0.25, 0.16, 1.0),
+    (0.78, 0.12, 0.10, 1.0),
+    (0.25, 0.50, 0.18, 1.0),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """What stands around the arm, and what the arm holds.
+
+    Attributes:
+        model: A maker's model of the arm (.xml), or None for one that is made of the arm file.
+        gripper: One of `GRIPPERS`.
+        fruit: Number of fruit.
+        leaves: Number of leaves around the first one.
+        scale: Lengths of fruit, branch and gripper, as a multiple of an apple tree's.
+        size: Diameter and density of fruit.
+        cup: Clearance of a cup.
+        detachment: Pull that takes fruit off.
+        branch: What fruit hangs from.
+        camera_mm: Standard deviation of the cameras' true places per axis, mm.
+        camera_deg: Standard deviation of their true attitudes per axis, deg.
+        eye: Where the world camera is said to stand.
+    """
+
+    model: str | None
+    gripper: str
+    fruit: int
+    leaves: int
+    scale: float
+    size: FruitSize
+    cup: Gripper
+    detachment: Detachment
+    branch: Branch
+    camera_mm: float
+    camera_deg: float
+    eye: Eye
+
+    @property
+    def radius(self) -> float:
+        """Radius of a fruit, m."""
+        return 0.5 * self.scale * self.size.mean
+
+    @property
+    def clearance(self) -> float:
+        """How far a fruit's centre may lie beside a cup's axis, m: as in `li_cup`."""
+        return self.scale * self.cup.tolerance
+
+    @property
+    def mass(self) -> float:
+        """Mass of a fruit, kg."""
+        return float(fruit_masses(self.size, 2.0 * self.radius))
+
+    @property
+    def sag(self) -> float:
+        """How far a fruit's weight draws its branch down, m."""
+        return self.mass * GRAVITY / (self.branch.stiffness_upright * self.scale)
+
+
+def mujoco_module() -> Any:
+    """MuJoCo, told to draw without a screen where there is none.
+
+    Raises:
+        MissingExtra: If MuJoCo is not installed.
+    """
+    require("mujoco")
+    if sys.platform == "linux" and not os.environ.get("DISPLAY"):
+        os.environ.setdefault("MUJOCO_GL", "egl")
+    return import_module("mujoco")
+
+
+class ContactScene:
+    """The scene of one environment: a model that is made once, and its present state.
+
+    Args:
+        arm: The nominal arm.
+        around: What stands around it.
+
+    Attributes:
+        model: `mujoco.MjModel`.
+        data: `mujoco.MjData`.
+        held: Whether each fruit is on its stem ``(f,)``.
+    """
+
+    def __init__(self, arm: Arm, around: Surroundings) -> None:
+        self._mujoco = mujoco_module()
+        self.around, self.nominal = around, arm.nominal
+        spec = self._robot(arm)
+        robot = spec.compile()
+        self._own = [robot.actuator(i).name for i in range(robot.nu)]
+        placed = arm_in_mujoco(robot, arm.nominal)
+        last = spec.body(robot.body(int(placed.bodies[-1])).name)
+        self._equip(spec, last, frame_within(placed.within[-1], frame_of(arm.nominal.tool)))
+        for number in range(around.fruit):
+            self._hang(spec, number)
+        self.model: Any = spec.compile()
+        self.data: Any = self._mujoco.MjData(self.model)
+        self._find()
+        self._untouchable()
+        self.held = np.ones(around.fruit, dtype=np.bool_)
+        self._pull = np.full(around.fruit, np.inf)
+        self._pictures: Any = None
+        self._sent: Array = np.zeros(self.model.nu)
+
+    def _robot(self, arm: Arm) -> Any:
+        """The arm alone, whose hand can touch things and which carries no weight."""
+        mujoco, around = self._mujoco, self.around
+        if around.model is None:
+            spec = mujoco.MjSpec.from_string(mjcf_text(arm.nominal, arm.name))
+            for actuator in spec.actuators:
+                actuator.set_to_position(kp=STIFFNESS, kv=DAMPING)
+            for joint in spec.joints:
+                joint.armature = ARMATURE
+                if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:  # the rod that slides out
+                    self._rod(joint.parent, np.zeros(3), [0.0, 0.0, -float(joint.range[1])], 0.02)
+        else:
+            if not is_file(Path(around.model)):
+                raise InputError(f"model {around.model} does not exist; give a maker's MJCF file (.xml)")
+            try:
+                spec = mujoco.MjSpec.from_file(str(around.model))
+            except ValueError as error:
+                raise InputError(
+                    f"model {around.model} is no MJCF that MuJoCo reads: {str(error).splitlines()[0]}"
+                ) from error
+            for joint in spec.joints:
+                joint.frictionloss = 0.0  # a position drive would stop short of its target by it
+        for mesh in spec.meshes:
+            mesh.maxhullvert = HULL
+        for body in spec.bodies[1:]:
+            body.gravcomp = 1.0
+        for geom in spec.geoms:  # what touches nothing gets no hull to be drawn as
+            geom.contype = geom.conaffinity = OTHER if geom.group == AS_DRAWN else GRIPPER_BIT
+        spec.option.timestep = TIMESTEP
+        spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
+        spec.visual.quality.shadowsize = spec.visual.quality.offsamples = 0
+        spec.visual.global_.offwidth = spec.visual.global_.offheight = LARGEST
+        spec.visual.headlight.ambient, spec.visual.headlight.diffuse = [0.35] * 3, [0.55] * 3
+        sky = {"type": mujoco.mjtTexture.mjTEXTURE_SKYBOX, "builtin": mujoco.mjtBuiltin.mjBUILTIN_GRADIENT}
+        spec.add_texture(name="sky", **sky, rgb1=[0.85, 0.90, 0.95], rgb2=[0.55, 0.65, 0.55], width=64, height=64)
+        ahead = around.eye.axes()
+        spec.worldbody.add_camera(
+            name="world",
+            pos=around.eye.position,
+            quat=quaternion(np.stack([ahead[0], ahead[1], -ahead[2]], axis=1)),
+            fovy=around.eye.angle_deg,
+        )
+        return spec
+
+    def _equip(self, spec: Any, last: Any, tool: Frame) -> None:
+        """Add to the last link what stands at its tool: the site, the wrist camera and the gripper."""
+        mujoco, around = self._mujoco, self.around
+        rotation, face = np.array(tool[:9]).reshape(3, 3).T, -around.radius
+        if around.model is None:  # its last rod would end in the fruit
+            for geom in list(last.geoms):
+                spec.delete(geom)
+            self._rod(last, np.zeros(3), tool[9:] + rotation[:, 2] * (face - 0.08 * around.scale), 0.02)
+        last.add_site(name="true tool", pos=tool[9:], quat=quaternion(rotation), size=[1e-3] * 3)
+        hand = last.add_body(name="hand", pos=tool[9:], quat=quaternion(rotation), gravcomp=1.0)
+        back = np.array([0.0, -0.12, -0.2]) * around.scale
+        ahead = -back / np.linalg.norm(back)
+        axes = np.stack([[1.0, 0.0, 0.0], np.cross(-ahead, [1.0, 0.0, 0.0]), -ahead], axis=1)
+        hand.add_camera(name="wrist", pos=back, quat=quaternion(axes), fovy=WIDE)
+        if around.gripper == "cup":
+            radius = 3.0 * around.clearance
+            shape = {
+                "contype": GRIPPER_BIT,
+                "conaffinity": FRUIT_BIT | LEAF_BIT,
+                "mass": 0.01,
+                "rgba": [0.1, 0.1, 0.12, 1.0],
+            }
+            hand.add_geom(
+                name="cup",
+                type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+                size=[radius, CUP_DEPTH / 2, 0.0],
+                margin=LIP,
+                gap=LIP,
+                pos=[0.0, 0.0, face - CUP_DEPTH / 2],
+                friction=GRIP,
+                condim=4,
+                **shape,
+            )
+            self._rod(hand, [0.0, 0.0, face - CUP_DEPTH], [0.0, 0.0, face - 0.08 * around.scale], 0.3 * radius)
+            return
+        for body in (last, *last.find_all("body")):
+            for geom in body.geoms:
+                geom.condim, geom.friction = 4, GRIP
+
+    def _rod(self, body: Any, start: ArrayLike, end: ArrayLike, radius: float) -> None:
+        """Add a rod that touches nothing and weighs next to nothing."""
+        if np.linalg.norm(np.subtract(end, start)) > radius:
+            look = {"contype": OTHER, "conaffinity": OTHER, "mass": 1e-3, "rgba": METAL}
+            ends = [*np.asarray(start).tolist(), *np.asarray(end).tolist()]
+            body.add_geom(type=self._mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=ends, size=[radius, 0.0, 0.0], **look)
+
+    def _hang(self, spec: Any, number: int) -> None:
+        """Add a branch with a fruit; leaves hang about the first one."""
+        mujoco, around = self._mujoco, self.around
+        scale, radius, stem = around.scale, around.radius, around.scale * around.detachment.stem
+        bearer = spec.worldbody.add_body(name=f"bearer {number}", pos=[0.0, 0.0, 2.0])
+        wood = around.branch.wood * scale**3
+        branch = bearer.add_body(name=f"branch {number}", gravcomp=1.0)
+        for axis, name in enumerate("xyz"):
+            spring = scale * (around.branch.stiffness_upright if name == "z" else around.branch.stiffness_sideways)
+            branch.add_joint(
+                name=f"branch {number} {name}",
+                type=mujoco.mjtJoint.mjJNT_SLIDE,
+                axis=np.eye(3)[axis],
+                stiffness=spring,
+                damping=2.0 * around.branch.damping_ratio * math.sqrt(spring * (wood + around.mass)),
+            )
+        rod = {"type": mujoco.mjtGeom.mjGEOM_CAPSULE, "contype": OTHER, "conaffinity": OTHER, "rgba": WOOD}
+        branch.add_geom(fromto=[-0.2 * scale, 0, 0, 0.2 * scale, 0, 0], size=[0.006 * scale, 0, 0], mass=wood, **rod)
+        fruit = spec.worldbody.add_body(name=f"fruit {number}", pos=[0.0, 0.0, 2.0 - stem - radius])
+        fruit.add_joint(name=f"fruit {number}", type=mujoco.mjtJoint.mjJNT_FREE, damping=TURNING * scale**4)
+        fruit.add_geom(
+            name=f"fruit {number}",
+            type=mujoco.mjtGeom.mjGEOM_SPHERE,
+            size=[radius, 0, 0],
+            mass=around.mass,
+            rgba=SKIN,
+            contype=FRUIT_BIT,
+            conaffinity=GRIPPER_BIT | FRUIT_BIT,
+            condim=4,
+            friction=GRIP,
+        )
+        fruit.add_geom(fromto=[0, 0, radius, 0, 0, radius + stem], size=[0.0015 * scale, 0, 0], mass=1e-6, **rod)
+        tie = spec.add_equality(
+            name=f"stem {number}",
+            type=mujoco.mjtEq.mjEQ_CONNECT,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            name1=f"fruit {number}",
+            name2=f"branch {number}",
+        )
+        tie.data[:3] = [0.0, 0.0, radius + stem]
+        if around.gripper == "cup":
+            hold = spec.add_equality(
+                name=f"hold {number}",
+                type=mujoco.mjtEq.mjEQ_WELD,
+                objtype=mujoco.mjtObj.mjOBJ_BODY,
+                name1="hand",
+                name2=f"fruit {number}",
+                active=False,
+            )
+            hold.data[:3], hold.data[10] = 0.0, 1.0
+        for leaf in range(around.leaves if number == 0 else 0):
+            blade = bearer.add_body(name=f"leaf {leaf}", gravcomp=0.0)
+            blade.add_joint(type=mujoco.mjtJoint.mjJNT_BALL, stiffness=1e-3 * scale**4, damping=1e-4 * scale**4)
+            blade.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                size=[0.022 * scale, 0.0005, 0.035 * scale],
+                mass=1e-3 * scale**3,
+                pos=[0.0, 0.0, -0.035 * scale],
+                rgba=LEAF,
+                contype=LEAF_BIT,
+                conaffinity=GRIPPER_BIT,
+            )
+
+    def _find(self) -> None:
+        """Keep the numbers of what is read and written at every step."""
+        model, around = self.model, self.around
+        self.arm: ModelArm = arm_in_mujoco(model, self.nominal)
+        joints = self.arm.joints.tolist()
+        moved = {int(model.actuator_trnid[i, 0]): i for i in range(model.nu) if model.actuator(i).name in self._own}
+        if lost := [name for name, joint in zip(self.nominal.joint_names, joints, strict=True) if joint not in moved]:
+            raise InputError(f"the model has no drive for joint '{lost[0]}'; add a position actuator")
+        self._drives = np.array([moved[joint] for joint in joints])
+        self._grips = np.array([i for joint, i in moved.items() if joint not in joints], dtype=np.int64)
+        if around.gripper == "jaw" and not len(self._grips):
+            raise InputError("gripper 'jaw' needs a model whose hand has a drive; give model, or gripper 'cup'")
+        cup = around.gripper == "cup"
+        self._holds = np.array([model.equality(f"hold {i}").id for i in range(around.fruit if cup else 0)], dtype=int)
+        self._hand = model.body("hand").id
+        self._site = model.site("true tool").id
+        bodies = range(around.fruit)
+        self._fruit = np.array([model.body(f"fruit {i}").id for i in bodies])
+        self._spheres = np.array([model.geom(f"fruit {i}").id for i in bodies])
+        self._stems = np.array([model.equality(f"stem {i}").id for i in bodies])
+        self._bearers = np.array([model.body(f"bearer {i}").id for i in bodies])
+        self._loose = np.array([model.joint(f"fruit {i}").qposadr[0] for i in bodies])
+        self._sunk = np.array([model.joint(f"branch {i} z").qposadr[0] for i in bodies])
+        self._blades = np.array([model.body(f"leaf {i}").id for i in range(around.leaves)], dtype=np.int64)
+        self._cameras = {name: model.camera(name).id for name in CAMERAS}
+        turned = {name: np.zeros(9) for name in CAMERAS}
+        for name, i in self._cameras.items():
+            self._mujoco.mju_quat2Mat(turned[name], model.cam_quat[i])
+        self._said = {name: (model.cam_pos[i].copy(), turned[name].reshape(3, 3)) for name, i in self._cameras.items()}
+
+    def _untouchable(self) -> None:
+        """Leave contacts to fruit, leaves and what grips: the cup, or the bodies from the last link on."""
+        model, hand = self.model, {self.model.body("hand").id}
+        if self.around.gripper == "jaw":
+            hand.add(int(self.arm.bodies[-1]))
+        for body in range(model.nbody):
+            if int(model.body_parentid[body]) in hand:
+                hand.add(body)
+        for geom in range(model.ngeom):
+            if model.geom_contype[geom] != GRIPPER_BIT:
+                continue
+            if int(model.geom_bodyid[geom]) in hand:
+                model.geom_conaffinity[geom] = FRUIT_BIT | LEAF_BIT
+            else:
+                model.geom_contype[geom] = model.geom_conaffinity[geom] = OTHER
+
+    def begin(self, plant: Plant, joints: Sequence[float], tool: Frame, fruit: Array, rng: np.random.Generator) -> None:
+        """Begin an episode: the arm at rest, fruit on its stems.
+
+        Args:
+            plant: The true arm.
+            joints: Positions of its joints ``(n,)``.
+            tool: Frame of its tool.
+            fruit: Where fruit hangs at rest ``(f, 3)``, m.
+            rng: Draws strengths of stems, places of leaves and errors of cameras.
+        """
+        mujoco, model, data, around = self._mujoco, self.model, self.data, self.around
+        mujoco.mj_resetData(model, data)
+        self._exact = not plant.effects and plant.geometry is plant.arm.nominal
+        self._plant = plant
+        if not self._exact:
+            self.arm.take(plant.geometry)
+        top = fruit + [0.0, 0.0, around.radius + around.scale * around.detachment.stem + around.sag]
+        model.body_pos[self._bearers] = top
+        self._pull = np.asarray(sample_strength(around.detachment, around.fruit, rng)[0]) * around.scale**2
+        model.body_pos[self._blades] = rng.uniform(-0.07, 0.07, (around.leaves, 3)) * around.scale
+        for name, number in self._cameras.items():
+            shift, turn = rng.normal(size=(2, 3))
+            position, rotation = self._said[name]
+            turned = rotation_matrix(np.radians(around.camera_deg) * turn) @ rotation
+            model.cam_pos[number] = position + around.camera_mm * 1e-3 * shift
+            model.cam_quat[number] = quaternion(turned)
+        data.qpos[self.arm.places] = joints
+        for place, spot in zip(self._loose, fruit, strict=True):
+            data.qpos[place : place + 3] = spot
+        data.qpos[self._sunk] = -around.sag
+        data.eq_active[self._stems], data.eq_active[self._holds] = 1, 0
+        self.held[:] = True
+        data.ctrl[self._drives] = joints
+        self._grip(-1.0)
+        for i in self._grips:
+            data.qpos[model.jnt_qposadr[model.actuator_trnid[i, 0]]] = data.ctrl[i]
+        self._sent = data.ctrl.copy()
+        self._place(joints, tool)
+        mujoco.mj_forward(model, data)
+
+    def carry(self, joints: Sequence[float], tool: Frame, grip: float, period: float) -> None:
+        """Let the drives go on to positions of the joints ``(n,)`` within a period, s; ``grip`` is from -1 to 1."""
+        data, count = self.data, max(round(period / TIMESTEP), 1)
+        self._place(joints, tool)
+        self._grip(grip)
+        data.ctrl[self._drives] = joints
+        start, end, passed = self._sent, data.ctrl.copy(), 0
+        while passed < count:
+            steps = min(CHUNK, count - passed)
+            passed += steps
+            data.ctrl[:] = end if passed == count else start + (end - start) * (passed / count)
+            self._mujoco.mj_step(self.model, data, steps)
+            self._hold(grip)
+            self._break()
+        self._sent = end
+        self._mujoco.mj_kinematics(self.model, data)
+
+    def _place(self, joints: Sequence[float], tool: Frame) -> None:
+        if not self._exact:
+            self.arm.put_tool(self._plant.chain, list(joints), tool)
+
+    def _grip(self, grip: float) -> None:
+        self._shut = 0.5 * (min(max(grip, -1.0), 1.0) + 1.0)
+        for i in self._grips:
+            low, high = self.model.actuator_ctrlrange[i]
+            self.data.ctrl[i] = high + (low - high) * self._shut
+
+    def _hold(self, grip: float) -> None:
+        """Let a cup whose suction is on take the fruit that lies in it, and drop what it holds when suction is off."""
+        data, model = self.data, self.model
+        for i, hold in enumerate(self._holds):
+            if data.eq_active[hold]:
+                data.eq_active[hold] = grip > 0.0
+            elif grip > 0.0 and self.touched[i]:
+                turned = data.xmat[self._hand].reshape(3, 3)
+                place = (data.xpos[self._fruit[i]] - data.xpos[self._hand]) @ turned
+                if np.hypot(*place[:2]) <= self.around.clearance:
+                    model.eq_data[hold, 3:6] = place
+                    back, turn = np.zeros((2, 4))  # of one sign with MuJoCo's own, or the weld would push
+                    self._mujoco.mju_negQuat(back, data.xquat[self._hand])
+                    self._mujoco.mju_mulQuat(turn, back, data.xquat[self._fruit[i]])
+                    model.eq_data[hold, 6:10] = turn
+                    data.eq_active[hold] = 1
+
+    def _break(self) -> None:
+        """Let those stems go that are pulled harder than they hold, and fruit that is pulled harder than a cup holds."""
+        data, strength = self.data, HOLDS * self.around.detachment.pull_95 * self.around.scale**2
+        rows, forces = data.efc_id[: data.ne], data.efc_force[: data.ne]
+        for tie, limit in [*zip(self._stems, self._pull, strict=True), *((hold, strength) for hold in self._holds)]:
+            if data.eq_active[tie] and np.linalg.norm(forces[rows == tie][:3]) > limit:
+                data.eq_active[tie] = 0
+        self.held[:] = data.eq_active[self._stems]
+
+    @property
+    def joints(self) -> list[float]:
+        """Positions of the arm's joints ``(n,)``, rad or m."""
+        return list(self.data.qpos[self.arm.places].tolist())
+
+    @property
+    def tool(self) -> Frame:
+        """The true tool's frame."""
+        spot = self._site
+        return frame_of(Pose(self.data.site_xpos[spot], self.data.site_xmat[spot].reshape(3, 3)))
+
+    @property
+    def fruit(self) -> Array:
+        """Centres of the fruit ``(f, 3)``, m."""
+        return np.asarray(self.data.xpos[self._fruit])
+
+    @property
+    def touched(self) -> NDArray[np.bool_]:
+        """Which fruit the gripper touches ``(f,)``."""
+        pairs = self.data.contact.geom[: self.data.ncon]
+        hand = pairs[(self.model.geom_contype[pairs] == GRIPPER_BIT).any(axis=1)]
+        return np.isin(self._spheres, hand)
+
+    @property
+    def taken(self) -> NDArray[np.bool_]:
+        """Which fruit the gripper has ``(f,)``: what a cup holds, or what closed jaws touch."""
+        if len(self._holds):
+            return np.asarray(self.data.eq_active[self._holds] != 0)
+        return self.touched & (self._shut > 0.5)
+
+    @property
+    def opening(self) -> float:
+        """How far the gripper is open, 0 to 1: where its jaw is, or what of a cup's suction is off."""
+        if not len(self._grips):
+            return 1.0 - self._shut
+        i = int(self._grips[0])
+        low, high = self.model.actuator_ctrlrange[i]
+        at = self.data.qpos[self.model.jnt_qposadr[self.model.actuator_trnid[i, 0]]]
+        return float(np.clip((at - low) / (high - low), 0.0, 1.0))
+
+    def picture(self, camera: str, size: int) -> NDArray[np.uint8]:
+        """What a camera sees ``(size, size, 3)``.
+
+        Raises:
+            InputError: If nothing on this machine draws without a screen.
+        """
+        mujoco = self._mujoco
+        if self._pictures is None or self._pictures.height != size:
+            self.close()
+            try:
+                self._pictures = mujoco.Renderer(self.model, size, size)
+            except Exception as error:  # each way of drawing has its own errors
+                advice = "install EGL (libegl1) or OSMesa (libosmesa6, MUJOCO_GL=osmesa), or give obs_type='state'"
+                raise InputError(f"MuJoCo cannot draw here; {advice}") from error
+            self._shown = mujoco.MjvOption()
+            self._shown.geomgroup[AS_DRAWN], self._shown.geomgroup[AS_DRAWN + 1] = 0, 1
+            self._shown.sitegroup[:] = 0
+            self._shown.flags[mujoco.mjtVisFlag.mjVIS_CONVEXHULL] = 1
+            for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+                self._pictures.scene.flags[flag] = 0
+        mujoco.mj_camlight(self.model, self.data)
+        self._pictures.update_scene(self.data, camera, self._shown)
+        pixels: NDArray[np.uint8] = self._pictures.render()
+        return pixels
+
+    def close(self) -> None:
+        """Give back what drawing took."""
+        if self._pictures is not None:
+            self._pictures.close()
+            self._pictures = None

@@ -1,0 +1,234 @@
+"""`pickenv/PickScene-v0`: take a hanging fruit, by touch and by sight, with an arm that is not exact."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from gymnasium import spaces
+from numpy.typing import ArrayLike
+
+from pickenv.arm import Array, Frame, Plant, Scalar, erring_by, forward
+from pickenv.arm.kinematics.inverse import halton_joints
+from pickenv.base import InputError, shown
+from pickenv.envs.contact.contact_scene import CAMERAS, GRIPPERS, LARGEST, SMALLEST, ContactScene, Surroundings
+from pickenv.envs.picking.pick_arm import act_arm
+from pickenv.envs.reaching.reach import VIEW, ReachEnv
+from pickenv.envs.shared import simulation
+from pickenv.envs.shared.arm_env import RENDER_MODES, Information
+from pickenv.envs.shared.backends import FLOATS, Executor
+from pickenv.envs.shared.simulation import ArmState, View
+from pickenv.envs.shared.spaces import box, flat_space
+from pickenv.envs.shared.task import Task, check_choice, check_count, check_number, checked_action, make_task
+from pickenv.pictures.stage import fitted_eye
+from pickenv.orchard import load_branch, load_detachment, load_fruit_size, load_gripper
+from pickenv.orchard.gripper import misalignment
+
+OBSERVATIONS = ("state", "pixels", "pixels_agent_pos")
+PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25
+"""Default time between two actions, s, what each step costs, and what a fruit off its stem earns."""
+
+HELD_STEPS, REACH_OF_APPLES = 5, 0.85
+"""Steps for which a fruit must be held to count, and the reach, m, of an arm before a tree of apple's size."""
+
+SPREAD, ATTEMPTS = 64, 2000
+"""Number of poses over which the mean of `error_mm` is taken, and of poses tried to see where fruit may hang."""
+
+PICTURE = 480
+"""Size of rendered pictures, px."""
+
+
+class PickSceneEnv(ReachEnv):
+    """DOC"""
+
+    gripper = 1
+
+    def __init__(
+        self,
+        *,
+        plant: str = "ideal:ur5e",
+        obs_type: str = "state",
+        pixels: int = 64,
+        cameras: Sequence[str] = CAMERAS,
+        gripper: str | None = None,
+        model: str | None = None,
+        fruit: int = 1,
+        leaves: int = 0,
+        scale: float | None = None,
+        fruit_size: str = "li2016",
+        error_mm: float | None = None,
+        camera_mm: float = 0.0,
+        camera_deg: float = 0.0,
+        control_period_s: float = PERIOD,
+        render_mode: str | None = None,
+        **arguments: Any,
+    ) -> None:
+        """See the class for the arguments; raises `InputError` for impossible ones."""
+        check_choice("obs_type", obs_type, OBSERVATIONS)
+        gripper = gripper or ("jaw" if model else "cup")
+        check_choice("gripper", gripper, GRIPPERS)
+        for name, count, least in (("fruit", fruit, 1), ("leaves", leaves, 0), ("pixels", pixels, SMALLEST)):
+            check_count(name, count, least)
+        for name, number in (("camera_mm", camera_mm), ("camera_deg", camera_deg), ("error_mm", error_mm or 0.0)):
+            check_number(name, number)
+        if pixels > LARGEST:
+            raise InputError(f"pixels is {pixels}; give at most {LARGEST}")
+        if isinstance(cameras, str) or not cameras or (set(cameras) - set(CAMERAS)):
+            raise InputError(f"cameras is {shown(cameras)}; give a list of {', '.join(CAMERAS)}")
+        if render_mode is not None:
+            check_choice("render_mode", render_mode, RENDER_MODES)
+        if not {"difficulty"} & set(arguments):
+            arguments["plant"] = plant
+        self._error = error_mm
+        super().__init__(executor="floats", control_period_s=control_period_s, **arguments)
+        self.render_mode = render_mode
+        self.plant = self._scaled(self.plant)
+        task, nominal = self.task, self.task.plant.arm.nominal
+        if scale is None:
+            scale = min(1.0, (task.reach - 1.0) / REACH_OF_APPLES)
+        check_number("scale", scale, positive=True)
+        around = Surroundings(
+            model=model,
+            gripper=gripper,
+            fruit=int(fruit),
+            leaves=int(leaves),
+            scale=float(scale),
+            size=load_fruit_size(fruit_size),
+            cup=load_gripper("li_cup"),
+            detachment=load_detachment("apple"),
+            branch=load_branch("apple"),
+            camera_mm=float(camera_mm),
+            camera_deg=float(camera_deg),
+            eye=fitted_eye(self._places(), VIEW, (PICTURE, PICTURE)),
+        )
+        self.scene = ContactScene(task.plant.arm, around)
+        self.obs_type, self.pixels, self.cameras = obs_type, int(pixels), tuple(cameras)
+        self.task_description = "pick the fruit that hangs from the branch"
+        self.action_space = spaces.Box(-1.0, 1.0, (task.joints + 1,), dtype=np.float32)
+        self.observation_space = self._space()
+        self._grip = -1.0
+        self._holding, self._closed = 0, (0.0, 0.0)
+
+    def _places(self) -> Array:
+        """Where fruit may hang ``(k, 3)``, m, and where the arm stands."""
+        tries = (simulation.goal_attempt(FLOATS, self.task, 0, attempt) for attempt in range(ATTEMPTS))
+        joints = [pose for pose, fits in tries if fits][:SPREAD]
+        geometry = self.task.plant.arm.nominal
+        return np.concatenate([forward(geometry, joints).position, [geometry.base.position]])
+
+    def _use_arm(self, number: int) -> None:
+        super()._use_arm(number)
+        self.plant = self._scaled(self.plant)
+
+    def _scaled(self, plant: Plant) -> Plant:
+        """The true arm with its error made as large as asked for."""
+        if self._error is None:
+            return plant
+        return erring_by(plant, 1e-3 * self._error, halton_joints(plant.arm.nominal, SPREAD))
+
+    def _space(self) -> spaces.Space[Any]:
+        flat = flat_space(self.task)
+        if self.obs_type == OBSERVATIONS[0]:
+            assert isinstance(flat, spaces.Box)
+            return spaces.Box(np.append(flat.low, [0.0, 0.0]), np.append(flat.high, [1.0, 1.0]), dtype=np.float32)
+        picture = spaces.Box(0, 255, (self.pixels, self.pixels, 3), dtype=np.uint8)
+        parts: dict[str, spaces.Space[Any]] = {"pixels": spaces.Dict({name: picture for name in self.cameras})}
+        if self.obs_type == OBSERVATIONS[2]:
+            low, high = (np.append(limits, end) for limits, end in ((self.task.lower, 0.0), (self.task.upper, 1.0)))
+            wide = 0.1 * (high - low)
+            parts["agent_pos"] = spaces.Box(*((low - wide).astype(np.float32), (high + wide).astype(np.float32)))
+        return spaces.Dict(parts)
+
+    def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, Information]:
+        """Move the joint target by the action, and the gripper.
+
+        Raises:
+            InputError: If the action has another shape or impossible numbers, or before the first reset.
+        """
+        values = checked_action(action, (self.task.joints + 1,), self.task.most_action)
+        if self._state is None:
+            raise InputError("step was called before reset; call reset first")
+        self._state, self._grip, _, period = act_arm(self._x, self.task, self._state, values.tolist())
+        self._step += 1
+        was_held = bool(self.scene.held[0])
+        observation, _, information = self._look(period)
+        success = information["is_success"]
+        reward = float(success) + BONUS * float(information["detached"] and was_held) - STEP_COST
+        return observation, reward, success, False, information
+
+    def look(  # type: ignore[override]
+        self,
+        x: Executor,
+        task: Task,
+        plant: Plant,
+        state: ArmState,
+        command: Sequence[Scalar],
+        key: Scalar,
+        moment: Scalar,
+        dt: Scalar,
+    ) -> tuple[ArmState, View]:
+        """Hold the joint command for ``dt`` seconds in the scene; arguments as in `simulation.look`."""
+        memory, _ = plant.advance(x.m, state.plant, command, dt)
+        joints, tool = plant.stands(x.m, memory, command)
+        scene = self.scene
+        if dt == 0.0:
+            self._begin(plant, joints, tool, state.goal)
+        else:
+            scene.carry(joints, tool, self._grip, dt)
+        read = simulation.nominal_readings(x, plant, memory, state.target, command)
+        read = [value + (at - sent) for value, at, sent in zip(read, scene.joints, joints, strict=True)]
+        goal = (*state.goal[:9], *scene.fruit[0].tolist())
+        state = state._replace(plant=memory, goal=goal)
+        return simulation.viewed(x, task, state, read, scene.tool, command, key, moment, dt)
+
+    def _begin(self, plant: Plant, joints: Sequence[float], tool: Frame, goal: Frame) -> None:
+        rng, around = np.random.default_rng(int(self._key)), self.scene.around
+        apart = 2.2 * around.radius * np.stack([np.cos(rng.uniform(0, 2 * np.pi, around.fruit)) for _ in "xyz"], axis=1)
+        apart[0] = 0.0
+        self._grip, self._holding, self._closed = -1.0, 0, (0.0, 0.0)
+        self.scene.begin(plant, joints, tool, np.array(goal[9:]) + apart, rng)
+
+    def _look(self, dt: Scalar) -> tuple[Any, float, Information]:
+        observation, reward, information = super()._look(dt)
+        scene, around = self.scene, self.scene.around
+        tool = np.array(scene.tool)
+        lateral, axial, _ = misalignment(scene.fruit[0] - tool[9:], tool[6:9])
+        touched, closing = bool(scene.touched[0]), self._grip > 0.0
+        if closing and touched and self._closed == (0.0, 0.0):
+            self._closed = 1e3 * float(lateral), 1e3 * float(axial)
+        taken = bool(scene.taken[0])
+        self._holding = self._holding + 1 if taken and not scene.held[0] else 0
+        information |= {
+            "is_success": self._holding >= HELD_STEPS,
+            "attached": taken,
+            "detached": not bool(scene.held[0]),
+            "grasp_lateral_mm": self._closed[0],
+            "grasp_axial_mm": self._closed[1],
+        }
+        return observation, reward, information
+
+    def _observe(self, scene: simulation.View) -> tuple[Any, float]:
+        flat, reward = super()._observe(scene)
+        if self.obs_type == OBSERVATIONS[0]:
+            grip = [self.scene.opening, float(self.scene.taken[0])]
+            return np.append(flat, grip).astype(np.float32), reward
+        seen: dict[str, Any] = {"pixels": {name: self.scene.picture(name, self.pixels) for name in self.cameras}}
+        if self.obs_type == OBSERVATIONS[2]:
+            low, high = np.array(self.task.lower), np.array(self.task.upper)
+            joints = low + (np.array(scene.readings) + 1.0) * 0.5 * (high - low)
+            seen["agent_pos"] = np.append(joints, self.scene.opening).astype(np.float32)
+        return seen, reward
+
+    def render(self) -> Any:
+        """What the world camera sees, ``(480, 480, 3)``; None with "human", which shows a window."""
+        if self.render_mode is None:
+            return super().render()
+        if self._state is None:
+            raise InputError("render was called before reset; call reset first")
+        return self._painted(self.scene.picture("world", PICTURE))
+
+    def close(self) -> None:
+        """Close the window and what draws pictures."""
+        self.scene.close()
+        super().close()
