@@ -115,6 +115,7 @@ def test_lerobot_eval_as_it_stands_prints_success_and_errors(
         "--env.type=pickenv",
         "--env.pixels=64",
         "--env.episode_length=10",
+        "--env.error_mm=8.0",
         f"--env.calibration={calibration}",
         f"--env.errors_to={tmp_path / 'errors.jsonl'}",
         f"--policy.path={saved(name, tmp_path / name)}",
@@ -155,11 +156,21 @@ def test_what_the_config_describes_is_what_the_environment_shows(obs_type: str) 
     vector.close()
 
 
-def test_the_calibration_stands_between_policy_and_arm(calibration: Path) -> None:
-    config = plugin.PickenvEnv(calibration=str(calibration))
-    env = config.make_one()
-    assert isinstance(env.unwrapped.compensator, type(Calibration.load(calibration).compensator()))
-    env.close()
+def test_the_simulated_arm_is_commanded_as_the_step_would_command_a_real_one(calibration: Path) -> None:
+    commands = []
+    for path in (None, str(calibration)):
+        env = plugin.PickenvEnv(calibration=path, cameras=["wrist"], pixels=16).make_one()
+        env.reset(seed=3)
+        for _ in range(3):
+            *_, info = env.step(np.full(env.action_space.shape, 0.5, dtype=np.float32))
+        commands.append(info["joint_command"])
+        env.close()
+    target, command = commands
+    step = plugin.CompensationStep(str(calibration), unit="rad")
+    names = [f"{name}.pos" for name in step.joints]
+    corrected = step.action(dict(zip(names, target.tolist(), strict=True)))
+    np.testing.assert_allclose([corrected[name] for name in names], command, rtol=0.0, atol=1e-9)
+    assert np.abs(command - target).max() > 1e-3
 
 
 def test_the_hub_finds_the_environment_in_its_file() -> None:
