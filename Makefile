@@ -67,7 +67,7 @@ test-lowest:
 	@$(VENV)-lowest/bin/python .ci/lowest_versions.py > $(VENV)-lowest/lowest.txt
 	@$(VENV)-lowest/bin/python scripts/install_torch.py cpu $(VENV)-lowest/lowest.txt
 	@$(VENV)-lowest/bin/python -m pip --disable-pip-version-check --quiet install -c $(VENV)-lowest/lowest.txt \
-		".[all]" hypothesis "mujoco<3.12" pytest pytest-benchmark pytest-xdist
+		".[all]" hypothesis pytest pytest-benchmark pytest-xdist
 	$(TEST_ENVIRONMENT) $(VENV)-lowest/bin/python -m pytest -n 2 -W default tests/arm tests/orchard $(ARGS)
 
 test-browser: $(BROWSER)

@@ -112,8 +112,8 @@ class ScriptedScene(ScriptedReach):
     def __init__(self, env: Any) -> None:
         """Read the arm and the scene's scale from ``env``."""
         super().__init__(env)
-        around = env.unwrapped.scene.around
-        self._scale, self._cup = around.scale, around.gripper == "cup"
+        self.lag = max(self.lag, 1)  # drives with inertia follow late: it goes by what it has sent
+        self._scale = env.unwrapped.scene.around.scale
         self.reset()
 
     def reset(self) -> None:
@@ -144,7 +144,7 @@ class ScriptedScene(ScriptedReach):
         self._waited += 1
         if arrived and self._waited > patience:
             self._stage, self._waited = self._stage + 1, 0
-        closed = self._stage >= (2 if self._cup else 3)
+        closed = self._stage >= 2
         return np.append(self.action(away), 1.0 if closed else -1.0).astype(np.float32)
 
     def _along(self, joints: Array, distance: float) -> Array:

@@ -25,6 +25,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "harvest": ("skimage", "ortools", "pettingzoo"),
     "export": ("onnx",),
     "data": ("minari",),
+    "scene": ("mujoco",),
     "compiled": ("llvmlite",),
 }
 """Extras by name, each with the modules that it brings."""

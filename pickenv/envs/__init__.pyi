@@ -1,3 +1,4 @@
+from .contact.pick_scene_env import PickSceneEnv as PickSceneEnv
 from .harvesting.harvest_env import HarvestEnv as HarvestEnv, HarvestVectorEnv as HarvestVectorEnv
 from .picking.pick import PickEnv as PickEnv
 from .picking.pick_vector import PickVectorEnv as PickVectorEnv

@@ -28,7 +28,7 @@ from pickenv.arm.kinematics.forward import (
     geometry_from_axes,
 )
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, identity_pose
-from pickenv.base import InputError, listed
+from pickenv.base import InputError, listed, require
 
 SLIDE, HINGE = 2, 3
 """MuJoCo's numbers for sliding and hinged joints, the types that an arm may have."""
@@ -44,12 +44,11 @@ def geometry_in_mujoco(model: Any, site: str, joints: Sequence[str] | None = Non
         data: `mujoco.MjData` with the positions of all other joints; the model's own positions when left out.
 
     Raises:
-        InputError: If MuJoCo, the site or a joint is missing, a joint does not move the site, or is a ball.
+        MissingExtra: If MuJoCo is not installed.
+        InputError: If the site or a joint is missing, a joint does not move the site, or is a ball.
     """
-    try:
-        mujoco: Any = import_module("mujoco")
-    except ImportError as error:
-        raise InputError("MuJoCo is not installed, and the environment is one of it; pip install mujoco") from error
+    require("mujoco")
+    mujoco: Any = import_module("mujoco")
     if (number := mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_SITE, site)) < 0:
         raise InputError(f"the model has no site '{site}'; name the one at the arm's tool")
     chain: list[int] = []

@@ -54,7 +54,6 @@ CUP_DEPTH, LIP = 0.004, 0.002
 TURNING = 2e-4
 """Damping of a fruit that turns about its stem, N*m*s/rad at full scale; it comes to rest within a second."""
 
-GRIPPERS = ("cup", "jaw")
 CAMERAS = ("world", "wrist")
 HULL, AS_DRAWN = 48, 2
 """Most corners of the hulls by which meshes of a maker touch, and as which they are drawn; and the group of those that
@@ -81,7 +80,6 @@ class Surroundings:
 
     Attributes:
         model: A maker's model of the arm (.xml), or None for one that is made of the arm file.
-        gripper: One of `GRIPPERS`.
         fruit: Number of fruit.
         leaves: Number of leaves around the first one.
         scale: Lengths of fruit, branch and gripper, as a multiple of an apple tree's.
@@ -95,7 +93,6 @@ class Surroundings:
     """
 
     model: str | None
-    gripper: str
     fruit: int
     leaves: int
     scale: float
@@ -151,6 +148,7 @@ class ContactScene:
         model: `mujoco.MjModel`.
         data: `mujoco.MjData`.
         held: Whether each fruit is on its stem ``(f,)``.
+        suction: Whether the cup's suction is on.
     """
 
     def __init__(self, arm: Arm, around: Surroundings) -> None:
@@ -159,6 +157,10 @@ class ContactScene:
         spec = self._robot(arm)
         robot = spec.compile()
         self._own = [robot.actuator(i).name for i in range(robot.nu)]
+        if around.model is not None:
+            for i, drive in enumerate(spec.actuators):  # makers' gains swing; a servo's own derivative term does not
+                inertia = robot.dof_M0[robot.jnt_dofadr[robot.actuator_trnid[i, 0]]]
+                drive.biasprm[2] = min(float(drive.biasprm[2]), -2.0 * math.sqrt(drive.gainprm[0] * inertia))
         placed = arm_in_mujoco(robot, arm.nominal)
         last = spec.body(robot.body(int(placed.bodies[-1])).name)
         self._equip(spec, last, frame_within(placed.within[-1], frame_of(arm.nominal.tool)))
@@ -168,7 +170,7 @@ class ContactScene:
         self.data: Any = self._mujoco.MjData(self.model)
         self._find()
         self._untouchable()
-        self.held = np.ones(around.fruit, dtype=np.bool_)
+        self.held, self.suction = np.ones(around.fruit, dtype=np.bool_), False
         self._pull = np.full(around.fruit, np.inf)
         self._pictures: Any = None
         self._sent: Array = np.zeros(self.model.nu)
@@ -201,7 +203,7 @@ class ContactScene:
             body.gravcomp = 1.0
         for geom in spec.geoms:  # what touches nothing gets no hull to be drawn as
             geom.contype = geom.conaffinity = OTHER if geom.group == AS_DRAWN else GRIPPER_BIT
-        spec.option.timestep = TIMESTEP
+        spec.option.timestep = TIMESTEP if around.model is None else TIMESTEP / 2
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.visual.quality.shadowsize = spec.visual.quality.offsamples = 0
         spec.visual.global_.offwidth = spec.visual.global_.offheight = LARGEST
@@ -231,30 +233,25 @@ class ContactScene:
         ahead = -back / np.linalg.norm(back)
         axes = np.stack([[1.0, 0.0, 0.0], np.cross(-ahead, [1.0, 0.0, 0.0]), -ahead], axis=1)
         hand.add_camera(name="wrist", pos=back, quat=quaternion(axes), fovy=WIDE)
-        if around.gripper == "cup":
-            radius = 3.0 * around.clearance
-            shape = {
-                "contype": GRIPPER_BIT,
-                "conaffinity": FRUIT_BIT | LEAF_BIT,
-                "mass": 0.01,
-                "rgba": [0.1, 0.1, 0.12, 1.0],
-            }
-            hand.add_geom(
-                name="cup",
-                type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-                size=[radius, CUP_DEPTH / 2, 0.0],
-                margin=LIP,
-                gap=LIP,
-                pos=[0.0, 0.0, face - CUP_DEPTH / 2],
-                friction=GRIP,
-                condim=4,
-                **shape,
-            )
-            self._rod(hand, [0.0, 0.0, face - CUP_DEPTH], [0.0, 0.0, face - 0.08 * around.scale], 0.3 * radius)
-            return
-        for body in (last, *last.find_all("body")):
-            for geom in body.geoms:
-                geom.condim, geom.friction = 4, GRIP
+        radius = 3.0 * around.clearance
+        shape = {
+            "contype": GRIPPER_BIT,
+            "conaffinity": FRUIT_BIT | LEAF_BIT,
+            "mass": 0.01,
+            "rgba": [0.1, 0.1, 0.12, 1.0],
+        }
+        hand.add_geom(
+            name="cup",
+            type=mujoco.mjtGeom.mjGEOM_CYLINDER,
+            size=[radius, CUP_DEPTH / 2, 0.0],
+            margin=LIP,
+            gap=LIP,
+            pos=[0.0, 0.0, face - CUP_DEPTH / 2],
+            friction=GRIP,
+            condim=4,
+            **shape,
+        )
+        self._rod(hand, [0.0, 0.0, face - CUP_DEPTH], [0.0, 0.0, face - 0.08 * around.scale], 0.3 * radius)
 
     def _rod(self, body: Any, start: ArrayLike, end: ArrayLike, radius: float) -> None:
         """Add a rod that touches nothing and weighs next to nothing."""
@@ -303,16 +300,15 @@ class ContactScene:
             name2=f"branch {number}",
         )
         tie.data[:3] = [0.0, 0.0, radius + stem]
-        if around.gripper == "cup":
-            hold = spec.add_equality(
-                name=f"hold {number}",
-                type=mujoco.mjtEq.mjEQ_WELD,
-                objtype=mujoco.mjtObj.mjOBJ_BODY,
-                name1="hand",
-                name2=f"fruit {number}",
-                active=False,
-            )
-            hold.data[:3], hold.data[10] = 0.0, 1.0
+        hold = spec.add_equality(
+            name=f"hold {number}",
+            type=mujoco.mjtEq.mjEQ_WELD,
+            objtype=mujoco.mjtObj.mjOBJ_BODY,
+            name1="hand",
+            name2=f"fruit {number}",
+            active=False,
+        )
+        hold.data[:3], hold.data[10] = 0.0, 1.0
         for leaf in range(around.leaves if number == 0 else 0):
             blade = bearer.add_body(name=f"leaf {leaf}", gravcomp=0.0)
             blade.add_joint(type=mujoco.mjtJoint.mjJNT_BALL, stiffness=1e-3 * scale**4, damping=1e-4 * scale**4)
@@ -335,12 +331,8 @@ class ContactScene:
         if lost := [name for name, joint in zip(self.nominal.joint_names, joints, strict=True) if joint not in moved]:
             raise InputError(f"the model has no drive for joint '{lost[0]}'; add a position actuator")
         self._drives = np.array([moved[joint] for joint in joints])
-        self._grips = np.array([i for joint, i in moved.items() if joint not in joints], dtype=np.int64)
-        if around.gripper == "jaw" and not len(self._grips):
-            raise InputError("gripper 'jaw' needs a model whose hand has a drive; give model, or gripper 'cup'")
-        cup = around.gripper == "cup"
-        self._holds = np.array([model.equality(f"hold {i}").id for i in range(around.fruit if cup else 0)], dtype=int)
-        self._hand = model.body("hand").id
+        self._holds = np.array([model.equality(f"hold {i}").id for i in range(around.fruit)])
+        self._hand, self._cup = model.body("hand").id, model.geom("cup").id
         self._site = model.site("true tool").id
         bodies = range(around.fruit)
         self._fruit = np.array([model.body(f"fruit {i}").id for i in bodies])
@@ -357,20 +349,9 @@ class ContactScene:
         self._said = {name: (model.cam_pos[i].copy(), turned[name].reshape(3, 3)) for name, i in self._cameras.items()}
 
     def _untouchable(self) -> None:
-        """Leave contacts to fruit, leaves and what grips: the cup, or the bodies from the last link on."""
-        model, hand = self.model, {self.model.body("hand").id}
-        if self.around.gripper == "jaw":
-            hand.add(int(self.arm.bodies[-1]))
-        for body in range(model.nbody):
-            if int(model.body_parentid[body]) in hand:
-                hand.add(body)
-        for geom in range(model.ngeom):
-            if model.geom_contype[geom] != GRIPPER_BIT:
-                continue
-            if int(model.geom_bodyid[geom]) in hand:
-                model.geom_conaffinity[geom] = FRUIT_BIT | LEAF_BIT
-            else:
-                model.geom_contype[geom] = model.geom_conaffinity[geom] = OTHER
+        """Leave contacts to fruit, leaves and the cup: the arm has hulls to be drawn, not to touch."""
+        robot = (self.model.geom_contype == GRIPPER_BIT) & (np.arange(self.model.ngeom) != self._cup)
+        self.model.geom_contype[robot] = self.model.geom_conaffinity[robot] = OTHER
 
     def begin(self, plant: Plant, joints: Sequence[float], tool: Frame, fruit: Array, rng: np.random.Generator) -> None:
         """Begin an episode: the arm at rest, fruit on its stems.
@@ -388,8 +369,8 @@ class ContactScene:
         self._plant = plant
         if not self._exact:
             self.arm.take(plant.geometry)
-        top = fruit + [0.0, 0.0, around.radius + around.scale * around.detachment.stem + around.sag]
-        model.body_pos[self._bearers] = top
+        hangs = around.radius + around.scale * around.detachment.stem + around.sag
+        model.body_pos[self._bearers] = fruit + np.array([0.0, 0.0, hangs])
         self._pull = np.asarray(sample_strength(around.detachment, around.fruit, rng)[0]) * around.scale**2
         model.body_pos[self._blades] = rng.uniform(-0.07, 0.07, (around.leaves, 3)) * around.scale
         for name, number in self._cameras.items():
@@ -405,18 +386,16 @@ class ContactScene:
         data.eq_active[self._stems], data.eq_active[self._holds] = 1, 0
         self.held[:] = True
         data.ctrl[self._drives] = joints
-        self._grip(-1.0)
-        for i in self._grips:
-            data.qpos[model.jnt_qposadr[model.actuator_trnid[i, 0]]] = data.ctrl[i]
+        self.suction = False
         self._sent = data.ctrl.copy()
         self._place(joints, tool)
         mujoco.mj_forward(model, data)
 
     def carry(self, joints: Sequence[float], tool: Frame, grip: float, period: float) -> None:
         """Let the drives go on to positions of the joints ``(n,)`` within a period, s; ``grip`` is from -1 to 1."""
-        data, count = self.data, max(round(period / TIMESTEP), 1)
+        data, count = self.data, max(round(period / self.model.opt.timestep), 1)
         self._place(joints, tool)
-        self._grip(grip)
+        self.suction = grip > 0.0
         data.ctrl[self._drives] = joints
         start, end, passed = self._sent, data.ctrl.copy(), 0
         while passed < count:
@@ -424,7 +403,7 @@ class ContactScene:
             passed += steps
             data.ctrl[:] = end if passed == count else start + (end - start) * (passed / count)
             self._mujoco.mj_step(self.model, data, steps)
-            self._hold(grip)
+            self._hold()
             self._break()
         self._sent = end
         self._mujoco.mj_kinematics(self.model, data)
@@ -433,19 +412,13 @@ class ContactScene:
         if not self._exact:
             self.arm.put_tool(self._plant.chain, list(joints), tool)
 
-    def _grip(self, grip: float) -> None:
-        self._shut = 0.5 * (min(max(grip, -1.0), 1.0) + 1.0)
-        for i in self._grips:
-            low, high = self.model.actuator_ctrlrange[i]
-            self.data.ctrl[i] = high + (low - high) * self._shut
-
-    def _hold(self, grip: float) -> None:
+    def _hold(self) -> None:
         """Let a cup whose suction is on take the fruit that lies in it, and drop what it holds when suction is off."""
-        data, model = self.data, self.model
+        data, model, touched = self.data, self.model, self.touched
         for i, hold in enumerate(self._holds):
             if data.eq_active[hold]:
-                data.eq_active[hold] = grip > 0.0
-            elif grip > 0.0 and self.touched[i]:
+                data.eq_active[hold] = self.suction
+            elif self.suction and touched[i]:
                 turned = data.xmat[self._hand].reshape(3, 3)
                 place = (data.xpos[self._fruit[i]] - data.xpos[self._hand]) @ turned
                 if np.hypot(*place[:2]) <= self.around.clearance:
@@ -457,7 +430,7 @@ class ContactScene:
                     data.eq_active[hold] = 1
 
     def _break(self) -> None:
-        """Let those stems go that are pulled harder than they hold, and fruit that is pulled harder than a cup holds."""
+        """Let stems go that are pulled harder than they hold, and fruit that the cup cannot hold."""
         data, strength = self.data, HOLDS * self.around.detachment.pull_95 * self.around.scale**2
         rows, forces = data.efc_id[: data.ne], data.efc_force[: data.ne]
         for tie, limit in [*zip(self._stems, self._pull, strict=True), *((hold, strength) for hold in self._holds)]:
@@ -483,27 +456,14 @@ class ContactScene:
 
     @property
     def touched(self) -> NDArray[np.bool_]:
-        """Which fruit the gripper touches ``(f,)``."""
+        """Which fruit the cup touches ``(f,)``."""
         pairs = self.data.contact.geom[: self.data.ncon]
-        hand = pairs[(self.model.geom_contype[pairs] == GRIPPER_BIT).any(axis=1)]
-        return np.isin(self._spheres, hand)
+        return np.isin(self._spheres, pairs[(pairs == self._cup).any(axis=1)])
 
     @property
     def taken(self) -> NDArray[np.bool_]:
-        """Which fruit the gripper has ``(f,)``: what a cup holds, or what closed jaws touch."""
-        if len(self._holds):
-            return np.asarray(self.data.eq_active[self._holds] != 0)
-        return self.touched & (self._shut > 0.5)
-
-    @property
-    def opening(self) -> float:
-        """How far the gripper is open, 0 to 1: where its jaw is, or what of a cup's suction is off."""
-        if not len(self._grips):
-            return 1.0 - self._shut
-        i = int(self._grips[0])
-        low, high = self.model.actuator_ctrlrange[i]
-        at = self.data.qpos[self.model.jnt_qposadr[self.model.actuator_trnid[i, 0]]]
-        return float(np.clip((at - low) / (high - low), 0.0, 1.0))
+        """Which fruit the cup holds ``(f,)``."""
+        return np.asarray(self.data.eq_active[self._holds] != 0)
 
     def picture(self, camera: str, size: int) -> NDArray[np.uint8]:
         """What a camera sees ``(size, size, 3)``.

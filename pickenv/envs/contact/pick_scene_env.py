@@ -12,18 +12,18 @@ from numpy.typing import ArrayLike
 from pickenv.arm import Array, Frame, Plant, Scalar, erring_by, forward
 from pickenv.arm.kinematics.inverse import halton_joints
 from pickenv.base import InputError, shown
-from pickenv.envs.contact.contact_scene import CAMERAS, GRIPPERS, LARGEST, SMALLEST, ContactScene, Surroundings
+from pickenv.envs.contact.contact_scene import CAMERAS, LARGEST, SMALLEST, ContactScene, Surroundings
 from pickenv.envs.picking.pick_arm import act_arm
 from pickenv.envs.reaching.reach import VIEW, ReachEnv
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_env import RENDER_MODES, Information
 from pickenv.envs.shared.backends import FLOATS, Executor
 from pickenv.envs.shared.simulation import ArmState, View
-from pickenv.envs.shared.spaces import box, flat_space
-from pickenv.envs.shared.task import Task, check_choice, check_count, check_number, checked_action, make_task
-from pickenv.pictures.stage import fitted_eye
+from pickenv.envs.shared.spaces import flat_space
+from pickenv.envs.shared.task import Task, check_choice, check_count, check_number, checked_action
 from pickenv.orchard import load_branch, load_detachment, load_fruit_size, load_gripper
 from pickenv.orchard.gripper import misalignment
+from pickenv.pictures.stage import Pixels, fitted_eye
 
 OBSERVATIONS = ("state", "pixels", "pixels_agent_pos")
 PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25
@@ -40,7 +40,100 @@ PICTURE = 480
 
 
 class PickSceneEnv(ReachEnv):
-    """DOC"""
+    """Take a fruit that hangs from a branch, by touch and by sight, with an arm that is not what it is believed to be.
+
+    ## Description
+
+    `pickenv/Reach-v0` in MuJoCo, with contact and pictures. An arm with a suction cup stands before a branch; the
+    fruit's stem breaks when it is pulled hard enough. The policy commands the *nominal* arm. What moves, touches and
+    carries the cameras is the *true* arm: parts, joint zeros, compliance, play and warmth are the plant's, and its
+    delays and noise those of `pickenv/Reach-v0`. With an ideal plant the states are those of the plain MuJoCo model,
+    bit by bit. What is touched, how hard, and what a picking tells of a gripper holds for this cup and this branch; all
+    of it is simulated.
+
+    The arm is one that the arm file describes, as rods, or a maker's MJCF file (`model`). Its links touch nothing but
+    by the cup. It carries no weight in MuJoCo, since how it sags is the plant's business.
+
+    ## Action Space
+
+    `Box(-1, 1, (n + 1,), float32)`: increments of the n joints as in `pickenv/Reach-v0`, per period of 0.04 s, and
+    last the suction, which is on above 0. A cup takes the fruit that it touches if the fruit's centre is within 5 mm of
+    its axis (`li_cup`, at full scale), and holds it against one and a half times the pull that takes off 95 % of fruit.
+
+    ## Observation Space
+
+    By `obs_type`:
+
+    - "state" (default): `Box(float32)`, the n + 12 numbers of `pickenv/Reach-v0` (n + 15 with `feedback="camera"`), the
+      suction, and whether the cup holds the fruit. The fruit is where it was seen before the episode.
+    - "pixels": `Dict` with `pixels`, itself a `Dict` of `(pixels, pixels, 3)` uint8 pictures by camera.
+    - "pixels_agent_pos": that, and `agent_pos`, the joint readings (rad, m) and the suction, as LeRobot names them.
+
+    The camera "world" stands before the tree; "wrist" rides behind the tool. Pictures need EGL or OSMesa where there is
+    no screen.
+
+    ## Rewards
+
+    1 when the fruit has been held off its stem for 0.2 s, 0.25 when it comes off, and -0.002 per step. Nothing in it
+    tells where the true tool is.
+
+    ## Starting State
+
+    As in `pickenv/Reach-v0`: joints at mid-range or drawn, the fruit where the nominal arm's tool can be. `reset` takes
+    its options. The strength of the stem is drawn as in `pickenv/Pick-v0` (Bu et al. 2020), the branch is that of
+    `pickenv/orchard/presets/branch.toml`.
+
+    ## Episode End
+
+    - Termination: the fruit is picked, which is success.
+    - Truncation: after 300 steps (`max_episode_steps`).
+
+    ## Information
+
+    That of `pickenv/Reach-v0`, with distances to the fruit where it is now, and
+
+    | Key                | Meaning                                                                      | Unit |
+    |--------------------|------------------------------------------------------------------------------|------|
+    | `is_success`       | whether the fruit has been picked                                            | bool |
+    | `attached`         | whether the cup holds the fruit                                              | bool |
+    | `detached`         | whether the fruit is off its stem                                            | bool |
+    | `grasp_lateral_mm` | when suction first met the fruit: fruit from true tool, across its axis      | mm   |
+    | `grasp_axial_mm`   | the same along the axis, positive beyond the tool (both 0 before)            | mm   |
+
+    ## Arguments
+
+    ```python
+    >>> import gymnasium as gym
+    >>> import pickenv
+    >>> env = gym.make("pickenv/PickScene-v0", plant="coarse:ur5e", error_mm=3.0)
+    >>> observation, info = env.reset(seed=1)
+    >>> observation.shape, info["attached"]
+    ((20,), False)
+
+    ```
+
+    Those of `pickenv/Reach-v0`, of which `executor` is always "floats", and
+
+    - `plant` (default "ideal:ur5e"), `control_period_s` (default 0.04).
+    - `error_mm` (default None): makes the parts of the true arm err in the same proportions by so much that its tool
+      errs by these millimetres on average over the joints' range; effects are off then.
+    - `obs_type`, `pixels` (px, 16 to 1024, default 64) and `cameras` (default both): what is observed.
+    - `camera_mm`, `camera_deg` (default 0): standard deviations per axis of where the cameras truly are, drawn in every
+      episode.
+    - `model` (path, default None): a maker's MJCF file of the plant's arm, with the same joint names.
+    - `fruit` (default 1): number of fruit; the first one is wanted. `leaves` (default 0): leaves about it, which hide
+      and touch.
+    - `scale` (default None): lengths of fruit, branch and cup as a multiple of an apple tree's; forces go with its
+      square, masses with its cube. None is 1, or less for arms that reach less than 0.85 m.
+    - `fruit_size` (default "li2016"): as in `pickenv/Pick-v0`.
+    - `render_mode` (None, "human" or "rgb_array"): what the world camera sees.
+
+    `gym.make_vec("pickenv/PickScene-v0", num_envs=4)` makes a `SyncVectorEnv`.
+
+    ## Version History
+
+    * v0: First version.
+    """
 
     gripper = 1
 
@@ -51,7 +144,6 @@ class PickSceneEnv(ReachEnv):
         obs_type: str = "state",
         pixels: int = 64,
         cameras: Sequence[str] = CAMERAS,
-        gripper: str | None = None,
         model: str | None = None,
         fruit: int = 1,
         leaves: int = 0,
@@ -66,8 +158,6 @@ class PickSceneEnv(ReachEnv):
     ) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
         check_choice("obs_type", obs_type, OBSERVATIONS)
-        gripper = gripper or ("jaw" if model else "cup")
-        check_choice("gripper", gripper, GRIPPERS)
         for name, count, least in (("fruit", fruit, 1), ("leaves", leaves, 0), ("pixels", pixels, SMALLEST)):
             check_count(name, count, least)
         for name, number in (("camera_mm", camera_mm), ("camera_deg", camera_deg), ("error_mm", error_mm or 0.0)):
@@ -84,13 +174,12 @@ class PickSceneEnv(ReachEnv):
         super().__init__(executor="floats", control_period_s=control_period_s, **arguments)
         self.render_mode = render_mode
         self.plant = self._scaled(self.plant)
-        task, nominal = self.task, self.task.plant.arm.nominal
+        task = self.task
         if scale is None:
             scale = min(1.0, (task.reach - 1.0) / REACH_OF_APPLES)
         check_number("scale", scale, positive=True)
         around = Surroundings(
             model=model,
-            gripper=gripper,
             fruit=int(fruit),
             leaves=int(leaves),
             scale=float(scale),
@@ -133,7 +222,7 @@ class PickSceneEnv(ReachEnv):
             assert isinstance(flat, spaces.Box)
             return spaces.Box(np.append(flat.low, [0.0, 0.0]), np.append(flat.high, [1.0, 1.0]), dtype=np.float32)
         picture = spaces.Box(0, 255, (self.pixels, self.pixels, 3), dtype=np.uint8)
-        parts: dict[str, spaces.Space[Any]] = {"pixels": spaces.Dict({name: picture for name in self.cameras})}
+        parts: dict[str, spaces.Space[Any]] = {"pixels": spaces.Dict(dict.fromkeys(self.cameras, picture))}
         if self.obs_type == OBSERVATIONS[2]:
             low, high = (np.append(limits, end) for limits, end in ((self.task.lower, 0.0), (self.task.upper, 1.0)))
             wide = 0.1 * (high - low)
@@ -157,7 +246,7 @@ class PickSceneEnv(ReachEnv):
         reward = float(success) + BONUS * float(information["detached"] and was_held) - STEP_COST
         return observation, reward, success, False, information
 
-    def look(  # type: ignore[override]
+    def look(
         self,
         x: Executor,
         task: Task,
@@ -191,7 +280,7 @@ class PickSceneEnv(ReachEnv):
 
     def _look(self, dt: Scalar) -> tuple[Any, float, Information]:
         observation, reward, information = super()._look(dt)
-        scene, around = self.scene, self.scene.around
+        scene = self.scene
         tool = np.array(scene.tool)
         lateral, axial, _ = misalignment(scene.fruit[0] - tool[9:], tool[6:9])
         touched, closing = bool(scene.touched[0]), self._grip > 0.0
@@ -211,22 +300,19 @@ class PickSceneEnv(ReachEnv):
     def _observe(self, scene: simulation.View) -> tuple[Any, float]:
         flat, reward = super()._observe(scene)
         if self.obs_type == OBSERVATIONS[0]:
-            grip = [self.scene.opening, float(self.scene.taken[0])]
+            grip = [float(self.scene.suction), float(self.scene.taken[0])]
             return np.append(flat, grip).astype(np.float32), reward
         seen: dict[str, Any] = {"pixels": {name: self.scene.picture(name, self.pixels) for name in self.cameras}}
         if self.obs_type == OBSERVATIONS[2]:
             low, high = np.array(self.task.lower), np.array(self.task.upper)
             joints = low + (np.array(scene.readings) + 1.0) * 0.5 * (high - low)
-            seen["agent_pos"] = np.append(joints, self.scene.opening).astype(np.float32)
+            seen["agent_pos"] = np.append(joints, float(self.scene.suction)).astype(np.float32)
         return seen, reward
 
-    def render(self) -> Any:
-        """What the world camera sees, ``(480, 480, 3)``; None with "human", which shows a window."""
-        if self.render_mode is None:
-            return super().render()
+    def _picture(self) -> Pixels:
         if self._state is None:
             raise InputError("render was called before reset; call reset first")
-        return self._painted(self.scene.picture("world", PICTURE))
+        return self.scene.picture("world", PICTURE)
 
     def close(self) -> None:
         """Close the window and what draws pictures."""

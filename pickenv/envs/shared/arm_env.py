@@ -55,7 +55,7 @@ class DrawnEnv(PlainSpec, gym.Env[Any, NDArray[Any]]):
             return None
         from pickenv.pictures.drawers import Window
 
-        picture = drawn(self._stage())
+        picture = self._picture()
         if self.render_mode == "rgb_array":
             return picture
         self._window = self._window or Window(self.metadata["render_fps"])
@@ -67,6 +67,10 @@ class DrawnEnv(PlainSpec, gym.Env[Any, NDArray[Any]]):
         if self._window is not None:
             self._window.close()
             self._window = None
+
+    def _picture(self) -> Pixels:
+        """What is rendered, as RGB pixels."""
+        return drawn(self._stage())
 
     def _stage(self) -> Stage | None:
         """The scene to draw; None before the first reset."""

@@ -266,7 +266,7 @@ def viewed(
     moment: Scalar,
     dt: Scalar,
 ) -> tuple[ArmState, View]:
-    """Measure an arm whose encoders read ``read`` ``(n,)`` and whose true tool is at a frame; arguments as in `look`."""
+    """Measure an arm whose encoders read ``read (n,)`` and whose true tool is at ``true``; else as in `look`."""
     m, goal, sighting, setting = x.m, state.goal, state.seen, task.situation
     dx, dy, dz, *turn = error = frame_error(m, goal, true)
     camera: Components = ()
