@@ -172,7 +172,7 @@ class ContactScene:
         self._untouchable()
         self.held, self.suction = np.ones(around.fruit, dtype=np.bool_), False
         self._pull = np.full(around.fruit, np.inf)
-        self._pictures: Any = None
+        self._pictures: dict[int, Any] = {}
         self._sent: Array = np.zeros(self.model.nu)
 
     def _robot(self, arm: Arm) -> Any:
@@ -472,10 +472,9 @@ class ContactScene:
             InputError: If nothing on this machine draws without a screen.
         """
         mujoco = self._mujoco
-        if self._pictures is None or self._pictures.height != size:
-            self.close()
+        if size not in self._pictures:  # films are of another size than what is seen, and a context takes its time
             try:
-                self._pictures = mujoco.Renderer(self.model, size, size)
+                self._pictures[size] = mujoco.Renderer(self.model, size, size)
             except Exception as error:  # each way of drawing has its own errors
                 advice = "install EGL (libegl1) or OSMesa (libosmesa6, MUJOCO_GL=osmesa), or give obs_type='state'"
                 raise InputError(f"MuJoCo cannot draw here; {advice}") from error
@@ -484,14 +483,13 @@ class ContactScene:
             self._shown.sitegroup[:] = 0
             self._shown.flags[mujoco.mjtVisFlag.mjVIS_CONVEXHULL] = 1
             for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
-                self._pictures.scene.flags[flag] = 0
+                self._pictures[size].scene.flags[flag] = 0
         mujoco.mj_camlight(self.model, self.data)
-        self._pictures.update_scene(self.data, camera, self._shown)
-        pixels: NDArray[np.uint8] = self._pictures.render()
+        self._pictures[size].update_scene(self.data, camera, self._shown)
+        pixels: NDArray[np.uint8] = self._pictures[size].render()
         return pixels
 
     def close(self) -> None:
         """Give back what drawing took."""
-        if self._pictures is not None:
-            self._pictures.close()
-            self._pictures = None
+        while self._pictures:
+            self._pictures.popitem()[1].close()
