@@ -150,7 +150,7 @@ $(LEROBOT): pyproject.toml scripts/lerobot_env_pickenv/pyproject.toml
 	@$(PYTHON312) -m venv --clear $(VENV)-lerobot
 	@$(VENV)-lerobot/bin/python -m pip --disable-pip-version-check --quiet install --retries 1 --no-deps \
 		--extra-index-url https://download.pytorch.org/whl/cpu torch==2.11.0 torchvision==0.26.0
-	@$(VENV)-lerobot/bin/python -m pip --disable-pip-version-check --quiet install -e . -e scripts/lerobot_env_pickenv \
+	@$(VENV)-lerobot/bin/python -m pip --disable-pip-version-check --quiet install -e ".[scene]" -e scripts/lerobot_env_pickenv \
 		"lerobot[dataset,diffusion,evaluation]==0.6.1" torch==2.11.0 torchvision==0.26.0 \
 		hypothesis pytest pytest-benchmark pytest-xdist
 	@touch $@

@@ -70,10 +70,10 @@ class Noting:
                 file.write(json.dumps(end) + "\n")
 
     def close(self, **arguments: Any) -> None:
-        """Close the environments; log the median and the largest of each error."""
+        """Close the environments; log the median and the largest size of each error."""
         if not self.closed:
             for name in ERRORS:
-                if found := [end[name] for end in self.noted if end.get(name) is not None]:
+                if found := [abs(end[name]) for end in self.noted if end.get(name) is not None]:
                     text = "%s at the end of %d episodes: median %.1f, largest %.1f"
                     logging.info(text, name, len(found), np.median(found), max(found))
         super().close(**arguments)
