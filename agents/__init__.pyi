@@ -29,6 +29,7 @@ from .policies.scripted import (
     ScriptedHarvest as ScriptedHarvest,
     ScriptedPick as ScriptedPick,
     ScriptedReach as ScriptedReach,
+    ScriptedScene as ScriptedScene,
     ServoReach as ServoReach,
 )
 from .training.checkpoints import read_checkpoint as read_checkpoint

@@ -1,4 +1,4 @@
-"""Frames per second of render() at 480 x 360 px for every environment, with VTK and without, beside FetchReach's.
+"""Frames per second of render() at 480 x 360 px for every environment, with MuJoCo and without, beside FetchReach's.
 
 Per second of processor time, which other work on the machine hardly changes, and per second. Only render() is timed:
 the arm moves by a random action between two frames. A peer draws with MuJoCo or Bullet, headless.
@@ -62,15 +62,15 @@ def main(
         print(json.dumps(measured(seconds)))
         return
     solid, plain = in_another_process(seconds), in_another_process(seconds, **{PLAIN: "1"})
-    missing = solid["drawer"] != "vtk"
+    missing = solid["drawer"] != "mujoco"
     found: dict[str, dict[str, Any]] = {
-        name: {"vtk": None if missing else solid["rates"][name], "plain": rates}
+        name: {"mujoco": None if missing else solid["rates"][name], "plain": rates}
         for name, rates in plain["rates"].items()
     }
     os.environ.setdefault("MUJOCO_GL", "egl")  # for the peer, which else asks for a screen
     others = {} if no_peers else peers(folder, seconds, "frames")
-    heads = ("environment", "VTK, processor", "VTK", "plain, processor", "plain")
-    rows = [(name, *said(drawn["vtk"]), *said(drawn["plain"])) for name, drawn in found.items()]
+    heads = ("environment", "MuJoCo, processor", "MuJoCo", "plain, processor", "plain")
+    rows = [(name, *said(drawn["mujoco"]), *said(drawn["plain"])) for name, drawn in found.items()]
     title = "Frames of 480 x 360 px: per second of processor time, and per second"
     print_table(title, heads, rows, words=("environment",))
     for name, peer in others.items():

@@ -62,7 +62,7 @@ COMMANDS: dict[str, Sequence[str]] = {
         "pickenv conditions orchard --out runs/conditions",
         "cp runs/conditions/figures/error_by_condition.png docs/images/conditions-orchard.png",
     ),
-    "fetch-reach.png": ("python scripts/fetch_reach.py", "cp runs/fetch_reach/success.png docs/images/fetch-reach.png"),
+    "fetch-reach.png": ("python scripts/fetch_arms.py", "cp runs/fetch_arms/success.png docs/images/fetch-reach.png"),
     **{name: (f"cd scripts && python -c 'import pictures; pictures.draw_table(\"{name}\")'",) for name in TABLES},
     "home-results.svg": ("cd scripts && python -c 'import pictures; pictures.draw_results()'",),
     "study-grades.png": ("python scripts/studies/tolerance_docs.py",),

@@ -74,7 +74,6 @@ HEAVY = (
         "llvmlite",
         "tensorboard",
         "pettingzoo",
-        "vtkmodules",
         "rosbags",
     ),
     *("mujoco", "typer", "rich", "yaml", "tqdm", "pydantic"),

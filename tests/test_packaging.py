@@ -41,7 +41,6 @@ def test_the_version_is_the_same_everywhere() -> None:
 
 
 PACKAGES = {
-    "vtkmodules": "vtk",
     "PIL": "pillow",
     "cv2": "opencv-python-headless",
     "rerun": "rerun-sdk",

@@ -17,7 +17,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "learn": ("torch",),
     "rl": ("stable_baselines3", "sb3_contrib", "tensorboard"),
     "inspect": ("rerun", "plotly", "matplotlib", "jinja2", "PIL"),
-    "render": ("vtkmodules", "imageio_ffmpeg"),
+    "render": ("mujoco", "imageio_ffmpeg"),
     "camera": ("cv2",),
     "recordings": ("rosbags",),
     "study": ("pyarrow", "joblib", "pandas"),

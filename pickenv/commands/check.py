@@ -267,6 +267,7 @@ FILES: Mapping[str, str | tuple[str, Mapping[str, str]]] = {
     "gripper": "pickenv.orchard.gripper:gripper_file",
     "look": "pickenv.orchard:Look",
     "station": "pickenv.orchard:Station",
+    "suction": "pickenv.orchard:Suction",
     "vision": "pickenv.orchard:StereoCamera",
     "machine": "pickenv.harvester.machine:MachineFile",
     "strategy": (

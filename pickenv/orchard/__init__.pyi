@@ -46,8 +46,10 @@ from .gripper import (
     CompliantHand as CompliantHand,
     Cup as Cup,
     Gripper as Gripper,
+    Suction as Suction,
     capture_probability as capture_probability,
     load_gripper as load_gripper,
+    load_suction as load_suction,
     misalignment as misalignment,
 )
 from .preset_files import shipped as shipped

@@ -117,6 +117,29 @@ class CompliantHand(checks.Preset):
         return max(self.intercept / self.lateral, 0.0)
 
 
+@toml_table
+class Suction(checks.Preset):
+    """A suction cup where contact is simulated, and what it meets.
+
+    Attributes:
+        thickness: Thickness of the cup, m.
+        lip: Distance at which its soft lip closes on a fruit, m.
+        holds: Force with which it holds fruit, as a multiple of the pull that detaches 95 % of fruit.
+        turning: Damping of a fruit that turns about its stem, N·m·s.
+        source: Source of its numbers.
+    """
+
+    thickness: Annotated[float, MM.positive]
+    lip: Annotated[float, MM.not_negative]
+    holds: Annotated[float, NUMBER.positive]
+    turning: Annotated[float, Unit("N_m_s").not_negative]
+    source: str = ""
+
+
+load_suction = preset_files.loader("suction", Suction)
+"""Reads a suction cup by name (`shipped("suction")`) or from a path to a TOML file."""
+
+
 def misalignment(
     offset: ArrayLike, tool_axis: ArrayLike, wanted_axis: ArrayLike | None = None
 ) -> tuple[Array, Array, Array]:

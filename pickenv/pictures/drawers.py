@@ -1,9 +1,9 @@
-"""Draws a stage: with VTK where it is installed and can draw here, else plainly with Pillow; and shows it in a window.
+"""Draws a stage: with MuJoCo where it is installed and can draw here, else plainly with Pillow; shows it in a window.
 
-VTK needs EGL, and without it VTK ends the whole program. So another process tries VTK first. Without VTK, rods are
-drawn as strokes, balls as discs, and meshes as triangles in the light of one lamp: flat shapes, drawn from far to near
-in the order of their depths, even where solids pass through one another. With either drawer, words and the dial of the
-miss are written with Pillow onto the picture. Units: px, mm on the dial.
+MuJoCo needs EGL, and a driver that fails might end the whole program. So another process tries MuJoCo first. Without
+it, rods are drawn as strokes, balls as discs, and meshes as triangles in the light of one lamp: flat shapes, drawn from
+far to near in the order of their depths, even where solids pass through one another. With either drawer, words and the
+dial of the miss are written with Pillow onto the picture. Units: px, mm on the dial.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from pickenv.base import InputError, is_there, require
 from pickenv.pictures.stage import CORNERS, Dial, Eye, Mesh, Pixels, Rgb, Rods, Stage, backdrop, ink
 
 if TYPE_CHECKING:
-    from pickenv.pictures.vtk_drawer import VtkDrawer
+    from pickenv.pictures.mujoco_drawer import MujocoDrawer
 
 PLAIN = "PICKENV_PLAIN_PICTURES"
-"""Environment variable that, when set, has pictures drawn with Pillow even where VTK is installed."""
-TRIAL = "pickenv.pictures.vtk_drawer"
-"""The module that is run in another process to try whether VTK can draw."""
+"""Environment variable that, when set, has pictures drawn with Pillow even where MuJoCo is installed."""
+TRIAL = "pickenv.pictures.mujoco_drawer"
+"""The module that is run in another process to try whether MuJoCo can draw."""
 
 FINER = 2
 """Factor by which shapes are drawn larger at first; the picture is then reduced, for smooth edges."""
@@ -58,34 +58,34 @@ Shape = tuple[float, Callable[[ImageDraw.ImageDraw], None]]
 
 def painted(stage: Stage) -> Pixels:
     """Draw a stage: red, green and blue ``(height, width, 3)``."""
-    draw = _vtk(stage.size, os.getpid()).draw if drawer_name() == "vtk" else draw_plainly
+    draw = _mujoco(os.getpid()).draw if drawer_name() == "mujoco" else draw_plainly
     return lettered(draw(stage), stage)
 
 
 @lru_cache(maxsize=1)
 def drawer_name() -> str:
-    """The drawer that makes pictures here: ``vtk`` or ``plain``; worked out once per process."""
-    return "vtk" if why_plain() is None else "plain"
+    """The drawer that makes pictures here: ``mujoco`` or ``plain``; worked out once per process."""
+    return "mujoco" if why_plain() is None else "plain"
 
 
 def why_plain() -> str | None:
-    """The reason why pictures are drawn plainly, as one sentence; None where VTK draws them."""
+    """The reason why pictures are drawn plainly, as one sentence; None where MuJoCo draws them."""
     require("matplotlib")
     if os.environ.get(PLAIN):
         return f"Pictures are drawn plainly, as {PLAIN} asks."
-    if not is_there("vtkmodules"):
-        return "Pictures are drawn plainly; for solid bodies install VTK: pip install 'pickenv[render]'"
+    if not is_there("mujoco"):
+        return "Pictures are drawn plainly; for solid bodies install MuJoCo: pip install 'pickenv[render]'"
     if subprocess.run([sys.executable, "-m", TRIAL], capture_output=True, check=False, timeout=120).returncode != 0:
-        return "Pictures are drawn plainly: VTK cannot draw here without EGL; on Debian and Ubuntu: apt install libegl1"
+        return "Pictures are drawn plainly, as MuJoCo needs EGL; on Debian or Ubuntu: apt install libegl1 libopengl0"
     return None
 
 
-@lru_cache(maxsize=4)
-def _vtk(size: tuple[int, int], process: int) -> VtkDrawer:
-    """The VTK drawer of a picture size, made once in each process."""
-    from pickenv.pictures.vtk_drawer import VtkDrawer
+@lru_cache(maxsize=1)
+def _mujoco(process: int) -> MujocoDrawer:
+    """MuJoCo's drawer, made once in each process."""
+    from pickenv.pictures.mujoco_drawer import MujocoDrawer
 
-    return VtkDrawer(size)
+    return MujocoDrawer()
 
 
 def draw_plainly(stage: Stage) -> Pixels:

@@ -1,32 +1,98 @@
-"""A real arm's error in somebody else's environment: success is judged where the true tool is, not where it seems.
+"""A real arm's error in somebody else's environment: the true tool acts and is judged, not the one that seems.
 
-Reaching tasks on MuJoCo end where their perfect arm believes to be. Here the environment's own arm is that belief; the
-true tool differs from it by what a plant says at the same joints, and the policy never sees it. Metres, radians.
+Tasks on MuJoCo end where their perfect arm believes to be. Here the environment's own arm is that belief; the true tool
+differs from it by what a plant says at the same joints, and the policy never sees it. Metres, radians.
 """
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import Any, SupportsFloat
 
 import gymnasium as gym
 import numpy as np
 from gymnasium.utils import RecordConstructorArgs
+from scipy.spatial.transform import Rotation
 
-from pickenv.arm import Array, Geometry, Plant, forward, joints_in_mujoco, pose_error
+from pickenv.arm import Array, Geometry, Plant, Pose, behind, forward, inverse_pose, joints_in_mujoco, pose_error
 from pickenv.base import InputError
 from pickenv.wrappers.compensation import Compensate
 
 FAR = 1e-3
-"""Largest distance allowed between the achieved goal and the nominal arm's tool, m."""
+"""Largest distance allowed between the nominal arm's tool and the achieved goal or the tool's site, m (and rad)."""
+
+
+class _Hung:
+    """What hangs on the tool inside a model, and can be moved against it.
+
+    Between last joint and tool site lie bodies whose frames stay: the site's readings and welds to mocap bodies depend
+    on them, and tasks that start each move from the welded body's place would creep if it were moved. Their geoms and
+    cameras move instead, and the bodies that they carry, such as fingers. Their own inertias stay.
+    """
+
+    def __init__(self, model: Any, data: Any, nominal: Geometry) -> None:
+        """Find them, at the present joints.
+
+        Raises:
+            InputError: If no site that is fixed to the last link stands at the nominal arm's tool.
+        """
+        mujoco: Any = import_module("mujoco")
+        still = mujoco.MjData(model)  # the environment's own data stay as they are
+        still.qpos[:], still.mocap_pos[:], still.mocap_quat[:] = data.qpos, data.mocap_pos, data.mocap_quat
+        mujoco.mj_kinematics(model, still)
+        link = model.joint(nominal.joint_names[-1]).bodyid[0]
+        believed = forward(nominal, joints_in_mujoco(model, data, nominal))
+        off = pose_error(believed, Pose(still.site_xpos, still.site_xmat.reshape(-1, 3, 3)))
+        near = (np.linalg.norm(off, axis=-1) < FAR) & (model.body_weldid[model.site_bodyid] == link)
+        if not near.any():
+            raise InputError("no site of the last link is the nominal arm's tool; read the arm with geometry_in_mujoco")
+        path = [model.site_bodyid[np.argmax(near)]]
+        while path[-1] != link:
+            path.append(model.body_parentid[path[-1]])
+        parents = np.where(np.isin(np.arange(model.nbody), path), -1, model.body_parentid)
+        self._parts = []
+        for place, turn, carriers in (
+            (model.body_pos, model.body_quat, parents),
+            (model.geom_pos, model.geom_quat, model.geom_bodyid),
+            (model.cam_pos, model.cam_quat, model.cam_bodyid),
+        ):
+            if len(rows := np.flatnonzero(np.isin(carriers, path))):
+                bodies = Pose(still.xpos[carriers[rows]], still.xmat[carriers[rows]].reshape(-1, 3, 3))
+                tool = behind(inverse_pose(bodies), believed)
+                self._parts.append((place, turn, rows, place[rows], turn[rows], tool))
+        geoms = np.isin(model.geom_bodyid, path)
+        boxes = [box for p in path for box in range(model.body_bvhadr[p], model.body_bvhadr[p] + model.body_bvhnum[p])]
+        self._hints = (
+            (model.geom_sameframe, geoms, model.geom_sameframe[geoms], 0),  # else some stand where their bodies are
+            (model.bvh_aabb[:, 3:], boxes, model.bvh_aabb[boxes, 3:], 1e3),  # else contacts outside are not looked for
+        )
+
+    def put(self, shift: Pose | None) -> None:
+        """Move them as the true tool stands in the believed one's frame; None puts them back."""
+        for hint, numbers, own, safe in self._hints:
+            hint[numbers] = own if shift is None else safe
+        for place, turn, rows, home, aim, tool in self._parts:
+            place[rows], turn[rows] = home, aim
+            if shift is not None:
+                change = behind(behind(tool, shift), inverse_pose(tool))
+                place[rows] = behind(change, Pose(home, np.eye(3))).position
+                attitudes = Rotation.from_matrix(change.rotation) * Rotation.from_quat(aim[:, [1, 2, 3, 0]])
+                turn[rows] = attitudes.as_quat()[:, [3, 0, 1, 2]]
 
 
 class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
-    """Give the arm of another package's reaching environment on MuJoCo the errors of a real arm.
+    """Give the arm of another package's environment on MuJoCo the errors of a real arm.
 
-    The wrapper works on environments with Gymnasium-Robotics' goal interface (`achieved_goal`, `desired_goal`,
-    `compute_reward`) whose goal is a position of the tool, commanded by joint or by tool targets. The observation stays
-    what the controller believes; reward and `info["is_success"]` judge the true tool. `info` gets `tool_error_mm`, how
-    far the true tool is from the believed one, and `true_distance_mm`, how far it is from the goal.
+    The observation stays what the controller believes. `info` gets `tool_error_mm`, how far the true tool is from the
+    believed one.
+
+    Reaching tasks have Gymnasium-Robotics' goal interface (`achieved_goal`, `desired_goal`, `compute_reward`) and a
+    goal that is a position of the tool, commanded by joint or by tool targets. Reward and `info["is_success"]` judge
+    the true tool, and `info` gets `true_distance_mm`, how far it is from the goal.
+
+    In all other tasks (``contact``) fingers and whatever else hangs on the tool stand where the true arm has them, and
+    reward and success are the environment's own. Links before the last joint stay the nominal arm's. Parts are moved
+    once per step, without velocity: what a hand holds slips by as much as the error changes on the way.
 
     Example:
         >>> import gymnasium as gym
@@ -39,7 +105,13 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """
 
     def __init__(
-        self, env: gym.Env[Any, Any], nominal: Geometry, true: Plant | Geometry, compensator: Compensate | None = None
+        self,
+        env: gym.Env[Any, Any],
+        nominal: Geometry,
+        true: Plant | Geometry,
+        compensator: Compensate | None = None,
+        *,
+        contact: bool = False,
     ) -> None:
         """Wrap ``env``.
 
@@ -49,16 +121,19 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             true: The true arm: a plant without memory, or a geometry.
             compensator: Turns joint targets into commands for the true arm, as a calibration does; None to send targets
                 as they are.
+            contact: Whether the task is more than to bring the tool to a goal: the true tool touches things.
 
         Raises:
-            InputError: If ``env`` is no goal environment on MuJoCo, or the arms differ in their number of joints, or
-                the plant has effects with a memory.
+            InputError: If ``env`` is no environment on MuJoCo, or without ``contact`` no goal environment, or the arms
+                differ in their number of joints, or the plant has effects with a memory.
         """
-        RecordConstructorArgs.__init__(self, nominal=nominal, true=true, compensator=compensator)
+        RecordConstructorArgs.__init__(self, nominal=nominal, true=true, compensator=compensator, contact=contact)
         gym.Wrapper.__init__(self, env)
         inner: Any = env.unwrapped
-        if not hasattr(inner, "compute_reward") or "achieved_goal" not in getattr(env.observation_space, "spaces", {}):
-            raise InputError(f"{type(inner).__name__} has no achieved_goal and compute_reward; wrap a goal environment")
+        goals = hasattr(inner, "compute_reward") and "achieved_goal" in getattr(env.observation_space, "spaces", {})
+        if not (goals or contact):
+            lacks = f"{type(inner).__name__} has no achieved_goal and compute_reward"
+            raise InputError(f"{lacks}; wrap a goal environment, or give contact=True")
         if not (hasattr(inner, "model") and hasattr(inner, "data")):
             raise InputError(f"{type(inner).__name__} has no MuJoCo model and data; wrap an environment on MuJoCo")
         truth = true.geometry if isinstance(true, Plant) else true
@@ -67,40 +142,63 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         if isinstance(true, Plant) and true.has_state:
             raise InputError(f"plant '{true.name}' has effects with a memory; switch them off (without=…)")
         self._nominal, self._true, self._compensator = nominal, true, compensator
+        self._contact = contact
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
         """Reset the environment; `info` gets the entries that the class names."""
+        self._put_back()
         observation, info = self.env.reset(seed=seed, options=options)
+        if self._contact:
+            inner: Any = self.env.unwrapped
+            inner.hung_on_tool = _Hung(inner.model, inner.data, self._nominal)  # where the next wrapper finds it
         return observation, self._judged(observation, info)
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Step the environment; reward and success judge the true tool."""
-        observation, _, terminated, truncated, info = self.env.step(action)
+        """Step the environment; reward and success judge the true tool, or what it did."""
+        observation, reward, terminated, truncated, info = self.env.step(action)
         info = self._judged(observation, info)
-        inner: Any = self.env.unwrapped
-        reward = inner.compute_reward(self._achieved, observation["desired_goal"], info)
-        return observation, float(reward), terminated, truncated, info
+        if not self._contact:
+            inner: Any = self.env.unwrapped
+            reward = float(inner.compute_reward(self._achieved, observation["desired_goal"], info))
+        return observation, reward, terminated, truncated, info
+
+    def close(self) -> None:
+        """Put the model back and close the environment."""
+        self._put_back()
+        super().close()
 
     def tool_error(self) -> Array:
         """True minus believed tool position ``(3,)`` at the present joints, m, in the model's world frame."""
+        return np.asarray(pose_error(*self._tools())[:3])
+
+    def _tools(self) -> tuple[Pose, Pose]:
+        """The believed tool and the true one."""
         inner: Any = self.env.unwrapped
         joints = joints_in_mujoco(inner.model, inner.data, self._nominal)
-        pose = forward(self._nominal, joints)
         command = joints if self._compensator is None else np.asarray(self._compensator(joints), dtype=float)
         true = self._true.tool_pose(command) if isinstance(self._true, Plant) else forward(self._true, command)
-        self._believed = pose.position
-        return np.asarray(pose_error(pose, true)[:3])
+        return forward(self._nominal, joints), true
+
+    def _put_back(self) -> None:
+        if (hung := getattr(self.env.unwrapped, "hung_on_tool", None)) is not None:
+            hung.put(None)
 
     def _judged(self, observation: Any, info: dict[str, Any]) -> dict[str, Any]:
-        error = self.tool_error()
-        achieved, desired = (np.asarray(observation[key], dtype=float) for key in ("achieved_goal", "desired_goal"))
-        if achieved.shape != (3,) or np.linalg.norm(achieved - self._believed) > FAR:
-            wrong = "achieved_goal is not the position of the nominal arm's tool"
-            raise InputError(f"{wrong}; wrap a reaching task, and name the site that its goal is of")
-        self._achieved = achieved + error
+        believed, true = self._tools()
+        error = pose_error(believed, true)[:3]
+        info = dict(info) | {"tool_error_mm": float(np.linalg.norm(error)) * 1e3}
         inner: Any = self.env.unwrapped
+        if self._contact:
+            same = all(map(np.array_equal, believed, true))
+            inner.hung_on_tool.put(None if same else behind(inverse_pose(believed), true))
+            return info
+        achieved, desired = (np.asarray(observation[key], dtype=float) for key in ("achieved_goal", "desired_goal"))
+        if achieved.shape != (3,) or np.linalg.norm(achieved - believed.position) > FAR:
+            wrong = "achieved_goal is not the position of the nominal arm's tool"
+            raise InputError(f"{wrong}; name the site that the goal is of, or give contact=True where it is of no tool")
+        self._achieved = achieved + error
         distance = float(np.linalg.norm(self._achieved - desired))
-        info = dict(info) | {"tool_error_mm": float(np.linalg.norm(error)) * 1e3, "true_distance_mm": distance * 1e3}
+        info["true_distance_mm"] = distance * 1e3
         if hasattr(inner, "_is_success"):
             info["is_success"] = inner._is_success(self._achieved, desired)
         elif "is_success" in info:

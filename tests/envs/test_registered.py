@@ -48,6 +48,16 @@ DRAWN = {
         lambda seen, info, env: {"seen": seen[6:], "fruit": info["fruit_position"]},
     ),
     "pickenv/ReachTool-v0": (CAMERA, lambda seen, info, env: {"seen": seen, "fruit": info["fruit_position"]}),
+    "pickenv/PickScene-v0": (
+        {"leaves": 2, "camera_mm": 1.0},
+        lambda seen, info, env: {
+            "seen": seen[9:18],
+            "fruit": info["fruit_position"],
+            "pull": env.scene.strength,
+            "leaves": env.scene.model.body("leaf 1").pos.copy(),
+            "cameras": env.scene.model.cam_pos.flatten(),
+        },
+    ),
     "pickenv/ReachIdeal-v0": ({}, lambda seen, info, _: {"seen": seen[9:], "fruit": info["fruit_position"]}),
     "pickenv/Pick-v0": (
         {"fruit_size": "apple"},

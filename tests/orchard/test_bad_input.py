@@ -28,6 +28,7 @@ from pickenv.orchard import (
     load_look,
     load_station,
     load_stereo_camera,
+    load_suction,
     locate,
     match_detections,
     measured_positions,
@@ -122,6 +123,7 @@ LOADERS: dict[str, Callable[[str | Path], object]] = {
     "gripper": load_gripper,
     "look": load_look,
     "station": load_station,
+    "suction": load_suction,
     "vision": load_stereo_camera,
 }
 

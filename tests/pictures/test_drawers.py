@@ -13,19 +13,24 @@ import pytest
 from pickenv.pictures import drawers
 from pickenv.pictures.drawers import draw_plainly, lettered
 from pickenv.pictures.solids import chequered
-from pickenv.pictures.stage import Dial, Eye, Rods, Stage, Words, backdrop, rgba, spheres
+from pickenv.pictures.stage import Dial, Eye, Mesh, Rods, Stage, Words, backdrop, rgba, spheres
 
 EYE = Eye(np.array([0.0, -3.0, 1.0]), np.array([0.0, 0.0, 0.0]))
 RED, BLUE = (230, 10, 10), (10, 10, 230)
 
 
-@pytest.fixture(params=["plain", "vtk"])
+@pytest.fixture
+def mujoco():
+    if drawers.drawer_name() != "mujoco":
+        pytest.skip("MuJoCo cannot draw here")
+    return drawers._mujoco(0).draw
+
+
+@pytest.fixture(params=["plain", "mujoco"])
 def draw(request):
     if request.param == "plain":
         return draw_plainly
-    if drawers.drawer_name() != "vtk":
-        pytest.skip("VTK cannot draw here")
-    return lambda stage: drawers._vtk(stage.size, 0).draw(stage)
+    return request.getfixturevalue("mujoco")
 
 
 def balls(*places, colour=RED, radius=0.12, opacity=1.0):
@@ -65,6 +70,39 @@ def test_what_is_seen_through_is_a_mixture(draw):
     clear = draw(Stage(EYE, balls=(balls((0.0, 0.0, 0.0), opacity=0.4),)))[180, 240].astype(int)
     solid, empty = draw(Stage(EYE, balls=(balls((0.0, 0.0, 0.0)),)))[180, 240], draw(Stage(EYE))[180, 240]
     assert solid[1] + 20 < clear[1] < int(empty[1]) - 20
+
+
+def test_mujoco_mixes_in_the_shares_that_an_opacity_says(mujoco):
+    ball = [balls((0.0, 0.0, 0.0), opacity=opacity) for opacity in (0.4, 1.0)]
+    clear, solid, empty = (mujoco(Stage(EYE, balls=tuple(each)))[180, 240] for each in (ball[:1], ball[1:], ()))
+    np.testing.assert_allclose(clear, 0.4 * solid + 0.6 * empty, atol=2.5)
+
+
+def test_mujoco_draws_faces_in_their_own_colours_and_both_sides_of_them(mujoco):
+    """In the light of its lamps, each side of a face that looks at the eye has its colour, be it one of thousands."""
+    rng = np.random.default_rng(0)
+    columns, rows = (grid.ravel() for grid in np.meshgrid(np.arange(48), np.arange(36)))
+    start = np.stack([columns, np.zeros(len(columns)), 36.0 - rows], axis=1) * 0.01 - [0.24, 0.0, 0.18]
+    corners = start[:, None] + 0.01 * np.array([[0, 0, 0], [1, 0, 0], [1, 0, -1], [0, 0, -1]])
+    colours = np.column_stack([rng.integers(20, 200, (len(start), 3)), np.full(len(start), 255)]).astype(np.uint8)
+    triangles = (np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(len(start))[:, None, None]).reshape(-1, 3)
+    angle = 2 * np.degrees(np.arctan(0.18 / 2.0))
+    eyes = [Eye(np.array([0.0, y, 0.0]), np.zeros(3), angle) for y in (-2.0, 2.0)]
+    wall = Mesh(corners.reshape(-1, 3), triangles, np.repeat(colours, 4, axis=0))
+    front, back = (mujoco(Stage(eye, still=(wall,)))[5::10, 5::10].astype(float) for eye in eyes)
+    np.testing.assert_allclose(front, colours[:, :3].reshape(36, 48, 3), rtol=0.1)
+    np.testing.assert_allclose(back[:, ::-1], front, atol=1.0)
+
+
+def test_pictures_of_any_size_with_any_number_of_bodies_follow_one_another(draw):
+    rng = np.random.default_rng(1)
+    few, many = Stage(EYE, balls=(balls((0.0, 0.0, 0.0)),)), balls(*rng.normal(0.0, 0.4, (300, 3)))
+    ground = chequered((-2, -2), (2, 2), -0.5, 0.05, ((10, 160, 20), (20, 190, 30)))
+    first = draw(few)
+    assert draw(Stage(EYE, balls=(many,), meshes=(ground,), size=(1301, 803))).shape == (803, 1301, 3)
+    np.testing.assert_array_equal(draw(few), first)
+    odd = draw(Stage(EYE, size=(301, 203))).astype(int)
+    assert np.ptp(odd, axis=1).max() <= 1 and np.ptp(odd, axis=0).min() > 5
 
 
 def test_still_meshes_stay_and_go_with_the_stage(draw):
@@ -137,14 +175,14 @@ def test_the_dial_shows_which_way_the_tool_was_off(miss):
         assert 0.85 < np.linalg.norm(found) / half < 1.0  # on the rim
 
 
-def test_where_vtk_ends_the_trial_pictures_are_plain_and_one_sentence_says_why(monkeypatch):
+def test_where_mujoco_ends_the_trial_pictures_are_plain_and_one_sentence_says_why(monkeypatch):
     monkeypatch.setattr(drawers, "is_there", lambda module: True)
     monkeypatch.setattr(drawers, "TRIAL", "pickenv.no_such_module")
     said = drawers.why_plain()
     assert said is not None and "EGL" in said and said.count(".") <= 1 and "\n" not in said
 
 
-def test_where_vtk_is_absent_one_sentence_names_the_extra(monkeypatch):
+def test_where_mujoco_is_absent_one_sentence_names_the_extra(monkeypatch):
     monkeypatch.setattr(drawers, "is_there", lambda module: False)
     assert "pip install 'pickenv[render]'" in drawers.why_plain()
     monkeypatch.setenv("PICKENV_PLAIN_PICTURES", "1")
@@ -161,7 +199,7 @@ print(env.render().shape, drawer_name())
 
 
 def test_an_environment_is_drawn_plainly_where_that_is_asked_for():
-    code = f"{DRAWN}\nimport sys\nprint('vtkmodules' in sys.modules)"
+    code = f"{DRAWN}\nimport sys\nprint('mujoco' in sys.modules)"
     plain = os.environ | {"PICKENV_PLAIN_PICTURES": "1"}
     done = subprocess.run([sys.executable, "-c", code], env=plain, capture_output=True, text=True, check=False)
     assert done.stdout.split("\n")[:2] == ["(360, 480, 3) plain", "False"], done.stderr

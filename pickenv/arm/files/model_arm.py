@@ -15,7 +15,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
 
 from pickenv.arm.kinematics.forward import (
     Chain,
@@ -158,7 +157,9 @@ class ModelArm:
 
 def quaternion(rotation: Array) -> Array:
     """The quaternion ``(4,)`` of a rotation matrix ``(3, 3)``, w first, as MuJoCo has it."""
-    return np.roll(Rotation.from_matrix(rotation).as_quat(), 1)
+    found = np.zeros(4)
+    import_module("mujoco").mju_mat2Quat(found, np.ravel(rotation))
+    return found
 
 
 def arm_in_mujoco(model: Any, nominal: Geometry) -> ModelArm:

@@ -8,13 +8,11 @@ carry no weight of their own here: how they sag is the plant's business. Units: 
 from __future__ import annotations
 
 import math
-import os
-import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,24 +33,15 @@ from pickenv.arm import (
 )
 from pickenv.base import GRAVITY, InputError, is_file, require
 from pickenv.orchard.fruit import Branch, Detachment, FruitSize, fruit_masses, sample_strength
-from pickenv.orchard.gripper import Gripper
-from pickenv.pictures.stage import Eye
+from pickenv.orchard.gripper import Gripper, Suction
+from pickenv.pictures.stage import Eye, Pixels
 
 TIMESTEP, CHUNK = 0.004, 5
-"""Time of a physical step, s, and the number of them after which stems are asked whether they hold."""
+"""Length of a physical step, and the number of them after which stems are asked whether they hold."""
 
 STIFFNESS, DAMPING, ARMATURE = 5000.0, 150.0, 1.0
-"""Of the drives of arms without a model of their own, and the inertia that their gears add; they settle in a few
-hundredths of a second. Without that inertia the damping would rule the wrist, and touching it would be unstable."""
-
-HOLDS = 1.5
-"""Force with which a cup holds fruit, as a multiple of the pull that detaches 95 % of fruit."""
-
-CUP_DEPTH, LIP = 0.004, 0.002
-"""Thickness of a cup, and the distance at which its soft lip closes on a fruit, m."""
-
-TURNING = 2e-4
-"""Damping of a fruit that turns about its stem, N*m*s/rad at full scale; it comes to rest within a second."""
+"""Of the drives of arms without a model of their own, which settle within a control period or two, and the inertia
+that their gears add. Without it the damping would rule the wrist, and touching it would be unstable."""
 
 CAMERAS = ("world", "wrist")
 HULL, AS_DRAWN = 48, 2
@@ -61,10 +50,10 @@ only show what the arm looks like, which are ten times as slow to draw."""
 
 OTHER, GRIPPER_BIT, FRUIT_BIT, LEAF_BIT = 0, 1, 2, 4
 SMALLEST, LARGEST = 16, 1024
-"""Sizes of pictures, px."""
+"""Bounds of the size of pictures."""
 
 GRIP, WIDE = (1.5, 0.02, 1e-3), 60.0
-"""Friction of grippers and fruit (sliding, turning, rolling), and the wrist camera's angle of view, deg."""
+"""Friction of grippers and fruit (sliding, turning, rolling), and the wrist camera's angle of view."""
 
 METAL, WOOD, SKIN, LEAF = (
     (0.6, 0.6, 0.65, 1.0),
@@ -84,7 +73,8 @@ class Surroundings:
         leaves: Number of leaves around the first one.
         scale: Lengths of fruit, branch and gripper, as a multiple of an apple tree's.
         size: Diameter and density of fruit.
-        cup: Clearance of a cup.
+        cup: Clearance of the cup.
+        suction: How it takes hold.
         detachment: Pull that takes fruit off.
         branch: What fruit hangs from.
         camera_mm: Standard deviation of the cameras' true places per axis, mm.
@@ -98,6 +88,7 @@ class Surroundings:
     scale: float
     size: FruitSize
     cup: Gripper
+    suction: Suction
     detachment: Detachment
     branch: Branch
     camera_mm: float
@@ -125,18 +116,6 @@ class Surroundings:
         return self.mass * GRAVITY / (self.branch.stiffness_upright * self.scale)
 
 
-def mujoco_module() -> Any:
-    """MuJoCo, told to draw without a screen where there is none.
-
-    Raises:
-        MissingExtra: If MuJoCo is not installed.
-    """
-    require("mujoco")
-    if sys.platform == "linux" and not os.environ.get("DISPLAY"):
-        os.environ.setdefault("MUJOCO_GL", "egl")
-    return import_module("mujoco")
-
-
 class ContactScene:
     """The scene of one environment: a model that is made once, and its present state.
 
@@ -149,10 +128,11 @@ class ContactScene:
         data: `mujoco.MjData`.
         held: Whether each fruit is on its stem ``(f,)``.
         suction: Whether the cup's suction is on.
+        strength: Pull that each stem bears ``(f,)``, N.
     """
 
     def __init__(self, arm: Arm, around: Surroundings) -> None:
-        self._mujoco = mujoco_module()
+        require("mujoco")
         self.around, self.nominal = around, arm.nominal
         spec = self._robot(arm)
         robot = spec.compile()
@@ -171,9 +151,19 @@ class ContactScene:
         self._find()
         self._untouchable()
         self.held, self.suction = np.ones(around.fruit, dtype=np.bool_), False
-        self._pull = np.full(around.fruit, np.inf)
-        self._pictures: dict[int, Any] = {}
+        self.strength = np.full(around.fruit, np.inf)
+        self._plant: Plant | None = None
+        self._pictures: Any = None
+        self._shown: Any = None
         self._sent: Array = np.zeros(self.model.nu)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What a copy keeps: all but what draws pictures."""
+        return self.__dict__ | {"_pictures": None, "_shown": None}
+
+    @property
+    def _mujoco(self) -> Any:
+        return import_module("mujoco")
 
     def _robot(self, arm: Arm) -> Any:
         """The arm alone, whose hand can touch things and which carries no weight."""
@@ -233,7 +223,7 @@ class ContactScene:
         ahead = -back / np.linalg.norm(back)
         axes = np.stack([[1.0, 0.0, 0.0], np.cross(-ahead, [1.0, 0.0, 0.0]), -ahead], axis=1)
         hand.add_camera(name="wrist", pos=back, quat=quaternion(axes), fovy=WIDE)
-        radius = 3.0 * around.clearance
+        radius, lip, deep = 3.0 * around.clearance, around.suction.lip * around.scale, around.suction.thickness
         shape = {
             "contype": GRIPPER_BIT,
             "conaffinity": FRUIT_BIT | LEAF_BIT,
@@ -243,15 +233,15 @@ class ContactScene:
         hand.add_geom(
             name="cup",
             type=mujoco.mjtGeom.mjGEOM_CYLINDER,
-            size=[radius, CUP_DEPTH / 2, 0.0],
-            margin=LIP,
-            gap=LIP,
-            pos=[0.0, 0.0, face - CUP_DEPTH / 2],
+            size=[radius, deep / 2, 0.0],
+            margin=lip,
+            gap=lip,
+            pos=[0.0, 0.0, face - deep / 2],
             friction=GRIP,
             condim=4,
             **shape,
         )
-        self._rod(hand, [0.0, 0.0, face - CUP_DEPTH], [0.0, 0.0, face - 0.08 * around.scale], 0.3 * radius)
+        self._rod(hand, [0.0, 0.0, face - deep], [0.0, 0.0, face - 0.08 * around.scale], 0.3 * radius)
 
     def _rod(self, body: Any, start: ArrayLike, end: ArrayLike, radius: float) -> None:
         """Add a rod that touches nothing and weighs next to nothing."""
@@ -279,7 +269,9 @@ class ContactScene:
         rod = {"type": mujoco.mjtGeom.mjGEOM_CAPSULE, "contype": OTHER, "conaffinity": OTHER, "rgba": WOOD}
         branch.add_geom(fromto=[-0.2 * scale, 0, 0, 0.2 * scale, 0, 0], size=[0.006 * scale, 0, 0], mass=wood, **rod)
         fruit = spec.worldbody.add_body(name=f"fruit {number}", pos=[0.0, 0.0, 2.0 - stem - radius])
-        fruit.add_joint(name=f"fruit {number}", type=mujoco.mjtJoint.mjJNT_FREE, damping=TURNING * scale**4)
+        fruit.add_joint(
+            name=f"fruit {number}", type=mujoco.mjtJoint.mjJNT_FREE, damping=around.suction.turning * scale**4
+        )
         fruit.add_geom(
             name=f"fruit {number}",
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
@@ -299,7 +291,7 @@ class ContactScene:
             name1=f"fruit {number}",
             name2=f"branch {number}",
         )
-        tie.data[:3] = [0.0, 0.0, radius + stem]
+        tie.data[:3], tie.solref[0] = [0.0, 0.0, radius + stem], 2.0 * TIMESTEP  # as stiff as steps allow
         hold = spec.add_equality(
             name=f"hold {number}",
             type=mujoco.mjtEq.mjEQ_WELD,
@@ -365,13 +357,12 @@ class ContactScene:
         """
         mujoco, model, data, around = self._mujoco, self.model, self.data, self.around
         mujoco.mj_resetData(model, data)
-        self._exact = not plant.effects and plant.geometry is plant.arm.nominal
-        self._plant = plant
-        if not self._exact:
+        if plant.geometry is not (plant.arm.nominal if self._plant is None else self._plant.geometry):
             self.arm.take(plant.geometry)
+        self._plant = plant
         hangs = around.radius + around.scale * around.detachment.stem + around.sag
         model.body_pos[self._bearers] = fruit + np.array([0.0, 0.0, hangs])
-        self._pull = np.asarray(sample_strength(around.detachment, around.fruit, rng)[0]) * around.scale**2
+        self.strength = np.asarray(sample_strength(around.detachment, around.fruit, rng)[0]) * around.scale**2
         model.body_pos[self._blades] = rng.uniform(-0.07, 0.07, (around.leaves, 3)) * around.scale
         for name, number in self._cameras.items():
             shift, turn = rng.normal(size=(2, 3))
@@ -409,13 +400,13 @@ class ContactScene:
         self._mujoco.mj_kinematics(self.model, data)
 
     def _place(self, joints: Sequence[float], tool: Frame) -> None:
-        if not self._exact:
+        if self._plant is not None and self._plant.effects:
             self.arm.put_tool(self._plant.chain, list(joints), tool)
 
     def _hold(self) -> None:
         """Let a cup whose suction is on take the fruit that lies in it, and drop what it holds when suction is off."""
         data, model, touched = self.data, self.model, self.touched
-        for i, hold in enumerate(self._holds):
+        for i, hold in enumerate(self._holds) if self.suction or self.taken.any() else ():
             if data.eq_active[hold]:
                 data.eq_active[hold] = self.suction
             elif self.suction and touched[i]:
@@ -431,9 +422,9 @@ class ContactScene:
 
     def _break(self) -> None:
         """Let stems go that are pulled harder than they hold, and fruit that the cup cannot hold."""
-        data, strength = self.data, HOLDS * self.around.detachment.pull_95 * self.around.scale**2
+        data, strength = self.data, self.around.suction.holds * self.around.detachment.pull_95 * self.around.scale**2
         rows, forces = data.efc_id[: data.ne], data.efc_force[: data.ne]
-        for tie, limit in [*zip(self._stems, self._pull, strict=True), *((hold, strength) for hold in self._holds)]:
+        for tie, limit in [*zip(self._stems, self.strength, strict=True), *((hold, strength) for hold in self._holds)]:
             if data.eq_active[tie] and np.linalg.norm(forces[rows == tie][:3]) > limit:
                 data.eq_active[tie] = 0
         self.held[:] = data.eq_active[self._stems]
@@ -457,6 +448,8 @@ class ContactScene:
     @property
     def touched(self) -> NDArray[np.bool_]:
         """Which fruit the cup touches ``(f,)``."""
+        if not self.data.ncon:
+            return np.zeros(self.around.fruit, dtype=np.bool_)
         pairs = self.data.contact.geom[: self.data.ncon]
         return np.isin(self._spheres, pairs[(pairs == self._cup).any(axis=1)])
 
@@ -465,31 +458,31 @@ class ContactScene:
         """Which fruit the cup holds ``(f,)``."""
         return np.asarray(self.data.eq_active[self._holds] != 0)
 
-    def picture(self, camera: str, size: int) -> NDArray[np.uint8]:
-        """What a camera sees ``(size, size, 3)``.
+    def picture(self, camera: str, size: tuple[int, int], dark: bool = False) -> Pixels:
+        """What a camera sees ``(height, width, 3)``; ``size`` is width and height, px; a dark background is black.
 
         Raises:
             InputError: If nothing on this machine draws without a screen.
         """
         mujoco = self._mujoco
-        if size not in self._pictures:  # films are of another size than what is seen, and a context takes its time
+        if self._pictures is None or self._pictures.size != size:
+            from pickenv.pictures.mujoco_drawer import ModelPictures  # late: it loads MuJoCo
+
+            self.close()
             try:
-                self._pictures[size] = mujoco.Renderer(self.model, size, size)
+                self._pictures = ModelPictures(self.model, size)
             except Exception as error:  # each way of drawing has its own errors
-                advice = "install EGL (libegl1) or OSMesa (libosmesa6, MUJOCO_GL=osmesa), or give obs_type='state'"
+                advice = "install EGL (libegl1, libopengl0, libgl1-mesa-dri), or give obs_type='state'"
                 raise InputError(f"MuJoCo cannot draw here; {advice}") from error
             self._shown = mujoco.MjvOption()
             self._shown.geomgroup[AS_DRAWN], self._shown.geomgroup[AS_DRAWN + 1] = 0, 1
             self._shown.sitegroup[:] = 0
             self._shown.flags[mujoco.mjtVisFlag.mjVIS_CONVEXHULL] = 1
-            for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
-                self._pictures[size].scene.flags[flag] = 0
         mujoco.mj_camlight(self.model, self.data)
-        self._pictures[size].update_scene(self.data, camera, self._shown)
-        pixels: NDArray[np.uint8] = self._pictures[size].render()
-        return pixels
+        return cast(Pixels, self._pictures.draw(self.data, self._cameras[camera], self._shown, dark))
 
     def close(self) -> None:
         """Give back what drawing took."""
-        while self._pictures:
-            self._pictures.popitem()[1].close()
+        if self._pictures is not None:
+            self._pictures.close()
+            self._pictures = None

@@ -21,22 +21,19 @@ from pickenv.envs.shared.backends import FLOATS, Executor
 from pickenv.envs.shared.simulation import ArmState, View
 from pickenv.envs.shared.spaces import flat_space
 from pickenv.envs.shared.task import Task, check_choice, check_count, check_number, checked_action
-from pickenv.orchard import load_branch, load_detachment, load_fruit_size, load_gripper
+from pickenv.orchard import load_branch, load_detachment, load_fruit_size, load_gripper, load_suction
 from pickenv.orchard.gripper import misalignment
-from pickenv.pictures.stage import Pixels, fitted_eye
+from pickenv.pictures.stage import SIZE, Pixels, fitted_eye
 
 OBSERVATIONS = ("state", "pixels", "pixels_agent_pos")
 PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25
-"""Default time between two actions, s, what each step costs, and what a fruit off its stem earns."""
+"""Default of `control_period_s`, what each step costs, and what a fruit off its stem earns."""
 
 HELD_STEPS, REACH_OF_APPLES = 5, 0.85
-"""Steps for which a fruit must be held to count, and the reach, m, of an arm before a tree of apple's size."""
+"""Steps for which a fruit must be held to count, and the reach of an arm before a tree of apple's size."""
 
 SPREAD, ATTEMPTS = 64, 2000
 """Number of poses over which the mean of `error_mm` is taken, and of poses tried to see where fruit may hang."""
-
-PICTURE = 480
-"""Size of rendered pictures, px."""
 
 
 class PickSceneEnv(ReachEnv):
@@ -170,7 +167,7 @@ class PickSceneEnv(ReachEnv):
             check_choice("render_mode", render_mode, RENDER_MODES)
         if not {"difficulty"} & set(arguments):
             arguments["plant"] = plant
-        self._error = error_mm
+        self._error, self.pixels = error_mm, int(pixels)
         super().__init__(executor="floats", control_period_s=control_period_s, **arguments)
         self.render_mode = render_mode
         self.plant = self._scaled(self.plant)
@@ -185,14 +182,15 @@ class PickSceneEnv(ReachEnv):
             scale=float(scale),
             size=load_fruit_size(fruit_size),
             cup=load_gripper("li_cup"),
+            suction=load_suction("bellows"),
             detachment=load_detachment("apple"),
             branch=load_branch("apple"),
             camera_mm=float(camera_mm),
             camera_deg=float(camera_deg),
-            eye=fitted_eye(self._places(), VIEW, (PICTURE, PICTURE)),
+            eye=fitted_eye(self._places(), VIEW, (self.pixels, self.pixels)),
         )
         self.scene = ContactScene(task.plant.arm, around)
-        self.obs_type, self.pixels, self.cameras = obs_type, int(pixels), tuple(cameras)
+        self.obs_type, self.cameras = obs_type, tuple(cameras)
         self.task_description = "pick the fruit that hangs from the branch"
         self.action_space = spaces.Box(-1.0, 1.0, (task.joints + 1,), dtype=np.float32)
         self.observation_space = self._space()
@@ -219,14 +217,16 @@ class PickSceneEnv(ReachEnv):
     def _space(self) -> spaces.Space[Any]:
         flat = flat_space(self.task)
         if self.obs_type == OBSERVATIONS[0]:
-            assert isinstance(flat, spaces.Box)
-            return spaces.Box(np.append(flat.low, [0.0, 0.0]), np.append(flat.high, [1.0, 1.0]), dtype=np.float32)
+            low, high = (
+                np.append(limit, np.full(2, end, np.float32)) for limit, end in ((flat.low, 0), (flat.high, 1))
+            )
+            return spaces.Box(low, high, dtype=np.float32)
         picture = spaces.Box(0, 255, (self.pixels, self.pixels, 3), dtype=np.uint8)
         parts: dict[str, spaces.Space[Any]] = {"pixels": spaces.Dict(dict.fromkeys(self.cameras, picture))}
         if self.obs_type == OBSERVATIONS[2]:
-            low, high = (np.append(limits, end) for limits, end in ((self.task.lower, 0.0), (self.task.upper, 1.0)))
-            wide = 0.1 * (high - low)
-            parts["agent_pos"] = spaces.Box(*((low - wide).astype(np.float32), (high + wide).astype(np.float32)))
+            low, high = np.append(self.task.lower, 0.0), np.append(self.task.upper, 1.0)
+            margin = 1e-6 * (high - low)  # of rounding to single precision
+            parts["agent_pos"] = spaces.Box((low - margin).astype(np.float32), (high + margin).astype(np.float32))
         return spaces.Dict(parts)
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, Information]:
@@ -258,7 +258,7 @@ class PickSceneEnv(ReachEnv):
         dt: Scalar,
     ) -> tuple[ArmState, View]:
         """Hold the joint command for ``dt`` seconds in the scene; arguments as in `simulation.look`."""
-        memory, _ = plant.advance(x.m, state.plant, command, dt)
+        memory = plant.carried(x.m, state.plant, command, dt)
         joints, tool = plant.stands(x.m, memory, command)
         scene = self.scene
         if dt == 0.0:
@@ -302,7 +302,9 @@ class PickSceneEnv(ReachEnv):
         if self.obs_type == OBSERVATIONS[0]:
             grip = [float(self.scene.suction), float(self.scene.taken[0])]
             return np.append(flat, grip).astype(np.float32), reward
-        seen: dict[str, Any] = {"pixels": {name: self.scene.picture(name, self.pixels) for name in self.cameras}}
+        seen: dict[str, Any] = {
+            "pixels": {name: self.scene.picture(name, (self.pixels, self.pixels)) for name in self.cameras}
+        }
         if self.obs_type == OBSERVATIONS[2]:
             low, high = np.array(self.task.lower), np.array(self.task.upper)
             joints = low + (np.array(scene.readings) + 1.0) * 0.5 * (high - low)
@@ -312,7 +314,7 @@ class PickSceneEnv(ReachEnv):
     def _picture(self) -> Pixels:
         if self._state is None:
             raise InputError("render was called before reset; call reset first")
-        return self.scene.picture("world", PICTURE)
+        return self.scene.picture("world", SIZE, self.dark)
 
     def close(self) -> None:
         """Close the window and what draws pictures."""

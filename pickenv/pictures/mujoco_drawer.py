@@ -1,0 +1,185 @@
+"""Draws stages with MuJoCo's renderer, off screen: lit, with smooth edges, on a graphics adapter or on the processor.
+
+Rods and balls are shapes of MuJoCo's own. All surfaces, which are opaque, are the faces of one soft body, replaced for
+each picture, and a texture has one pixel for the colour of each face. The background is a plane behind everything.
+"""
+
+from __future__ import annotations
+
+import atexit
+import os
+import sys
+from functools import lru_cache
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from pickenv.arm import Array
+from pickenv.pictures.solids import all_triangles, mesh_triangles
+from pickenv.pictures.stage import SIZE, Eye, Mesh, Pixels, Rods, Stage, backdrop
+
+NEAR, FAR = 0.02, 100.0
+"""Distances from the eye between which bodies are seen, m."""
+LIGHTS = (((-0.6, 0.9, 1.0), 0.85), ((0.8, 0.2, 1.0), 0.4), ((0.0, -0.5, 1.0), 0.35))
+"""Direction to each light (to the right, up, and back from the eye), and its strength."""
+AMBIENT, DIFFUSE, SPECULAR, SHININESS = 0.3, 0.8, 0.18, 24 / 128
+
+
+def screenless(width: int, height: int) -> Any:
+    """A graphics context that needs no screen."""
+    if sys.platform == "linux" and "MUJOCO_GL" not in os.environ:  # where MuJoCo itself would ask for a screen
+        from mujoco.egl import GLContext
+    else:
+        GLContext = mujoco.GLContext
+    context = GLContext(width, height)
+    atexit.register(context.free)  # before MuJoCo ends EGL
+    return context
+
+
+class ModelPictures:
+    """Pictures of a MuJoCo model by its own cameras, without shadows.
+
+    Args:
+        model: `mujoco.MjModel`.
+        size: Width and height of the pictures, px.
+    """
+
+    def __init__(self, model: Any, size: tuple[int, int]) -> None:
+        self.model, self.size, self.gl = model, size, screenless(*size)
+        self.gl.make_current()
+        self.context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self.context)
+        self.scene, self.camera = mujoco.MjvScene(model, maxgeom=model.ngeom + 100), mujoco.MjvCamera()
+        for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
+            self.scene.flags[flag] = False
+
+    def draw(self, data: Any, camera: int, option: Any, dark: bool = False) -> Pixels:
+        """What a camera of the model sees ``(height, width, 3)``, of the bodies that an option of MuJoCo's shows."""
+        self.gl.make_current()
+        self.scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = not dark
+        self.camera.type, self.camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, camera
+        seen = mujoco.mjtCatBit.mjCAT_ALL
+        mujoco.mjv_updateScene(self.model, data, option, None, self.camera, seen, self.scene)
+        pixels, view = np.empty((*self.size[::-1], 3), dtype=np.uint8), mujoco.MjrRect(0, 0, *self.size)
+        mujoco.mjr_render(view, self.scene, self.context)
+        mujoco.mjr_readPixels(pixels, None, view, self.context)
+        return pixels[::-1].copy()
+
+    def close(self) -> None:
+        """Give back what drawing took."""
+        atexit.unregister(self.gl.free)
+        self.gl.make_current()
+        self.context.free()
+        self.gl.free()
+
+
+class MujocoDrawer:
+    """MuJoCo's renderer without a screen; its room for pixels, faces and shapes grows with what it has to draw."""
+
+    def __init__(self) -> None:
+        self.gl = screenless(*SIZE)
+        self.room = np.zeros(4, dtype=int)
+
+    def draw(self, stage: Stage) -> Pixels:
+        """Draw a stage without its words and dial: ``(height, width, 3)``."""
+        self.gl.make_current()
+        surfaces = all_triangles([_still_triangles(stage.still), *map(mesh_triangles, stage.meshes)])
+        groups = (*stage.rods, *stage.balls)
+        needed = np.array([*stage.size, len(surfaces.triangles), 2 + sum(len(rods.start) for rods in groups)])
+        if np.any(needed > self.room):
+            self._make_room(np.maximum(self.room, [1, 1, 2, 2] * needed))
+        self.scene.ngeom = 0
+        for rods in groups:
+            self._add_rods(rods)
+        self._add_surfaces(surfaces, stage.eye.position)
+        self._look(stage.eye, stage.size[0] / stage.size[1])
+        colours = surfaces.colour[surfaces.triangles[:, 0], :3]
+        self.model.tex_data[: colours.size] = colours.ravel()
+        self.model.tex_data[-12:] = np.repeat(backdrop(stage.dark), 2, axis=0).ravel()
+        for texture in range(2):
+            mujoco.mjr_uploadTexture(self.model, self.context, texture)
+        pixels, view = np.empty((*stage.size[::-1], 3), dtype=np.uint8), mujoco.MjrRect(0, 0, *stage.size)
+        mujoco.mjr_render(view, self.scene, self.context)
+        mujoco.mjr_readPixels(pixels, None, view, self.context)
+        return pixels[::-1].copy()
+
+    def _make_room(self, room: Array) -> None:
+        """Make room for a width and height, px, and for numbers of faces and of shapes."""
+        self.room, side = room, int(np.ceil(np.sqrt(room[2] + 1)))
+        self.model = mujoco.MjModel.from_xml_string(_model(side, *room[:3]))
+        self.context = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_50)
+        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self.context)
+        self.scene = mujoco.MjvScene(self.model, maxgeom=int(room[3]))
+        self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
+        self.scene.nlight = len(LIGHTS)
+        rows, columns = np.divmod(np.arange(len(self.scene.flextexcoord) // 6), side)
+        self.scene.flextexcoord[:] = np.repeat((np.column_stack([columns, rows]) + 0.5) / side, 3, axis=0).ravel()
+
+    def _add(self, kind: Any, size: Array, place: Array, turn: Array, colour: Array) -> Any:
+        """The next shape of the picture."""
+        shape = self.scene.geoms[self.scene.ngeom]
+        self.scene.ngeom += 1
+        mujoco.mjv_initGeom(shape, kind, size, place, turn.ravel(), colour.astype(np.float32))
+        shape.specular, shape.shininess = SPECULAR, SHININESS
+        return shape
+
+    def _add_rods(self, rods: Rods) -> None:
+        colours = rods.colour / 255
+        colours[:, 3] = 1.0 - np.sqrt(1.0 - colours[:, 3])  # MuJoCo draws each transparent shape twice
+        for start, end, radius, colour in zip(rods.start, rods.end, rods.radius, colours, strict=True):
+            shape = self._add(mujoco.mjtGeom.mjGEOM_SPHERE, np.full(3, radius), start, np.eye(3), colour)
+            if np.linalg.norm(end - start) > 1e-9:
+                mujoco.mjv_connector(shape, mujoco.mjtGeom.mjGEOM_CAPSULE, radius, start, end)
+
+    def _add_surfaces(self, surfaces: Mesh, eye: Array) -> None:
+        corners, normals = surfaces.corners[surfaces.triangles], surfaces.normals[surfaces.triangles]
+        outwards = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+        away = np.sum(outwards * (corners[:, 0] - eye), axis=1) > 0.0  # turned over, as both sides are seen
+        corners[away], normals[away] = corners[away, ::-1], -normals[away, ::-1]
+        self.scene.flexface[: corners.size] = corners.ravel()
+        self.scene.flexnormal[: normals.size] = normals.ravel()
+        self.scene.flexfaceused[0] = len(corners)
+        shape = self._add(mujoco.mjtGeom.mjGEOM_FLEX, np.zeros(3), np.zeros(3), np.eye(3), np.ones(4))
+        shape.objid, shape.matid, shape.texcoord = 0, 0, 1
+
+    def _look(self, eye: Eye, aspect: float) -> None:
+        """Place the eye, the lights, which go with it, and the background: the middle half of a plane is in sight."""
+        right, up, ahead = eye.axes()
+        axes, slope = np.array([right, up, -ahead]), np.tan(np.radians(eye.angle_deg) / 2)
+        for camera in self.scene.camera:
+            camera.pos, camera.forward, camera.up = eye.position, ahead, up
+            camera.frustum_bottom, camera.frustum_top = -NEAR * slope, NEAR * slope
+            camera.frustum_near, camera.frustum_far = NEAR, FAR
+        for light, (place, strength) in zip(self.scene.lights, LIGHTS, strict=False):
+            light.type, light.dir = mujoco.mjtLightType.mjLIGHT_DIRECTIONAL, -np.array(place) @ axes
+            light.ambient, light.diffuse = np.full(3, AMBIENT / len(LIGHTS)), np.full(3, DIFFUSE * strength)
+            light.specular = np.full(3, strength)
+        size = 1.8 * FAR * slope * np.array([aspect, 1.0, 1.0])
+        plane = self._add(mujoco.mjtGeom.mjGEOM_PLANE, size, eye.position + 0.9 * FAR * ahead, axes.T, np.ones(4))
+        plane.matid, plane.emission = 1, 1.0
+
+
+@lru_cache(maxsize=16)
+def _still_triangles(still: tuple[Mesh, ...]) -> Mesh:
+    return all_triangles([mesh_triangles(surface) for surface in still])
+
+
+def _model(side: int, width: int, height: int, faces: int) -> str:
+    """A model with room in its textures, and in a soft body: for eight faces with each of its triangles."""
+    count = faces // 8 + 1
+    return f"""<mujoco>
+        <visual><global offwidth="{width}" offheight="{height}"/><quality numslices="16" numstacks="8"/></visual>
+        <asset>
+            <texture name="faces" type="2d" builtin="flat" width="{side}" height="{side}"/>
+            <texture name="ramp" type="2d" builtin="flat" width="2" height="2"/>
+            <material name="faces" texture="faces"/><material name="ramp" texture="ramp"/>
+        </asset>
+        <deformable>
+            <flex name="faces" dim="2" body="world" material="faces" element="{" ".join(map(str, range(3 * count)))}"
+                vertex="{" ".join(f"{i} 0 0 {i} 1 0 {i} 0 1" for i in range(count))}"/>
+        </deformable></mujoco>"""
+
+
+if __name__ == "__main__":  # try it out, in a process of its own
+    MujocoDrawer().draw(Stage(Eye(np.ones(3), np.zeros(3)), size=(16, 16)))

@@ -1,0 +1,216 @@
+"""`pickenv/PickScene-v0`: the true arm in MuJoCo, fruit that holds until it is pulled, a cup that forgives 5 mm."""
+
+import copy
+import math
+import os
+from pathlib import Path
+
+import gymnasium as gym
+import mujoco
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from pickenv.agents import ScriptedScene
+from pickenv.arm import forward, joint_jacobian, pose_error, truncated_inverse
+from pickenv.base import InputError
+from pickenv.wrappers import CompensationWrapper
+
+NAME = "pickenv/PickScene-v0"
+DATA = Path(os.environ.get("PICKENV_DATA", "../shared/data"))
+MAKERS = DATA / "so101/so101_new_calib.xml"
+GIVING = {"ur5e": "coarse:ur5e", "panda": "coarse:panda", "qiao2026": "qiao2026"}
+
+
+def made(**arguments):
+    return gym.make(NAME, **arguments).unwrapped
+
+
+def still(env, steps):
+    """Stand for some steps; the last observation and information."""
+    for _ in range(steps):
+        observation, *_, info = env.step(np.zeros(env.action_space.shape))
+    return observation, info
+
+
+def played(env, seed):
+    """An episode of the script: the information at its end."""
+    policy = ScriptedScene(env)
+    observation, info = env.reset(seed=seed)
+    policy.reset()
+    for _ in range(300):
+        observation, _, terminated, _, info = env.step(policy.act(observation))
+        if terminated:
+            break
+    return info
+
+
+def test_with_a_perfect_arm_states_are_those_of_the_plain_model_to_the_bit():
+    env = made(plant="ideal:ur5e", leaves=2)
+    env.reset(seed=3)
+    scene, rng = env.scene, np.random.default_rng(0)
+    model = copy.deepcopy(scene.model)
+    data = mujoco.MjData(model)
+    for name in ("qpos", "ctrl", "eq_active"):
+        getattr(data, name)[:] = getattr(scene.data, name)
+    sent = scene.data.ctrl.copy()
+    for _ in range(1000):
+        env.step(np.append(rng.uniform(-1.0, 1.0, 6), -1.0))
+        for part in (0.5, 1.0):
+            data.ctrl[:] = sent + (scene.data.ctrl - sent) * part
+            mujoco.mj_step(model, data, 5)
+        data.eq_active[:] = scene.data.eq_active  # a stem that broke
+        sent = scene.data.ctrl.copy()
+        assert_array_equal(data.qpos, scene.data.qpos)
+        assert_array_equal(data.qvel, scene.data.qvel)
+
+
+def rest_gaps(name, plant, poses, **arguments):
+    """How far the tool of an arm at rest is from where the plant has it, at drawn poses, m."""
+    env = made(plant=plant, **arguments)
+    rng, gaps = np.random.default_rng(1), []
+    nominal = env.task.plant.arm.nominal
+    for _ in range(poses):
+        start = nominal.lower + rng.uniform(0.1, 0.9, nominal.joints) * (nominal.upper - nominal.lower)
+        env.reset(seed=0, options={"start_joints": start, "goal_joints": nominal.lower * 0.3 + nominal.upper * 0.7})
+        still(env, 12)
+        expected = env.plant.stands(math, env._state.plant, start.tolist())[1]
+        gaps.append(np.linalg.norm(np.array(env.scene.tool[9:]) - expected[9:]))
+        if not env.plant.effects:
+            assert_allclose(env.scene.tool[9:], forward(env.plant.geometry, start).position, rtol=0, atol=1e-5)
+    return np.array(gaps)
+
+
+@pytest.mark.parametrize("name", GIVING)
+@pytest.mark.parametrize("poses", [5, pytest.param(200, marks=pytest.mark.slow)])
+def test_at_rest_the_true_tool_is_where_our_kinematics_have_it(name, poses):
+    assert rest_gaps(name, f"coarse:{name}", poses, error_mm=5.0).max() < 1e-5
+    assert rest_gaps(name, GIVING[name], poses).max() < 5e-5
+
+
+@pytest.mark.parametrize("size", [0.0, 3.0])
+def test_the_arm_errs_by_what_is_asked_for(size):
+    env = made(plant="coarse:panda", error_mm=size, arms="per_episode", population=3)
+    nominal = env.task.plant.arm.nominal
+    joints = np.random.default_rng(0).uniform(nominal.lower, nominal.upper, (2000, nominal.joints))
+    geometries = []
+    for arm in range(3):
+        env.reset(seed=0, options={"arm": arm})
+        gaps = forward(env.plant.geometry, joints).position - forward(nominal, joints).position
+        assert np.linalg.norm(gaps, axis=1).mean() == pytest.approx(size * 1e-3, rel=0.1)
+        geometries.append(env.plant.geometry.theta)
+    assert (np.ptp(geometries, axis=0) > 0.0).any() == (size > 0.0)
+
+
+def test_fruit_hangs_where_it_was_wanted_and_stays():
+    env = made(fruit=3, leaves=3)
+    env.reset(seed=2)
+    before = env.scene.fruit.copy()
+    _, info = still(env, 50)
+    assert_allclose(env.scene.fruit, before, rtol=0, atol=2e-4)
+    assert not info["detached"] and not info["attached"] and not info["is_success"]
+    apart = np.linalg.norm(before[1:] - before[0], axis=1)
+    assert (apart > 2.0 * env.scene.around.radius).all()
+
+
+def test_a_stem_breaks_at_its_strength_and_not_before():
+    env = made()
+    env.reset(seed=0)
+    scene, body = env.scene, env.scene.model.body("fruit 0").id
+    weight = scene.around.mass * 9.81
+    for share, held in ((0.9, True), (1.1, False)):
+        for pull in np.linspace(0.0, share, 60):
+            scene.data.xfrc_applied[body, 2] = -(pull * scene.strength[0] - weight)
+            still(env, 1)
+        still(env, 10)
+        assert scene.held[0] == held
+
+
+@pytest.mark.parametrize(("aside", "taken"), [(3.0, True), (8.0, False)])
+def test_the_cup_takes_what_lies_within_its_clearance(aside, taken):
+    env = made()
+    observation, _ = env.reset(seed=4)
+    policy = ScriptedScene(env)
+    n, tool = 6, env.task.plant.arm.nominal
+    goal = policy.wanted_joints(policy.present(observation[:-2]))
+    across = forward(tool, goal).rotation[:, 0]
+    for _ in range(160):
+        wrong = observation.copy()
+        wrong[n + 3 : n + 6] += 1e-3 * aside * across
+        wrong[n + 6 : n + 9] += 1e-3 * aside * across
+        observation, _, terminated, _, info = env.step(policy.act(wrong))
+        if terminated:
+            break
+    assert info["grasp_lateral_mm"] == pytest.approx(aside, abs=0.7)
+    assert info["is_success"] == info["attached"] == taken
+
+
+def test_the_script_picks_with_a_good_arm_and_misses_with_a_bad_one_until_it_is_corrected():
+    good = [played(made(), seed)["is_success"] for seed in range(4)]
+    bad = made(plant="coarse:ur5e", error_mm=20.0)
+    raw = [played(bad, seed) for seed in range(4)]
+    believed, true = bad.task.plant.arm.nominal, bad.plant.geometry
+
+    def corrected(joints):
+        back, wanted = joints, forward(believed, joints)
+        for _ in range(6):
+            back = back + truncated_inverse(joint_jacobian(true, back)) @ pose_error(forward(true, back), wanted)
+        return back
+
+    wrapped = CompensationWrapper(bad, corrected)
+    good_again = [played(wrapped, seed) for seed in range(4)]
+    assert sum(good) == 4
+    assert sum(info["is_success"] for info in raw) < 3
+    assert all(info["grasp_lateral_mm"] < 6.0 for info in raw if info["is_success"])
+    assert sum(info["is_success"] for info in good_again) >= 3
+    assert max(info["grasp_lateral_mm"] for info in good_again) < 2.0
+
+
+def test_pictures_are_of_the_true_cameras_and_the_same_for_a_seed():
+    one, other = (made(obs_type="pixels_agent_pos", pixels=48, camera_mm=mm, leaves=2) for mm in (0.0, 30.0))
+    try:
+        (first, _), (moved, _) = one.reset(seed=1), other.reset(seed=1)
+    except InputError as error:
+        pytest.skip(f"no pictures on this machine: {error}")
+    again, _ = one.reset(seed=1)
+    assert set(first) == {"agent_pos", "pixels"} and set(first["pixels"]) == {"world", "wrist"}
+    for camera, picture in first["pixels"].items():
+        assert picture.shape == (48, 48, 3) and picture.std() > 5.0
+        assert_array_equal(picture, again["pixels"][camera])
+        assert (picture != moved["pixels"][camera]).any()
+    assert_array_equal(first["agent_pos"], moved["agent_pos"])
+    assert first in one.observation_space
+    assert (first["pixels"]["world"][..., 0] > 2 * first["pixels"]["world"][..., 1].astype(int)).any()  # red fruit
+    for env in (one, other):
+        env.close()
+
+
+@pytest.mark.skipif(not MAKERS.exists(), reason="the SO-101 of its makers is not there (PICKENV_DATA)")
+def test_a_makers_arm_picks_too_and_stands_where_ours_does():
+    env = made(plant="ideal:so101", model=str(MAKERS))
+    assert sum(played(env, seed)["is_success"] for seed in range(3)) >= 2
+    assert rest_gaps("so101", "coarse:so101", 4, model=str(MAKERS), error_mm=5.0).max() < 1e-5
+    with pytest.raises(InputError, match="no joint 'J1"):
+        made(plant="ideal:ur5e", model=str(MAKERS))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"obs_type": "rgb"}, "state, pixels"),
+        ({"pixels": 4}, "at least 16"),
+        ({"pixels": 5000}, "at most 1024"),
+        ({"cameras": ["head"]}, "give a list of world, wrist"),
+        ({"cameras": "wrist"}, "give a list of world, wrist"),
+        ({"fruit": 0}, "fruit is 0"),
+        ({"error_mm": -1.0}, "error_mm is -1.0"),
+        ({"error_mm": 1.0}, "no error of its parts"),
+        ({"scale": 0.0}, "scale is 0"),
+        ({"model": "nowhere.xml"}, "does not exist"),
+        ({"plant": "nobody"}, "nobody"),
+    ],
+)
+def test_impossible_arguments_are_refused_in_one_sentence(arguments, words):
+    with pytest.raises(InputError, match=words) as caught:
+        made(**arguments)
+    assert "\n" not in str(caught.value)
