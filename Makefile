@@ -5,6 +5,8 @@
 #   make test-browser         a demo run seen through a viewer and a browser: runs/browser (Debian or Ubuntu)
 #   make test-lowest          arms and calibration with the lowest versions that pyproject.toml promises: .venv-lowest
 #   make test-referees        patched files of UR5 and Panda against Pinocchio, which are large packages
+#   make test-lerobot         LeRobot's own evaluation of its policies on the scene, and the correction of a robot's
+#                             targets: .venv-lerobot, of Python 3.12 or newer (PYTHON312=python3.13)
 #   make docs                 the site: docs/_build/html/index.html
 #   make links                every address that the site names is asked whether it is there
 #   make package              wheel and source archive, built twice and compared, and looked through: dist/
@@ -18,6 +20,7 @@
 #   make ... TORCH=cuda       torch with CUDA, or TORCH=cpu without; left out, as the computer has a driver by NVIDIA
 
 PYTHON ?= python3
+PYTHON312 ?= python3.12
 ARGS ?=
 TORCH ?= auto
 
@@ -29,6 +32,7 @@ DEVELOPMENT := $(VENV)/.development
 BROWSER := $(VENV)/.browser
 MUTANTS := $(VENV)/.mutants
 REFEREES := $(VENV)/.referees
+LEROBOT := $(VENV)-lerobot/.lerobot
 DOCS := $(VENV)/.docs
 RELEASE := $(VENV)/.release
 # Chromium; Mesa's drivers that draw on the processor, for Vulkan (rerun's own viewer) and OpenGL (the browser); a
@@ -40,7 +44,7 @@ BROWSER_PACKAGES := chromium mesa-vulkan-drivers libegl1 libgl1-mesa-dri libatom
 TEST_ENVIRONMENT := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MPLBACKEND=Agg
 PYTEST := $(TEST_ENVIRONMENT) $(BIN)/python -m pytest
 
-.PHONY: demo claims docs links package licences test test-slow test-lowest test-referees test-browser coverage-of-intervals lint format benchmark mutants clean
+.PHONY: demo claims docs links package licences test test-slow test-lowest test-referees test-lerobot test-browser coverage-of-intervals lint format benchmark mutants clean
 
 demo: $(RUNTIME)
 	$(BIN)/pickenv demo --out runs/demo $(ARGS)
@@ -53,6 +57,9 @@ test-slow: $(DEVELOPMENT)
 
 test-referees: $(REFEREES)
 	$(PYTEST) -n 2 tests/calibration/delivery $(ARGS)
+
+test-lerobot: $(LEROBOT)
+	HF_HUB_OFFLINE=1 $(TEST_ENVIRONMENT) $(VENV)-lerobot/bin/python -m pytest -n 2 -W default tests/lerobot $(ARGS)
 
 test-lowest:
 	@$(PYTHON) -m venv --clear $(VENV)-lowest
@@ -112,7 +119,7 @@ mutants: $(MUTANTS)
 	$(BIN)/python .ci/mutation/mutants.py $(ARGS)
 
 clean:
-	rm -rf $(VENV) runs dist build docs/_build docs/_generated .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
+	rm -rf $(VENV) $(VENV)-lerobot runs dist build docs/_build docs/_generated .mypy_cache .ruff_cache .pytest_cache .hypothesis .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # torch goes first and alone, at its tested version: an open range makes pip try, and download, several of gigabytes.
@@ -133,6 +140,19 @@ $(DEVELOPMENT): $(RUNTIME)
 
 $(REFEREES): $(DEVELOPMENT)
 	@$(PIP) install -c constraints.txt -e ".[referees]"
+	@touch $@
+
+# LeRobot holds torch below the version of constraints.txt. torchvision goes with it, as both must be of one build.
+$(LEROBOT): pyproject.toml scripts/lerobot_env_pickenv/pyproject.toml
+	@$(PYTHON312) -c 'import sys; sys.exit(sys.version_info < (3, 12))' 2>/dev/null || { \
+		echo "LeRobot needs Python 3.12 or newer as '$(PYTHON312)'; name another with: make PYTHON312=/path/to/python" >&2; exit 1; }
+	@echo "Setting up $(VENV)-lerobot (once; some minutes, mostly the download of torch)"
+	@$(PYTHON312) -m venv --clear $(VENV)-lerobot
+	@$(VENV)-lerobot/bin/python -m pip --disable-pip-version-check --quiet install --retries 1 --no-deps \
+		--extra-index-url https://download.pytorch.org/whl/cpu torch==2.11.0 torchvision==0.26.0
+	@$(VENV)-lerobot/bin/python -m pip --disable-pip-version-check --quiet install -e ".[scene]" -e scripts/lerobot_env_pickenv \
+		"lerobot[dataset,diffusion,evaluation]==0.6.1" torch==2.11.0 torchvision==0.26.0 \
+		hypothesis pytest pytest-benchmark pytest-xdist
 	@touch $@
 
 $(DOCS): $(RUNTIME)

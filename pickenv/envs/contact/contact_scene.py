@@ -153,13 +153,13 @@ class ContactScene:
         self.held, self.suction = np.ones(around.fruit, dtype=np.bool_), False
         self.strength = np.full(around.fruit, np.inf)
         self._plant: Plant | None = None
-        self._pictures: Any = None
+        self._pictures: dict[tuple[int, int], Any] = {}
         self._shown: Any = None
         self._sent: Array = np.zeros(self.model.nu)
 
     def __getstate__(self) -> dict[str, Any]:
         """What a copy keeps: all but what draws pictures."""
-        return self.__dict__ | {"_pictures": None, "_shown": None}
+        return self.__dict__ | {"_pictures": {}, "_shown": None}
 
     @property
     def _mujoco(self) -> Any:
@@ -467,12 +467,11 @@ class ContactScene:
             InputError: If nothing on this machine draws without a screen.
         """
         mujoco = self._mujoco
-        if self._pictures is None or self._pictures.size != size:
+        if size not in self._pictures:  # films are larger than what is observed, and a context takes long to make
             from pickenv.pictures.mujoco_drawer import ModelPictures  # late: it loads MuJoCo
 
-            self.close()
             try:
-                self._pictures = ModelPictures(self.model, size)
+                self._pictures[size] = ModelPictures(self.model, size)
             except Exception as error:  # each way of drawing has its own errors
                 advice = "install EGL (libegl1, libopengl0, libgl1-mesa-dri), or give obs_type='state'"
                 raise InputError(f"MuJoCo cannot draw here; {advice}") from error
@@ -481,10 +480,9 @@ class ContactScene:
             self._shown.sitegroup[:] = 0
             self._shown.flags[mujoco.mjtVisFlag.mjVIS_CONVEXHULL] = 1
         mujoco.mj_camlight(self.model, self.data)
-        return cast(Pixels, self._pictures.draw(self.data, self._cameras[camera], self._shown, dark))
+        return cast(Pixels, self._pictures[size].draw(self.data, self._cameras[camera], self._shown, dark))
 
     def close(self) -> None:
         """Give back what drawing took."""
-        if self._pictures is not None:
-            self._pictures.close()
-            self._pictures = None
+        while self._pictures:
+            self._pictures.popitem()[1].close()
