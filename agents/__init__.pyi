@@ -30,6 +30,7 @@ from .policies.scripted import (
     ScriptedPick as ScriptedPick,
     ScriptedReach as ScriptedReach,
     ScriptedScene as ScriptedScene,
+    SeeingScene as SeeingScene,
     ServoReach as ServoReach,
 )
 from .training.checkpoints import read_checkpoint as read_checkpoint

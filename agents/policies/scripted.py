@@ -122,9 +122,9 @@ class ScriptedScene(ScriptedReach):
         self._stage, self._waited, self._at = 0, 0, self.FAR
         self._gaps: list[Array] = []
 
-    def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
+    def act(self, observation: Any) -> NDArray[np.float32]:
         """The next action: increments of the joints, and the gripper, which is open below 0."""
-        reading = self.present(np.asarray(observation)[:-2])
+        reading = self.present(np.asarray(self._numbers(observation))[:-2])
         if self._wanted is None:
             self._wanted = self.wanted_joints(reading)
         end = (self.FAR, self.BEFORE, self.PRESS, self.PRESS, self.AWAY)[self._stage]
@@ -134,18 +134,26 @@ class ScriptedScene(ScriptedReach):
             goal = self._along(self._wanted, self._at * self._scale)
         else:
             goal = self._drawn(reading.joints, min(self._at, 0.0) * self._scale)
-        if self._stage == 1 and self._at == end and reading.camera is not None:
-            self._gaps.append(reading.camera - reading.offset)
+        if self._stage == 1 and self._waited > SETTLED and (gap := self._gap(observation, reading)) is not None:
+            self._gaps.append(gap)
         if self._stage >= 2 and self._gaps:
             goal = self._moved(goal, np.mean(self._gaps, axis=0))
         away = goal - reading.joints
         patience = self._PATIENCE[self._stage]
         arrived = self._at == end and (float(np.abs(away).max()) < self.NEAR or self._waited > MOST_WAITED)
-        self._waited += 1
+        self._waited += self._at == end
         if arrived and self._waited > patience:
             self._stage, self._waited = self._stage + 1, 0
         closed = self._stage >= 2
         return np.append(self.action(away), 1.0 if closed else -1.0).astype(np.float32)
+
+    def _numbers(self, observation: Any) -> Any:
+        """The numbers of the state in an observation."""
+        return observation
+
+    def _gap(self, observation: Any, reading: policy.ObservationParts) -> Array | None:
+        """How far the true tool is from where it is believed to be, as far as it can be seen ``(3,)``, m."""
+        return None if reading.camera is None else reading.camera - reading.offset
 
     def _along(self, joints: Array, distance: float) -> Array:
         """Joints whose tool is moved along its own axis, m."""
@@ -171,9 +179,47 @@ class ScriptedScene(ScriptedReach):
 
     def _moved(self, joints: Array, shift: Array) -> Array:
         """Joints whose tool is moved by ``shift (3,)``, m, and keeps its attitude as far as it can."""
-        step = truncated_inverse(joint_jacobian(self.geometry, joints)) @ np.concatenate([shift, np.zeros(3)])
+        jacobian = joint_jacobian(self.geometry, joints)
+        back = truncated_inverse(jacobian[:3])
+        step, free = back @ shift, np.eye(len(joints)) - back @ jacobian[:3]
+        step = step - free @ (truncated_inverse(jacobian[3:] @ free) @ (jacobian[3:] @ step))
         return np.asarray((joints + step).clip(self.geometry.lower, self.geometry.upper))
 
+
+class SeeingScene(ScriptedScene):
+    """`ScriptedScene` that looks at the fruit in the wrist camera's pictures while it stands, and corrects by them.
+
+    It takes "pixels_environment_state_agent_pos", finds the red fruit's middle, and takes the camera to be where it is
+    said to be: an error of the camera's place becomes one of the grasp.
+    """
+
+    def __init__(self, env: Any) -> None:
+        """Read the arm, the scale and the camera's place on the tool from ``env``."""
+        super().__init__(env)
+        self._eye, self._eye_axes, self._slope = env.unwrapped.scene.wrist_eye
+
+    def _numbers(self, observation: Any) -> Any:
+        return observation["environment_state"]
+
+    def _gap(self, observation: Any, reading: policy.ObservationParts) -> Array | None:
+        picture = observation["pixels"]["wrist"].astype(float)
+        rows, columns = np.nonzero(picture[..., 0] > RED * picture[..., 1:].max(axis=-1))
+        if len(rows) < FEWEST:
+            return None
+        half = len(picture) / 2
+        across = np.array([columns.mean() + 0.5 - half, half - 0.5 - rows.mean()]) / half * self._slope
+        ray = self._eye_axes @ [*across, -1.0]
+        pose = forward(self.geometry, reading.joints)
+        depth = reading.offset @ pose.rotation[:, 2]
+        point = self._eye + ray * ((depth - self._eye[2]) / ray[2])
+        return np.asarray(pose.rotation @ point - reading.offset)
+
+
+SETTLED = 4
+"""Steps after which an arm that stands is looked at."""
+
+RED, FEWEST = 1.8, 3
+"""How much redder than green or blue a fruit's pixels are, and how many it takes to believe them."""
 
 MOST_WAITED = 60
 """Steps after which an arm that comes no nearer goes on."""

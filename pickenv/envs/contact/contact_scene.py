@@ -443,6 +443,11 @@ class ContactScene:
         return frame_of(Pose(self.data.site_xpos[spot], self.data.site_xmat[spot].reshape(3, 3)))
 
     @property
+    def wrist_eye(self) -> tuple[Array, Array, float]:
+        """Where the wrist camera is said to be: place ``(3,)``, m, and axes ``(3, 3)`` in the tool's frame, tangent."""
+        return (*self._said["wrist"], math.tan(math.radians(WIDE) / 2))
+
+    @property
     def fruit(self) -> Array:
         """Centres of the fruit ``(f, 3)``, m."""
         return np.asarray(self.data.xpos[self._fruit])

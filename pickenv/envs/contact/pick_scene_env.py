@@ -25,7 +25,7 @@ from pickenv.orchard import load_branch, load_detachment, load_fruit_size, load_
 from pickenv.orchard.gripper import misalignment
 from pickenv.pictures.stage import SIZE, Pixels, fitted_eye
 
-OBSERVATIONS = ("state", "pixels", "pixels_agent_pos")
+OBSERVATIONS = ("state", "pixels", "pixels_agent_pos", "pixels_environment_state_agent_pos")
 PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25
 """Default of `control_period_s`, what each step costs, and what a fruit off its stem earns."""
 
@@ -65,6 +65,7 @@ class PickSceneEnv(ReachEnv):
       suction, and whether the cup holds the fruit. The fruit is where it was seen before the episode.
     - "pixels": `Dict` with `pixels`, itself a `Dict` of `(pixels, pixels, 3)` uint8 pictures by camera.
     - "pixels_agent_pos": that, and `agent_pos`, the joint readings (rad, m) and the suction, as LeRobot names them.
+    - "pixels_environment_state_agent_pos": that, and the numbers of "state" as `environment_state`.
 
     The camera "world" stands before the tree; "wrist" rides behind the tool. Pictures need EGL or OSMesa where there is
     no screen.
@@ -215,15 +216,15 @@ class PickSceneEnv(ReachEnv):
         return erring_by(plant, 1e-3 * self._error, halton_joints(plant.arm.nominal, SPREAD))
 
     def _space(self) -> spaces.Space[Any]:
-        flat = flat_space(self.task)
+        flat, zeros, ones = flat_space(self.task), np.zeros(2, np.float32), np.ones(2, np.float32)
+        state = spaces.Box(np.append(flat.low, zeros), np.append(flat.high, ones), dtype=np.float32)
         if self.obs_type == OBSERVATIONS[0]:
-            low, high = (
-                np.append(limit, np.full(2, end, np.float32)) for limit, end in ((flat.low, 0), (flat.high, 1))
-            )
-            return spaces.Box(low, high, dtype=np.float32)
+            return state
         picture = spaces.Box(0, 255, (self.pixels, self.pixels, 3), dtype=np.uint8)
         parts: dict[str, spaces.Space[Any]] = {"pixels": spaces.Dict(dict.fromkeys(self.cameras, picture))}
-        if self.obs_type == OBSERVATIONS[2]:
+        if self.obs_type == OBSERVATIONS[3]:
+            parts["environment_state"] = state
+        if self.obs_type in OBSERVATIONS[2:]:
             low, high = np.append(self.task.lower, 0.0), np.append(self.task.upper, 1.0)
             margin = 1e-6 * (high - low)  # of rounding to single precision
             parts["agent_pos"] = spaces.Box((low - margin).astype(np.float32), (high + margin).astype(np.float32))
@@ -299,16 +300,17 @@ class PickSceneEnv(ReachEnv):
 
     def _observe(self, scene: simulation.View) -> tuple[Any, float]:
         flat, reward = super()._observe(scene)
+        grip = np.array([self.scene.suction, self.scene.taken[0]], dtype=np.float32)
         if self.obs_type == OBSERVATIONS[0]:
-            grip = [float(self.scene.suction), float(self.scene.taken[0])]
-            return np.append(flat, grip).astype(np.float32), reward
-        views: dict[str, Any] = {
-            "pixels": {name: self.scene.picture(name, (self.pixels, self.pixels)) for name in self.cameras}
-        }
-        if self.obs_type == OBSERVATIONS[2]:
+            return np.append(flat, grip), reward
+        size = self.pixels, self.pixels
+        views: dict[str, Any] = {"pixels": {name: self.scene.picture(name, size) for name in self.cameras}}
+        if self.obs_type == OBSERVATIONS[3]:
+            views["environment_state"] = np.append(flat, grip)
+        if self.obs_type in OBSERVATIONS[2:]:
             low, high = np.array(self.task.lower), np.array(self.task.upper)
             joints = low + (np.array(scene.readings) + 1.0) * 0.5 * (high - low)
-            views["agent_pos"] = np.append(joints, float(self.scene.suction)).astype(np.float32)
+            views["agent_pos"] = np.append(joints, grip[0]).astype(np.float32)
         return views, reward
 
     def _picture(self) -> Pixels:

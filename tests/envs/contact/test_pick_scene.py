@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from pickenv.agents import ScriptedScene
+from pickenv.agents import ScriptedScene, SeeingScene
 from pickenv.arm import forward, joint_jacobian, pose_error, truncated_inverse
 from pickenv.base import InputError
 from pickenv.wrappers import CompensationWrapper
@@ -33,9 +33,9 @@ def still(env, steps):
     return observation, info
 
 
-def played(env, seed):
+def played(env, seed, script=ScriptedScene):
     """An episode of the script: the information at its end."""
-    policy = ScriptedScene(env)
+    policy = script(env)
     observation, info = env.reset(seed=seed)
     policy.reset()
     for _ in range(300):
@@ -229,3 +229,19 @@ def test_impossible_arguments_are_refused_in_one_sentence(arguments, words):
     with pytest.raises(InputError, match=words) as caught:
         made(**arguments)
     assert "\n" not in str(caught.value)
+
+
+def test_a_policy_that_sees_makes_up_for_the_arm_but_not_for_its_own_camera():
+    def lateral(script, obs_type, camera_mm, **where):
+        env = made(plant="coarse:so101", obs_type=obs_type, camera_mm=camera_mm, cameras=["wrist"], pixels=96, **where)
+        try:
+            return np.median([played(env, seed, script)["grasp_lateral_mm"] for seed in range(6)])
+        except InputError as error:
+            pytest.skip(f"no pictures on this machine: {error}")
+
+    sees = SeeingScene, "pixels_environment_state_agent_pos"
+    blind = lateral(ScriptedScene, "state", 0.0, error_mm=8.0)
+    assert blind > 4.0
+    assert lateral(*sees, 0.0, error_mm=8.0) < 0.5 * blind
+    assert lateral(*sees, 0.0, error_mm=0.0) < 1.0
+    assert lateral(*sees, 8.0, error_mm=0.0) > 3.0
