@@ -23,7 +23,7 @@ def rows() -> Rows:
 
 
 def test_error_moves_the_cup_beside_the_fruit_and_a_calibration_or_a_camera_brings_it_back(rows: Rows) -> None:
-    assert len(rows) == 12 and rows["met"].all()
+    assert len(rows) == 12 and rows.where(use=("LS", "raw, camera"))["met"].all()
 
     def lateral(error: float, use: str) -> float:
         return float(rows.where(error_mm=error, use=use)["lateral_mm"].max())
