@@ -55,7 +55,10 @@ KEPT = {
     "findings-success.png": ("findings_policies", "A calibration changes picks where the machine drifts"),
     "findings-reality.png": ("findings_policies", "What is learnt removes less on the rough arm"),
     "findings-transfer.png": ("findings_transfer", "Wherever it was trained, a policy differs by less than 0.05 mm"),
-    **dict.fromkeys(("visuomotor.png", "visuomotor-dark.png"), ("scene", "Raw arms lose most fruit at 10 mm; calibrated by least squares they lose little")),
+    **dict.fromkeys(
+        ("visuomotor.png", "visuomotor-dark.png"),
+        ("scene", "Raw arms lose most fruit at 10 mm; calibrated by least squares they lose little"),
+    ),
 }
 """Pictures of numbers that the ledger has all, with their study and message."""
 

@@ -23,7 +23,7 @@ POSES, POSITION, ATTITUDE = 60, 15e-6, 2e-4
 LOOK_MM = 1.6
 """Noise of one look of the camera per axis, mm."""
 
-USES = ("raw", "LS", "raw, camera")
+USES = ("raw", "LS", "raw with a camera")
 """What is compared, on the same arms and fruit."""
 
 ERRORS = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0)
