@@ -13,9 +13,11 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Sequence
+from contextlib import AbstractContextManager, nullcontext
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
+from unittest.mock import patch
 
 import typer
 from matplotlib.figure import Figure
@@ -53,8 +55,15 @@ KEPT = {
     "findings-success.png": ("findings_policies", "A calibration changes picks where the machine drifts"),
     "findings-reality.png": ("findings_policies", "What is learnt removes less on the rough arm"),
     "findings-transfer.png": ("findings_transfer", "Wherever it was trained, a policy differs by less than 0.05 mm"),
+    **dict.fromkeys(
+        ("visuomotor.png", "visuomotor-dark.png"),
+        ("scene", "Raw arms lose most fruit at 10 mm; calibrated by least squares they lose little"),
+    ),
 }
 """Pictures of numbers that the ledger has all, with their study and message."""
+
+NIGHT = {"#1c2024": "#e8eaed", "#5b6470": "#a4adb8", "#dde1e6": "#343a41", "#ffffff": "#14171a"}
+"""Colours of a dark page in the places of those of a light one."""
 
 COMMANDS: dict[str, Sequence[str]] = {
     **dict.fromkeys(("comparing-policies-*.png", "explorer-*.webp", "inspection-*.webp"), BROWSER),
@@ -102,7 +111,7 @@ def draw_kept(picture: str) -> Path:
 
     name, message = KEPT[picture]
     study = load_experiment(ROOT / f"scripts/studies/{name}.toml")
-    (number,) = (number for number in study.numbers if f"{number.figure}.png" == picture)
+    (number,) = (number for number in study.numbers if f"{number.figure}.png" == picture.replace("-dark", ""))
     ledger = json.loads((ROOT / "docs/_static/claims.json").read_text(encoding="utf-8"))["rows"]
     rows = [
         {**row["levels"], "estimate": Estimate(row["value"], tuple(row["ci95"]))}
@@ -110,8 +119,21 @@ def draw_kept(picture: str) -> Path:
         if (row["experiment"], row["title"]) == (name, number.title)
     ]
     looks: dict[str, Any] = {"colour": number.across, "panels": number.panels, "log": number.log, "scale": number.scale}
+    looks |= {"x": number.x}
     label = in_words(number.title).replace("squares's", "squares'")
-    return saved(estimates_figure(rows, label, number.by, **looks), message, picture)
+    with look(picture):
+        return saved(estimates_figure(rows, label, number.by, **looks), message, picture)
+
+
+def look(picture: str) -> AbstractContextManager[Any]:
+    """The style of a picture's name: on a dark background if it ends in "-dark"."""
+    from pickenv.inspect.figures import style
+
+    if not Path(picture).stem.endswith("-dark"):
+        return nullcontext()
+    night = {name: NIGHT.get(value, value) for name, value in style.STYLE.items() if isinstance(value, str)}
+    paper = dict.fromkeys(("figure.facecolor", "axes.facecolor", "savefig.facecolor"), NIGHT[style.PAPER])
+    return patch.dict(style.STYLE, night | paper)
 
 
 def saved(figure: Figure, message: str, picture: str) -> Path:

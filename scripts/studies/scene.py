@@ -1,0 +1,101 @@
+"""What an arm's error costs when it takes a hanging fruit by touch: `pickenv experiment scripts/studies/scene.toml`.
+
+The scripted policy of `pickenv/PickScene-v0` on arms whose parts err by more and more, paired: raw, calibrated, and raw
+with a camera that sees how far the true tool is from the fruit. Simulated.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import gymnasium as gym
+import numpy as np
+
+from pickenv.agents.policies.scripted import ScriptedScene
+from pickenv.arm import Array
+from pickenv.arm.effects.drives import MeasurementNoise
+from pickenv.calibration import fit, random_joints, simulated_tracker
+
+POSES, POSITION, ATTITUDE = 60, 15e-6, 2e-4
+"""Poses of a calibration, and noise of the tracker per axis, m, and of its attitude, rad."""
+
+LOOK_MM = 1.6
+"""Noise of one look of the camera per axis, mm."""
+
+USES = ("raw", "LS", "raw with a camera")
+"""What is compared, on the same arms and fruit."""
+
+ERRORS = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0)
+"""Errors that have columns of their own for `half`, mm."""
+
+
+def pick(env: Any, policy: ScriptedScene, seed: int) -> dict[str, Any]:
+    """One fruit: whether it was picked, and how far beside the true tool's axis it was when the cup first met it, mm.
+
+    Args:
+        env: The environment.
+        policy: What acts in it.
+        seed: Seed of the episode.
+
+    Returns:
+        "success"; "met", 1 where the cup met the fruit; "lateral_mm", 0 where it did not.
+    """
+    observation, _ = env.reset(seed=seed)
+    policy.reset()
+    ended = False
+    while not ended:
+        observation, _, terminated, truncated, information = env.step(policy.act(observation))
+        ended = terminated or truncated
+    lateral, axial = information["grasp_lateral_mm"], information["grasp_axial_mm"]
+    met = float((lateral, axial) != (0.0, 0.0))
+    return {"success": float(information["is_success"]), "met": met, "lateral_mm": lateral}
+
+
+def measure(
+    rng: np.random.Generator, arm: int, robot: str, error_mm: float, fruit: int, steps: int
+) -> list[dict[str, Any]]:
+    """One arm of one robot at one error: a row for each use and fruit.
+
+    Args:
+        rng: Draws the arm, its calibration and its fruit, which are the same at every error.
+        arm: Number of the arm.
+        robot: Name of the plant; tolerances are of class coarse.
+        error_mm: Mean error of its tool, mm.
+        fruit: How many.
+        steps: After which an episode ends.
+    """
+    population, *fruit_seeds = rng.integers(2**31, size=1 + fruit).tolist()
+    own: dict[str, Any] = {"plant": f"coarse:{robot}", "population_seed": population, "error_mm": error_mm}
+    rows = []
+    for use in USES:
+        camera: dict[str, Any] = {"feedback": "camera", "camera_noise_mm": LOOK_MM} if "camera" in use else {}
+        env = gym.make("pickenv/PickScene-v0", max_episode_steps=steps, **own, **camera)
+        if use == "LS":
+            plant: Any = replace(env.unwrapped.plant, effects=(MeasurementNoise(POSITION, ATTITUDE),))  # type: ignore[attr-defined]
+            tracked = simulated_tracker(plant, random_joints(plant.arm.nominal, POSES, rng), rng)
+            calibration = fit(plant.arm, tracked, known_frames=True).calibration
+            env.unwrapped.compensator = calibration.compensator()  # type: ignore[attr-defined]
+        policy = ScriptedScene(env)
+        for number, seed in enumerate(fruit_seeds):
+            row: dict[str, Any] = {"use": use, "fruit": number} | pick(env, policy, seed)
+            at = {f"{error:g}": float(error == error_mm) for error in ERRORS}
+            row |= {f"tried_{name}": tried for name, tried in at.items()}
+            rows.append(row | {f"success_{name}": tried * row["success"] for name, tried in at.items()})
+        env.close()
+    return rows
+
+
+def half(table: Array) -> float:
+    """The error at which half of the fruit is picked, mm: on straight lines between shares that never rise.
+
+    Args:
+        table: Means of "tried_0", ..., "success_0", ... of each arm ``(arms, 2 len(ERRORS))``.
+
+    Returns:
+        The least error that was tried if less is picked even there, and the largest if more is.
+    """
+    tried, success = table.mean(axis=0).reshape(2, -1)
+    measured = tried > 0.0
+    shares = np.minimum.accumulate(success[measured] / tried[measured])
+    return float(np.interp(-0.5, -shares, np.array(ERRORS)[measured]))
