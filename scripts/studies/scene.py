@@ -1,7 +1,8 @@
 """What an arm's error costs when it takes a hanging fruit by touch: `pickenv experiment scripts/studies/scene.toml`.
 
 The scripted policy of `pickenv/PickScene-v0` on arms whose parts err by more and more, paired: raw, calibrated, and raw
-with a camera that sees how far the true tool is from the fruit. Simulated.
+with a policy that sees the fruit in the wrist camera's pictures, whose camera is where it is said to be or is not.
+Simulated.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from pickenv.agents.policies.scripted import ScriptedScene
+from pickenv.agents.policies.scripted import ScriptedScene, SeeingScene
 from pickenv.arm import Array
 from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.calibration import fit, random_joints, simulated_tracker
@@ -20,11 +21,12 @@ from pickenv.calibration import fit, random_joints, simulated_tracker
 POSES, POSITION, ATTITUDE = 60, 15e-6, 2e-4
 """Poses of a calibration, and noise of the tracker per axis, m, and of its attitude, rad."""
 
-LOOK_MM = 1.6
-"""Noise of one look of the camera per axis, mm."""
+SEES: dict[str, Any] = {"obs_type": "pixels_environment_state_agent_pos", "cameras": ["wrist"], "pixels": 96}
+OFF = {"camera_mm": 3.0, "camera_deg": 0.5}
+"""How far a camera is from where it is said to be, per axis."""
 
-USES = ("raw", "LS", "raw with a camera")
-"""What is compared, on the same arms and fruit."""
+USES: dict[str, dict[str, Any]] = {"raw": {}, "LS": {}, "sees": SEES, "sees, camera off": SEES | OFF}
+"""What is compared, on the same arms and fruit, with the arguments of its environment."""
 
 ERRORS = (0.0, 2.0, 4.0, 6.0, 8.0, 10.0)
 """Errors that have columns of their own for `half`, mm."""
@@ -68,15 +70,14 @@ def measure(
     population, *fruit_seeds = rng.integers(2**31, size=1 + fruit).tolist()
     own: dict[str, Any] = {"plant": f"coarse:{robot}", "population_seed": population, "error_mm": error_mm}
     rows = []
-    for use in USES:
-        camera: dict[str, Any] = {"feedback": "camera", "camera_noise_mm": LOOK_MM} if "camera" in use else {}
-        env = gym.make("pickenv/PickScene-v0", max_episode_steps=steps, **own, **camera)
+    for use, arguments in USES.items():
+        env = gym.make("pickenv/PickScene-v0", max_episode_steps=steps, **own, **arguments)
         if use == "LS":
             plant: Any = replace(env.unwrapped.plant, effects=(MeasurementNoise(POSITION, ATTITUDE),))  # type: ignore[attr-defined]
             tracked = simulated_tracker(plant, random_joints(plant.arm.nominal, POSES, rng), rng)
             calibration = fit(plant.arm, tracked, known_frames=True).calibration
             env.unwrapped.compensator = calibration.compensator()  # type: ignore[attr-defined]
-        policy = ScriptedScene(env)
+        policy = SeeingScene(env) if arguments else ScriptedScene(env)
         for number, seed in enumerate(fruit_seeds):
             row: dict[str, Any] = {"use": use, "fruit": number} | pick(env, policy, seed)
             at = {f"{error:g}": float(error == error_mm) for error in ERRORS}

@@ -22,8 +22,8 @@ def rows() -> Rows:
     return run(load_experiment(STUDY, changes=small).experiment)
 
 
-def test_error_moves_the_cup_beside_the_fruit_and_a_calibration_or_a_camera_brings_it_back(rows: Rows) -> None:
-    assert len(rows) == 12 and rows.where(use=("LS", "raw with a camera"))["met"].all()
+def test_error_moves_the_cup_beside_the_fruit_and_a_calibration_or_eyes_bring_it_back(rows: Rows) -> None:
+    assert len(rows) == 16 and rows.where(use="LS")["met"].all()
 
     def lateral(error: float, use: str) -> float:
         return float(rows.where(error_mm=error, use=use)["lateral_mm"].max())
@@ -31,7 +31,7 @@ def test_error_moves_the_cup_beside_the_fruit_and_a_calibration_or_a_camera_brin
     exact = lateral(0.0, "raw")
     assert lateral(10.0, "raw") > 5.0 > exact + 2.0
     assert lateral(10.0, "LS") == pytest.approx(exact, abs=0.5)
-    assert lateral(10.0, "raw with a camera") < 5.0
+    assert lateral(10.0, "sees") < 5.0
     assert rows.where(error_mm=10.0, use="LS")["success"].sum() >= rows.where(error_mm=10.0, use="raw")["success"].sum()
 
 

@@ -212,13 +212,18 @@ class ContactScene:
     def _equip(self, spec: Any, last: Any, tool: Frame) -> None:
         """Add to the last link what stands at its tool: the site, the wrist camera and the gripper."""
         mujoco, around = self._mujoco, self.around
-        rotation, face = np.array(tool[:9]).reshape(3, 3).T, -around.radius
-        if around.model is None:  # its last rod would end in the fruit
-            for geom in list(last.geoms):
-                spec.delete(geom)
-            self._rod(last, np.zeros(3), tool[9:] + rotation[:, 2] * (face - 0.08 * around.scale), 0.02)
-        last.add_site(name="true tool", pos=tool[9:], quat=quaternion(rotation), size=[1e-3] * 3)
-        hand = last.add_body(name="hand", pos=tool[9:], quat=quaternion(rotation), gravcomp=1.0)
+        rotation, place, face = np.array(tool[:9]).reshape(3, 3).T, np.array(tool[9:]), -around.radius
+        stand = around.radius + 0.08 * around.scale
+        if around.model is None:  # rods would end in the fruit
+            beyond = place @ rotation[:, 2] > stand
+            self._rods_end(spec, last, place - rotation[:, 2] * stand if beyond else np.zeros(3))
+            if np.linalg.norm(place) < around.radius and (length := float(np.linalg.norm(last.pos))) > 0.0:
+                self._rods_end(spec, last.parent, last.pos * max(1.0 - stand / length, 0.0))
+                for joint in last.parent.joints:
+                    if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
+                        self._rod(last.parent, [0.0, 0.0, -stand], [0.0, 0.0, -stand - float(joint.range[1])], 0.02)
+        last.add_site(name="true tool", pos=place, quat=quaternion(rotation), size=[1e-3] * 3)
+        hand = last.add_body(name="hand", pos=place, quat=quaternion(rotation), gravcomp=1.0)
         back = np.array([0.0, -0.12, -0.2]) * around.scale
         ahead = -back / np.linalg.norm(back)
         axes = np.stack([[1.0, 0.0, 0.0], np.cross(-ahead, [1.0, 0.0, 0.0]), -ahead], axis=1)
@@ -241,7 +246,13 @@ class ContactScene:
             condim=4,
             **shape,
         )
-        self._rod(hand, [0.0, 0.0, face - deep], [0.0, 0.0, face - 0.08 * around.scale], 0.3 * radius)
+        self._rod(hand, [0.0, 0.0, face - deep], [0.0, 0.0, -stand], 0.3 * radius)
+
+    def _rods_end(self, spec: Any, body: Any, end: Array) -> None:
+        """Put one rod from a body's origin to ``end (3,)``, m, in the place of its own."""
+        for geom in list(body.geoms):
+            spec.delete(geom)
+        self._rod(body, np.zeros(3), end, 0.02)
 
     def _rod(self, body: Any, start: ArrayLike, end: ArrayLike, radius: float) -> None:
         """Add a rod that touches nothing and weighs next to nothing."""
