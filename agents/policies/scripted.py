@@ -103,7 +103,7 @@ class ScriptedScene(ScriptedReach):
     FAR, BEFORE, PRESS, AWAY = -0.2, -0.08, 0.003, -0.4
     """Where the tool comes to along its axis, where it stands and looks, how far it presses, and how far it draws
     back, m at full scale."""
-    STAND, GRIP = 12, 10
+    STAND, GRIP = 40, 10
     """Steps for which it stands and looks, and for which it grips."""
     _PATIENCE = (0, STAND, 0, GRIP, np.inf)
     SLOW, NEAR = 0.003, 2e-3
@@ -180,9 +180,11 @@ class ScriptedScene(ScriptedReach):
     def _moved(self, joints: Array, shift: Array) -> Array:
         """Joints whose tool is moved by ``shift (3,)``, m, and keeps its attitude as far as it can."""
         jacobian = joint_jacobian(self.geometry, joints)
-        back = truncated_inverse(jacobian[:3])
-        step, free = back @ shift, np.eye(len(joints)) - back @ jacobian[:3]
-        step = step - free @ (truncated_inverse(jacobian[3:] @ free) @ (jacobian[3:] @ step))
+        step = truncated_inverse(jacobian) @ np.concatenate([shift, np.zeros(3)])
+        if np.linalg.norm(jacobian[:3] @ step - shift) > STRAY * np.linalg.norm(shift):  # the attitude gives way
+            back = truncated_inverse(jacobian[:3])
+            step, free = back @ shift, np.eye(len(joints)) - back @ jacobian[:3]
+            step = step - free @ (truncated_inverse(jacobian[3:] @ free) @ (jacobian[3:] @ step))
         return np.asarray((joints + step).clip(self.geometry.lower, self.geometry.upper))
 
 
@@ -215,11 +217,14 @@ class SeeingScene(ScriptedScene):
         return np.asarray(pose.rotation @ point - reading.offset)
 
 
-SETTLED = 4
+SETTLED = 16
 """Steps after which an arm that stands is looked at."""
 
 RED, FEWEST = 1.8, 3
 """How much redder than green or blue a fruit's pixels are, and how many it takes to believe them."""
+
+STRAY = 0.01
+"""Share of a shift that may be lost to keep the tool's attitude."""
 
 MOST_WAITED = 60
 """Steps after which an arm that comes no nearer goes on."""

@@ -134,7 +134,7 @@ def test_the_cup_takes_what_lies_within_its_clearance(aside, taken):
     n, tool = 6, env.task.plant.arm.nominal
     goal = policy.wanted_joints(policy.present(observation[:-2]))
     across = forward(tool, goal).rotation[:, 0]
-    for _ in range(160):
+    for _ in range(200):
         wrong = observation.copy()
         wrong[n + 3 : n + 6] += 1e-3 * aside * across
         wrong[n + 6 : n + 9] += 1e-3 * aside * across
