@@ -84,7 +84,7 @@ def test_few_rows_are_judged_one_by_one(dynamic, tmp_path, count, frames, said):
     rng = np.random.default_rng(0)
     data = simulated_tracker(dynamic, random_joints(dynamic.geometry, count, rng), rng)
     done = call("calibrate", data.write_csv(tmp_path / "few.csv"), *PLAIN, "--frames", frames)
-    assert done.exit_code == (3 if "DO NOT" in said else 0) and done.output.startswith(f"verdict: {said}")
+    assert done.exit_code == (3 if "DO NOT" in said else 0) and done.stdout.startswith(f"verdict: {said}")
 
 
 @pytest.mark.parametrize(("frames", "said"), [("known", "holds one row, and none to judge by"), ("fitted", "too few")])
