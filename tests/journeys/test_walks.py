@@ -60,7 +60,7 @@ def test_the_page_on_installation_has_a_row_for_every_extra() -> None:
 
 
 def test_an_extra_is_asked_for_in_one_of_two_ways_everywhere() -> None:
-    """Of a checkout and its packages, or of the pickenv that is installed; no page has pip look for what is on no index."""
+    """Of a checkout and its packages, or of the pickenv that is installed; no page has pip look on an index for one."""
     pages = [ROOT / "README.md", *(ROOT / "docs").glob("*.md"), *(ROOT / "docs/tutorials").glob("*.md")]
     told = {
         (page.name, line)
