@@ -177,12 +177,16 @@ def test_record_video_films_every_id(name, moviepy, tmp_path):
     env.close()
     (path,) = (tmp_path / "films").glob("*.mp4")
     frames, seconds = imageio_ffmpeg.count_frames_and_secs(str(path))
-    assert frames == 5 and seconds == pytest.approx(0.5, abs=0.11)
+    lasts = 5 / env.metadata["render_fps"]  # of the arm's time
+    assert frames == 5 and seconds == pytest.approx(lasts, rel=0.22)
 
 
 @pytest.mark.slow
 def test_making_an_environment_loads_nothing_that_draws():
-    code = f"import sys, gymnasium, pickenv\nfor name in {IDS!r}: gymnasium.make(name).reset(seed=0)\n"
-    code += "print({'mujoco', 'matplotlib', 'PIL'} & {name.partition('.')[0] for name in sys.modules})"
+    without = [name for name in IDS if name != "pickenv/PickScene-v0"]
+    code = f"import sys, gymnasium, pickenv\nfor name in {without!r}: gymnasium.make(name).reset(seed=0)\n"
+    code += "assert 'mujoco' not in sys.modules\n"
+    code += "gymnasium.make('pickenv/PickScene-v0').reset(seed=0)\n"  # which MuJoCo simulates
+    code += "print({'pickenv.pictures.mujoco_drawer', 'matplotlib', 'PIL'} & set(sys.modules))"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.stdout.strip() == "set()", done.stderr
