@@ -90,9 +90,6 @@ class RandomReach:
         return np.asarray(self.rng.uniform(low, high, (*np.shape(observation)[:-1], *low.shape)), dtype=np.float32)
 
 
-# The oracle: a policy that knows the true arm. What remains with it, no calibration can remove.
-
-
 class ScriptedScene(ScriptedReach):
     """Take the fruit of `pickenv/PickScene-v0`: come from behind it, stand, go to it, grip, and draw it away.
 
@@ -228,6 +225,9 @@ STRAY = 0.01
 
 MOST_WAITED = 60
 """Steps after which an arm that comes no nearer goes on."""
+
+# The oracle: a policy that knows the true arm. What remains with it, no calibration can remove.
+
 
 ITERATIONS = 6
 """Newton steps from the nominal solution; millimetres shrink to nothing in three."""

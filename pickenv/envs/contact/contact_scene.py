@@ -136,7 +136,6 @@ class ContactScene:
         self.around, self.nominal = around, arm.nominal
         spec = self._robot(arm)
         robot = spec.compile()
-        self._own = [robot.actuator(i).name for i in range(robot.nu)]
         if around.model is not None:
             for i, drive in enumerate(spec.actuators):  # makers' gains swing; a servo's own derivative term does not
                 inertia = robot.dof_M0[robot.jnt_dofadr[robot.actuator_trnid[i, 0]]]
@@ -166,7 +165,7 @@ class ContactScene:
         return import_module("mujoco")
 
     def _robot(self, arm: Arm) -> Any:
-        """The arm alone, whose hand can touch things and which carries no weight."""
+        """The arm alone, which carries no weight, and the world camera."""
         mujoco, around = self._mujoco, self.around
         if around.model is None:
             spec = mujoco.MjSpec.from_string(mjcf_text(arm.nominal, arm.name))
@@ -202,7 +201,7 @@ class ContactScene:
         spec.add_texture(name="sky", **sky, rgb1=[0.85, 0.90, 0.95], rgb2=[0.55, 0.65, 0.55], width=64, height=64)
         ahead = around.eye.axes()
         spec.worldbody.add_camera(
-            name="world",
+            name="pickenv world",
             pos=around.eye.position,
             quat=quaternion(np.stack([ahead[0], ahead[1], -ahead[2]], axis=1)),
             fovy=around.eye.angle_deg,
@@ -223,11 +222,11 @@ class ContactScene:
                     if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
                         self._rod(last.parent, [0.0, 0.0, -stand], [0.0, 0.0, -stand - float(joint.range[1])], 0.02)
         last.add_site(name="true tool", pos=place, quat=quaternion(rotation), size=[1e-3] * 3)
-        hand = last.add_body(name="hand", pos=place, quat=quaternion(rotation), gravcomp=1.0)
+        hand = last.add_body(name="pickenv hand", pos=place, quat=quaternion(rotation), gravcomp=1.0)
         back = np.array([0.0, -0.12, -0.2]) * around.scale
         ahead = -back / np.linalg.norm(back)
         axes = np.stack([[1.0, 0.0, 0.0], np.cross(-ahead, [1.0, 0.0, 0.0]), -ahead], axis=1)
-        hand.add_camera(name="wrist", pos=back, quat=quaternion(axes), fovy=WIDE)
+        hand.add_camera(name="pickenv wrist", pos=back, quat=quaternion(axes), fovy=WIDE)
         radius, lip, deep = 3.0 * around.clearance, around.suction.lip * around.scale, around.suction.thickness
         shape = {
             "contype": GRIPPER_BIT,
@@ -307,7 +306,7 @@ class ContactScene:
             name=f"hold {number}",
             type=mujoco.mjtEq.mjEQ_WELD,
             objtype=mujoco.mjtObj.mjOBJ_BODY,
-            name1="hand",
+            name1="pickenv hand",
             name2=f"fruit {number}",
             active=False,
         )
@@ -330,14 +329,14 @@ class ContactScene:
         model, around = self.model, self.around
         self.arm: ModelArm = arm_in_mujoco(model, self.nominal)
         joints = self.arm.joints.tolist()
-        drive_of = {int(model.actuator_trnid[i, 0]): i for i in range(model.nu) if model.actuator(i).name in self._own}
+        drive_of = {int(model.actuator_trnid[i, 0]): i for i in range(model.nu)}
         if lost := [
             name for name, joint in zip(self.nominal.joint_names, joints, strict=True) if joint not in drive_of
         ]:
             raise InputError(f"the model has no drive for joint '{lost[0]}'; add a position actuator")
         self._drives = np.array([drive_of[joint] for joint in joints])
         self._holds = np.array([model.equality(f"hold {i}").id for i in range(around.fruit)])
-        self._hand, self._cup = model.body("hand").id, model.geom("cup").id
+        self._hand, self._cup = model.body("pickenv hand").id, model.geom("cup").id
         self._site = model.site("true tool").id
         bodies = range(around.fruit)
         self._fruit = np.array([model.body(f"fruit {i}").id for i in bodies])
@@ -347,7 +346,7 @@ class ContactScene:
         self._loose = np.array([model.joint(f"fruit {i}").qposadr[0] for i in bodies])
         self._sunk = np.array([model.joint(f"branch {i} z").qposadr[0] for i in bodies])
         self._blades = np.array([model.body(f"leaf {i}").id for i in range(around.leaves)], dtype=np.int64)
-        self._cameras = {name: model.camera(name).id for name in CAMERAS}
+        self._cameras = {name: model.camera(f"pickenv {name}").id for name in CAMERAS}
         turned = {name: np.zeros(9) for name in CAMERAS}
         for name, i in self._cameras.items():
             self._mujoco.mju_quat2Mat(turned[name], model.cam_quat[i])

@@ -26,6 +26,7 @@ from pickenv.orchard.gripper import misalignment
 from pickenv.pictures.stage import SIZE, Pixels, fitted_eye
 
 OBSERVATIONS = ("state", "pixels", "pixels_agent_pos", "pixels_environment_state_agent_pos")
+USUAL_PLANT = "ideal:ur5e"
 PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25
 """Default of `control_period_s`, what each step costs, and what a fruit off its stem earns."""
 
@@ -138,7 +139,7 @@ class PickSceneEnv(ReachEnv):
     def __init__(
         self,
         *,
-        plant: str = "ideal:ur5e",
+        plant: str | None = None,
         obs_type: str = "state",
         pixels: int = 64,
         cameras: Sequence[str] = CAMERAS,
@@ -166,8 +167,8 @@ class PickSceneEnv(ReachEnv):
             raise InputError(f"cameras is {shown(cameras)}; give a list of {', '.join(CAMERAS)}")
         if render_mode is not None:
             check_choice("render_mode", render_mode, RENDER_MODES)
-        if not {"difficulty"} & set(arguments):
-            arguments["plant"] = plant
+        if plant is not None or arguments.get("difficulty") is None:
+            arguments["plant"] = USUAL_PLANT if plant is None else plant
         self._error, self.pixels = error_mm, int(pixels)
         super().__init__(executor="floats", control_period_s=control_period_s, **arguments)
         self.render_mode = render_mode
@@ -274,7 +275,10 @@ class PickSceneEnv(ReachEnv):
 
     def _begin(self, plant: Plant, joints: Sequence[float], tool: Frame, goal: Frame) -> None:
         rng, around = np.random.default_rng(int(self._key)), self.scene.around
-        apart = 2.2 * around.radius * np.stack([np.cos(rng.uniform(0, 2 * np.pi, around.fruit)) for _ in "xyz"], axis=1)
+        (phase, *_), _, heights = rng.uniform(size=(3, around.fruit))
+        angles = 2.0 * np.pi * (phase + np.arange(around.fruit) / max(around.fruit - 1, 1))
+        ring = 2.2 * around.radius * max(1.0, 0.5 / np.sin(np.pi / max(around.fruit - 1, 2)))  # so that none overlap
+        apart = np.stack([ring * np.cos(angles), ring * np.sin(angles), around.radius * (heights - 0.5)], axis=1)
         apart[0] = 0.0
         self._grip, self._holding, self._closed = -1.0, 0, (0.0, 0.0)
         self.scene.begin(plant, joints, tool, np.array(goal[9:]) + apart, rng)
