@@ -135,8 +135,15 @@ class ContactScene:
         require("mujoco")
         self.around, self.nominal = around, arm.nominal
         spec = self._robot(arm)
-        robot = spec.compile()
+        try:
+            robot = spec.compile()
+        except ValueError as error:
+            raise InputError(f"model {around.model} is not whole: {str(error).splitlines()[0]}") from error
         if around.model is not None:
+            plain = (robot.actuator_trntype == 0) & (robot.actuator_biasprm[:, 1] == -robot.actuator_gainprm[:, 0])
+            if not (plain & (robot.actuator_gainprm[:, 0] > 0.0)).all():
+                name = robot.actuator(int(np.argmin(plain))).name
+                raise InputError(f"drive '{name}' of the model is no position actuator of a joint; give one that is")
             for i, drive in enumerate(spec.actuators):  # makers' gains swing; a servo's own derivative term does not
                 inertia = robot.dof_M0[robot.jnt_dofadr[robot.actuator_trnid[i, 0]]]
                 drive.biasprm[2] = min(float(drive.biasprm[2]), -2.0 * math.sqrt(drive.gainprm[0] * inertia))

@@ -12,7 +12,7 @@ import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
 from pickenv.agents import ScriptedScene, SeeingScene
-from pickenv.arm import forward, joint_jacobian, pose_error, truncated_inverse
+from pickenv.arm import forward, joint_jacobian, load_arm, mjcf_text, pose_error, truncated_inverse
 from pickenv.base import InputError
 from pickenv.wrappers import CompensationWrapper
 
@@ -207,6 +207,26 @@ def test_a_makers_arm_picks_too_and_stands_where_ours_does():
     assert rest_gaps("so101", "coarse:so101", 4, model=str(MAKERS), error_mm=5.0).max() < 1e-5
     with pytest.raises(InputError, match="no joint 'J1"):
         made(plant="ideal:ur5e", model=str(MAKERS))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda text: "", "is no MJCF"),
+        (
+            lambda text: text.replace("<position", "<motor").replace(' kp="2000.0" kv="200.0"', ""),
+            "no position actuator",
+        ),
+        (lambda text: text.replace("<worldbody>", '<asset><mesh file="no.stl"/></asset><worldbody>'), "no.stl"),
+        (lambda text: text.replace("<actuator>", "<!-- ").replace("</actuator>", " -->"), "no drive for joint"),
+    ],
+)
+def test_a_makers_file_that_cannot_be_driven_is_refused_in_one_sentence(tmp_path, change, words):
+    path = tmp_path / "maker.xml"
+    path.write_text(change(mjcf_text(load_arm("ur5e").nominal, "ur5e")))
+    with pytest.raises(InputError, match=words) as caught:
+        made(plant="ideal:ur5e", model=str(path))
+    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
