@@ -29,7 +29,7 @@ _ENVIRONMENTS: dict[str, tuple[str, str | None, int]] = {
     "ReachScaled": (f"{_SCALED}ReachScaledEnv", f"{_SCALED}ReachScaledVectorEnv", 60),
     "ReachTool": (f"{_SCALED}ReachToolEnv", f"{_SCALED}ReachToolVectorEnv", 60),
     "Harvest": (f"{_HARVEST}HarvestEnv", f"{_HARVEST}HarvestVectorEnv", 600),
-    "PickScene": ("pickenv.envs.contact.pick_scene_env:PickSceneEnv", None, 300),
+    "PickScene": ("pickenv.envs.scene.pick_scene_env:PickSceneEnv", None, 300),
     "Pick": ("pickenv.envs.picking.pick:PickEnv", "pickenv.envs.picking.pick_vector:PickVectorEnv", 400),
 }
 """Environments that Gymnasium is told of: makers of one and of many, and most steps; modules are loaded by making."""

@@ -30,7 +30,7 @@ from pickenv.arm import (
     Geometry,
     Plant,
     draw_plants,
-    forward,
+    erring_by,
     geometry_in_mujoco,
     joints_in_mujoco,
     load_tolerances,
@@ -106,16 +106,8 @@ def arms_of(nominal: Geometry, start: Array, millimetres: float, count: int) -> 
     noise = MeasurementNoise(15e-6, 2e-4)
     drawn = draw_plants(Plant("fetch", arm, nominal, effects=(noise,)), load_tolerances("medium"), count, rng)
     poses = around(nominal, start, rng)
-    believed, found = forward(nominal, poses).position, []
-    for i in range(count):
-        plant = plant_at(drawn, i)
-        delta = nominal.difference(plant.geometry)
-        for _ in range(3):  # errors are nearly linear in the deviations
-            plant = replace(plant, geometry=nominal.displaced(delta))
-            error = np.linalg.norm(plant.tool_pose(poses).position - believed, axis=1).mean()
-            delta = delta * (millimetres * 1e-3 / error)
-        found.append(replace(plant, geometry=nominal.displaced(delta)))
-    return found
+    arms = (erring_by(plant_at(drawn, i), millimetres * 1e-3, poses) for i in range(count))
+    return [replace(plant, effects=(noise,)) for plant in arms]
 
 
 def calibrated(plant: Plant, start: Array, rng: np.random.Generator) -> Compensate:

@@ -46,7 +46,7 @@ SHELVES: dict[str, tuple[tuple[str, ...], ...]] = {
         ("delivery",),
     ),
     "pickenv.arm": (("kinematics",), ("files",), ("effects",), ("plant",)),
-    "pickenv.envs": (("shared",), ("reaching",), ("picking", "harvesting"), ("contact",)),
+    "pickenv.envs": (("shared",), ("reaching",), ("picking", "harvesting"), ("scene",)),
     "pickenv.inspect": (("runs",), ("figures",), ("recordings", "reports", "films")),
     "pickenv.agents": (("policies",), ("evaluation",), ("training",)),
 }

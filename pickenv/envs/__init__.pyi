@@ -1,4 +1,3 @@
-from .contact.pick_scene_env import PickSceneEnv as PickSceneEnv
 from .harvesting.harvest_env import HarvestEnv as HarvestEnv, HarvestVectorEnv as HarvestVectorEnv
 from .picking.pick import PickEnv as PickEnv
 from .picking.pick_vector import PickVectorEnv as PickVectorEnv
@@ -14,6 +13,7 @@ from .reaching.vector import (
     ReachIdealVectorEnv as ReachIdealVectorEnv,
     ReachVectorEnv as ReachVectorEnv,
 )
+from .scene.pick_scene_env import PickSceneEnv as PickSceneEnv
 from .shared.difficulty import EYES as EYES, LADDER as LADDER, LADDER_VERSION as LADDER_VERSION, SPLITS as SPLITS
 from .shared.situation import CONTROL_PERIOD as CONTROL_PERIOD
 from .shared.task import (

@@ -1,6 +1,6 @@
 """The arm inside a MuJoCo model: its nominal geometry, its present joints, and how it is made the true arm.
 
-MuJoCo is imported by who makes a model; here only the models that a caller holds are read and changed.
+Only models that a caller holds are read and changed; MuJoCo is imported when it is first needed.
 """
 
 from __future__ import annotations
@@ -157,9 +157,9 @@ class ModelArm:
 
 def quaternion(rotation: Array) -> Array:
     """The quaternion ``(4,)`` of a rotation matrix ``(3, 3)``, w first, as MuJoCo has it."""
-    quaternion = np.zeros(4)
-    import_module("mujoco").mju_mat2Quat(quaternion, np.ravel(rotation))
-    return quaternion
+    components = np.zeros(4)
+    import_module("mujoco").mju_mat2Quat(components, np.ravel(rotation))
+    return components
 
 
 def arm_in_mujoco(model: Any, nominal: Geometry) -> ModelArm:

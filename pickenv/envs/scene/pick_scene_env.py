@@ -12,9 +12,9 @@ from numpy.typing import ArrayLike
 from pickenv.arm import Array, Frame, Plant, Scalar, erring_by, forward
 from pickenv.arm.kinematics.inverse import halton_joints
 from pickenv.base import InputError, shown
-from pickenv.envs.contact.contact_scene import CAMERAS, LARGEST, SMALLEST, ContactScene, Surroundings
 from pickenv.envs.picking.pick_arm import act_arm
 from pickenv.envs.reaching.reach import VIEW, ReachEnv
+from pickenv.envs.scene.contact_scene import CAMERAS, LARGEST, SMALLEST, ContactScene, Surroundings
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_env import RENDER_MODES, Information
 from pickenv.envs.shared.backends import FLOATS, Executor
