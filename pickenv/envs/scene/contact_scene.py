@@ -44,9 +44,9 @@ STIFFNESS, DAMPING, ARMATURE = 5000.0, 150.0, 1.0
 that their gears add. Without it the damping would rule the wrist, and touching it would be unstable."""
 
 CAMERAS = ("world", "wrist")
-HULL, AS_DRAWN = 48, 2
+HULL, AS_DRAWN, UNSEEN = 48, 2, 5
 """Most corners of the hulls by which meshes of a maker touch, and as which they are drawn; and the group of those that
-only show what the arm looks like, which are ten times as slow to draw."""
+only show what the arm looks like, which are ten times as slow to draw, and of those that are not drawn."""
 
 OTHER, GRIPPER_BIT, FRUIT_BIT, LEAF_BIT = 0, 1, 2, 4
 SMALLEST, LARGEST = 16, 1024
@@ -222,9 +222,9 @@ class ContactScene:
         stand = around.radius + 0.08 * around.scale
         if around.model is None:  # rods would end in the fruit
             beyond = place @ rotation[:, 2] > stand
-            self._rods_end(spec, last, place - rotation[:, 2] * stand if beyond else np.zeros(3))
+            self._rods_end(last, place - rotation[:, 2] * stand if beyond else np.zeros(3))
             if np.linalg.norm(place) < around.radius and (length := float(np.linalg.norm(last.pos))) > 0.0:
-                self._rods_end(spec, last.parent, last.pos * max(1.0 - stand / length, 0.0))
+                self._rods_end(last.parent, last.pos * max(1.0 - stand / length, 0.0))
                 for joint in last.parent.joints:
                     if joint.type == mujoco.mjtJoint.mjJNT_SLIDE:
                         self._rod(last.parent, [0.0, 0.0, -stand], [0.0, 0.0, -stand - float(joint.range[1])], 0.02)
@@ -254,10 +254,10 @@ class ContactScene:
         )
         self._rod(hand, [0.0, 0.0, face - deep], [0.0, 0.0, -stand], 0.3 * radius)
 
-    def _rods_end(self, spec: Any, body: Any, end: Array) -> None:
+    def _rods_end(self, body: Any, end: Array) -> None:
         """Put one rod from a body's origin to ``end (3,)``, m, in the place of its own."""
-        for geom in list(body.geoms):
-            spec.delete(geom)
+        for geom in body.geoms:
+            geom.group = UNSEEN
         self._rod(body, np.zeros(3), end, 0.02)
 
     def _rod(self, body: Any, start: ArrayLike, end: ArrayLike, radius: float) -> None:
