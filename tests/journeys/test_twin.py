@@ -10,17 +10,21 @@ import re
 import shlex
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import gymnasium as gym
+import gymnasium_robotics
 import mujoco
 import numpy as np
 import pytest
 
 import pickenv
 from pickenv.agents import ScriptedReach, episode_seeds, run_reaches
-from pickenv.arm import forward, load_arm
+from pickenv.arm import forward, geometry_in_mujoco, joints_in_mujoco, load_arm
 
+gym.register_envs(gymnasium_robotics)
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/twin.md").read_text(encoding="utf-8")
 BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
@@ -59,6 +63,18 @@ def test_calibrated_arms_of_the_twin_err_as_the_report_promised(home: tuple[Path
     env = gym.make("pickenv/Reach-v0", plant="qiao2026")
     true = run_reaches(env, ScriptedReach(env), episode_seeds(0, 100)).position_error_mm.mean()
     assert raw == pytest.approx(true, rel=0.1)
+
+
+@pytest.mark.slow
+def test_the_hand_of_anothers_task_errs_as_far_as_its_arm_does(home: tuple[Path, list[str]]) -> None:
+    (text,) = re.findall(r"the hand errs by (\d+\.\d) mm\n$", "".join(home[1]))
+    env = gym.make("FetchPickAndPlace-v4")
+    env.reset(seed=0)
+    inner: Any = env.unwrapped
+    nominal = geometry_in_mujoco(inner.model, "robot0:grip", None, inner.data)
+    joints = joints_in_mujoco(inner.model, inner.data, nominal)
+    tools = [forward(arm, joints).position for arm in (nominal, replace(nominal, d=nominal.d + 0.003))]
+    assert float(text) == pytest.approx(1e3 * np.linalg.norm(tools[1] - tools[0]), abs=0.05)
 
 
 @pytest.mark.slow
