@@ -121,7 +121,7 @@ class ScriptedScene(ScriptedReach):
 
     def act(self, observation: Any) -> NDArray[np.float32]:
         """The next action: increments of the joints, and the gripper, which is open below 0."""
-        reading = self.present(np.asarray(self._numbers(observation))[:-2])
+        reading = self.present(np.asarray(_state_of(observation))[:-2])
         if self._wanted is None:
             self._wanted = self.wanted_joints(reading)
         end = (self.FAR, self.BEFORE, self.PRESS, self.PRESS, self.AWAY)[self._stage]
@@ -143,10 +143,6 @@ class ScriptedScene(ScriptedReach):
             self._stage, self._waited = self._stage + 1, 0
         closed = self._stage >= 2
         return np.append(self.action(away), 1.0 if closed else -1.0).astype(np.float32)
-
-    def _numbers(self, observation: Any) -> Any:
-        """The numbers of the state in an observation."""
-        return observation
 
     def _gap(self, observation: Any, reading: policy.ObservationParts) -> Array | None:
         """How far the true tool is from where it is believed to be, as far as it can be seen ``(3,)``, m."""
@@ -197,9 +193,6 @@ class SeeingScene(ScriptedScene):
         super().__init__(env)
         self._eye, self._eye_axes, self._slope = env.unwrapped.scene.wrist_eye
 
-    def _numbers(self, observation: Any) -> Any:
-        return observation["environment_state"]
-
     def _gap(self, observation: Any, reading: policy.ObservationParts) -> Array | None:
         picture = observation["pixels"]["wrist"].astype(float)
         rows, columns = np.nonzero(picture[..., 0] > RED * picture[..., 1:].max(axis=-1))
@@ -212,6 +205,57 @@ class SeeingScene(ScriptedScene):
         depth = reading.offset @ pose.rotation[:, 2]
         point = self._eye + ray * ((depth - self._eye[2]) / ray[2])
         return np.asarray(pose.rotation @ point - reading.offset)
+
+
+def _state_of(observation: Any) -> Any:
+    """The numbers of the state in an observation of the scene, or the observation itself."""
+    return observation["environment_state"] if isinstance(observation, dict) else observation
+
+
+class ServoScene(policy.ReachController):
+    """Take the fruit of `pickenv/PickScene-v0` as somebody does who looks on: no plan, one step after the other.
+
+    Each step takes away a share of what the camera sees between true tool and fruit (`feedback="camera"`). The tool
+    goes to the fruit's axis first and then along it, and back once the cup holds. What it does depends on what it sees
+    now alone, so that a network can learn it (`clone`).
+    """
+
+    SHARE, MOST, TURNS = 0.25, 0.015, 0.03
+    """Of what is left, in a step; and the most that it moves, m at full scale, and turns, rad."""
+    PRESS, BACK, FUNNEL = 0.01, -0.012, (0.004, 0.25)
+    """How far beyond the fruit it aims, and its steps back, m; and how far beside the axis it may be to go on, m, and
+    per metre that is left."""
+
+    def __init__(self, env: Any) -> None:
+        """Read the arm and the scene's scale from ``env``."""
+        super().__init__(env)
+        self._scale = env.unwrapped.scene.around.scale
+
+    def reset(self) -> None:
+        """Forget the last episode."""
+        self.forget()
+
+    def act(self, observation: Any) -> NDArray[np.float32]:
+        """The next action, with suction.
+
+        Raises:
+            InputError: If the observation holds no camera.
+        """
+        numbers = np.asarray(_state_of(observation))
+        reading = self.present(numbers[:-2])
+        attitude = forward(self.geometry, reading.joints).rotation
+        gap = attitude.T @ policy.camera_of(reading, "servo") / self._scale
+        turn = np.clip(self.SHARE * (attitude.T @ reading.turn), -self.TURNS, self.TURNS)
+        gap[2] += self.PRESS
+        step = np.clip(self.SHARE * gap, -self.MOST, self.MOST)
+        if step[2] > 0.0:
+            width = max(self.FUNNEL[0], self.FUNNEL[1] * gap[2])
+            step[2] *= np.exp(-(np.hypot(*gap[:2]) ** 2) / width**2)
+        if numbers[-1] > 0.5:
+            step, turn = np.array([0.0, 0.0, self.BACK]), np.zeros(3)
+        moves = np.concatenate([attitude @ step * self._scale, attitude @ turn])
+        joints = truncated_inverse(joint_jacobian(self.geometry, reading.joints)) @ moves
+        return np.append(self.action(joints), 1.0).astype(np.float32)
 
 
 SETTLED = 16

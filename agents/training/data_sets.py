@@ -1,9 +1,9 @@
 """Recorded episodes to learn from without an environment: Minari data sets of good, middling and random policies.
 
 Reach is recorded on `pickenv/ReachScaled-v0`, since a network that reads a gap in metres is blind to millimetres, Pick
-on `pickenv/Pick-v0`, and the scene on `pickenv/PickScene-v0`. Each data set stands in its folder whole or not at all,
-with a card that says what it is and the hashes of its files; those that are there are kept, so that a run that was cut
-off goes on.
+on `pickenv/Pick-v0`, the scene on `pickenv/PickScene-v0`, and sight there too, with pictures. Each data set stands in
+its folder whole or not at all, with a card that says what it is and the hashes of its files; those that are there are
+kept, so that a run that was cut off goes on.
 """
 
 from __future__ import annotations
@@ -23,16 +23,18 @@ import numpy as np
 
 import pickenv  # noqa: F401  (registers the environments)
 from pickenv.agents.policies.learned import load_policy
-from pickenv.agents.policies.scripted import HASTY, ScriptedPick, ScriptedScene
+from pickenv.agents.policies.policy import Policy
+from pickenv.agents.policies.scripted import HASTY, RandomReach, ScriptedPick, ScriptedScene, ServoScene
 from pickenv.base import InputError, check_limit, file_sha256, locked, require, seed_words, stream, versions, write_json
 from pickenv.envs import check_choice, check_count
 
-TASKS = {"reach": "pickenv/ReachScaled-v0", "pick": "pickenv/Pick-v0", "scene": "pickenv/PickScene-v0"}
+SCENE = "pickenv/PickScene-v0"
+TASKS = {"reach": "pickenv/ReachScaled-v0", "pick": "pickenv/Pick-v0", "scene": SCENE, "sight": SCENE}
 """Tasks and the environments that they are recorded on, with default arguments."""
 
 QUALITIES = ("expert", "medium", "random")
 
-EPISODES = {"reach": 256, "pick": 32, "scene": 64}
+EPISODES = {"reach": 256, "pick": 32, "scene": 64, "sight": 150}
 """Episodes of a data set, where no number is given."""
 
 POLICIES = {
@@ -45,13 +47,27 @@ POLICIES = {
     ("scene", "expert"): "ScriptedScene with a perfect arm",
     ("scene", "medium"): "ScriptedScene with an arm that errs",
     ("scene", "random"): "actions drawn evenly",
+    ("sight", "expert"): "ServoScene with a perfect arm; it sees the fruit exactly",
+    ("sight", "medium"): "ServoScene with an arm that errs; it sees the fruit exactly",
+    ("sight", "random"): "actions drawn evenly",
 }
 """The policy of each data set."""
+
+SIGHT: Mapping[str, Any] = {
+    "obs_type": "pixels_environment_state_agent_pos",
+    "cameras": ["wrist"],
+    "within_mm": 60.0,
+    "feedback": "camera",
+}
+"""Arguments of the environment of demonstrations to see: what the demonstrator's camera measures is in its numbers."""
 
 ARMS: Mapping[tuple[str, str], dict[str, Any]] = {
     ("scene", "expert"): {"plant": "ideal:so101"},
     ("scene", "medium"): {"plant": "coarse:so101", "error_mm": 5.0},
     ("scene", "random"): {"plant": "ideal:so101"},
+    ("sight", "expert"): {"plant": "ideal:ur5e", **SIGHT},
+    ("sight", "medium"): {"plant": "coarse:ur5e", "error_mm": 5.0, **SIGHT},
+    ("sight", "random"): {"plant": "ideal:ur5e", **SIGHT},
 }
 """Arguments that say which arm a data set is of, where that is not the environment's own."""
 
@@ -76,9 +92,9 @@ def datasets(
 
     Args:
         out: Folder of data sets; Minari finds them by name where MINARI_DATASETS_PATH names it.
-        tasks: Any of "reach", "pick" and "scene".
+        tasks: Any of "reach", "pick", "scene" and "sight".
         qualities: Any of "expert", "medium" and "random".
-        episodes: Episodes of each data set; 256 reaches, 32 canopies or 64 scenes if left out.
+        episodes: Episodes of each data set; 256 reaches, 32 canopies, 64 scenes or 150 sights if left out.
         seed: Seed of the episodes and of all that is drawn; no two seeds, tasks or qualities share any.
         progress: Called with (name, done, in all).
 
@@ -158,24 +174,53 @@ def _reaches(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> It
 def _episodes(task: str, quality: str, seeds: Sequence[int], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
     """Record canopies or scenes, one after the other."""
     env = gym.make(TASKS[task], **ARMS.get((task, quality), {}))
-    if task == "scene":
-        policy: Any = ScriptedScene(env)
-    else:
+    if quality == "random":
+        policy: Any = RandomReach(env, rng)
+    elif task == "pick":
         policy = ScriptedPick(env, **(HASTY if quality == "medium" else {}))
+    else:
+        policy = {"scene": ScriptedScene, "sight": ServoScene}[task](env)
+    key, name = ("collected", "collected") if task == "pick" else ("success", "is_success")
     for seed in seeds:
-        observation, info = env.reset(seed=seed)
-        policy.reset()
-        rows: dict[str, list[Any]] = {"observations": [observation]} | {name: [] for name in COLUMNS[1:]}
-        while not rows["actions"] or not (rows["terminations"][-1] or rows["truncations"][-1]):
-            random = quality == "random"
-            action = rng.uniform(-1.0, 1.0, env.action_space.shape or ()) if random else policy.act(observation)
-            action = np.clip(action, -1.0, 1.0).astype(np.float32)
-            observation, reward, terminated, truncated, info = env.step(action)
-            for name, value in zip(COLUMNS, (observation, action, reward, terminated, truncated), strict=True):
-                rows[name].append(value)
-        keys = {"success": "is_success"} if task == "scene" else {"collected": "collected"}
-        result = {key: info[name] for key, name in keys.items()}
-        yield {"seed": seed, "said": result} | {name: np.array(column) for name, column in rows.items()}
+        row, info = recorded_episode(env, policy, seed)
+        yield {"seed": seed, "said": {key: info[name]}} | row
+
+
+def recorded_episode(env: Any, policy: Policy, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
+    """One episode of a policy: the columns of a data set, and the last `info`.
+
+    Args:
+        env: The environment; its episodes end.
+        policy: What acts; its actions are clipped to the environment's -1 to 1.
+        seed: Seed of the episode.
+
+    Returns:
+        "observations" (one more than the others; a dictionary where they are), "actions", "rewards", "terminations"
+        and "truncations"; and `info`.
+    """
+    observation, info = env.reset(seed=seed)
+    policy.reset()
+    rows: dict[str, list[Any]] = {"observations": [observation]} | {name: [] for name in COLUMNS[1:]}
+    ended = False
+    while not ended:
+        action = np.clip(policy.act(observation), -1.0, 1.0).astype(np.float32)
+        observation, reward, terminated, truncated, info = env.step(action)
+        for name, value in zip(COLUMNS, (observation, action, reward, terminated, truncated), strict=True):
+            rows[name].append(value)
+        ended = terminated or truncated
+    return {name: _stacked(column) for name, column in rows.items()}, info
+
+
+def _stacked(values: Sequence[Any]) -> Any:
+    """Numbers over time as one array; of dictionaries, a dictionary of arrays."""
+    if isinstance(values[0], Mapping):
+        return {name: _stacked([value[name] for value in values]) for name in values[0]}
+    return np.array(values)
+
+
+def _numbers(column: Any) -> bytes:
+    """All numbers of a column."""
+    return b"".join(map(_numbers, column.values())) if isinstance(column, Mapping) else column.tobytes()
 
 
 def _write(folder: Path, name: str, episodes: Sequence[dict[str, Any]], card: dict[str, Any]) -> dict[str, Any]:
@@ -202,7 +247,7 @@ def _write(folder: Path, name: str, episodes: Sequence[dict[str, Any]], card: di
             )
         complete = Path(temporary) / name
         # Over the numbers of all episodes, which a run with the same seed gives again.
-        content = b"".join(episode[name].tobytes() for episode in episodes for name in COLUMNS)
+        content = b"".join(_numbers(episode[name]) for episode in episodes for name in COLUMNS)
         card |= {"sha256": _hashes(complete), "content_sha256": hashlib.sha256(content).hexdigest()}
         write_json(complete / CARD, card)
         for inner in (folder.parent, folder.parent.parent):  # Minari finds what stands in a folder that says it is one

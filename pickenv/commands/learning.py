@@ -261,9 +261,9 @@ def datasets(
     """Record Minari data sets of good, middling and random policies; those that are there are kept.
 
     Args:
-        task: reach, pick, scene; may be repeated. Reach if left out.
+        task: reach, pick, scene, sight; may be repeated. Reach if left out.
         quality: expert, medium, random; may be repeated. All if left out.
-        episodes: Episodes of each; 256 reaches, 32 canopies or 64 scenes if left out.
+        episodes: Episodes of each; 256 reaches, 32 canopies, 64 scenes or 150 sights if left out.
         seed: Seed of everything random.
         json_file: Write the cards to this file.
         out: Folder to write, as Minari's.

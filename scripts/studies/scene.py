@@ -54,6 +54,18 @@ def pick(env: Any, policy: ScriptedScene, seed: int) -> dict[str, Any]:
     return {"success": float(information["is_success"]), "met": met, "lateral_mm": lateral}
 
 
+def calibrate(env: Any, rng: np.random.Generator) -> None:
+    """Put a calibration of its present arm, by a simulated tracker, between policy and environment.
+
+    Args:
+        env: The environment.
+        rng: Draws poses and noise.
+    """
+    plant: Any = replace(env.unwrapped.plant, effects=(MeasurementNoise(POSITION, ATTITUDE),))
+    tracked = simulated_tracker(plant, random_joints(plant.arm.nominal, POSES, rng), rng)
+    env.unwrapped.compensator = fit(plant.arm, tracked, known_frames=True).calibration.compensator()
+
+
 def measure(
     rng: np.random.Generator, arm: int, robot: str, error_mm: float, fruit: int, steps: int
 ) -> list[dict[str, Any]]:
@@ -73,10 +85,7 @@ def measure(
     for use, arguments in USES.items():
         env = gym.make("pickenv/PickScene-v0", max_episode_steps=steps, **own, **arguments)
         if use == "LS":
-            plant: Any = replace(env.unwrapped.plant, effects=(MeasurementNoise(POSITION, ATTITUDE),))  # type: ignore[attr-defined]
-            tracked = simulated_tracker(plant, random_joints(plant.arm.nominal, POSES, rng), rng)
-            calibration = fit(plant.arm, tracked, known_frames=True).calibration
-            env.unwrapped.compensator = calibration.compensator()  # type: ignore[attr-defined]
+            calibrate(env, rng)
         policy = SeeingScene(env) if arguments else ScriptedScene(env)
         for number, seed in enumerate(fruit_seeds):
             row: dict[str, Any] = {"use": use, "fruit": number} | pick(env, policy, seed)

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from pickenv.arm import forward
 from pickenv.base import InputError
 
 ROOT = Path(__file__).parents[2]
@@ -30,7 +31,7 @@ def test_arms_of_three_millimetres_err_by_three_and_calibrated_by_less():
     rng = np.random.default_rng(1)
     for plant in plants:
         poses = fetch_arms.around(nominal, start, rng)
-        error = np.linalg.norm(plant.tool_pose(poses).position - fetch_arms.forward(nominal, poses).position, axis=1)
+        error = np.linalg.norm(plant.tool_pose(poses).position - forward(nominal, poses).position, axis=1)
         assert error.mean() == pytest.approx(3e-3, rel=0.25)
     raw = fetch_arms.reaches(env, plants[0], None, 4)
     mended = fetch_arms.reaches(env, plants[0], fetch_arms.calibrated(plants[0], start, rng), 4)

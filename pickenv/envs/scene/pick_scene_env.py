@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike
+from scipy.spatial.transform import Rotation
 
-from pickenv.arm import Array, Frame, Plant, Scalar, erring_by, forward
+from pickenv.arm import Array, Frame, Plant, Pose, Scalar, erring_by, forward, inverse, joint_jacobian
 from pickenv.arm.kinematics.inverse import halton_joints
 from pickenv.base import InputError, shown
 from pickenv.envs.picking.pick_arm import act_arm
@@ -19,7 +20,7 @@ from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_env import RENDER_MODES, Information
 from pickenv.envs.shared.backends import FLOATS, Executor
 from pickenv.envs.shared.simulation import ArmState, View
-from pickenv.envs.shared.spaces import flat_space
+from pickenv.envs.shared.spaces import GOALS, flat_space
 from pickenv.envs.shared.task import Task, check_choice, check_count, check_number, checked_action
 from pickenv.orchard import load_branch, load_detachment, load_fruit_size, load_gripper, load_suction
 from pickenv.orchard.gripper import misalignment
@@ -32,6 +33,10 @@ PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25
 
 HELD_STEPS, REACH_OF_APPLES = 5, 0.85
 """Steps for which a fruit must be held to count, and the reach of an arm before a tree of apple's size."""
+
+BEFORE, BESIDE, TURNED = (0.06, 0.3), (0.02, 0.35), 0.1
+"""With `within_mm`, how far before the fruit the tool starts; how far beside it at most, and further per metre before
+it; both m at full scale. And the standard deviation per axis of its attitude, rad."""
 
 SPREAD, ATTEMPTS = 64, 2000
 """Number of poses over which the mean of `error_mm` is taken, and of poses tried to see where fruit may hang."""
@@ -65,7 +70,8 @@ class PickSceneEnv(ReachEnv):
     - "state" (default): `Box(float32)`, the n + 12 numbers of `pickenv/Reach-v0` (n + 15 with `feedback="camera"`), the
       suction, and whether the cup holds the fruit. The fruit is where it was seen before the episode.
     - "pixels": `Dict` with `pixels`, itself a `Dict` of `(pixels, pixels, 3)` uint8 pictures by camera.
-    - "pixels_agent_pos": that, and `agent_pos`, the joint readings (rad, m) and the suction, as LeRobot names them.
+    - "pixels_agent_pos": that, and `agent_pos`, the joint readings (rad, m) and the gripper, as LeRobot names them: 0
+      when suction is off, 0.5 when it is on, 1 when it holds the fruit.
     - "pixels_environment_state_agent_pos": that, and the numbers of "state" as `environment_state`.
 
     The camera "world" stands before the tree; "wrist" rides behind the tool. Pictures need EGL or OSMesa where there is
@@ -79,8 +85,9 @@ class PickSceneEnv(ReachEnv):
     ## Starting State
 
     As in `pickenv/Reach-v0`: joints at mid-range or drawn, the fruit where the nominal arm's tool can be. `reset` takes
-    its options. The strength of the stem is drawn as in `pickenv/Pick-v0` (Bu et al. 2020), the branch is that of
-    `pickenv/orchard/presets/branch.toml`.
+    its options. With `within_mm` the fruit hangs about one place that suits the arm, and the tool is 6 to 30 cm before
+    it and up to 12 cm beside, at full scale, where the wrist camera sees it. The strength of the stem is drawn as in
+    `pickenv/Pick-v0` (Bu et al. 2020), the branch is that of `pickenv/orchard/presets/branch.toml`.
 
     ## Episode End
 
@@ -117,6 +124,7 @@ class PickSceneEnv(ReachEnv):
     - `error_mm` (default None): makes the parts of the true arm err in the same proportions by so much that its tool
       errs by these millimetres on average over the joints' range; effects are off then.
     - `obs_type`, `pixels` (px, 16 to 1024, default 64) and `cameras` (default both): what is observed.
+    - `within_mm` (default None): largest distance per axis of the fruit from that place; None for all the arm's reach.
     - `camera_mm`, `camera_deg` (default 0): standard deviations per axis of where the cameras truly are, drawn in every
       episode.
     - `model` (path, default None): a maker's MJCF file of the plant's arm, with the same joint names.
@@ -151,6 +159,7 @@ class PickSceneEnv(ReachEnv):
         error_mm: float | None = None,
         camera_mm: float = 0.0,
         camera_deg: float = 0.0,
+        within_mm: float | None = None,
         control_period_s: float = PERIOD,
         render_mode: str | None = None,
         **arguments: Any,
@@ -159,8 +168,9 @@ class PickSceneEnv(ReachEnv):
         check_choice("obs_type", obs_type, OBSERVATIONS)
         for name, count, least in (("fruit", fruit, 1), ("leaves", leaves, 0), ("pixels", pixels, SMALLEST)):
             check_count(name, count, least)
-        for name, number in (("camera_mm", camera_mm), ("camera_deg", camera_deg), ("error_mm", error_mm or 0.0)):
-            check_number(name, number)
+        sizes = {"camera_mm": camera_mm, "camera_deg": camera_deg, "error_mm": error_mm, "within_mm": within_mm}
+        for name, number in sizes.items():
+            check_number(name, number or 0.0)
         if pixels > LARGEST:
             raise InputError(f"pixels is {pixels}; give at most {LARGEST}")
         if isinstance(cameras, str) or not cameras or (set(cameras) - set(CAMERAS)):
@@ -191,6 +201,7 @@ class PickSceneEnv(ReachEnv):
             camera_deg=float(camera_deg),
             eye=fitted_eye(self._places(), VIEW, (self.pixels, self.pixels)),
         )
+        self._within = None if within_mm is None else 1e-3 * float(within_mm)
         self.scene = ContactScene(task.plant.arm, around)
         self.obs_type, self.cameras = obs_type, tuple(cameras)
         self.task_description = "pick the fruit that hangs from the branch"
@@ -202,9 +213,33 @@ class PickSceneEnv(ReachEnv):
     def _places(self) -> Array:
         """Where fruit may hang ``(k, 3)``, m, and where the arm stands."""
         tries = (simulation.goal_attempt(FLOATS, self.task, 0, attempt) for attempt in range(ATTEMPTS))
-        joints = [pose for pose, fits in tries if fits][:SPREAD]
+        joints = np.array([pose for pose, fits in tries if fits][:SPREAD])
         geometry = self.task.plant.arm.nominal
+        moves = np.linalg.svd(joint_jacobian(geometry, joints), compute_uv=False)[:, -1]
+        self._favoured = joints[np.argmax(moves)]
         return np.concatenate([forward(geometry, joints).position, [geometry.base.position]])
+
+    def _before_fruit(self, within: float) -> tuple[Array, Array]:
+        """Joints with the tool at this episode's fruit, and those that it starts from, both ``(n,)``."""
+        rng, geometry = np.random.default_rng([int(self._key), 1]), self.task.plant.arm.nominal
+        place, attitude = forward(geometry, self._favoured)
+        fruit = Pose(place + rng.uniform(-within, within, 3), attitude)
+        ahead = rng.uniform(*BEFORE)
+        off = np.append((BESIDE[0] + BESIDE[1] * ahead) * rng.uniform(-1.0, 1.0, 2), -ahead)
+        turn = Rotation.from_rotvec(TURNED * rng.normal(size=3)).as_matrix()
+        start = Pose(fruit.position + attitude @ off * self.scene.around.scale, attitude @ turn)
+        goal = inverse(geometry, fruit, self._favoured, restarts=0).joints
+        return goal, inverse(geometry, start, goal, restarts=0).joints
+
+    def _start(self, joints: Any) -> Sequence[Scalar]:
+        if joints is None and self._within is not None:
+            joints = self._before_fruit(self._within)[1]
+        return super()._start(joints)
+
+    def _wanted(self, options: dict[str, Any]) -> Frame:
+        if self._within is not None and not any(options.get(name) is not None for name in GOALS):
+            options = {"goal_joints": self._before_fruit(self._within)[0]}
+        return super()._wanted(options)
 
     def _use_arm(self, number: int) -> None:
         super()._use_arm(number)
@@ -314,7 +349,7 @@ class PickSceneEnv(ReachEnv):
         if self.obs_type in OBSERVATIONS[2:]:
             low, high = np.array(self.task.lower), np.array(self.task.upper)
             joints = low + (np.array(scene.readings) + 1.0) * 0.5 * (high - low)
-            views["agent_pos"] = np.append(joints, grip[0]).astype(np.float32)
+            views["agent_pos"] = np.append(joints, grip.mean()).astype(np.float32)
         return views, reward
 
     def _picture(self) -> Pixels:
