@@ -36,7 +36,12 @@ from .policies.scripted import (
 )
 from .training.checkpoints import read_checkpoint as read_checkpoint
 from .training.cloning import Clone as Clone, ClonedScene as ClonedScene, clone as clone
-from .training.data_sets import datasets as datasets, recorded_episode as recorded_episode
+from .training.data_sets import (
+    SIGHT as SIGHT,
+    arms_of as arms_of,
+    datasets as datasets,
+    recorded_episode as recorded_episode,
+)
 from .training.training import Trained as Trained, resumed as resumed, train as train
 from .training.training_setup import (
     HELD_OUT as HELD_OUT,

@@ -25,6 +25,7 @@ import pickenv  # noqa: F401  (registers the environments)
 from pickenv.agents.policies.learned import load_policy
 from pickenv.agents.policies.policy import Policy
 from pickenv.agents.policies.scripted import HASTY, RandomReach, ScriptedPick, ScriptedScene, ServoScene
+from pickenv.arm import LINK_PARAMETERS
 from pickenv.base import InputError, check_limit, file_sha256, locked, require, seed_words, stream, versions, write_json
 from pickenv.envs import check_choice, check_count
 
@@ -99,8 +100,8 @@ def datasets(
         progress: Called with (name, done, in all).
 
     Returns:
-        One card per data set: name, environment, policy, seeds, steps, mean return and error, licence, versions and the
-        SHA-256 of its files.
+        One card per data set: name, environment, policy, seeds, steps, mean return and error, licence, versions, the
+        links of the believed and the true arm, and the SHA-256 of its files.
 
     Raises:
         InputError: If a task or quality is unknown, one that is there was changed or made otherwise, or another process
@@ -211,6 +212,13 @@ def recorded_episode(env: Any, policy: Policy, seed: int) -> tuple[dict[str, Any
     return {name: _stacked(column) for name, column in rows.items()}, info
 
 
+def arms_of(env: Any) -> dict[str, dict[str, list[float]]]:
+    """The present arm of an environment, for the card of a data set: links as "believed" and "true", m and rad."""
+    plant = env.unwrapped.plant
+    arms = {"believed": plant.arm.nominal, "true": plant.geometry}
+    return {name: {key: getattr(arm, key).tolist() for key in LINK_PARAMETERS} for name, arm in arms.items()}
+
+
 def _stacked(values: Sequence[Any]) -> Any:
     """Numbers over time as one array; of dictionaries, a dictionary of arrays."""
     if isinstance(values[0], Mapping):
@@ -231,6 +239,7 @@ def _write(folder: Path, name: str, episodes: Sequence[dict[str, Any]], card: di
     from minari.data_collector import EpisodeBuffer
 
     out = folder.parents[2].resolve()  # Minari loses its way on relative paths
+    env = gym.make(card["environment"], **card["arguments"])
     with tempfile.TemporaryDirectory(prefix=".unfinished-", dir=out, ignore_cleanup_errors=True) as temporary:
         recorded = ({key: value for key, value in episode.items() if key != "said"} for episode in episodes)
         buffers = [EpisodeBuffer(id=i, **columns) for i, columns in enumerate(recorded)]
@@ -239,7 +248,7 @@ def _write(folder: Path, name: str, episodes: Sequence[dict[str, Any]], card: di
             minari.create_dataset_from_buffers(
                 name,
                 buffers,
-                env=gym.make(card["environment"], **card["arguments"]),
+                env=env,
                 algorithm_name=card["policy"],
                 author="pickenv",
                 description=f"{card['policy']}; simulated; seed {card['seed']}; licence {LICENCE}",
@@ -248,7 +257,11 @@ def _write(folder: Path, name: str, episodes: Sequence[dict[str, Any]], card: di
         complete = Path(temporary) / name
         # Over the numbers of all episodes, which a run with the same seed gives again.
         content = b"".join(_numbers(episode[name]) for episode in episodes for name in COLUMNS)
-        card |= {"sha256": _hashes(complete), "content_sha256": hashlib.sha256(content).hexdigest()}
+        card |= {
+            "arms": arms_of(env),
+            "sha256": _hashes(complete),
+            "content_sha256": hashlib.sha256(content).hexdigest(),
+        }
         write_json(complete / CARD, card)
         for inner in (folder.parent, folder.parent.parent):  # Minari finds what stands in a folder that says it is one
             inner.mkdir(parents=True, exist_ok=True)

@@ -15,12 +15,14 @@ import numpy as np
 import torch
 from gymnasium.vector import AsyncVectorEnv, AutoresetMode, SyncVectorEnv
 from lerobot.configs import FeatureType, PolicyFeature
+from lerobot.datasets.lerobot_dataset import LeRobotDataset
 from lerobot.envs import EnvConfig
 from lerobot.processor import ActionProcessorStep, ProcessorStepRegistry
 from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 
 import pickenv
-from pickenv.base import DO_NOT_USE, obey
+from pickenv.agents import ServoScene, arms_of, recorded_episode
+from pickenv.base import DO_NOT_USE, obey, write_json
 from pickenv.wrappers import CompensationWrapper
 
 ERRORS = ("position_error_mm", "grasp_lateral_mm", "grasp_axial_mm")
@@ -147,9 +149,10 @@ class PickenvEnv(EnvConfig):
         timing = {"control_period_s": 1.0 / self.fps, "max_episode_steps": self.episode_length}
         return {**chosen, **timing, "render_mode": "rgb_array", **self.arguments}
 
-    def make_one(self) -> gymnasium.Env[Any, Any]:
-        """One environment, with the calibration in between."""
-        env = gymnasium.make(self.gym_id, disable_env_checker=self.disable_env_checker, **self.gym_kwargs)
+    def make_one(self, **other: Any) -> gymnasium.Env[Any, Any]:
+        """One environment, with the calibration in between, and with some other arguments."""
+        arguments = self.gym_kwargs | other
+        env = gymnasium.make(self.gym_id, disable_env_checker=self.disable_env_checker, **arguments)
         if self.calibration is None:
             return env
         return CompensationWrapper(env, pickenv.Calibration.load(self.calibration).compensator(), self.allow)
@@ -164,6 +167,55 @@ class PickenvEnv(EnvConfig):
         if self.errors_to is not None:
             Path(self.errors_to).write_text("", encoding="utf-8")
         return {self.type: {0: vector}}
+
+
+def record(
+    config: PickenvEnv, root: str | Path, episodes: int = 50, *, seed: int = 0, repo_id: str = "pickenv/sight"
+) -> LeRobotDataset:
+    """Record demonstrations as a LeRobotDataset (v3): `ServoScene`, who sees the fruit exactly, takes it.
+
+    ``meta/pickenv.json`` has the environment's arguments, the seeds, and the links of the believed and the true arm.
+
+    Args:
+        config: The environment; its cameras are recorded as pictures.
+        root: Folder of the data set, which is not there yet.
+        episodes: Episodes that are tried; those that took their fruit are recorded.
+        seed: Seed of the first episode; the next ones count up.
+        repo_id: Name of the data set.
+
+    Raises:
+        InputError: If no episode took its fruit.
+    """
+    env: Any = config.make_one(obs_type="pixels_environment_state_agent_pos", feedback="camera")
+    names = [*env.unwrapped.plant.arm.nominal.joint_names, "gripper"]
+    numbers = {"dtype": "float32", "shape": (len(names),), "names": names}
+    side = env.unwrapped.pixels
+    picture = {"dtype": "image", "shape": (side, side, 3), "names": ["height", "width", "channels"]}
+    images = {camera: f"{OBS_IMAGES}.{camera}" for camera in config.cameras}
+    features = {OBS_STATE: numbers, ACTION: numbers, **dict.fromkeys(images.values(), picture)}
+    recorded, policy, seeds = None, ServoScene(env), []
+    for number in range(seed, seed + episodes):
+        row, info = recorded_episode(env, policy, number)
+        if not info["is_success"]:
+            continue
+        if recorded is None:
+            recorded = LeRobotDataset.create(
+                repo_id, config.fps, features, root, robot_type=env.unwrapped.plant.arm.name, use_videos=False
+            )
+        seen = row["observations"]
+        for step, action in enumerate(row["actions"]):
+            views = {key: seen["pixels"][camera][step] for camera, key in images.items()}
+            frame = {OBS_STATE: seen["agent_pos"][step], ACTION: action, "task": env.unwrapped.task_description}
+            recorded.add_frame(frame | views)
+        recorded.save_episode()
+        seeds.append(number)
+    if recorded is None:
+        raise pickenv.InputError(f"none of {episodes} episodes took its fruit; record more, or another arm")
+    recorded.finalize()
+    about = {"environment": config.gym_id, "arguments": config.gym_kwargs, "calibration": config.calibration}
+    write_json(Path(root) / "meta/pickenv.json", about | {"seeds": seeds, "arms": arms_of(env), "simulated": True})
+    env.close()
+    return recorded
 
 
 @ProcessorStepRegistry.register("pickenv_compensation")

@@ -13,8 +13,7 @@ import gymnasium as gym
 import numpy as np
 from scene import calibrate, pick
 
-from pickenv.agents import ClonedScene, ScriptedScene, ServoScene, clone, recorded_episode
-from pickenv.agents.training.data_sets import SIGHT
+from pickenv.agents import SIGHT, ClonedScene, ScriptedScene, ServoScene, clone, recorded_episode
 
 RAW_MM = 10.0
 """Mean error of the arms that demonstrate while they err."""

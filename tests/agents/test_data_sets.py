@@ -68,6 +68,31 @@ def test_equal_seeds_give_equal_numbers_and_what_is_there_is_kept(made, tmp_path
     assert before == {path: path.stat().st_mtime_ns for path in (out / "pickenv").rglob("*")}
 
 
+def test_demonstrations_to_see_are_small_and_hold_pictures_joints_and_both_arms(tmp_path):
+    pytest.importorskip("mujoco")
+    try:
+        (card,) = datasets(tmp_path, ["sight"], ["medium"], episodes=2, seed=3)
+    except InputError as error:
+        pytest.skip(str(error))
+    assert card["success"] == 1.0 and card["arguments"]["error_mm"] == 5.0
+    assert card["arms"]["believed"] != card["arms"]["true"]
+    data = read(tmp_path, card["name"])
+    env = data.recover_environment()
+    for episode, seed in zip(data, card["seeds"], strict=True):
+        first = env.reset(seed=seed)[0]
+        for action in episode.actions:
+            last = env.step(action)[0]
+        for place, seen in ((0, first), (-1, last)):
+            np.testing.assert_array_equal(episode.observations["pixels"]["wrist"][place], seen["pixels"]["wrist"])
+            np.testing.assert_array_equal(episode.observations["agent_pos"][place], seen["agent_pos"])
+    bytes_of_an_episode = sum(file.stat().st_size for file in (tmp_path / card["name"]).rglob("*.hdf5")) / 2
+    assert bytes_of_an_episode < 5e6 / 50
+    assert (
+        datasets(tmp_path / "again", ["sight"], ["medium"], episodes=2, seed=3)[0]["content_sha256"]
+        == (card["content_sha256"])
+    )
+
+
 def test_what_was_changed_or_made_otherwise_is_refused(made, tmp_path):
     out, _ = made
     with pytest.raises(InputError, match=r"expert-v0 was made with seed 5, not 6 and episodes 3, not 4; take it away"):

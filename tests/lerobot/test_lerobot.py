@@ -17,6 +17,7 @@ torch = pytest.importorskip("torch")
 
 import lerobot_env_pickenv as plugin  # noqa: E402
 from lerobot.configs import FeatureType  # noqa: E402
+from lerobot.datasets.lerobot_dataset import LeRobotDataset  # noqa: E402
 from lerobot.envs import env_to_policy_features, make_env, preprocess_observation  # noqa: E402
 from lerobot.envs.utils import _call_make_env, _import_hub_module, _normalize_hub_result  # noqa: E402
 from lerobot.policies import make_pre_post_processors  # noqa: E402
@@ -171,6 +172,35 @@ def test_the_simulated_arm_is_commanded_as_the_step_would_command_a_real_one(cal
     corrected = step.action(dict(zip(names, target.tolist(), strict=True)))
     np.testing.assert_allclose([corrected[name] for name in names], command, rtol=0.0, atol=1e-9)
     assert np.abs(command - target).max() > 1e-3
+
+
+def test_demonstrations_are_a_data_set_that_lerobot_reads_and_trains_on(tmp_path: Path) -> None:
+    config = plugin.PickenvEnv(
+        plant="coarse:ur5e", error_mm=4.0, cameras=["wrist"], pixels=32, arguments={"within_mm": 60.0}
+    )
+    made = plugin.record(config, tmp_path / "set", episodes=3, seed=5)
+    about = json.loads((tmp_path / "set/meta/pickenv.json").read_text())
+    assert about["arguments"]["error_mm"] == 4.0 and set(about["seeds"]) <= {5, 6, 7}
+    assert about["arms"]["true"] != about["arms"]["believed"]
+    read = LeRobotDataset(made.repo_id, root=tmp_path / "set")
+    assert read.num_episodes == len(about["seeds"]) and read.fps == 25
+    env = config.make_one(obs_type="pixels_environment_state_agent_pos", feedback="camera")
+    seen, _ = env.reset(seed=about["seeds"][0])
+    first = read[0]
+    np.testing.assert_array_equal(first["observation.state"], seen["agent_pos"])
+    picture = np.moveaxis(first["observation.images.wrist"].numpy(), 0, -1)
+    np.testing.assert_allclose(picture * 255.0, seen["pixels"]["wrist"], atol=1e-3)
+    for row in range(read.meta.episodes[0]["length"]):
+        *_, info = env.step(read[row]["action"].numpy())
+    assert info["is_success"]
+    env.close()
+
+
+def test_no_demonstration_no_data_set(tmp_path: Path) -> None:
+    config = plugin.PickenvEnv(cameras=["wrist"], pixels=16, episode_length=2)
+    with pytest.raises(pickenv.InputError, match="none of 2 episodes took its fruit; record more, or another arm"):
+        plugin.record(config, tmp_path / "set", episodes=2)
+    assert not (tmp_path / "set").exists()
 
 
 def test_the_hub_finds_the_environment_in_its_file() -> None:

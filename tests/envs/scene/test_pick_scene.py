@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
-from pickenv.agents import ScriptedScene, SeeingScene
+from pickenv.agents import ScriptedScene, SeeingScene, ServoScene
 from pickenv.arm import forward, joint_jacobian, load_arm, mjcf_text, pose_error, truncated_inverse
 from pickenv.base import InputError
 from pickenv.wrappers import CompensationWrapper
@@ -265,3 +265,40 @@ def test_a_policy_that_sees_makes_up_for_the_arm_but_not_for_its_own_camera():
     assert lateral(*sees, 0.0, error_mm=8.0) < 0.5 * blind
     assert lateral(*sees, 0.0, error_mm=0.0) < 1.0
     assert lateral(*sees, 8.0, error_mm=0.0) > 3.0
+
+
+@pytest.mark.parametrize("robot", ["ur5e", "so101"])
+def test_fruit_within_a_place_hangs_there_before_the_tool_and_in_sight(robot):
+    env = gym.make("pickenv/PickScene-v0", plant=f"ideal:{robot}", within_mm=40.0, feedback="camera")
+    scale, fruit, ahead = env.unwrapped.scene.around.scale, [], []
+    for seed in range(12):
+        observation, info = env.reset(seed=seed)
+        tool = forward(env.unwrapped.plant.arm.nominal, info["joint_command"])
+        gap = tool.rotation.T @ (info["fruit_position"] - tool.position) / scale
+        fruit.append(info["fruit_position"])
+        ahead.append(gap)
+        np.testing.assert_array_equal(env.reset(seed=seed)[0], observation)
+    spread = np.ptp(fruit, axis=0)
+    assert (spread > 0.02).all() and (spread < 0.081).all()
+    assert np.min(ahead, axis=0)[2] > 0.0 and np.max(np.hypot(*np.transpose(ahead)[:2])) < 0.25
+    elsewhere = [
+        0.5 * (low + high) for low, high in zip(env.unwrapped.task.lower, env.unwrapped.task.upper, strict=True)
+    ]
+    _, info = env.reset(seed=0, options={"goal_joints": elsewhere})
+    at = forward(env.unwrapped.plant.arm.nominal, elsewhere).position
+    assert_allclose(info["fruit_position"], at, atol=2e-3)
+
+
+def test_the_gripper_says_in_its_reading_whether_it_holds():
+    place = {"obs_type": "pixels_environment_state_agent_pos", "cameras": ["wrist"], "pixels": 16}
+    try:
+        env = gym.make("pickenv/PickScene-v0", within_mm=40.0, feedback="camera", **place)
+        observation, _ = env.reset(seed=0)
+    except InputError as error:
+        pytest.skip(str(error))
+    policy, ended, readings = ServoScene(env), False, {float(observation["agent_pos"][-1])}
+    while not ended:
+        observation, _, ended, cut, info = env.step(policy.act(observation))
+        ended |= cut
+        readings.add(float(observation["agent_pos"][-1]))
+    assert info["is_success"] and readings == {0.0, 0.5, 1.0}

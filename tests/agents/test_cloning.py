@@ -1,0 +1,104 @@
+"""Clones: the servo demonstrates, a network learns it from pictures, the same again for a seed, whole in its file."""
+
+import gymnasium as gym
+import numpy as np
+import pytest
+
+from pickenv.agents import SIGHT, Clone, ClonedScene, ScriptedScene, ServoScene, clone, recorded_episode
+from pickenv.base import InputError
+
+pytest.importorskip("mujoco")
+pytest.importorskip("torch")
+SCENE = "pickenv/PickScene-v0"
+
+
+def picked(env, policy, seeds):
+    """Number of fruit that a policy takes."""
+    return sum(recorded_episode(env, policy, seed)[1]["is_success"] for seed in seeds)
+
+
+def demonstrated(env, seeds):
+    """Observations and actions of the servo."""
+    policy = ServoScene(env)
+    rows = [recorded_episode(env, policy, seed)[0] for seed in seeds]
+    return [(row["observations"], row["actions"]) for row in rows]
+
+
+@pytest.fixture(scope="module")
+def sees():
+    """An exact arm whose wrist camera sees, or a skip where nothing draws."""
+    env = gym.make(SCENE, plant="ideal:ur5e", max_episode_steps=120, **SIGHT)
+    try:
+        env.reset(seed=0)
+    except InputError as error:
+        pytest.skip(str(error))
+    yield env
+    env.close()
+
+
+@pytest.fixture(scope="module")
+def few(sees):
+    """Three demonstrations."""
+    return demonstrated(sees, range(3))
+
+
+@pytest.mark.parametrize("robot", ["ur5e", "panda"])
+@pytest.mark.parametrize("error_mm", [0.0, 10.0])
+def test_the_servo_takes_fruit_however_the_arm_errs(robot, error_mm):
+    place = {"within_mm": 60.0, "feedback": "camera", "max_episode_steps": 120}
+    env = gym.make(SCENE, plant=f"coarse:{robot}", error_mm=error_mm, **place)
+    assert picked(env, ServoScene(env), range(8)) >= 7
+    if error_mm:
+        blind = gym.make(SCENE, plant=f"coarse:{robot}", error_mm=20.0, within_mm=60.0)
+        assert picked(blind, ScriptedScene(blind), range(4)) <= 2
+
+
+def test_the_servo_needs_a_camera():
+    env = gym.make(SCENE)
+    with pytest.raises(InputError, match="needs a camera; make the environment with feedback='camera'"):
+        ServoScene(env).act(env.reset(seed=0)[0])
+
+
+def test_the_same_seed_learns_the_same_and_its_file_holds_all_of_it(sees, few, tmp_path):
+    first, again, other = (clone(few, sees, seed=seed, passes=2) for seed in (0, 0, 1))
+    read = Clone.load(first.save(tmp_path / "mine"))
+    seen = sees.reset(seed=9)[0]
+    acts = [ClonedScene(sees, network).act(seen) for network in (first, again, read, other)]
+    np.testing.assert_array_equal(acts[0], acts[1])
+    np.testing.assert_array_equal(acts[0], acts[2])
+    assert np.abs(acts[0] - acts[3]).max() > 1e-3 and sees.action_space.contains(acts[0])
+    path = tmp_path / "mine.npz"
+    path.write_bytes(path.read_bytes()[:-9] + b"x" + path.read_bytes()[-8:])
+    with pytest.raises(InputError, match=r"mine\.npz .*clone the demonstrations anew"):
+        Clone.load(path)
+
+
+def test_it_acts_by_the_picture_and_by_nothing_that_a_camera_does_not_see(sees, few):
+    policy = ClonedScene(sees, clone(few, sees, seed=0, passes=8))
+    seen = sees.reset(seed=9)[0]
+    act = policy.act(seen)
+    np.testing.assert_array_equal(policy.act(seen | {"environment_state": np.zeros(23, np.float32)}), act)
+    shifted = {"wrist": np.roll(seen["pixels"]["wrist"], 12, axis=1)}
+    assert np.abs(policy.act(seen | {"pixels": shifted}) - act).max() > 0.01
+
+
+def test_what_cannot_be_cloned_is_refused_in_one_sentence(sees, few):
+    (seen, actions), *_ = few
+    with pytest.raises(InputError, match="there are no demonstrations; give one at least"):
+        clone([], sees, seed=0)
+    with pytest.raises(InputError, match="hold no pictures of the wrist camera"):
+        clone([(seen["agent_pos"], actions)], sees, seed=0)
+    with pytest.raises(InputError, match=r"actions \(\d+, 6\) and joints .*; give 6 joints and a gripper"):
+        clone([(seen, actions[:, 1:])], sees, seed=0)
+    other = gym.make(SCENE, plant="ideal:panda")
+    with pytest.raises(InputError, match="is of an arm of 6 joints, and this one has 7; clone demonstrations of this"):
+        ClonedScene(other, clone(few, sees, seed=0, passes=1))
+
+
+@pytest.mark.slow
+def test_a_clone_takes_fruit_that_it_never_saw_with_arms_that_it_never_had(sees):
+    network = clone(demonstrated(sees, range(80)), sees, seed=0)
+    for error_mm in (0.0, 10.0):
+        place = SIGHT | {"feedback": "encoders", "max_episode_steps": 120}
+        env = gym.make(SCENE, plant="coarse:ur5e", error_mm=error_mm, **place)
+        assert picked(env, ClonedScene(env, network), range(1000, 1010)) >= 7
