@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from pickenv.arm import Array, Geometry
-from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS
+from pickenv.arm import FRAME_PARAMETERS, Array, Geometry
 from pickenv.base import InputError, single_threaded
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
 from pickenv.calibration.model.measurements import FRAME_TOLERANCES, Measurements, frame_columns, random_joints
