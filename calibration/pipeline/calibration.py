@@ -82,8 +82,12 @@ class PoseUncertainty:
         columns = [model.parameter_names.index(name) for name in self.names]
         jacobian = model.jacobian(joints.reshape(-1, joints.shape[-1]), conditions)[..., columns]
         covariance = jacobian @ self.covariance @ np.swapaxes(jacobian, -1, -2)
-        scatter = np.repeat([self.position_repeat, self.attitude_repeat or 0.0], 3) ** 2
-        return np.asarray(covariance.reshape(*joints.shape[:-1], 6, 6) + np.diag(scatter))
+        return np.asarray(covariance.reshape(*joints.shape[:-1], 6, 6) + np.diag(self.scatter))
+
+    @property
+    def scatter(self) -> Array:
+        """Variance of each coordinate of a pose that the parameters do not explain ``(6,)``, m^2 and rad^2."""
+        return np.repeat([self.position_repeat, self.attitude_repeat or 0.0], 3) ** 2
 
     def standard(
         self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None
@@ -92,9 +96,10 @@ class PoseUncertainty:
 
         Each is the root of the sum of its three variances. The attitude's is None if only positions were measured.
         """
-        return self._standard(np.diagonal(self.pose_covariance(model, joints, conditions), axis1=-2, axis2=-1))
+        return self.standard_of(np.diagonal(self.pose_covariance(model, joints, conditions), axis1=-2, axis2=-1))
 
-    def _standard(self, variance: Array) -> tuple[Array, Array | None]:
+    def standard_of(self, variance: Array) -> tuple[Array, Array | None]:
+        """The same of poses of which the variances of the six coordinates are known ``(..., 6)``, scatter included."""
         position, attitude = np.sqrt(variance[..., :3].sum(-1)), np.sqrt(variance[..., 3:].sum(-1))
         return position, None if self.attitude_repeat is None else attitude
 
@@ -118,32 +123,22 @@ class PoseUncertainty:
         )
         return position, attitude
 
-    def block(self, model: ArmModel, joints: Array, conditions: Conditions, variance: Array | None = None) -> Block:
-        """A table of the `bounds` of errors at these poses, and of the share of held-out errors that kept them."""
+    def block(self, standard: tuple[Array, Array | None]) -> Block:
+        """A table of the `bounds` of errors at such poses, and of the share of held-out errors that kept them."""
         rows = []
-        for quantity, (low, middle, high) in self.bounds(model, joints, conditions, variance).items():
+        for quantity, (low, middle, high) in self.bounds(standard).items():
             cell = f"{figure(middle)} {QUANTITIES[quantity][0]} ({figure(low)} to {figure(high)})"
             rows.append((quantity, cell, f"{100 * self.factors[quantity]['covered']:.1f} %"))
         heads = ("of", "95 of 100 are within (5 to 95 of 100 poses)", "held so")
         note = "by pose; held: of held-out rows, each judged by what was found without its block"
         return Block("How far errors go", heads, tuple(rows), note, "uncertainty")
 
-    def bounds(
-        self, model: ArmModel, joints: Array, conditions: Conditions, variance: Array | None = None
-    ) -> dict[str, list[float]]:
+    def bounds(self, standard: tuple[Array, Array | None]) -> dict[str, list[float]]:
         """What 95 of 100 errors keep within, of position (mm) and attitude (deg): at 5, 50 and 95 of 100 poses.
 
         Args:
-            model: The arm.
-            joints: Joints of the poses ``(N, n)``, rad or m.
-            conditions: Their conditions.
-            variance: The parameters' part of the poses' variances ``(N, 6)``; as of the arm's own base and tool if left
-                out.
+            standard: Standard uncertainties of position and attitude at the poses, each ``(N,)``, as of `standard`.
         """
-        if variance is None:
-            standard = self.standard(model, joints, conditions)
-        else:
-            standard = self._standard(variance + np.repeat([self.position_repeat, self.attitude_repeat or 0.0], 3) ** 2)
         radii = zip(QUANTITIES.items(), self._radii(standard), strict=True)
         return {
             quantity: np.percentile(radius * scale, [5, 50, 95]).tolist()

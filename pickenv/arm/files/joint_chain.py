@@ -42,10 +42,10 @@ def link_origins(geometry: Geometry) -> list[Pose]:
     """
     origins, before = [], geometry.base
     for i in range(geometry.links):
-        twist = Rotation.from_euler("x", geometry.alpha[i])
-        turn = twist * Rotation.from_euler("y", geometry.beta[i]) * Rotation.from_euler("z", geometry.theta[i])
-        local = np.array([geometry.a[i], 0.0, 0.0]) + turn.as_matrix() @ np.array([0.0, 0.0, geometry.d[i]])
-        origins.append(behind(before, Pose(local, turn.as_matrix())))
+        angles = geometry.alpha[i], geometry.beta[i], geometry.theta[i]
+        turn = Rotation.from_euler("XYZ", angles).as_matrix()
+        local = np.array([geometry.a[i], 0.0, 0.0]) + geometry.d[i] * turn[:, 2]
+        origins.append(behind(before, Pose(local, turn)))
         before = identity_pose()
     return origins
 

@@ -21,16 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.arm import MOST_RATIO, Arm
-from pickenv.arm.files.joint_chain import (
-    Carried,
-    ChainJoint,
-    Drive,
-    JointRow,
-    arm_of,
-    driver_of,
-    flange,
-    link_origins,
-)
+from pickenv.arm.files.joint_chain import Carried, ChainJoint, Drive, JointRow, arm_of, driver_of, flange, link_origins
 from pickenv.arm.files.urdf import ROD_RADIUS, leading_links
 from pickenv.arm.files.xml_values import Element, numbers_text, unit_vector, xml_number, xml_numbers, xml_root
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, behind, identity_pose

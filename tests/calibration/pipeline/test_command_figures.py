@@ -203,7 +203,7 @@ def test_how_far_errors_go_is_the_median_with_the_5th_and_95th_of_100_poses(judg
     sure, model, q = judged.uncertainty, judged.fit.calibration.model, judged.test.joints
     factors = {"position": {"factor": 2.0, "covered": 0.93}, "attitude": {"factor": 3.0, "covered": 0.96}}
     sure = replace(sure, factors=factors)
-    block = sure.block(model, q, judged.test.conditions)
+    block = sure.block(sure.standard(model, q, judged.test.conditions))
     parts = zip(block.rows, sure.standard(model, q), (2e3, np.degrees(3.0)), ("mm", "deg"), strict=False)
     for (_, said, held), size, scale, unit in parts:
         if size is not None:
