@@ -22,7 +22,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Array, Geometry, Pose, forward, identity_pose, rotation_matrix, rotation_vector
-from pickenv.arm.files.joint_chain import ChainJoint, JointRow, arm_of, geometry_of
+from pickenv.arm.files.joint_chain import ChainJoint, JointRow, arm_of, geometry_of, links_of
 from pickenv.arm.files.xml_values import numbers_text
 from pickenv.arm.kinematics.forward import NEARLY_PARALLEL, chain_of, frames, pose_of
 from pickenv.arm.kinematics.geometry import behind, inverse_pose
@@ -337,18 +337,19 @@ def _moved_origins(
         signs: Sense of each link's motion in the table against the file's, 1 or -1.
         corrected: Origins that are already corrected, by the joint's name.
     """
-    links = links_moved(joints)
+    links = links_of(joints)
+    places = {joint.name: place for place, link in enumerate(links) for joint in link}
     old = new = identity_pose()
     origins = []
-    for place, joint in enumerate(joints):
+    for joint in joints:
         old = behind(old, joint.origin)
         stood = behind(new, joint.origin)
-        link = links[place]
+        link = places.get(joint.name)
         if corrected and joint.name in corrected:
             stood = behind(new, corrected[joint.name])
         elif link is not None:
             laid = behind(inverse_pose(before[link]), old)
-            if links.count(link) == 1:
+            if len(links[link]) == 1:
                 laid = _laid_upon(laid, joint, signs[link])
             drawing, stood = stood, behind(after[link], laid)
             if _slips(before, link, joint):
@@ -366,26 +367,6 @@ def _slips(before: Sequence[Pose], link: int, joint: ChainJoint) -> bool:
         return False
     axis, following = (pose.rotation[:, 2] for pose in before[link : link + 2])
     return bool(np.linalg.norm(np.cross(axis, following)) < NEARLY_PARALLEL)
-
-
-def links_moved(joints: Sequence[ChainJoint]) -> list[int | None]:
-    """Index of the arm's link that each of a file's joints moves; None for a joint that does not move.
-
-    Successive slides that the same joint drives count as one link.
-    """
-    links: list[int | None] = []
-    row: dict[str, int] = {}
-    count = 0
-    for joint in joints:
-        if not joint.ratio:
-            links.append(None)
-        elif joint.slides and joint.driver in row:
-            links.append(row[joint.driver])
-        else:
-            row = {**row, joint.driver: count} if joint.slides else {}
-            links.append(count)
-            count += 1
-    return links
 
 
 def _laid_upon(laid: Pose, joint: ChainJoint, sign: float) -> Pose:

@@ -27,14 +27,7 @@ from pickenv.calibration.model.arm_model import CARRIER, ArmModel, fitted_model
 from pickenv.calibration.model.measurements import joint_columns, random_joints
 from pickenv.calibration.model.observations import MISS_UNITS, Clocks, Observations, equally_spaced, origins_of
 from pickenv.calibration.pipeline import fitting
-from pickenv.calibration.pipeline.calibration import (
-    QUANTITIES,
-    Calibration,
-    PoseUncertainty,
-    pose_uncertainty,
-    region_of,
-    variance_by_station,
-)
+from pickenv.calibration.pipeline.calibration import QUANTITIES, Calibration, PoseUncertainty, variance_by_station
 from pickenv.calibration.pipeline.twin import SCATTER, SCATTER_PARTS, scatter_of, twin
 from pickenv.calibration.reading.read import NoiseFloor, floor_record, floor_text, joints_of, read_targets
 from pickenv.calibration.residuals.gate import GateVerdict, position_rms, selected, verdicts_record
@@ -142,7 +135,7 @@ class Result:
         record = {**self.fit.calibration.record, "verdict": self.quality.as_dict()}
         record["uncertainty"] = self.uncertainty.as_record()
         if np.isfinite(self.uncertainty.covariance).all() and self.arm.nominal.tree is None:
-            record |= region_of(self.uncertainty, self.fit.calibration.model, self.train)
+            record |= self.uncertainty.region(self.fit.calibration.model, self.train)
         if self.base_frame is not None:
             record["base_frame"] = self.base_frame.as_dict()
         if self.unit is not None:
@@ -574,7 +567,7 @@ def assess(
     rows_of = test.rows_of_misses
     joints, conditions = test.joints[rows_of], test.conditions.select(rows_of)
     variance = None if arm.nominal.tree is None else variance_by_station(fit.identification, test)[rows_of]
-    uncertainty = pose_uncertainty(
+    uncertainty = PoseUncertainty.of(
         fit.identification, after, joints, held_out.blocks, conditions, train.miss_unit, variance
     )
     base_frame = None

@@ -212,7 +212,7 @@ class JointRow(NamedTuple):
                 drives[joint.driver] = _within(drives.get(joint.driver, self.drives[joint.driver]), joint)
                 links.append(replace(joint, origin=pose, axis=pose.rotation @ joint.axis))
             pose = behind(pose, joint.motion(joint.offset))
-        return _one_slide_each(links), behind(pose, self.tool)
+        return list(map(_one_joint, links_of(links))), behind(pose, self.tool)
 
 
 def arm_of(rows: Sequence[JointRow], path: Path, form: str, named: bool = True) -> Arm:
@@ -333,23 +333,30 @@ def _within(driver: Drive, joint: ChainJoint) -> Drive:
     return Drive(driver.slides, lower, upper, min(driver.speed, speed / abs(joint.ratio)))
 
 
-def _one_slide_each(links: list[ChainJoint]) -> list[ChainJoint]:
-    """The links, with consecutive slides of one driver made one: slides commute, so their directions add up."""
-    joined: list[ChainJoint] = []
+def links_of(joints: Sequence[ChainJoint]) -> list[list[ChainJoint]]:
+    """The joints that move each link: one, or consecutive slides of one driver. Joints that stand still move none."""
+    links: list[list[ChainJoint]] = []
     first = 0  # of the slides that follow one another
-    for link in links:
-        same = [i for i in range(first, len(joined)) if joined[i].driver == link.driver]
-        if not (link.slides and same):
-            joined.append(link)
-            first = first if link.slides else len(joined)
-            continue
-        slide = joined[same[0]]
-        along = slide.ratio * slide.axis + link.ratio * link.axis
-        if (length := float(np.linalg.norm(along))) < PARALLEL:
-            raise InputError(f"joint '{shortened(link.driver)}' moves two slides that cancel each other; correct one")
-        ratio = length if along @ slide.axis >= 0 else -length  # the first slide's direction is kept
-        joined[same[0]] = replace(slide, ratio=ratio, axis=along / ratio)
-    return joined
+    for joint in joints:
+        same = [link for link in links[first:] if joint.slides and link[0].driver == joint.driver]
+        if joint.ratio and same:
+            same[0].append(joint)
+        elif joint.ratio:
+            links.append([joint])
+            first = first if joint.slides else len(links)
+    return links
+
+
+def _one_joint(link: Sequence[ChainJoint]) -> ChainJoint:
+    """The joint of a link; of several slides, which commute, one along the sum of their directions."""
+    joint, *others = link
+    if not others:
+        return joint
+    along = np.sum([slide.ratio * slide.axis for slide in link], axis=0)
+    if (length := float(np.linalg.norm(along))) < PARALLEL:
+        raise InputError(f"joint '{shortened(joint.driver)}' moves two slides that cancel each other; correct one")
+    ratio = length if along @ joint.axis >= 0 else -length  # the first slide's direction is kept
+    return replace(joint, ratio=ratio, axis=along / ratio)
 
 
 def _in_order(links: list[ChainJoint], drives: Mapping[str, Drive]) -> tuple[str, ...]:
