@@ -15,18 +15,18 @@ import itertools
 import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm import Array, Geometry, Pose, forward, identity_pose, rotation_matrix, rotation_vector
-from pickenv.arm.files.joint_chain import ChainJoint, JointRow, whole_robot
+from pickenv.arm.files.joint_chain import ChainJoint, JointRow, arm_of, geometry_of, links_of
 from pickenv.arm.files.xml_values import numbers_text
 from pickenv.arm.kinematics.forward import NEARLY_PARALLEL, chain_of, frames, pose_of
 from pickenv.arm.kinematics.geometry import behind, inverse_pose
-from pickenv.base import InputError, shortened
+from pickenv.base import InputError, in_file, shortened
 from pickenv.calibration.delivery.document import left_out
 from pickenv.calibration.identification.robust import apart
 from pickenv.calibration.pipeline.calibration import Calibration
@@ -292,12 +292,8 @@ def corrected_chain(
     return origins, behind(inverse_pose(new), hand)
 
 
-def corrected_tree(
-    calibration: Calibration, rows: Sequence[JointRow], path: Path
-) -> tuple[list[tuple[ChainJoint, Pose]], tuple[str, ...]]:
-    """The joints of a whole robot with their corrected origins, and sentences on what the file holds of them.
-
-    Where sensors and targets sit on their links is no part of the robot.
+def corrected_tree(calibration: Calibration, rows: Sequence[JointRow], path: Path) -> list[tuple[ChainJoint, Pose]]:
+    """The joints of a whole robot with their corrected origins; where sensors and targets sit is no part of the robot.
 
     Args:
         calibration: The calibration.
@@ -307,7 +303,7 @@ def corrected_tree(
     Raises:
         InputError: If the file is of another robot.
     """
-    calibration.refuse_another(whole_robot(rows, path, "whole robot"), str(path))
+    calibration.refuse_another(arm_of(rows, path, "whole robot"), str(path))
     nominal, identified = (
         replace(geometry.between(-1, 0), base=calibration.arm.base)
         for geometry in (calibration.arm, calibration.identified)
@@ -322,8 +318,7 @@ def corrected_tree(
         earlier = {name: new for name, (_, new) in corrected.items()}
         moved, *_ = _moved_origins(before, after, row.joints, [1.0] * len(line), earlier)
         corrected |= {joint.name: (joint, new) for joint, new in zip(row.joints, moved, strict=True)}
-    moves = list(corrected.values())
-    return moves, (moved_words(moves), *left_out(calibration, RIGID))
+    return list(corrected.values())
 
 
 def _moved_origins(
@@ -342,18 +337,19 @@ def _moved_origins(
         signs: Sense of each link's motion in the table against the file's, 1 or -1.
         corrected: Origins that are already corrected, by the joint's name.
     """
-    links = links_moved(joints)
+    links = links_of(joints)
+    places = {joint.name: place for place, link in enumerate(links) for joint in link}
     old = new = identity_pose()
     origins = []
-    for place, joint in enumerate(joints):
+    for joint in joints:
         old = behind(old, joint.origin)
         stood = behind(new, joint.origin)
-        link = links[place]
+        link = places.get(joint.name)
         if corrected and joint.name in corrected:
             stood = behind(new, corrected[joint.name])
         elif link is not None:
             laid = behind(inverse_pose(before[link]), old)
-            if links.count(link) == 1:
+            if len(links[link]) == 1:
                 laid = _laid_upon(laid, joint, signs[link])
             drawing, stood = stood, behind(after[link], laid)
             if _slips(before, link, joint):
@@ -371,26 +367,6 @@ def _slips(before: Sequence[Pose], link: int, joint: ChainJoint) -> bool:
         return False
     axis, following = (pose.rotation[:, 2] for pose in before[link : link + 2])
     return bool(np.linalg.norm(np.cross(axis, following)) < NEARLY_PARALLEL)
-
-
-def links_moved(joints: Sequence[ChainJoint]) -> list[int | None]:
-    """Index of the arm's link that each of a file's joints moves; None for a joint that does not move.
-
-    Successive slides that the same joint drives count as one link.
-    """
-    links: list[int | None] = []
-    row: dict[str, int] = {}
-    count = 0
-    for joint in joints:
-        if not joint.ratio:
-            links.append(None)
-        elif joint.slides and joint.driver in row:
-            links.append(row[joint.driver])
-        else:
-            row = {**row, joint.driver: count} if joint.slides else {}
-            links.append(count)
-            count += 1
-    return links
 
 
 def _laid_upon(laid: Pose, joint: ChainJoint, sign: float) -> Pose:
@@ -416,27 +392,27 @@ NOTHING = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """New places of a file's joints and tool.
+    """New places of a file's joints and tool; of a whole robot there are joints alone.
 
     Attributes:
-        origins: New origin of each of the file's joints, in the frame of `ChainJoint.origin`.
+        moves: Each of the file's joints and its new origin, in the frame of `ChainJoint.origin`.
+        notes: Sentences on what the file holds of the calibration and what it does not.
         root: Pose of the arm's base frame in the file's root.
         hand: Pose of the calibrated tool in the tip's frame, if the tip's mount stays as it was.
         mount: New pose of the tip in the last joint's frame; None if it stays as it was.
         frame: Pose in the tip's frame of a new frame for the calibrated tool; None if no such frame is needed or can
             be written.
-        notes: Sentences on what the file holds of the calibration and what it does not.
     """
 
-    origins: list[Pose]
-    root: Pose
-    hand: Pose
-    mount: Pose | None
-    frame: Pose | None
+    moves: list[tuple[ChainJoint, Pose]]
     notes: tuple[str, ...]
+    root: Pose = field(default_factory=identity_pose)
+    hand: Pose = field(default_factory=identity_pose)
+    mount: Pose | None = None
+    frame: Pose | None = None
 
 
-def correction(calibration: Calibration, own: JointRow, path: Path, frame: str = "") -> Correction:
+def correction(calibration: Calibration, rows: Sequence[JointRow], path: Path, frame: str = "") -> Correction:
     """The corrected places of the joints and the tool in a robot's own file.
 
     A link that a joint moves has its frame on that joint's axis. If the tip is such a link, and the calibrated tool
@@ -444,21 +420,24 @@ def correction(calibration: Calibration, own: JointRow, path: Path, frame: str =
 
     Args:
         calibration: The calibration.
-        own: The file's joints.
+        rows: The file's joints up to its tip, or up to each of a whole robot's named parts.
         path: The file, for messages.
         frame: Name of a new frame behind the tip; empty if the format has no such frames.
 
     Raises:
         InputError: If the file is of another arm.
     """
-    try:
-        geometry, _ = own.geometry()
-    except InputError as error:
-        raise InputError(f"{path}: {error}") from None
+    if calibration.arm.tree is not None:
+        moves = corrected_tree(calibration, rows, path)
+        return Correction(moves, (moved_words(moves), *left_out(calibration, RIGID)))
+    own = rows[0]
+    with in_file(path):
+        geometry, _ = geometry_of(rows)
     same = same_chain(calibration.arm, geometry, path.name, calibration.arm_name)
     root, _, zero = same
     fitted = calibration.record.get("frames") == "fitted"
     origins, tool_mount = corrected_chain(calibration.arm, calibration.in_own_base, own.joints, same)
+    moves = list(zip(own.joints, origins, strict=True))
     hand = behind(inverse_pose(own.tool), tool_mount)
     retooled = max(apart(calibration.arm.tool, calibration.identified.tool)) > NOTHING
     tool, tip = behind(root, forward(calibration.arm, zero)), forward(geometry, np.zeros(geometry.joints))
@@ -468,7 +447,7 @@ def correction(calibration: Calibration, own: JointRow, path: Path, frame: str =
     beside = apart(behind(inverse_pose(tip), tool), hand)
     lies_beside = max(beside) > NOTHING
     behind_tip = hand if corrects and own.mount is None and frame and lies_beside else None
-    notes = _notes(calibration, own, origins, same)
+    notes = [moved_words(moves), *_readings(calibration, own, same)]
     size = f"{beside[0] * 1e3:.3g} mm and {round(math.degrees(beside[1]), 6):g} deg"
     if fitted:
         notes.append(
@@ -487,8 +466,7 @@ def correction(calibration: Calibration, own: JointRow, path: Path, frame: str =
             f"of the tool's correction {size} are left out: the file's tip is not the calibrated tool on a fixed "
             "joint; `kind='transforms'` writes them"
         )
-    notes += left_out(calibration, RIGID)
-    return Correction(origins, root, hand, mount, behind_tip, tuple(notes))
+    return Correction(moves, (*notes, *left_out(calibration, RIGID)), root, hand, mount, behind_tip)
 
 
 def own_origin(own: Pose, whole: Pose, corrected: Pose) -> Pose:
@@ -522,9 +500,8 @@ def changed(old: Pose, new: Pose, place: str, attitude: str, words: Callable[[Po
     return ({place: numbers_text(new.position)} if shifted else {}) | ({attitude: words(new)} if turned else {})
 
 
-def _notes(calibration: Calibration, own: JointRow, origins: list[Pose], same: SameChain) -> list[str]:
-    """Sentences on how far the file's joint origins move, and on joints that read otherwise than in the arm's table."""
-    notes = [moved_words(zip(own.joints, origins, strict=True))]
+def _readings(calibration: Calibration, own: JointRow, same: SameChain) -> Iterator[str]:
+    """A sentence on the joints that read otherwise in the file than in the arm's table, if there are any."""
     drivers = dict.fromkeys(joint.driver for joint in own.joints if joint.ratio)  # in the file's order
     readings = [
         f"{name} = {sign:+.0f} x {joint} {'+' if zero >= 0 else '-'} {abs(zero):.6g}"
@@ -532,13 +509,11 @@ def _notes(calibration: Calibration, own: JointRow, origins: list[Pose], same: S
         if sign != 1 or zero
     ]
     if readings:
-        notes.append(f"joints read otherwise in the file (rad, m): {', '.join(readings)}; its own reading is kept")
-    return notes
+        yield f"joints read otherwise in the file (rad, m): {', '.join(readings)}; its own reading is kept"
 
 
-def moved_words(moves: Iterable[tuple[ChainJoint, Pose]]) -> str:
+def moved_words(moves: Sequence[tuple[ChainJoint, Pose]]) -> str:
     """A sentence on how far joints' origins move, each given as the file has it and as corrected."""
-    moves = list(moves)
     sizes = {joint.name: apart(joint.origin, new) for joint, new in moves if any(is_moved(joint.origin, new))}
     if not sizes:
         return "no joint origin differs from what the file has; nothing is changed"

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -133,36 +133,21 @@ def urdf_document(calibration: Calibration, order: document.Order) -> document.D
         return _new_urdf(calibration, order.arm_of(calibration))
     path, tree = order.onto, calibration.arm.tree
     rows = [urdf_row(path, tip) for tip in ([order.tip] if tree is None else tree.names)]
-    data = path.read_bytes()
-    tags = document.start_tags(data)
-    meshes = [tag.attributes.get("filename", "") for tag in tags if tag.name == "mesh"]
-    if tree is not None:
-        corrected_chain.refuse_lost_files(path, order.out, meshes)
-        joints, notes = corrected_chain.corrected_tree(calibration, rows, path)
-        edits = _moved_joints(data, tags, [(joint.name, joint.origin, new) for joint, new in joints])
-        return document.Document(document.edited(data, edits), notes)
-    chain = rows[0]
-    frame = f"{chain.tip}_calibrated"
-    new = corrected_chain.correction(calibration, chain, path, frame)
+    row, data = rows[0], path.read_bytes()
+    frame, tags = f"{row.tip}_calibrated", document.start_tags(data)
+    new = corrected_chain.correction(calibration, rows, path, frame)
+    meshes = (tag.attributes.get("filename", "") for tag in tags if tag.name == "mesh")
     corrected_chain.refuse_lost_files(path, order.out, meshes)
-    moves = [(joint.name, joint.origin, origin) for joint, origin in zip(chain.joints, new.origins, strict=True)]
-    if new.mount is not None and chain.mount is not None:
-        moves.append((chain.mount, chain.tool, new.mount))
-    edits = _moved_joints(data, tags, moves)
-    if new.frame is not None:
-        edits += _behind_tip(data, tags, chain.joints[-1].name, chain.tip, frame, new.frame, path)
-    return document.Document(document.edited(data, edits), new.notes)
-
-
-def _moved_joints(
-    data: bytes, tags: list[document.StartTag], moves: Iterable[tuple[str, Pose, Pose]]
-) -> list[document.Edit]:
-    """Edits that move joints, each given by its name and its origin, as the file has it and as corrected."""
+    moves = [(joint.name, joint.origin, origin) for joint, origin in new.moves]
+    if new.mount is not None and row.mount is not None:
+        moves.append((row.mount, row.tool, new.mount))
     edits: list[document.Edit] = []
     for name, old, corrected in moves:
         joint = _joint(tags, name)
         edits += _moved(data, tags, joint, corrected_chain.own_origin(_origin(tags, joint), old, corrected))
-    return edits
+    if new.frame is not None:
+        edits += _behind_tip(data, tags, row.joints[-1].name, row.tip, frame, new.frame, path)
+    return document.Document(document.edited(data, edits), new.notes)
 
 
 def _new_urdf(calibration: Calibration, arm: Arm) -> document.Document:
@@ -254,20 +239,15 @@ def mjcf_document(calibration: Calibration, order: document.Order) -> document.D
         return _new_mjcf(calibration, order)
     path, tree = order.onto, calibration.arm.tree
     rows = [mjcf_row(path, tip) for tip in ([order.tip] if tree is None else tree.names)]
-    row = rows[0]
-    frame = f"{row.tip}_calibrated"
-    if tree is None:
-        new = corrected_chain.correction(calibration, row, path, frame)
-        moves, notes = list(zip(row.joints, new.origins, strict=True)), new.notes
-    else:
-        moves, notes = corrected_chain.corrected_tree(calibration, rows, path)
+    row, frame = rows[0], f"{rows[0].tip}_calibrated"
+    new = corrected_chain.correction(calibration, rows, path, frame)
     values = MjcfValues.of(xml_root(path, "MJCF (.xml)"))
     data = path.read_bytes()
     tags = document.start_tags(data)
     corrected_chain.refuse_lost_files(path, order.out, _files(tags))
     edits: list[document.Edit] = []
     taken: set[str] = set()
-    for joint, origin in moves:
+    for joint, origin in new.moves:
         if not any(corrected_chain.is_moved(joint.origin, origin)):
             continue
         if joint.body in taken:
@@ -279,8 +259,6 @@ def mjcf_document(calibration: Calibration, order: document.Order) -> document.D
         corrected = corrected_chain.own_origin(behind(values.pose(tag.attributes), place), joint.origin, origin)
         edits += _moved_body(data, tag, values, behind(corrected, inverse_pose(place)))
         taken.add(joint.body)
-    if tree is not None:
-        return document.Document(document.edited(data, edits), notes)
     if new.mount is not None and row.mount is not None:
         kind, _, name = row.mount.rpartition(" ") if row.mount.startswith("site ") else ("body", "", row.mount)
         tag = _named(tags, kind, name, path)
@@ -399,10 +377,10 @@ def kinematics_yaml_document(calibration: Calibration, order: document.Order) ->
         return _new_kinematics_yaml(calibration)
     path = order.onto
     row, _ = ur_row(path)
-    new = corrected_chain.correction(calibration, row, path)
+    new = corrected_chain.correction(calibration, [row], path)
     data = path.read_bytes()
     edits: list[document.Edit] = []
-    for link, joint, origin in zip(UR_LINKS, row.joints, new.origins, strict=True):
+    for link, (joint, origin) in zip(UR_LINKS, new.moves, strict=True):
         changes = corrected_chain.is_moved(joint.origin, origin)
         values = {key: value for key, value in _ur_values(origin).items() if changes[key not in LENGTHS]}
         edits += _edits(data, link, values, path)
@@ -495,7 +473,7 @@ def static_transforms(calibration: Calibration, order: document.Order) -> docume
         if path.suffix.lower() != ".urdf":
             raise InputError(f"{path} has no named frames; give `onto` the robot's URDF, or leave it out")
         row = urdf_row(path, order.tip)
-        robot = corrected_chain.correction(calibration, row, path)
+        robot = corrected_chain.correction(calibration, [row], path)
         names, measured, hand = (row.root, row.tip), behind(robot.root, measured), robot.hand
     for name in names:
         if not re.fullmatch(r"[\w./-]+", name):

@@ -11,8 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Geometry, Pose, pose_error
-from pickenv.arm.effects.drives import MeasurementNoise
+from pickenv.arm import Array, Geometry, MeasurementNoise, Pose, pose_error
 from pickenv.base import InputError
 from pickenv.calibration.identification.least_squares import identifiability
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel

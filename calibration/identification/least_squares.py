@@ -16,8 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
-from pickenv.arm import Array, Geometry
-from pickenv.arm.kinematics.geometry import FRAME_PARAMETERS
+from pickenv.arm import FRAME_PARAMETERS, Array, Geometry
 from pickenv.base import InputError, single_threaded
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
 from pickenv.calibration.model.measurements import FRAME_TOLERANCES, Measurements, frame_columns, random_joints
@@ -60,8 +59,7 @@ class Identification:
         degrees_of_freedom: Equations minus identified parameters.
         converged: Whether the last step was negligible.
         residual_rms: Weighted residual RMS before each iteration and after the last.
-        iterates: Geometry before each iteration and after the last.
-        unknown_iterates: The measurements' own unknowns ``(u,)`` before each iteration and after the last.
+        iterates: The arm, and the measurements' own unknowns ``(u,)``, before each iteration and after the last.
         solve_seconds: Time of the solution alone, s.
         poses: Number of poses used.
         kind: What was measured: "pose", "position", ….
@@ -78,8 +76,7 @@ class Identification:
     degrees_of_freedom: int
     converged: bool
     residual_rms: tuple[float, ...]
-    iterates: tuple[ArmModel, ...]
-    unknown_iterates: tuple[Array, ...]
+    iterates: tuple[tuple[ArmModel, Array], ...]
     solve_seconds: float
     poses: int
     kind: str
@@ -201,7 +198,7 @@ def identify(
     else:
         base = rank(arm, matrix if any(part.framed for part in sets) else columns)
         _enough_poses(model, arm, sets, unknowns, base.rank, len(weighted))
-    iterates, unknown_iterates, history = [arm], [np.concatenate(unknowns)], [rms_of(weighted)]
+    first, iterates, history = arm, [(arm, np.concatenate(unknowns))], [rms_of(weighted)]
     converged, near, damping, offset, rank_is_final = False, False, 0.0, np.inf, every or not own_names
     for _ in range(max_iterations if rank_is_final else 2 * max_iterations):
         full_step = _solve(matrix[:, base.kept], right, 0.0)
@@ -231,8 +228,7 @@ def identify(
                 break
             continue
         history.append(rms)
-        iterates.append(arm)
-        unknown_iterates.append(np.concatenate(unknowns))
+        iterates.append((arm, np.concatenate(unknowns)))
         settled = negligible or (damping == 0.0 and finished)
         if settled and rank_is_final:
             converged = True
@@ -249,7 +245,7 @@ def identify(
             # starts in the flange's middle hides how the flange turns. So the rank is judged once more with them, of
             # the arm as it started: axes that were parallel are told apart by their errors alone, which is too weak.
             rank_is_final = True
-            larger = rank(iterates[0], whiten(_jacobian(model, sets, iterates[0], unknowns, tolerance)))
+            larger = rank(first, whiten(_jacobian(model, sets, first, unknowns, tolerance)))
             if larger.rank <= base.rank:
                 converged = True
                 break
@@ -261,19 +257,18 @@ def identify(
         rows = np.concatenate([part.residual(arm, values) for part, values in measured])
     chi_square, freedom = float(rows @ rows), len(rows) - base.rank
     variance = 1.0 if every else chi_square / freedom if freedom > 0 else np.nan  # of residuals: GUM, type A
-    end = np.concatenate(unknowns)
+    end, (_, begun) = np.concatenate(unknowns), iterates[0]
     return Identification(
         arm_model=arm,
         unknowns=dict(zip(own_names, end.tolist(), strict=True)),
         identifiability=base,
-        delta=np.concatenate([end - unknown_iterates[0], iterates[0].difference(arm)[model.columns]]),
+        delta=np.concatenate([end - begun, first.difference(arm)[model.columns]]),
         covariance=_covariance(matrix[:, base.kept], tolerance[base.kept], variance),
         chi_square=chi_square,
         degrees_of_freedom=freedom,
         converged=converged,
         residual_rms=tuple(history),
         iterates=tuple(iterates),
-        unknown_iterates=tuple(unknown_iterates),
         solve_seconds=time.perf_counter() - begin,
         poses=poses,
         kind="+".join(dict.fromkeys(part.kind for part in sets if len(part.joints))),

@@ -16,18 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm import Array, Pose, rotation_matrix
+from pickenv.arm import Array, Pose, inverse_pose, rotation_matrix
 from pickenv.base import InputError, register
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import (
-    Observations,
-    Origins,
-    Rows,
-    Stated,
-    nearest_rotation,
-    point_jacobian,
-)
+from pickenv.calibration.model.observations import Observations, Origins, Rows, Stated, nearest_rotation, point_jacobian
 
 # What a camera makes of a point: a pinhole, and the radial and tangential distortion of its lens. Brown 1971, with
 # the coefficients as OpenCV and ROS ("plumb_bob") order them: k1, k2, p1, p2, k3. Points lie in the camera's frame (x
@@ -209,9 +202,7 @@ class PixelObservations(Observations):
                 "to start from; give views that do"
             )
         poses = board_poses(views)
-        if self.mount == "hand":
-            back = np.swapaxes(poses.rotation, 1, 2)
-            poses = Pose(-(back @ poses.position[..., None])[..., 0], back)
+        poses = inverse_pose(poses) if self.mount == "hand" else poses
         seen = views.joints, poses.position, poses.rotation, prismatic
         return Measurements(*seen, source=self.source, conditions=views.conditions)
 

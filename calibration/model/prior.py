@@ -15,8 +15,7 @@ from typing import Literal, get_args
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Array, Geometry, Tolerances, load_tolerances
-from pickenv.arm.plant.tolerances import standard_deviations
+from pickenv.arm import Array, Geometry, Tolerances, load_tolerances, standard_deviations
 from pickenv.calibration.model import arm_model
 from pickenv.calibration.model.arm_model import ArmModel, ComplianceTerm, ErrorModel, Term, frames_model
 from pickenv.calibration.model.observations import Observations, worked_out

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Arm, Array, Geometry, Pose, forward, inverse, joint_jacobian, noncompensable_error, pose_error
+from pickenv.arm.kinematics.geometry import behind, inverse_pose
 from pickenv.arm.kinematics.task_space import attitude_weight, truncated_inverse
 from pickenv.base import InputError
 from pickenv.calibration.compensation.compensator import Compensator
@@ -232,9 +233,5 @@ def toward(compensator: Compensator, wanted: Pose, start: Array) -> Array:
 
 def _carried(pose: Pose, believed: Geometry, fitted: Geometry) -> Pose:
     """A tool pose from the controller's frame, expressed in the instrument's frame for the fitted tool."""
-    turn = fitted.base.rotation @ believed.base.rotation.T
-    twist = believed.tool.rotation.T @ fitted.tool.rotation
-    mount = pose.rotation @ believed.tool.rotation.T
-    flange = pose.position - (mount @ believed.tool.position)
-    flange_position = (flange - believed.base.position) @ turn.T + fitted.base.position
-    return Pose(flange_position + (turn @ mount) @ fitted.tool.position, turn @ pose.rotation @ twist)
+    flange = behind(behind(inverse_pose(believed.base), pose), inverse_pose(believed.tool))
+    return behind(behind(fitted.base, flange), fitted.tool)

@@ -14,7 +14,6 @@ from scipy.spatial import KDTree
 
 from pickenv.arm import Arm, Array, Geometry, Pose
 from pickenv.arm.files.arm import finite, geometry_arrays, geometry_from_arrays
-from pickenv.arm.kinematics.geometry import geometry_fingerprint
 from pickenv.base import DO_NOT_USE, FITTED_FRAMES, InputError
 from pickenv.base.container import named_part, npz_path, part_of, read_container, refusing_damage, write_container
 from pickenv.base.registry import Origin, get, origin
@@ -41,7 +40,7 @@ VAGUE = 2.0
 95 of 100 fitted rows."""
 
 MEASURED_REGION = "measured_region"
-"""Entry of a calibration's record that holds `region_of`."""
+"""Entry of a calibration's record that holds `PoseUncertainty.region`."""
 
 QUANTITIES = {"position": screen_unit(True), "attitude": screen_unit(False)}
 """The uncertain parts of a pose, and the unit and factor in which screens show each."""
@@ -82,8 +81,12 @@ class PoseUncertainty:
         columns = [model.parameter_names.index(name) for name in self.names]
         jacobian = model.jacobian(joints.reshape(-1, joints.shape[-1]), conditions)[..., columns]
         covariance = jacobian @ self.covariance @ np.swapaxes(jacobian, -1, -2)
-        scatter = np.repeat([self.position_repeat, self.attitude_repeat or 0.0], 3) ** 2
-        return np.asarray(covariance.reshape(*joints.shape[:-1], 6, 6) + np.diag(scatter))
+        return np.asarray(covariance.reshape(*joints.shape[:-1], 6, 6) + np.diag(self.scatter))
+
+    @property
+    def scatter(self) -> Array:
+        """Variance of each coordinate of a pose that the parameters do not explain ``(6,)``, m^2 and rad^2."""
+        return np.repeat([self.position_repeat, self.attitude_repeat or 0.0], 3) ** 2
 
     def standard(
         self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None
@@ -92,9 +95,10 @@ class PoseUncertainty:
 
         Each is the root of the sum of its three variances. The attitude's is None if only positions were measured.
         """
-        return self._standard(np.diagonal(self.pose_covariance(model, joints, conditions), axis1=-2, axis2=-1))
+        return self.standard_of(np.diagonal(self.pose_covariance(model, joints, conditions), axis1=-2, axis2=-1))
 
-    def _standard(self, variance: Array) -> tuple[Array, Array | None]:
+    def standard_of(self, variance: Array) -> tuple[Array, Array | None]:
+        """The same of poses of which the variances of the six coordinates are known ``(..., 6)``, scatter included."""
         position, attitude = np.sqrt(variance[..., :3].sum(-1)), np.sqrt(variance[..., 3:].sum(-1))
         return position, None if self.attitude_repeat is None else attitude
 
@@ -118,32 +122,22 @@ class PoseUncertainty:
         )
         return position, attitude
 
-    def block(self, model: ArmModel, joints: Array, conditions: Conditions, variance: Array | None = None) -> Block:
-        """A table of the `bounds` of errors at these poses, and of the share of held-out errors that kept them."""
+    def block(self, standard: tuple[Array, Array | None]) -> Block:
+        """A table of the `bounds` of errors at such poses, and of the share of held-out errors that kept them."""
         rows = []
-        for quantity, (low, middle, high) in self.bounds(model, joints, conditions, variance).items():
+        for quantity, (low, middle, high) in self.bounds(standard).items():
             cell = f"{figure(middle)} {QUANTITIES[quantity][0]} ({figure(low)} to {figure(high)})"
             rows.append((quantity, cell, f"{100 * self.factors[quantity]['covered']:.1f} %"))
         heads = ("of", "95 of 100 are within (5 to 95 of 100 poses)", "held so")
         note = "by pose; held: of held-out rows, each judged by what was found without its block"
         return Block("How far errors go", heads, tuple(rows), note, "uncertainty")
 
-    def bounds(
-        self, model: ArmModel, joints: Array, conditions: Conditions, variance: Array | None = None
-    ) -> dict[str, list[float]]:
+    def bounds(self, standard: tuple[Array, Array | None]) -> dict[str, list[float]]:
         """What 95 of 100 errors keep within, of position (mm) and attitude (deg): at 5, 50 and 95 of 100 poses.
 
         Args:
-            model: The arm.
-            joints: Joints of the poses ``(N, n)``, rad or m.
-            conditions: Their conditions.
-            variance: The parameters' part of the poses' variances ``(N, 6)``; as of the arm's own base and tool if left
-                out.
+            standard: Standard uncertainties of position and attitude at the poses, each ``(N,)``, as of `standard`.
         """
-        if variance is None:
-            standard = self.standard(model, joints, conditions)
-        else:
-            standard = self._standard(variance + np.repeat([self.position_repeat, self.attitude_repeat or 0.0], 3) ** 2)
         radii = zip(QUANTITIES.items(), self._radii(standard), strict=True)
         return {
             quantity: np.percentile(radius * scale, [5, 50, 95]).tolist()
@@ -161,53 +155,67 @@ class PoseUncertainty:
             **{f"{name}_within95": part for name, part in self.factors.items()},
         }
 
+    @staticmethod
+    def of(
+        found: Identification,
+        errors: Array,
+        joints: Array | None = None,
+        blocks: Rows | None = None,
+        conditions: Conditions | None = None,
+        unit: str = "mm",
+        variance: Array | None = None,
+    ) -> PoseUncertainty:
+        """The uncertainty of predicted poses, from an identification and the errors that it leaves.
 
-def pose_uncertainty(
-    found: Identification,
-    errors: Array,
-    joints: Array | None = None,
-    blocks: Rows | None = None,
-    conditions: Conditions | None = None,
-    unit: str = "mm",
-    variance: Array | None = None,
-) -> PoseUncertainty:
-    """The uncertainty of predicted poses, from an identification and the errors that it leaves.
+        Args:
+            found: The identification.
+            errors: Measured minus predicted poses ``(N, 6)`` or positions ``(N, 3)``, m and rad, best of held-out rows.
+                Their RMS per coordinate is taken as u_repeat, so it includes the instrument's noise and errs on the
+                large side.
+            joints: Joints at which each error was found ``(N, n)``, rad or m; if given, bounds of 95 of 100 errors are
+                found too.
+            blocks: The block of each error ``(N,)``, if errors of one block are alike.
+            conditions: Payload and temperature of each error's row, if known.
+            unit: "deg" if the errors are misses of directions ``(N, k)``, rad; the uncertainty of positions is then the
+                parameters' alone.
+            variance: The parameters' part of each pose's variances ``(N, 6)``; as of the arm's own base and tool if
+                left out.
+        """
+        positions, attitudes = (np.zeros((0, 3)), errors) if unit == "deg" else (errors[:, :3], errors[:, 3:])
+        names = set(found.arm_model.parameter_names)
+        places = [i for i, name in enumerate(found.identifiability.kept_names) if name in names]
+        sure = PoseUncertainty(
+            names=tuple(found.identifiability.kept_names[i] for i in places),
+            covariance=found.covariance[np.ix_(places, places)],
+            position_repeat=float(np.sqrt(np.mean(positions**2))) if positions.size else 0.0,
+            attitude_repeat=float(np.sqrt(np.mean(attitudes**2))) if attitudes.size else None,
+        )
+        if joints is None or not np.isfinite(sure.covariance).all():
+            return sure
+        parametric = replace(sure, position_repeat=0.0, attitude_repeat=None)
+        if variance is None:
+            variance = np.diagonal(parametric.pose_covariance(found.arm_model, joints, conditions), axis1=1, axis2=2)
+        factors = {}
+        for name, first, some in zip(QUANTITIES, (0, 3), (positions, attitudes), strict=True):
+            squares, expected = np.sum(some**2, axis=1), variance[:, first : first + 3].sum(axis=1)
+            if some.size and (part := within95(joints, squares, expected, blocks)):
+                factors[name] = part
+        return replace(sure, factors=factors)
 
-    Args:
-        found: The identification.
-        errors: Measured minus predicted poses ``(N, 6)`` or positions ``(N, 3)``, m and rad, best of held-out rows.
-            Their RMS per coordinate is taken as u_repeat, so it includes the instrument's noise and errs on the large
-            side.
-        joints: Joints at which each error was found ``(N, n)``, rad or m; if given, bounds of 95 of 100 errors are
-            found too.
-        blocks: The block of each error ``(N,)``, if errors of one block are alike.
-        conditions: Payload and temperature of each error's row, if known.
-        unit: "deg" if the errors are misses of directions ``(N, k)``, rad; the uncertainty of positions is then the
-            parameters' alone.
-        variance: The parameters' part of each pose's variances ``(N, 6)``; as of the arm's own base and tool if left
-            out.
-    """
-    positions, attitudes = (np.zeros((0, 3)), errors) if unit == "deg" else (errors[:, :3], errors[:, 3:])
-    names = set(found.arm_model.parameter_names)
-    places = [i for i, name in enumerate(found.identifiability.kept_names) if name in names]
-    sure = PoseUncertainty(
-        names=tuple(found.identifiability.kept_names[i] for i in places),
-        covariance=found.covariance[np.ix_(places, places)],
-        position_repeat=float(np.sqrt(np.mean(positions**2))) if positions.size else 0.0,
-        attitude_repeat=float(np.sqrt(np.mean(attitudes**2))) if attitudes.size else None,
-    )
-    if joints is None or not np.isfinite(sure.covariance).all():
-        return sure
-    parametric = replace(sure, position_repeat=0.0, attitude_repeat=None)
-    if variance is None:
-        variance = np.diagonal(parametric.pose_covariance(found.arm_model, joints, conditions), axis1=1, axis2=2)
-    factors = {
-        name: part
-        for name, first, errors in zip(QUANTITIES, (0, 3), (positions, attitudes), strict=True)
-        if errors.size
-        and (part := within95(joints, np.sum(errors**2, axis=1), variance[:, first : first + 3].sum(axis=1), blocks))
-    }
-    return replace(sure, factors=factors)
+    def region(self, model: ArmModel, data: Observations) -> dict[str, Any]:
+        """A record's entry of the measured region: some rows' joints, what distance is near, and the uncertainty there.
+
+        Args:
+            model: The arm.
+            data: The rows fitted.
+        """
+        std = self.from_parameters(model, data.joints, data.conditions)
+        joints = data.joints[equally_spaced(len(data.joints), ANCHORS)]
+        places = joint_features(joints, model.geometry.prismatic)
+        apart = np.asarray(KDTree(places).query(places, k=2)[0])[:, 1]
+        near = max(NEARBY, SPACING * float(np.percentile(apart, 95)))
+        region = {"joints": np.round(joints, 4).tolist(), "near": near, "position_p95_m": float(np.percentile(std, 95))}
+        return {MEASURED_REGION: region}
 
 
 def variance_by_station(found: Identification, data: Observations) -> Array:
@@ -272,23 +280,6 @@ def joint_features(joints: Array, slides: tuple[bool, ...]) -> Array:
     straight = np.array(slides)
     turning = joints[:, ~straight]
     return np.concatenate([np.sin(turning), np.cos(turning), joints[:, straight]], axis=1)
-
-
-def region_of(sure: PoseUncertainty, model: ArmModel, data: Observations) -> dict[str, Any]:
-    """A record's entry of the measured region: some rows' joints, the distance that is near, and the uncertainty there.
-
-    Args:
-        sure: Uncertainty of the arm.
-        model: The arm.
-        data: The rows fitted.
-    """
-    std = sure.from_parameters(model, data.joints, data.conditions)
-    joints = data.joints[equally_spaced(len(data.joints), ANCHORS)]
-    places = joint_features(joints, model.geometry.prismatic)
-    apart = np.asarray(KDTree(places).query(places, k=2)[0])[:, 1]
-    near = max(NEARBY, SPACING * float(np.percentile(apart, 95)))
-    region = {"joints": np.round(joints, 4).tolist(), "near": near, "position_p95_m": float(np.percentile(std, 95))}
-    return {MEASURED_REGION: region}
 
 
 def measured_there(record: Mapping[str, Any], model: ArmModel, data: Observations) -> NDArray[np.bool_] | None:
@@ -386,7 +377,7 @@ class Calibration:
     @property
     def arm_fingerprint(self) -> str:
         """Hash of the arm's own nominal geometry."""
-        return geometry_fingerprint(self.arm)
+        return self.arm.fingerprint()
 
     def refuse_another(self, arm: Arm, name: str = "the calibration") -> None:
         """Refuse an arm with another geometry; ``name`` is what messages call the calibration.
@@ -582,9 +573,9 @@ def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -
     names, prismatic, record = header["joint_names"], header["prismatic"], header["record"]
     parts = {key: part_of(arrays, f"{key}/") for key in GEOMETRIES}
     arm, nominal, identified = (geometry_from_arrays(part, names, prismatic, key) for key, part in parts.items())
-    if geometry_fingerprint(arm) != header["arm_fingerprint"]:
+    if arm.fingerprint() != header["arm_fingerprint"]:
         raise InputError(f"its arm's geometry is not the one of fingerprint {header['arm_fingerprint']}")
-    if geometry_fingerprint(replace(nominal, base=arm.base, tool=arm.tool)) != header["arm_fingerprint"]:
+    if replace(nominal, base=arm.base, tool=arm.tool).fingerprint() != header["arm_fingerprint"]:
         raise InputError("its nominal geometry differs from its arm's by more than base and tool")
     terms = tuple(term_from(term) for term in header["terms"])
     count = sum(len(term.names(identified)) for term in terms)

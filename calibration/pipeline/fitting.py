@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 
 from pickenv.arm import Arm, Array
-from pickenv.base import InputError, mean_interval, versions
-from pickenv.base.intervals import LEAST
+from pickenv.base import LEAST, InputError, mean_interval, versions
 from pickenv.calibration.assessment.metrics import LEAST_ROWS, error_statistics
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.least_squares import Identification, identify, unknowns_of

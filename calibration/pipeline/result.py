@@ -23,18 +23,11 @@ from pickenv.calibration.assessment.quality import Quality, grade_quality, works
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification import diagnosis
 from pickenv.calibration.identification.term_choice import TermChoice
-from pickenv.calibration.model.arm_model import CARRIER, ArmModel, Conditions, fitted_model
+from pickenv.calibration.model.arm_model import CARRIER, ArmModel, fitted_model
 from pickenv.calibration.model.measurements import joint_columns, random_joints
 from pickenv.calibration.model.observations import MISS_UNITS, Clocks, Observations, equally_spaced, origins_of
 from pickenv.calibration.pipeline import fitting
-from pickenv.calibration.pipeline.calibration import (
-    QUANTITIES,
-    Calibration,
-    PoseUncertainty,
-    pose_uncertainty,
-    region_of,
-    variance_by_station,
-)
+from pickenv.calibration.pipeline.calibration import QUANTITIES, Calibration, PoseUncertainty, variance_by_station
 from pickenv.calibration.pipeline.twin import SCATTER, SCATTER_PARTS, scatter_of, twin
 from pickenv.calibration.reading.read import NoiseFloor, floor_record, floor_text, joints_of, read_targets
 from pickenv.calibration.residuals.gate import GateVerdict, position_rms, selected, verdicts_record
@@ -142,7 +135,7 @@ class Result:
         record = {**self.fit.calibration.record, "verdict": self.quality.as_dict()}
         record["uncertainty"] = self.uncertainty.as_record()
         if np.isfinite(self.uncertainty.covariance).all() and self.arm.nominal.tree is None:
-            record |= region_of(self.uncertainty, self.fit.calibration.model, self.train)
+            record |= self.uncertainty.region(self.fit.calibration.model, self.train)
         if self.base_frame is not None:
             record["base_frame"] = self.base_frame.as_dict()
         if self.unit is not None:
@@ -207,11 +200,12 @@ class Result:
         return f"{words}{low} to {high} mm (95 % interval; the lower end without the instrument's noise)"
 
     @property
-    def _judged(self) -> tuple[ArmModel, Array, Conditions, Array | None]:
-        """The model used, and joints, conditions and variances of the rows judged, the last of a whole robot only."""
-        whole = self.arm.nominal.tree is not None
-        variance = variance_by_station(self.fit.identification, self.test) if whole else None
-        return self.fit.calibration.model, self.test.joints, self.test.conditions, variance
+    def _standard(self) -> tuple[Array, Array | None]:
+        """Standard uncertainties of position and attitude at the rows judged; of a whole robot, by station."""
+        sure, test = self.uncertainty, self.test
+        if self.arm.nominal.tree is None:
+            return sure.standard(self.fit.calibration.model, test.joints, test.conditions)
+        return sure.standard_of(variance_by_station(self.fit.identification, test) + sure.scatter)
 
     def blocks(self) -> tuple[screen.Block, ...]:
         """The tables that terminal and page show after verdict and frames, in order; empty ones are left out."""
@@ -237,7 +231,7 @@ class Result:
         blocks += [screen.stiffness_block(self.stiffnesses), screen.harmonic_block(self.harmonics)]
         blocks += [self._gate()] if self.gate else []
         blocks += [] if self.pixels is None else [fitting.pixel_block(self.pixels, fitting.view_names(self.test.views))]
-        sure = self.uncertainty.block(*self._judged)
+        sure = self.uncertainty.block(self._standard)
         return tuple(block for block in (*blocks, sure, self._facts()) if block.rows)
 
     def __str__(self) -> str:
@@ -447,7 +441,7 @@ class Result:
             "kind": solution.kind,
             "frames": "known" if self.known_frames else "fitted",
             "within95": {name: self.uncertainty.factors.get(name) for name in QUANTITIES},
-            "within95_by_pose": self.uncertainty.bounds(*self._judged),
+            "within95_by_pose": self.uncertainty.bounds(self._standard),
             "base_frame": None if self.base_frame is None else self.base_frame.as_dict(),
             "stations": self.set_ups,
             "rows": {"train": len(self.train.joints), "test": len(self.test.joints)},
@@ -573,7 +567,7 @@ def assess(
     rows_of = test.rows_of_misses
     joints, conditions = test.joints[rows_of], test.conditions.select(rows_of)
     variance = None if arm.nominal.tree is None else variance_by_station(fit.identification, test)[rows_of]
-    uncertainty = pose_uncertainty(
+    uncertainty = PoseUncertainty.of(
         fit.identification, after, joints, held_out.blocks, conditions, train.miss_unit, variance
     )
     base_frame = None

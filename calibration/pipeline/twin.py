@@ -16,8 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.linalg import block_diag
 
-from pickenv.arm import Arm, Array, Geometry, Plant
-from pickenv.arm.effects.drives import MeasurementNoise
+from pickenv.arm import Arm, Array, Geometry, MeasurementNoise, Plant
 from pickenv.arm.effects.residual_field import Features, ResidualField
 from pickenv.arm.plant.plant import Layout, Posterior
 from pickenv.arm.plant.twin_file import twin_plant

@@ -20,7 +20,7 @@ from pickenv.base import LIMITS, TO_SI, InputError, check_limit, listed, read_te
 from pickenv.calibration.camera.boards import Board, Corners, Grey, corners_at, find_corners, opencv, read_lens
 from pickenv.calibration.model import kinds
 from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_poses
-from pickenv.calibration.model.observations import Observations, Origins, Rows, origins_of
+from pickenv.calibration.model.observations import Observations, Origins, Rows
 from pickenv.calibration.model.pixels import LENS_NAMES, Lens, PixelObservations
 from pickenv.calibration.reading import description
 from pickenv.calibration.reading.csv_table import Table, read_table, rotations, table_of_entries
@@ -418,20 +418,12 @@ def read_views(
     corners, visible, std = map(np.stack, zip(*views, strict=True))
     lines = np.array(table.lines, dtype=np.int64)[rows]
     std = std if file.pixels.std is None else np.full_like(std, file.pixels.std)
-    data = PixelObservations(
-        joints,
-        corners,
-        visible,
-        file.target_points[0],
-        camera,
-        _lens_std(file.camera),
-        std,
-        file.pixels.mount or "world",
-    )
-    names = np.array([str(path) for path in pictures]) if pictures else None
     origins = Origins((table.where,), np.zeros_like(lines), lines)
+    lens = camera, _lens_std(file.camera)
+    data = PixelObservations(joints, corners, visible, file.target_points[0], *lens, std, file.pixels.mount or "world")
+    names = np.array([str(path) for path in pictures]) if pictures else None
     data = replace(data, source=table.where, remarks=np.array(remarks), pictures=names, origins=origins)
-    refuse_duplicates(joints, data, origins_of(data))
+    refuse_duplicates(joints, data, origins)
     return data
 
 

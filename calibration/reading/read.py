@@ -101,9 +101,7 @@ def read_observations(
     csv_table.refuse_repeated(paths)
     given = None if columns is None else description.load_description(columns)
     where = "" if columns is None else str(description.description_path(columns))
-    names, links = ("", ""), ("", "")
-    if given is not None:
-        names, links = given.ends
+    names, links = (("", ""), ("", "")) if given is None else given.ends
     geometry = _between(geometry, links, where or str(paths[0]))
     if given is not None and given.pixels is not None:
         return FileReading(

@@ -11,6 +11,7 @@ import ast
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from operator import attrgetter
 from pathlib import Path
 from typing import Any, Self
 
@@ -25,8 +26,8 @@ from pickenv.base import TO_SI, InputError, listed
 from pickenv.calibration.identification.least_squares import Identification, identify, unknowns_of
 from pickenv.calibration.identification.robust import MISFIT, OUTLIER_SIGMA, SPAN, rough_start, sigma_of
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.model.arm_model import ArmModel, Conditions, complete_model, frames_model
-from pickenv.calibration.model.observations import Clocks, Observations, Origins, Rows, equally_spaced, worked_out
+from pickenv.calibration.model.arm_model import ArmModel, complete_model, frames_model
+from pickenv.calibration.model.observations import Clocks, Observations, Rows, equally_spaced, worked_out
 from pickenv.calibration.model.prior import prior_model
 from pickenv.calibration.reading import csv_table, description, kind_readers
 from pickenv.calibration.reading.bag_table import read_log
@@ -83,40 +84,14 @@ class Timed(Observations):
     times: Array
     joints_at: Callable[[Array], Array]
 
-    @worked_out
-    def joints(self) -> Array:
-        """Joints at the first guess of the clocks ``(N, n)``, rad or m."""
-        return self.rows.joints
-
-    @worked_out
-    def conditions(self) -> Conditions:
-        """The conditions of the rows."""
-        return self.rows.conditions
-
-    @worked_out
-    def origins(self) -> Origins | None:
-        """File and line of the rows."""
-        return self.rows.origins
-
-    @worked_out
-    def framed(self) -> bool:
-        """Whether the instrument has a frame."""
-        return self.rows.framed
-
-    @worked_out
-    def kind(self) -> str:
-        """The kind of the rows."""
-        return self.rows.kind
-
-    @worked_out
-    def source(self) -> str:
-        """The source of the rows."""
-        return self.rows.source
-
-    @worked_out
-    def sized(self) -> bool:
-        """Whether the rows know a length."""
-        return self.rows.sized
+    # What the rows say at the first guess of the clocks.
+    conditions = worked_out(attrgetter("rows.conditions"))
+    framed = worked_out(attrgetter("rows.framed"))
+    joints = worked_out(attrgetter("rows.joints"))
+    kind = worked_out(attrgetter("rows.kind"))
+    origins = worked_out(attrgetter("rows.origins"))
+    sized = worked_out(attrgetter("rows.sized"))
+    source = worked_out(attrgetter("rows.source"))
 
     def at(self, clock: Array) -> Observations:
         """The rows with the joints that belong to a clock's offset, s, and relative rate ``(2,)``."""

@@ -275,16 +275,20 @@ def _folded(model) -> tuple[tuple[Array, ...], tuple[Array, ...]]:  # type: igno
 
 
 # A network as machine code, in single precision: each pose by itself, in one fixed order of sums. Sixteen poses go
-# through all layers together and stay in a core's first cache; a pose alone goes through with eight outputs at a time.
-# A pose alone and one among thousands find the same bits.
+# through all layers together and stay in a core's first cache; a pose alone goes through with 32 outputs at a time. A
+# pose alone and one among thousands find the same bits.
 
 
-POSES, TILE = 16, 8
-"""Number of poses that go through the network together, and of outputs that are summed side by side."""
+POSES, TILE = 16, 32
+"""Number of poses that go through the network together, and of a pose's outputs whose weights stand side by side."""
 
-MANY, SIDE = f"<{POSES} x float>", f"<{TILE} x float>"
+SUMS = 8
+"""Number of outputs of sixteen poses that are summed side by side, so that none waits for another's sum."""
+
+CUT, UNCUT = "0.0", "0xFFF0000000000000"
+"""What no output of a layer is below, in LLVM's language: zero, or, in the last layer, minus infinity."""
+
 FUNCTION = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 4, ctypes.c_int64)
-ALONE = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 3)
 
 Layer = tuple[Array, Array]
 """A layer's matrix ``(in, out)`` and bias ``(out,)``."""
@@ -298,19 +302,18 @@ class CompiledNetwork:
     """
 
     def __init__(self, layers: Sequence[Layer]) -> None:
+        from pickenv.arm.kinematics.machine_code import machine  # late: it needs llvmlite
+
         self._layers = layers
         self._outputs = len(layers[-1][1])
         sizes = [len(layers[0][0]), *(-(-len(bias) // TILE) * TILE for _, bias in layers)]
         shapes = list(pairwise(sizes))
         parts = [_arranged(layer, *shape) for layer, shape in zip(layers, shapes, strict=True)]
         starts = np.cumsum([0, *map(len, parts)]).tolist()
-        calls = [_call(i, len(layers), starts[i], *shape) for i, shape in enumerate(shapes)]
         self._numbers, self._sizes = np.concatenate(parts), sizes
-        from pickenv.arm.kinematics.machine_code import machine  # late: it needs llvmlite
-
-        code = _code(calls, max(sizes) * POSES) + _code_alone(starts[:-1], shapes)
-        self._engine, (network, alone) = machine(code, ("network", "alone"), True)
-        self._run, self._run_alone = FUNCTION(network), ALONE(alone)
+        code = "".join(_layer(poses) + _network_code(poses, starts, shapes) for poses in (1, POSES))
+        self._engine, addresses = machine(code, ("network1", f"network{POSES}"), True)
+        self._alone, self._together = map(FUNCTION, addresses)
         self._there = self._numbers.__array_interface__["data"][0]
 
     def __reduce__(self) -> tuple[type[CompiledNetwork], tuple[Any]]:
@@ -319,18 +322,14 @@ class CompiledNetwork:
 
     def __call__(self, rows: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
         """Outputs ``(N, out)`` for inputs ``(N, in)``."""
-        count, inputs = len(rows), rows.shape[1]
-        if count == 1:
-            given, found = np.array(rows, dtype=np.float32), np.empty((1, sum(self._sizes[1:])), dtype=np.float32)
-            places = (array.__array_interface__["data"][0] for array in (given, found))
-            self._run_alone(*places, self._there)
-            return found[:, -self._sizes[-1] :][:, : self._outputs]
-        width = max(-(-count // POSES), 1) * POSES
-        table = np.empty((inputs + self._sizes[-1], width), dtype=np.float32)
-        table[:inputs, :count], table[:inputs, count:] = rows.T, 0.0
-        between = np.empty(2 * max(self._sizes) * POSES, dtype=np.float32)
-        arrays = (table, self._numbers, table[inputs:], between)
-        self._run(*(array.__array_interface__["data"][0] for array in arrays), width)
+        count, inputs = rows.shape
+        run, poses = (self._alone, 1) if count == 1 else (self._together, POSES)
+        width = max(-(-count // poses), 1) * poses
+        table = np.zeros((inputs + self._sizes[-1], width), dtype=np.float32)
+        table[:inputs, :count] = rows.T
+        between = np.empty(2 * max(self._sizes) * poses, dtype=np.float32)
+        given, buffers = (array.__array_interface__["data"][0] for array in (table, between))
+        run(given, self._there, given + inputs * width * table.itemsize, buffers, width)
         return table[inputs : inputs + self._outputs, :count].T
 
 
@@ -343,22 +342,21 @@ def _arranged(layer: Layer, inputs: int, outputs: int) -> NDArray[np.float32]:
     return np.concatenate([tiles.ravel(), padded[-1]])
 
 
-def _call(i: int, count: int, start: int, inputs: int, outputs: int) -> str:
-    """Code that takes poses through layer ``i`` of ``count``, whose numbers begin at ``start``."""
-    source, stride = ("%given_here", "%width") if i == 0 else (f"%values{i % 2}", str(POSES))
-    into, into_stride = ("%found_here", "%width") if i + 1 == count else (f"%values{(i + 1) % 2}", str(POSES))
-    least = "0xFFF0000000000000" if i + 1 == count else "0.0"
-    return f"""
+def _network_code(poses: int, starts: Sequence[int], shapes: Sequence[tuple[int, int]]) -> str:
+    """Code that takes so many poses at a time through all layers, whose numbers begin at ``starts``.
+
+    Two buffers hold the layers' outputs in turn.
+    """
+    half, last, calls = max(max(shape) for shape in shapes) * poses, len(shapes) - 1, list[str]()
+    for i, (start, (inputs, outputs)) in enumerate(zip(starts, shapes, strict=False)):
+        source, stride = ("%given_here", "%width") if i == 0 else (f"%values{i % 2}", str(poses))
+        into, into_stride = ("%found_here", "%width") if i == last else (f"%values{(i + 1) % 2}", str(poses))
+        calls.append(f"""
   %numbers{i} = getelementptr float, ptr %numbers, i64 {start}
-  call void @layer(ptr {source}, i64 {stride}, ptr %numbers{i}, ptr {into}, i64 {into_stride}, i64 {inputs},
-    i64 {outputs}, float {least})"""
-
-
-def _code(calls: Sequence[str], half: int) -> str:
-    """Code of the whole network; each buffer of ``half`` numbers holds the outputs of one layer."""
+  call void @layer{poses}(ptr {source}, i64 {stride}, ptr %numbers{i}, ptr {into}, i64 {into_stride}, i64 {inputs},
+    i64 {outputs}, float {UNCUT if i == last else CUT})""")
     return f"""
-{_layer()}
-define void @network(ptr %given, ptr %numbers, ptr %found, ptr %values0, i64 %width) {{
+define void @network{poses}(ptr %given, ptr %numbers, ptr %found, ptr %values0, i64 %width) {{
 entry:
   %values1 = getelementptr float, ptr %values0, i64 {half}
   br label %head
@@ -366,7 +364,7 @@ head:
   %at = phi i64 [0, %entry], [%next, %head]
   %given_here = getelementptr float, ptr %given, i64 %at
   %found_here = getelementptr float, ptr %found, i64 %at{"".join(calls)}
-  %next = add i64 %at, {POSES}
+  %next = add i64 %at, {poses}
   %more = icmp ult i64 %next, %width
   br i1 %more, label %head, label %done
 done:
@@ -374,121 +372,57 @@ done:
 }}"""
 
 
-def _code_alone(starts: Sequence[int], shapes: Sequence[tuple[int, int]]) -> str:
-    """Code that takes one pose through the network, and writes all layers' outputs one after the other."""
-    parts, source, into = list[str](), "%given", 0
-    for i, (start, (inputs, outputs)) in enumerate(zip(starts, shapes, strict=True)):
-        least = "0xFFF0000000000000" if i + 1 == len(shapes) else "0.0"
-        beside = next(count for count in (4, 2, 1) if outputs // TILE % count == 0)
-        parts.append(_layer_alone(i, source, into, start, inputs, outputs, beside, least))
-        source, into = f"%out{i}", into + outputs
-    return f"""
-define void @alone(ptr %given, ptr %found, ptr %numbers) {{
-entry:
-  br label %begin0{"".join(parts)}
-begin{len(shapes)}:
-  ret void
-}}"""
-
-
-def _layer_alone(i: int, source: str, into: int, start: int, inputs: int, outputs: int, beside: int, least: str) -> str:
-    """Code of layer ``i`` for one pose, ``beside`` tiles at a time, so that none waits for another's sum."""
-    sums, adds, ends = list[str](), list[str](), list[str]()
-    for t in range(beside):
-        name = f"{i}_{t}"
-        sums.append(f"  %s{name} = phi {SIDE} [zeroinitializer, %tile{i}], [%n{name}, %sum{i}]")
-        adds.append(f"""  %a{name} = add i64 %at{i}, {t * inputs * TILE}
-  %q{name} = getelementptr float, ptr %numbers, i64 %a{name}
-  %w{name} = load {SIDE}, ptr %q{name}, align 4
-  %p{name} = fmul contract {SIDE} %w{name}, %x{i}
-  %n{name} = fadd contract {SIDE} %s{name}, %p{name}""")
-        ends.append(f"""  %o{name} = add i64 %tile_out{i}, {t * TILE}
-  %c{name} = add i64 %o{name}, {start + inputs * outputs}
-  %d{name} = getelementptr float, ptr %numbers, i64 %c{name}
-  %b{name} = load {SIDE}, ptr %d{name}, align 4
-  %r{name} = fadd {SIDE} %n{name}, %b{name}
-  %above{name} = fcmp ogt {SIDE} %r{name}, %floor{i}
-  %k{name} = select <{TILE} x i1> %above{name}, {SIDE} %r{name}, {SIDE} %floor{i}
-  %e{name} = getelementptr float, ptr %out{i}, i64 %o{name}
-  store {SIDE} %k{name}, ptr %e{name}, align 4""")
-    lines = "\n".join
-    return f"""
-begin{i}:
-  %out{i} = getelementptr float, ptr %found, i64 {into}
-  %first{i} = insertelement {SIDE} poison, float {least}, i64 0
-  %floor{i} = shufflevector {SIDE} %first{i}, {SIDE} poison, <{TILE} x i32> zeroinitializer
-  br label %tile{i}
-tile{i}:
-  %tile_out{i} = phi i64 [0, %begin{i}], [%next_out{i}, %end{i}]
-  %block{i} = mul i64 %tile_out{i}, {inputs}
-  %from{i} = add i64 %block{i}, {start}
-  br label %sum{i}
-sum{i}:
-  %in{i} = phi i64 [0, %tile{i}], [%next_in{i}, %sum{i}]
-{lines(sums)}
-  %within{i} = mul i64 %in{i}, {TILE}
-  %at{i} = add i64 %from{i}, %within{i}
-  %here{i} = getelementptr float, ptr {source}, i64 %in{i}
-  %one{i} = load float, ptr %here{i}, align 4
-  %lane{i} = insertelement {SIDE} poison, float %one{i}, i64 0
-  %x{i} = shufflevector {SIDE} %lane{i}, {SIDE} poison, <{TILE} x i32> zeroinitializer
-{lines(adds)}
-  %next_in{i} = add i64 %in{i}, 1
-  %more_in{i} = icmp ult i64 %next_in{i}, {inputs}
-  br i1 %more_in{i}, label %sum{i}, label %end{i}
-end{i}:
-{lines(ends)}
-  %next_out{i} = add i64 %tile_out{i}, {beside * TILE}
-  %more_out{i} = icmp ult i64 %next_out{i}, {outputs}
-  br i1 %more_out{i}, label %tile{i}, label %begin{i + 1}"""
-
-
-def _layer() -> str:
-    """Code of one layer for `POSES` poses at once, which sums `TILE` outputs side by side."""
-    start, adds, ends = list[str](), list[str](), list[str]()
-    for t in range(TILE):
-        start.append(f"  %s{t} = phi {MANY} [zeroinitializer, %tile], [%n{t}, %sum]")
-        adds.append(f"""{_spread(f"%b{t}", "%weight", str(t))}
-  %p{t} = fmul contract {MANY} %b{t}, %x
-  %n{t} = fadd contract {MANY} %s{t}, %p{t}""")
+def _layer(poses: int) -> str:
+    """Code of one layer: for a pose alone, with vectors of outputs, or for several poses, with vectors of poses."""
+    alone = poses == 1
+    lanes, sums = (TILE, 1) if alone else (poses, SUMS)
+    of_outputs, of_poses = (_row, _repeated) if alone else (_repeated, _row)
+    vector, starts, adds, ends = f"<{lanes} x float>", list[str](), list[str](), list[str]()
+    for t in range(sums):
+        starts.append(f"  %s{t} = phi {vector} [zeroinitializer, %tile], [%n{t}, %sum]")
+        adds.append(f"""{of_outputs(f"%w{t}", "%weight", str(t), lanes)}
+  %p{t} = fmul contract {vector} %w{t}, %x
+  %n{t} = fadd contract {vector} %s{t}, %p{t}""")
         ends.append(f"""  %o{t} = add i64 %out, {t}
-{_spread(f"%bias{t}", "%biases", f"%o{t}")}
-  %sum{t} = fadd {MANY} %n{t}, %bias{t}
-  %above{t} = fcmp ogt {MANY} %sum{t}, %floor
-  %kept{t} = select <{POSES} x i1> %above{t}, {MANY} %sum{t}, {MANY} %floor
+{of_outputs(f"%bias{t}", "%biases", f"%o{t}", lanes)}
+  %sum{t} = fadd {vector} %n{t}, %bias{t}
+  %above{t} = fcmp ogt {vector} %sum{t}, %floor
+  %kept{t} = select <{lanes} x i1> %above{t}, {vector} %sum{t}, {vector} %floor
   %to{t} = mul i64 %o{t}, %into_stride
   %place{t} = getelementptr float, ptr %into, i64 %to{t}
-  store {MANY} %kept{t}, ptr %place{t}, align 4""")
+  store {vector} %kept{t}, ptr %place{t}, align 4""")
     lines = "\n".join
     return f"""
-define internal void @layer(ptr %given, i64 %stride, ptr %weights, ptr %into, i64 %into_stride, i64 %inputs,
+define internal void @layer{poses}(ptr %given, i64 %stride, ptr %weights, ptr %into, i64 %into_stride, i64 %inputs,
                             i64 %outputs, float %least) {{
 entry:
   %size = mul i64 %inputs, %outputs
   %biases = getelementptr float, ptr %weights, i64 %size
-  %first = insertelement {MANY} poison, float %least, i64 0
-  %floor = shufflevector {MANY} %first, {MANY} poison, <{POSES} x i32> zeroinitializer
+  %first = insertelement {vector} poison, float %least, i64 0
+  %floor = shufflevector {vector} %first, {vector} poison, <{lanes} x i32> zeroinitializer
   br label %tile
 tile:
   %out = phi i64 [0, %entry], [%next_out, %end]
-  %before = mul i64 %out, %inputs
-  %block = getelementptr float, ptr %weights, i64 %before
+  %lane = and i64 %out, {TILE - 1}
+  %before = sub i64 %out, %lane
+  %tiles = mul i64 %before, %inputs
+  %begin = add i64 %tiles, %lane
+  %block = getelementptr float, ptr %weights, i64 %begin
   br label %sum
 sum:
   %in = phi i64 [0, %tile], [%next_in, %sum]
-{lines(start)}
+{lines(starts)}
   %along = mul i64 %in, %stride
   %within = mul i64 %in, {TILE}
   %weight = getelementptr float, ptr %block, i64 %within
-  %here = getelementptr float, ptr %given, i64 %along
-  %x = load {MANY}, ptr %here, align 4
+{of_poses("%x", "%given", "%along", lanes)}
 {lines(adds)}
   %next_in = add i64 %in, 1
   %more_in = icmp ult i64 %next_in, %inputs
   br i1 %more_in, label %sum, label %end
 end:
 {lines(ends)}
-  %next_out = add i64 %out, {TILE}
+  %next_out = add i64 %out, {TILE if alone else sums}
   %more_out = icmp ult i64 %next_out, %outputs
   br i1 %more_out, label %tile, label %done
 done:
@@ -496,9 +430,16 @@ done:
 }}"""
 
 
-def _spread(name: str, base: str, offset: str) -> str:
-    """Code that loads a number and repeats it for all poses."""
+def _row(name: str, base: str, offset: str, lanes: int) -> str:
+    """Code that loads numbers that stand side by side."""
+    return f"""  {name}p = getelementptr float, ptr {base}, i64 {offset}
+  {name} = load <{lanes} x float>, ptr {name}p, align 4"""
+
+
+def _repeated(name: str, base: str, offset: str, lanes: int) -> str:
+    """Code that loads one number and repeats it."""
+    vector = f"<{lanes} x float>"
     return f"""  {name}p = getelementptr float, ptr {base}, i64 {offset}
   {name}l = load float, ptr {name}p, align 4
-  {name}i = insertelement {MANY} poison, float {name}l, i64 0
-  {name} = shufflevector {MANY} {name}i, {MANY} poison, <{POSES} x i32> zeroinitializer"""
+  {name}i = insertelement {vector} poison, float {name}l, i64 0
+  {name} = shufflevector {vector} {name}i, {vector} poison, <{lanes} x i32> zeroinitializer"""

@@ -11,15 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.geometry import (
-    LINK_PARAMETERS,
-    Array,
-    Coupling,
-    Geometry,
-    LinkTree,
-    Pose,
-    geometry_fingerprint,
-)
+from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Coupling, Geometry, LinkTree, Pose
 from pickenv.base import InputError
 
 MOST_RATIO = 1e3
@@ -48,7 +40,7 @@ class Arm:
 
     def fingerprint(self) -> str:
         """Hash of the nominal geometry: a calibration fitted to one arm is refused on another."""
-        return geometry_fingerprint(self.nominal)
+        return self.nominal.fingerprint()
 
 
 # A geometry as named arrays and back, for files: what comes back is checked, because it will move an arm.

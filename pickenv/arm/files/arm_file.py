@@ -19,7 +19,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.arm import MOST_RATIO, Arm
-from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow
+from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow, geometry_of
 from pickenv.arm.files.xml_values import xml_number
 from pickenv.arm.kinematics.geometry import Array, Coupling, Geometry, Pose, from_standard_dh, identity_pose
 from pickenv.arm.kinematics.pose_error import rotation_matrix
@@ -207,7 +207,7 @@ def load_ur_yaml(path: str | Path, tip: str | None = None) -> Arm:
     if tip:
         raise InputError(f"{path} ends at the flange, and names no '{shortened(tip)}'; leave # and what follows out")
     row, mark = ur_row(path)
-    geometry, speed = row.geometry()
+    geometry, speed = geometry_of([row])
     source = f"UR kinematics {path.name}{mark}; limits and speeds are those of {LIMITS_OF}, which the file has not"
     return Arm(path.stem, source, geometry, None, speed)
 

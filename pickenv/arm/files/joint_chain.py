@@ -42,10 +42,10 @@ def link_origins(geometry: Geometry) -> list[Pose]:
     """
     origins, before = [], geometry.base
     for i in range(geometry.links):
-        twist = Rotation.from_euler("x", geometry.alpha[i])
-        turn = twist * Rotation.from_euler("y", geometry.beta[i]) * Rotation.from_euler("z", geometry.theta[i])
-        local = np.array([geometry.a[i], 0.0, 0.0]) + turn.as_matrix() @ np.array([0.0, 0.0, geometry.d[i]])
-        origins.append(behind(before, Pose(local, turn.as_matrix())))
+        angles = geometry.alpha[i], geometry.beta[i], geometry.theta[i]
+        turn = Rotation.from_euler("XYZ", angles).as_matrix()
+        local = np.array([geometry.a[i], 0.0, 0.0]) + geometry.d[i] * turn[:, 2]
+        origins.append(behind(before, Pose(local, turn)))
         before = identity_pose()
     return origins
 
@@ -202,23 +202,6 @@ class JointRow(NamedTuple):
     drives: Mapping[str, Drive]
     mount: str | None = None
 
-    def geometry(self) -> tuple[Geometry, Array]:
-        """The geometry of the arm that the row makes, and the largest speeds of its drives.
-
-        Raises:
-            InputError: If no joint moves, or limits or slides leave no motion.
-        """
-        drives: dict[str, Drive] = {}
-        links, tool = self.links(drives)
-        if not links:
-            raise InputError("the chain to the tip has no moving joint; name a link that an arm moves")
-        names, prismatic, limits, speed = _driven(links, drives)
-        points, axes = np.array([link.origin.position for link in links]), np.array([link.axis for link in links])
-        geometry = geometry_from_axes(names, prismatic, points, axes, tool, *limits)
-        coupling = Coupling(tuple(names.index(link.driver) for link in links), *_motions(links))
-        alone = coupling == Coupling(tuple(range(len(names))), (1.0,) * len(names), prismatic)
-        return geometry if alone else replace(geometry, coupling=coupling), speed
-
     def links(self, drives: dict[str, Drive]) -> tuple[list[ChainJoint], Pose]:
         """The joints that move, in the world's axes, and the tip's pose, all at zero; their drives are added."""
         links: list[ChainJoint] = []
@@ -229,50 +212,39 @@ class JointRow(NamedTuple):
                 drives[joint.driver] = _within(drives.get(joint.driver, self.drives[joint.driver]), joint)
                 links.append(replace(joint, origin=pose, axis=pose.rotation @ joint.axis))
             pose = behind(pose, joint.motion(joint.offset))
-        return _one_slide_each(links), behind(pose, self.tool)
-
-    def arm(self, path: Path, form: str, by_name: bool) -> Arm:
-        """The arm that the row makes, with the file as its source.
-
-        Args:
-            path: The file.
-            form: Its format.
-            by_name: Whether the caller named the tip; else the arm's source says which link was taken.
-
-        Raises:
-            InputError: Where `geometry` raises one; the message names the file.
-        """
-        with in_file(path):
-            geometry, speed = self.geometry()
-        default = "" if by_name else " by default its flange,"
-        return Arm(self.name, f"{form} {path.name},{default} tip {self.tip}", geometry, None, speed)
+        return list(map(_one_joint, links_of(links))), behind(pose, self.tool)
 
 
-Driven = tuple[tuple[str, ...], tuple[bool, ...], Array, Array]
-"""Names of the joints that are commanded, whether each slides, their limits ``(2, n)`` and their largest speeds."""
-
-
-def _driven(links: list[ChainJoint], drives: Mapping[str, Drive]) -> Driven:
-    names = _in_order(links, drives)
-    lower, upper, speed = np.array([drives[name][1:] for name in names]).T
-    return names, tuple(drives[name].slides for name in names), np.stack([lower, upper]), speed
-
-
-def _motions(links: Sequence[ChainJoint]) -> tuple[tuple[float, ...], tuple[bool, ...]]:
-    """Ratio and kind of each link."""
-    return tuple(link.ratio for link in links), tuple(link.slides for link in links)
-
-
-def whole_robot(rows: Sequence[JointRow], path: Path, form: str) -> Arm:
-    """The robot whose branches are rows of joints that begin alike; one branch stands behind another in its table.
+def arm_of(rows: Sequence[JointRow], path: Path, form: str, named: bool = True) -> Arm:
+    """The arm that a row makes, or the whole robot that several make, with the file as its source.
 
     Args:
         rows: A row for each part of the robot that carries a sensor or a target.
         path: The file.
         form: Its format.
+        named: Whether the caller named the tip of a single row; else the source says which link was taken.
 
     Raises:
-        InputError: If no joint moves, or a row leaves a slide of several stages between them.
+        InputError: Where `geometry_of` raises one; the message names the file.
+    """
+    with in_file(path):
+        geometry, speed = geometry_of(rows)
+    tips = ", ".join(row.tip for row in rows)
+    end = f"{'' if named else ' by default its flange,'} tip {tips}" if len(rows) == 1 else f" whole robot with {tips}"
+    return Arm(rows[0].name, f"{form} {path.name},{end}", geometry, None, speed)
+
+
+def geometry_of(rows: Sequence[JointRow]) -> tuple[Geometry, Array]:
+    """The geometry of the arm that a row makes, or of the whole robot, and the largest speeds of the drives.
+
+    A whole robot's branches are rows of joints that begin alike; one branch stands behind another in its table.
+
+    Args:
+        rows: A row for each part of the robot that carries a sensor or a target.
+
+    Raises:
+        InputError: If no joint moves, limits or slides leave no motion, or a row leaves a slide of several stages
+            between them.
     """
     drives: dict[str, Drive] = {}
     joints: list[ChainJoint] = []  # of all branches, in the world's axes, each behind a fixed link of no motion
@@ -280,47 +252,51 @@ def whole_robot(rows: Sequence[JointRow], path: Path, form: str) -> Arm:
     parents: list[int] = []
     carriers: list[int] = []
     table, base, tool = np.zeros((5, 0)), identity_pose(), identity_pose()
-    with in_file(path):
-        for row in rows:
-            links, tip = row.links(drives)
-            known = {joint.name: i for i, joint in enumerate(joints) if joint.ratio}
-            shared = [known[link.name] for link in links if link.name in known]
-            for link, i in zip(links, shared, strict=False):
-                if (link.ratio, *link.axis) != (joints[i].ratio, *joints[i].axis):
-                    raise InputError(f"'{row.tip}' leaves slide '{link.name}' between two of its stages; name one end")
-            last, branch = shared[-1] if shared else -1, links[len(shared) :]
-            if branch:
-                points, axes = [link.origin.position for link in branch], [link.axis for link in branch]
-                names, kinds = tuple(link.name for link in branch), tuple(link.slides for link in branch)
-                if joints:
-                    stand = zeros[last] if last >= 0 else base
-                    points, axes = [stand.position, *points], [stand.rotation[:, 2], *axes]
-                part = geometry_from_axes(names, kinds, points, axes, tip, np.zeros(0), np.zeros(0))
-                columns = np.stack([getattr(part, name) for name in LINK_PARAMETERS])
-                if joints:  # the branch begins beside the link before, turned and shifted along its axis
-                    turn = stand.rotation.T @ part.base.rotation
-                    rise = float((part.base.position - stand.position) @ stand.rotation[:, 2])
-                    columns[:, 0] = 0.0, 0.0, np.arctan2(turn[1, 0], turn[0, 0]), rise, 0.0
-                    branch = [replace(branch[0], ratio=0.0, slides=False), *branch]
-                else:
-                    base, tool = part.base, part.tool
-                first = len(joints)
-                parents += [last, *range(first, first + len(branch) - 1)]
-                joints, table = [*joints, *branch], np.concatenate([table, columns], axis=1)
-                part = replace(part, **dict(zip(LINK_PARAMETERS, columns, strict=True)), coupling=None)
-                still = replace(part, base=stand if first else base, prismatic=(False,) * len(branch))
-                zeros += [pose_of(frame) for frame in frames(math, chain_of(still), [0.0] * len(branch))[1:]]
-                last = len(joints) - 1
-            carriers.append(last)
-        if not joints:
-            raise InputError("the chain to the tips has no moving joint; name links that an arm moves")
-        names, prismatic, limits, speed = _driven([joint for joint in joints if joint.ratio], drives)
-    coupling = Coupling(tuple(names.index(joint.driver) for joint in joints), *_motions(joints))
-    tips = tuple(row.tip for row in rows)
-    tree = LinkTree(tuple(parents), tips, tuple(carriers), target=max(carriers))
-    numbers = {**dict(zip(LINK_PARAMETERS, table, strict=True)), "lower": limits[0], "upper": limits[1]}
+    for row in rows:
+        links, tip = row.links(drives)
+        known = {joint.name: i for i, joint in enumerate(joints) if joint.ratio}
+        shared = [known[link.name] for link in links if link.name in known]
+        for link, i in zip(links, shared, strict=False):
+            if (link.ratio, *link.axis) != (joints[i].ratio, *joints[i].axis):
+                raise InputError(f"'{row.tip}' leaves slide '{link.name}' between two of its stages; name one end")
+        last, branch = shared[-1] if shared else -1, links[len(shared) :]
+        if branch:
+            points, axes = [link.origin.position for link in branch], [link.axis for link in branch]
+            names, kinds = tuple(link.name for link in branch), tuple(link.slides for link in branch)
+            if joints:
+                stand = zeros[last] if last >= 0 else base
+                points, axes = [stand.position, *points], [stand.rotation[:, 2], *axes]
+            part = geometry_from_axes(names, kinds, points, axes, tip, np.zeros(0), np.zeros(0))
+            columns = np.stack([getattr(part, name) for name in LINK_PARAMETERS])
+            if joints:  # the branch begins beside the link before, turned and shifted along its axis
+                turn = stand.rotation.T @ part.base.rotation
+                rise = float((part.base.position - stand.position) @ stand.rotation[:, 2])
+                columns[:, 0] = 0.0, 0.0, np.arctan2(turn[1, 0], turn[0, 0]), rise, 0.0
+                branch = [replace(branch[0], ratio=0.0, slides=False), *branch]
+            else:
+                base, tool = part.base, part.tool
+            first = len(joints)
+            parents += [last, *range(first, first + len(branch) - 1)]
+            joints, table = [*joints, *branch], np.concatenate([table, columns], axis=1)
+            part = replace(part, **dict(zip(LINK_PARAMETERS, columns, strict=True)), coupling=None)
+            still = replace(part, base=stand if first else base, prismatic=(False,) * len(branch))
+            zeros += [pose_of(frame) for frame in frames(math, chain_of(still), [0.0] * len(branch))[1:]]
+            last = len(joints) - 1
+        carriers.append(last)
+    if not joints:
+        ends, links_named = ("tip", "a link") if len(rows) == 1 else ("tips", "links")
+        raise InputError(f"the chain to the {ends} has no moving joint; name {links_named} that an arm moves")
+    names = _in_order([joint for joint in joints if joint.ratio], drives)
+    prismatic, lower, upper, speed = zip(*(drives[name] for name in names), strict=True)
+    ratios, slides = tuple(joint.ratio for joint in joints), tuple(joint.slides for joint in joints)
+    coupling = Coupling(tuple(names.index(joint.driver) for joint in joints), ratios, slides)
+    tree = LinkTree(tuple(parents), tuple(row.tip for row in rows), tuple(carriers), target=max(carriers))
+    numbers = dict(zip(LINK_PARAMETERS, table, strict=True)) | {"lower": np.array(lower), "upper": np.array(upper)}
     geometry = Geometry(names, prismatic, **numbers, base=base, tool=tool, coupling=coupling, tree=tree)
-    return Arm(rows[0].name, f"{form} {path.name}, whole robot with {', '.join(tips)}", geometry, None, speed)
+    if len(rows) == 1:
+        alone = coupling == Coupling(tuple(range(len(names))), (1.0,) * len(names), prismatic)
+        geometry = replace(geometry, coupling=None if alone else coupling, tree=None)
+    return geometry, np.array(speed)
 
 
 def driver_of(name: str, followed: Callable[[str], tuple[str, float, float] | None]) -> tuple[str, float, float]:
@@ -357,23 +333,30 @@ def _within(driver: Drive, joint: ChainJoint) -> Drive:
     return Drive(driver.slides, lower, upper, min(driver.speed, speed / abs(joint.ratio)))
 
 
-def _one_slide_each(links: list[ChainJoint]) -> list[ChainJoint]:
-    """The links, with consecutive slides of one driver made one: slides commute, so their directions add up."""
-    joined: list[ChainJoint] = []
+def links_of(joints: Sequence[ChainJoint]) -> list[list[ChainJoint]]:
+    """The joints that move each link: one, or consecutive slides of one driver. Joints that stand still move none."""
+    links: list[list[ChainJoint]] = []
     first = 0  # of the slides that follow one another
-    for link in links:
-        same = [i for i in range(first, len(joined)) if joined[i].driver == link.driver]
-        if not (link.slides and same):
-            joined.append(link)
-            first = first if link.slides else len(joined)
-            continue
-        slide = joined[same[0]]
-        along = slide.ratio * slide.axis + link.ratio * link.axis
-        if (length := float(np.linalg.norm(along))) < PARALLEL:
-            raise InputError(f"joint '{shortened(link.driver)}' moves two slides that cancel each other; correct one")
-        ratio = length if along @ slide.axis >= 0 else -length  # the first slide's direction is kept
-        joined[same[0]] = replace(slide, ratio=ratio, axis=along / ratio)
-    return joined
+    for joint in joints:
+        same = [link for link in links[first:] if joint.slides and link[0].driver == joint.driver]
+        if joint.ratio and same:
+            same[0].append(joint)
+        elif joint.ratio:
+            links.append([joint])
+            first = first if joint.slides else len(links)
+    return links
+
+
+def _one_joint(link: Sequence[ChainJoint]) -> ChainJoint:
+    """The joint of a link; of several slides, which commute, one along the sum of their directions."""
+    joint, *others = link
+    if not others:
+        return joint
+    along = np.sum([slide.ratio * slide.axis for slide in link], axis=0)
+    if (length := float(np.linalg.norm(along))) < PARALLEL:
+        raise InputError(f"joint '{shortened(joint.driver)}' moves two slides that cancel each other; correct one")
+    ratio = length if along @ joint.axis >= 0 else -length  # the first slide's direction is kept
+    return replace(joint, ratio=ratio, axis=along / ratio)
 
 
 def _in_order(links: list[ChainJoint], drives: Mapping[str, Drive]) -> tuple[str, ...]:

@@ -21,16 +21,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.arm import MOST_RATIO, Arm
-from pickenv.arm.files.joint_chain import (
-    Carried,
-    ChainJoint,
-    Drive,
-    JointRow,
-    driver_of,
-    flange,
-    link_origins,
-    whole_robot,
-)
+from pickenv.arm.files.joint_chain import Carried, ChainJoint, Drive, JointRow, arm_of, driver_of, flange, link_origins
 from pickenv.arm.files.urdf import ROD_RADIUS, leading_links
 from pickenv.arm.files.xml_values import Element, numbers_text, unit_vector, xml_number, xml_numbers, xml_root
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, behind, identity_pose
@@ -288,9 +279,8 @@ def load_mjcf(path: str | Path, tip: str | None = None) -> Arm:
         InputError: If the file, a body or a joint is unusable; the message names it.
     """
     path = Path(path)
-    if tip and "," in tip:
-        return whole_robot([mjcf_row(path, part) for part in tip.split(",")], path, "MJCF")
-    return mjcf_row(path, tip).arm(path, "MJCF", bool(tip))
+    rows = [mjcf_row(path, part) for part in (tip.split(",") if tip else [tip])]
+    return arm_of(rows, path, "MJCF", named=bool(tip))
 
 
 def mjcf_row(path: Path, tip: str | None = None) -> JointRow:

@@ -17,16 +17,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.arm import MOST_RATIO, Arm
-from pickenv.arm.files.joint_chain import (
-    Carried,
-    ChainJoint,
-    Drive,
-    JointRow,
-    driver_of,
-    flange,
-    link_origins,
-    whole_robot,
-)
+from pickenv.arm.files.joint_chain import Carried, ChainJoint, Drive, JointRow, arm_of, driver_of, flange, link_origins
 from pickenv.arm.files.xml_values import Element, numbers_text, unit_vector, xml_number, xml_numbers, xml_root
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, behind, identity_pose
 from pickenv.base import M_PER_S, RAD, RAD_PER_S, InputError, M, in_file, one_line, register, shortened, write_text
@@ -162,9 +153,8 @@ def load_urdf(path: str | Path, tip: str | None = None) -> Arm:
         InputError: If the file, a link or a joint is unusable; the message names it.
     """
     path = Path(path)
-    if tip and "," in tip:
-        return whole_robot([urdf_row(path, part) for part in tip.split(",")], path, "URDF")
-    return urdf_row(path, tip).arm(path, "URDF", bool(tip))
+    rows = [urdf_row(path, part) for part in (tip.split(",") if tip else [tip])]
+    return arm_of(rows, path, "URDF", named=bool(tip))
 
 
 def urdf_row(path: Path, tip: str | None = None) -> JointRow:

@@ -245,16 +245,15 @@ class Geometry:
             parts += [theirs.position - mine.position, turn]
         return np.concatenate(parts)
 
-
-def geometry_fingerprint(geometry: Geometry) -> str:
-    """Hash of joint types, link parameters, base and tool, by which a fit to one arm is refused on another arm."""
-    links = [getattr(geometry, name) for name in LINK_PARAMETERS]
-    chain: list[object] = [geometry.prismatic, [v.tolist() for v in (*links, *geometry.base, *geometry.tool)]]
-    if geometry.coupling is not None:
-        chain.append([geometry.coupling.joint, geometry.coupling.ratio, geometry.coupling.slides])
-    if geometry.tree is not None:
-        chain.append([geometry.tree.parent, geometry.tree.names, geometry.tree.carriers])
-    return hashlib.sha256(json.dumps(chain).encode()).hexdigest()[:16]
+    def fingerprint(self) -> str:
+        """Hash of joint types, link parameters, base and tool, by which a fit to one arm is refused on another arm."""
+        links = [getattr(self, name) for name in LINK_PARAMETERS]
+        chain: list[object] = [self.prismatic, [v.tolist() for v in (*links, *self.base, *self.tool)]]
+        if self.coupling is not None:
+            chain.append([self.coupling.joint, self.coupling.ratio, self.coupling.slides])
+        if self.tree is not None:
+            chain.append([self.tree.parent, self.tree.names, self.tree.carriers])
+        return hashlib.sha256(json.dumps(chain).encode()).hexdigest()[:16]
 
 
 def move_pose(pose: Pose, delta: Array) -> Pose:

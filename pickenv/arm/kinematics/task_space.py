@@ -179,11 +179,7 @@ def task_directions(
 
 
 def noncompensable_error(
-    geometry: Geometry,
-    q: ArrayLike,
-    error: ArrayLike,
-    tolerance: float = DIRECTION_TOLERANCE,
-    weight: float = 1.0,
+    geometry: Geometry, q: ArrayLike, error: ArrayLike, tolerance: float = DIRECTION_TOLERANCE, weight: float = 1.0
 ) -> Array:
     """The part ``(..., 6)`` of a pose error ``(..., 6)`` that no small joint motion removes.
 

@@ -95,10 +95,9 @@ def trace_of(
     identification, calibration = fit.identification, fit.calibration
     identifiability, test = identification.identifiability, sets["test"]
     train = next(iter(sets.values()))
-    steps = list(zip(identification.iterates, identification.unknown_iterates, strict=True))
     attitude = None
     if isinstance(train, Measurements) and train.rotation is not None:
-        attitude = np.array([_rms(train.difference(model)[:, 3:]) for model, _ in steps])
+        attitude = np.array([_rms(train.difference(model)[:, 3:]) for model, _ in identification.iterates])
     conditions = test.conditions.select(test.rows_of_misses)
     learnt = calibration.learnt
     return CalibrationTrace(
@@ -107,7 +106,7 @@ def trace_of(
         errors=dict(errors),
         payload=conditions.payload,
         temperature=conditions.temperature,
-        position_rms=np.array([_rms(train.misses(model, unknowns)) for model, unknowns in steps]),
+        position_rms=np.array([_rms(train.misses(*step)) for step in identification.iterates]),
         attitude_rms=attitude,
         loss=learnt.model.loss if learnt is not None and isinstance(learnt.model, Bpnn) else None,
         names=identifiability.names,

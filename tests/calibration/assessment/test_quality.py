@@ -25,7 +25,7 @@ from pickenv.calibration.assessment.quality import (
     correlated_pairs,
     grade_quality,
 )
-from pickenv.calibration.pipeline.calibration import pose_uncertainty
+from pickenv.calibration.pipeline.calibration import PoseUncertainty
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +151,7 @@ def test_predicted_uncertainty_is_what_repeated_calibration_shows(qiao, noisy, t
     errors = np.array([pose_error(truth, forward(run.geometry, there)) for run in runs])
     predicted = np.zeros((40, 6, 6))
     for run in runs[:20]:
-        sure = pose_uncertainty(run, np.zeros((2, 6)))
+        sure = PoseUncertainty.of(run, np.zeros((2, 6)))
         predicted += sure.pose_covariance(run.arm_model, there) / 20
     seen = np.sqrt(np.mean(errors**2, axis=(0, 1)))
     np.testing.assert_allclose(seen, np.sqrt(np.mean(np.diagonal(predicted, axis1=1, axis2=2), axis=0)), rtol=0.12)
@@ -159,7 +159,7 @@ def test_predicted_uncertainty_is_what_repeated_calibration_shows(qiao, noisy, t
 
 def test_uncertainty_adds_what_one_reach_scatters_by_and_survives_the_file(calibrated, dynamic, tmp_path):
     found, train, test = calibrated
-    sure = pose_uncertainty(found.identification, found.calibration.errors(test))
+    sure = PoseUncertainty.of(found.identification, found.calibration.errors(test))
     joints = test.joints[:7].reshape(7, 1, 6)
     covariance = sure.pose_covariance(found.calibration.model, joints)
     assert covariance.shape == (7, 1, 6, 6) and (np.linalg.eigvalsh(covariance) > 0).all()
@@ -179,14 +179,14 @@ def test_most_held_out_errors_lie_within_two_standard_uncertainties(calibrated):
     found, _, test = calibrated
     errors = found.calibration.errors(test)
     half = np.arange(len(test)) % 2 == 0
-    sure = pose_uncertainty(found.identification, errors[half])
+    sure = PoseUncertainty.of(found.identification, errors[half])
     spread = np.sqrt(np.diagonal(sure.pose_covariance(found.calibration.model, test.joints[~half]), axis1=1, axis2=2))
     assert 0.9 < np.mean(np.abs(errors[~half]) < 2 * spread) < 1.0
 
 
 def test_only_the_jacobians_columns_of_kept_parameters_count(calibrated):
     found, _, test = calibrated
-    sure = pose_uncertainty(found.identification, np.zeros((1, 6)))
+    sure = PoseUncertainty.of(found.identification, np.zeros((1, 6)))
     geometry = found.calibration.identified
     columns = [geometry.parameter_names.index(name) for name in sure.names]
     jacobian = parameter_jacobian(geometry, test.joints[0])[:, columns]

@@ -26,7 +26,7 @@ from pickenv.calibration import (
 )
 from pickenv.calibration.assessment.screen import figure
 from pickenv.calibration.pipeline.apply import CorrectedCommands
-from pickenv.calibration.pipeline.calibration import PoseUncertainty, pose_uncertainty, within95
+from pickenv.calibration.pipeline.calibration import PoseUncertainty, within95
 from pickenv.wrappers import CompensationWrapper
 
 PRISMATIC = (False, True)
@@ -182,7 +182,7 @@ def test_the_uncertainty_of_a_reach_is_that_of_parameters_and_of_what_they_do_no
     """u^2 = J C J^T + u_repeat^2 for each coordinate; a position's is the root of the sum of three."""
     found, model = judged.fit.identification, judged.fit.calibration.model
     errors = np.random.default_rng(0).normal(size=(50, 6)) * [1e-4, 2e-4, 3e-4, 1e-3, 2e-3, 3e-3]
-    sure = pose_uncertainty(found, errors)
+    sure = PoseUncertainty.of(found, errors)
     assert sure.position_repeat == pytest.approx(np.sqrt(np.mean(errors[:, :3] ** 2)))
     assert sure.attitude_repeat == pytest.approx(np.sqrt(np.mean(errors[:, 3:] ** 2)))
     q = random_joints(judged.arm.nominal, 5, np.random.default_rng(1))
@@ -193,7 +193,7 @@ def test_the_uncertainty_of_a_reach_is_that_of_parameters_and_of_what_they_do_no
     position, attitude = sure.standard(model, q)
     np.testing.assert_allclose(position, np.sqrt(variance[:, :3].sum(1) + 3 * sure.position_repeat**2))
     np.testing.assert_allclose(attitude, np.sqrt(variance[:, 3:].sum(1) + 3 * sure.attitude_repeat**2))
-    flat = pose_uncertainty(found, errors[:, :3])
+    flat = PoseUncertainty.of(found, errors[:, :3])
     assert flat.attitude_repeat is None and flat.standard(model, q)[1] is None
     np.testing.assert_allclose(flat.standard(model, q)[0], position)
     np.testing.assert_allclose(flat.pose_covariance(model, q)[:, 3:, 3:], spread[:, 3:, 3:], rtol=1e-9)
@@ -203,7 +203,7 @@ def test_how_far_errors_go_is_the_median_with_the_5th_and_95th_of_100_poses(judg
     sure, model, q = judged.uncertainty, judged.fit.calibration.model, judged.test.joints
     factors = {"position": {"factor": 2.0, "covered": 0.93}, "attitude": {"factor": 3.0, "covered": 0.96}}
     sure = replace(sure, factors=factors)
-    block = sure.block(model, q, judged.test.conditions)
+    block = sure.block(sure.standard(model, q, judged.test.conditions))
     parts = zip(block.rows, sure.standard(model, q), (2e3, np.degrees(3.0)), ("mm", "deg"), strict=False)
     for (_, said, held), size, scale, unit in parts:
         if size is not None:

@@ -45,7 +45,7 @@ def test_a_trace_tells_every_step_and_every_pose(residual: str | None) -> None:
     np.testing.assert_array_equal(trace.temperature, test.conditions.temperature)
     steps = found.identification.iterates
     assert len(trace.position_rms) == len(steps) > 2
-    for k, model in enumerate(steps):
+    for k, (model, _) in enumerate(steps):
         difference = train.difference(model)
         assert trace.position_rms[k] == pytest.approx(rms(difference[:, :3]))
         if residual is not None:
