@@ -246,7 +246,7 @@ def run(
     Args:
         experiment: What is measured.
         folder: Where pieces are kept for the next time; nowhere when None.
-        backend: "serial", "loky" (processes of this machine), or any that joblib knows, "ray" and "dask" among them.
+        backend: "serial", or "loky" (processes of this machine).
         workers: Processes; as many as there are cores when None.
         progress: Told how many pieces are done.
         refused: Told the levels of pieces that cannot be measured, and why; they have no rows, and are tried again by
@@ -317,22 +317,23 @@ def _computed(
 ) -> Iterator[tuple[int, Rows]]:
     """Compute the pieces in ``todo``: yield the number and the rows of each, in any order; arguments as for `run`."""
     done = len(pieces) - len(todo)
-    for number, rows in spread(partial(_measured, experiment, pieces), todo, backend, workers):
+    for number, rows in spread(partial(_measured, experiment, pieces, refused is None), todo, backend, workers):
         if isinstance(rows, Rows):
             yield number, rows
-        elif refused is None:
-            raise rows
-        else:
+        elif refused is not None:
             refused(pieces[number].levels, rows)
         done += 1
         if progress is not None:
             progress(experiment.name, done, len(pieces))
 
 
-def _measured(experiment: Experiment, pieces: Sequence[Piece], number: int) -> Rows | InputError:
+def _measured(experiment: Experiment, pieces: Sequence[Piece], ends: bool, number: int) -> Rows | InputError:
+    """The rows of a piece, or why it cannot be measured; that is raised where it ends the work."""
     try:
         return experiment.measured(pieces[number])
     except InputError as error:
+        if ends:
+            raise
         return error
 
 

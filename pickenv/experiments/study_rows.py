@@ -43,7 +43,7 @@ SOBOL_AGAIN = "run `pickenv study` with `sobol` again"
 
 BATCHED = "batched"
 """Name of the executor that works on all arms of a chunk at once; the others work arm by arm."""
-EXECUTORS = {"serial": "serial", "joblib": "loky", "ray": "ray", BATCHED: "loky"}
+EXECUTORS = {"serial": "serial", "joblib": "loky", BATCHED: "loky"}
 """The backend of each executor: where chunks are worked on."""
 
 
@@ -61,7 +61,7 @@ def run_study(
     Args:
         config: The study.
         folder: Results; chunks already there are kept, damaged ones computed again with a warning.
-        executor: A name of `EXECUTORS`. A cluster of Ray is found by RAY_ADDRESS; without it one is started here.
+        executor: A name of `EXECUTORS`.
         workers: Processes; one per core when None, but a single one for "batched".
         device: Where "batched" computes: "cpu" or "cuda".
         progress: Called with (arms done, arms in all).
