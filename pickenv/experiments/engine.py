@@ -281,12 +281,9 @@ def keep(
     require("pyarrow")
     with locked(folder):
         keys = [experiment.key(piece) for piece in pieces]
-        files = [
-            folder / f"{experiment.name}_{piece.label}_{key[:16]}.parquet"
-            for piece, key in zip(pieces, keys, strict=True)
-        ]
-        _write_record(folder, {file.name: key for file, key in zip(files, keys, strict=True)})
-        todo = []
+        names = [f"{experiment.name}_{piece.label}_{key[:16]}.parquet" for piece, key in zip(pieces, keys, strict=True)]
+        _write_record(folder, dict(zip(names, keys, strict=True)))
+        files, todo = [folder / name for name in names], []
         for number, (file, key) in enumerate(zip(files, keys, strict=True)):
             if file.is_file() and parquet_is_sealed(file.read_bytes()):
                 piece_table(file, key)
@@ -302,7 +299,7 @@ def keep(
             refusals.remove(number)
         measured = [number for number in range(len(pieces)) if number not in refusals]
         if refusals:
-            _write_record(folder, {files[number].name: keys[number] for number in measured})
+            _write_record(folder, {names[number]: keys[number] for number in measured})
     return [files[number] for number in measured]
 
 
@@ -427,18 +424,24 @@ def check_experiment(folder: str | Path) -> list[tuple[Path, str | None]]:
     verdicts: list[tuple[Path, str | None]] = [(record, None)]
     files = {path.name for path in folder.iterdir()} - {RECORD, LOCK}
     for name in sorted({*pieces, *files}):
-        path, reason = folder / name, None
-        if name not in pieces:
-            reason = f"{path} is no piece of this experiment; take it out of the folder"
-            if name.startswith("."):
-                reason = f"{path} was left behind by an interrupted write; delete it"
+        path = folder / name
+        if name in pieces:
+            reason = refusal(piece_table, path, pieces[name])
+        elif name.startswith("."):
+            reason = f"{path} was left behind by an interrupted write; delete it"
         else:
-            try:
-                piece_table(path, pieces[name])
-            except InputError as error:
-                reason = str(error)
+            reason = f"{path} is no piece of this experiment; take it out of the folder"
         verdicts.append((path, reason))
     return verdicts
+
+
+def refusal(read: Callable[..., object], *arguments: Any) -> str | None:
+    """The sentence with which a reader refuses what it is given; None if it takes it."""
+    try:
+        read(*arguments)
+    except InputError as error:
+        return str(error)
+    return None
 
 
 def _arrow_of(values: NDArray[Any]) -> Any:
