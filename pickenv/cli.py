@@ -82,8 +82,8 @@ def demo(
         print(f"this was made without {brings}; get them with: {command_for(*absent)}")
 
 
-BRIEF = (0, 1, 2, 5, 7)
-"""Columns of the demonstration's table that are printed without details."""
+DETAILS = ("RMS (mm)", "p95 (mm)", "floor (deg)")
+"""Columns of the demonstration's table that are printed with details alone."""
 
 
 def _print_demo(summary: dict[str, Any], *, details: bool = True) -> None:
@@ -92,26 +92,22 @@ def _print_demo(summary: dict[str, Any], *, details: bool = True) -> None:
     from pickenv.inspect.runs.number_words import between, percent
 
     identifiability = summary["identifiability"]
-    heads = (
-        "policy",
-        "position, mean (mm)",
-        "95 % interval (mm)",
-        "RMS (mm)",
-        "p95 (mm)",
-        "attitude, mean (deg)",
-        "floor (deg)",
-        "success (%)",
-    )
-    rows = []
+    table = []
     for key, row in summary["policies"].items():
         position, interval = row["position_mm"], row["position_mm"]["mean_ci95"]
-        numbers = (position["rms"], position["p95"], row["attitude_deg"]["mean"], row["noncompensable_deg"])
-        interval_words = "none" if interval is None else between(interval[0], interval[1], 3)
-        cells = [f"{position['mean']:.3f}", interval_words, *(f"{number:.3f}" for number in numbers)]
-        rows.append([policy_label(key), *cells, percent(row["success_rate"], *row["success_ci95"]).replace(" %", "")])
-    means = ", ".join(f"{mean} mm ({name})" for name, mean, *_ in rows)
+        cells = {
+            "policy": policy_label(key),
+            "position, mean (mm)": f"{position['mean']:.3f}",
+            "95 % interval (mm)": "none" if interval is None else between(interval[0], interval[1], 3),
+            "RMS (mm)": f"{position['rms']:.3f}",
+            "p95 (mm)": f"{position['p95']:.3f}",
+            "attitude, mean (deg)": f"{row['attitude_deg']['mean']:.3f}",
+            "floor (deg)": f"{row['noncompensable_deg']:.3f}",
+            "success (%)": percent(row["success_rate"], *row["success_ci95"]).replace(" %", ""),
+        }
+        table.append({head: cell for head, cell in cells.items() if details or head not in DETAILS})
+    means = ", ".join(f"{row['position, mean (mm)']} mm ({row['policy']})" for row in table)
     showing.print_verdict(f"The same policy at the same {summary['reaches']} fruit misses on average by {means}")
-    shown = range(len(heads)) if details else BRIEF
     title = f"{summary['reaches']} reaches on the simulated arm {summary['plant']}, seed {summary['seed']}"
     title += "; a quick run, worse than the paper's protocol" if summary["quick"] else ""
     floor = "floor: attitude error that no joint motion removes; " if details else ""
@@ -120,9 +116,8 @@ def _print_demo(summary: dict[str, Any], *, details: bool = True) -> None:
         "all of this one calibration: intervals are over fruit"
         + ("" if summary["reaches"] >= LEAST_ROWS else f", and means have none with fewer than {LEAST_ROWS}")
     )
-    showing.print_table(
-        title, [heads[i] for i in shown], [[row[i] for i in shown] for row in rows], words=("policy",), caption=caption
-    )
+    rows = (row.values() for row in table)
+    showing.print_table(title, table[0], rows, words=("policy",), caption=caption)
     for sentence in summary["matters"]:
         print(*folded(sentence, screen_width(showing.WIDTH)), sep="\n")
     if not details:

@@ -42,6 +42,13 @@ from pickenv.wrappers import CompensationWrapper
 OTHER = "orchard"
 """The plant with every effect, on which the demonstration shows what the same calibration is worth for picks."""
 
+PLANT, POSES = "qiao2026", {"identification": 100, "network": 200, "test": 100}
+"""The simulated arm, and numbers of poses by what they are for: the paper's."""
+
+TOLERANCES = (1.0, 10.0)
+"""Errors that a success may have, mm and deg. The radius is tighter than any gripper's, since the raw arm's error is
+itself within the 5 mm that Li's cup forgives."""
+
 Compensators = dict[str, Compensator | None]
 """By policy; None where commands go to the arm as they are."""
 
@@ -52,29 +59,16 @@ class DemoSettings:
 
     Attributes:
         seed: Seed of everything random.
-        plant: Plant preset.
-        identification_poses: Poses for least squares.
-        network_poses: Poses for the network.
-        test_poses: Held-out poses.
         reaches: Seeded fruit targets.
         epochs: Passes of the network's training.
-        tolerance_mm: Radius that counts as a success: tighter than any gripper's, since the raw arm's error is itself
-            within the 5 mm that Li's cup forgives.
-        attitude_tolerance_deg: Attitude error that a success may have.
         grid_step: Cell size of the error field, m.
         gain_poses: Poses of the grid on which gains are judged by blocks held out; none are judged when 0.
         network: Whether a network learns what least squares leave, for which torch is needed.
     """
 
     seed: int = 0
-    plant: str = "qiao2026"
-    identification_poses: int = 100
-    network_poses: int = 200
-    test_poses: int = 100
     reaches: int = 100
     epochs: int = 500
-    tolerance_mm: float = 1.0
-    attitude_tolerance_deg: float = 10.0
     grid_step: float = 0.1
     gain_poses: int = ROWS
     network: bool = True
@@ -104,7 +98,7 @@ class DemoResult:
         settings: What was run.
         plant: The simulated arm.
         calibrated: The calibration, judged.
-        sets: Poses by what they are for: "identification" by least squares, "network", and "test", held out.
+        sets: Measurements by what they are for, as in `POSES`: least squares, the network, or held out to test both.
         test_errors: Per policy, true against wanted pose at the test poses ``(N, 6)``, m and rad.
         reaches: Per policy, the reaches.
         comparison: For recording and figures.
@@ -131,17 +125,18 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
         progress: Told how far each stage is.
     """
     report = progress or (lambda stage, done, total: None)
-    plant = load_plant(settings.plant)
+    plant = load_plant(PLANT)
     of_poses, of_network, of_grid, *of_gains, of_case = np.random.SeedSequence(settings.seed).spawn(6)
-    counts = (settings.identification_poses, settings.network_poses, settings.test_poses)
-    identification, network, test = random_sets(plant, counts, np.random.default_rng(of_poses))
+    measured = random_sets(plant, tuple(POSES.values()), np.random.default_rng(of_poses))
+    sets = dict(zip(POSES, measured, strict=True))
     report("measuring", 1, 1)
     choices = Choices(fit="full", terms="none", residual="none", frames="known")  # as the paper does
     if settings.network:
         learning = BpnnSettings(epochs=settings.epochs)
-        choices = replace(choices, residual="bpnn", learn_from=network, settings=learning)
+        choices = replace(choices, residual="bpnn", learn_from=sets["network"], settings=learning)
     learn = np.random.default_rng(of_network)
-    result = calibrate(plant.arm, identification, test=test, choices=choices, rng=learn, progress=report)
+    rows, test = sets["identification"], sets["test"]
+    result = calibrate(plant.arm, rows, test=test, choices=choices, rng=learn, progress=report)
     calibration = result.calibration
     compensators: Compensators = {"raw": None, "ls": calibration.compensator(with_residual=False)}
     if calibration.learnt is not None:
@@ -150,27 +145,22 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
     gains: list[BlockedGain] = []
     if settings.gain_poses and settings.network:
         joints = grid_joints(plant.arm.nominal, settings.gain_poses, np.random.default_rng(of_grid))
-        designs = dict(zip((settings.plant, FIELD), of_gains, strict=True))
+        designs = dict(zip((PLANT, FIELD), of_gains, strict=True))
         gains = blocked_gains(designs, joints, progress=report)
     comparison = _comparison(settings, plant, result, compensators, reaches)
     lateral = [lateral_mm for lateral_mm, _ in gripped(comparison).values()]
     cases = {plant.name: pick_changes(lateral[0], lateral[-1])}
     cases[OTHER] = _other_case(settings, np.random.default_rng(of_case))
     test_errors = {key: _errors(plant, test.joints, compensator) for key, compensator in compensators.items()}
-    sets = {"identification": identification, "network": network, "test": test}
     return DemoResult(settings, plant, result, sets, test_errors, reaches, comparison, gains, cases)
 
 
 def _reaches(settings: DemoSettings, compensators: Compensators, report: Progress) -> dict[str, Reaches]:
     """The ends of the same reaches under every policy."""
-    tolerances: dict[str, Any] = {
-        "tolerance_mm": settings.tolerance_mm,
-        "angle_tolerance_deg": settings.attitude_tolerance_deg,
-    }
-    reaches, seeds = {}, episode_seeds(settings.seed, settings.reaches)
+    reaches, seeds, (radius, angle) = {}, episode_seeds(settings.seed, settings.reaches), TOLERANCES
     total = len(compensators) * len(seeds)
     for number, (key, compensator) in enumerate(compensators.items()):
-        env: Any = gym.make("pickenv/Reach-v0", plant=settings.plant, **tolerances)
+        env: Any = gym.make("pickenv/Reach-v0", plant=PLANT, tolerance_mm=radius, angle_tolerance_deg=angle)
         env = env if compensator is None else CompensationWrapper(env, compensator)
 
         def reached(done: int, earlier: int = number * len(seeds)) -> None:
@@ -190,7 +180,7 @@ def _other_case(settings: DemoSettings, rng: np.random.Generator) -> list[Change
     """The effect of least squares on picks on the plant `OTHER`, over a field of upright tool poses at rest."""
     plant = load_plant(OTHER)
     nominal = plant.arm.nominal
-    (poses,) = random_sets(plant, (settings.identification_poses,), rng)
+    (poses,) = random_sets(plant, (POSES["identification"],), rng)
     compensator = fit(plant.arm, poses, known_frames=True).calibration.compensator(with_residual=False)
     joints = field_grid(nominal, settings.grid_step, settings.seed).joints
     target = forward(nominal, joints)
@@ -213,7 +203,7 @@ def _comparison(
             for key, compensator in compensators.items()
         ),
         plant=plant,
-        tolerance_mm=settings.tolerance_mm,
+        tolerance_mm=TOLERANCES[0],
         seed=settings.seed,
         seeds=reaches["raw"].seeds,
         grid=grid,
@@ -235,9 +225,13 @@ def summarise(result: DemoResult) -> dict[str, Any]:
     if calibration.learnt is not None:
         values = held_out_r2(test.difference(calibration.identified), calibration.learnt.predict(test.joints))
         r2 = dict(zip(("x", "y", "z", "rx", "ry", "rz"), map(float, values), strict=True))
-    copied = ("seed", "network", "plant", "tolerance_mm", "attitude_tolerance_deg", "reaches")
     return {
-        **{name: getattr(settings, name) for name in copied},
+        "seed": settings.seed,
+        "network": settings.network,
+        "plant": PLANT,
+        "tolerance_mm": TOLERANCES[0],
+        "attitude_tolerance_deg": TOLERANCES[1],
+        "reaches": settings.reaches,
         "quick": settings.is_quick,
         "pickenv": pickenv.__version__,
         "simulated": True,

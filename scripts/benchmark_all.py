@@ -19,7 +19,6 @@ import time
 from collections.abc import Mapping
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -57,8 +56,6 @@ def cases(quick: bool) -> list[Case]:
     """What is timed; every executor on the same population, the batched one also on larger ones."""
     few = 100 if quick else 400
     compared = [Case("ls", "serial", few, 1), Case("ls", "joblib", few, 2)]
-    if find_spec("ray") is not None:
-        compared.append(Case("ls", "ray", few, 2))
     grown = [100, 1000] if quick else [100, 1000, 10_000]
     forward = [1000, 10_000] if quick else [1000, 10_000, 100_000, LARGEST]
     return [
@@ -69,7 +66,7 @@ def cases(quick: bool) -> list[Case]:
 
 
 def time_case(case: Case) -> dict[str, Any]:
-    """Run one study after a tiny one that is not counted, as other benchmarks warm up; Ray starts its cluster again.
+    """Run one study after a tiny one that is not counted, as other benchmarks warm up.
 
     Seconds are those of the chunks; processor seconds, of this process alone, include reading the rows again.
     """

@@ -65,7 +65,6 @@ HEAVY = (
     *(
         "pyarrow",
         "pandas",
-        "ray",
         "grpc",
         "joblib",
         "ortools",

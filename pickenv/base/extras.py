@@ -22,7 +22,6 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "camera": ("cv2",),
     "recordings": ("rosbags",),
     "study": ("pyarrow", "joblib", "pandas"),
-    "ray": ("ray",),
     "harvest": ("skimage", "ortools", "pettingzoo"),
     "export": ("onnx",),
     "data": ("minari",),

@@ -94,7 +94,7 @@ def policies(
     seeds: int = 5,
     trainings: Annotated[int | None, Option(min=0)] = None,
     quick: Annotated[bool, Option("--quick")] = False,
-    executor: Literal["serial", "joblib", "ray"] = "serial",
+    executor: Literal["serial", "joblib"] = "serial",
     workers: Annotated[int | None, Option(min=1)] = None,
 ) -> None:
     """Policies raw and calibrated on every rung of the ladder, on arms that no two seeds share; picks per hour too.
@@ -120,7 +120,7 @@ def policies(
 
     page = out / "leaderboard.md"
     separate({"--policy": policy}, {"--out": [page], "--json": json_file})
-    require("torch", "pyarrow", *({"joblib": ["joblib"], "ray": ["ray"]}.get(executor, [])))
+    require("torch", "pyarrow", *(["joblib"] if executor == "joblib" else []))
     usual = policy_tables.QUICK if quick else policy_tables.LEADERBOARD
     settings = replace(
         usual,

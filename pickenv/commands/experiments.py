@@ -24,7 +24,7 @@ def experiment(
     seed: Annotated[int | None, Option(min=0)] = None,
     seeds: Annotated[int, Option(min=1)] = 1,
     change: Annotated[list[str] | None, Option("--set")] = None,
-    executor: str = "loky",
+    executor: Literal["serial", "loky"] = "loky",
     workers: Annotated[int | None, Option(min=1)] = None,
     out: Path | None = None,
     json_file: Annotated[Path | None, Option("--json")] = None,
@@ -39,7 +39,7 @@ def experiment(
         seed: Seed of everything random; the file's if left out.
         seeds: Seeds to run at; how often intervals of one hold the numbers of another is said.
         change: A unit, factor or setting: arm=20, method=["raw"]; may be repeated.
-        executor: What computes: serial, loky, ray, dask; no number changes.
+        executor: What computes; no number changes.
         workers: Processes; one per core if left out.
         out: Folder for what is done; what was cut off goes on. runs/NAME if left out.
         json_file: Write the numbers to this file.
@@ -130,7 +130,7 @@ def study(
     config: Path,
     quick: Annotated[bool, Option("--quick")] = False,
     seed: Annotated[int | None, Option(min=0)] = None,
-    executor: Literal["serial", "joblib", "ray", "batched"] = "joblib",
+    executor: Literal["serial", "joblib", "batched"] = "joblib",
     workers: Annotated[int | None, Option(min=1)] = None,
     device: Literal["cpu", "cuda"] = "cpu",
     out: Path = Path("runs/study"),

@@ -9,10 +9,10 @@ The arm is moved to every pose from another one and held for a minute, so fricti
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
@@ -158,26 +158,16 @@ def measured_under(plant: Plant, state: State, rng: np.random.Generator) -> Meas
     )
 
 
-@dataclass(frozen=True, eq=False)
-class Believed:
-    """A calibrated arm, and which inputs its learnt residual takes.
+Left: TypeAlias = Callable[[Measurements, State], Array]
+"""The pose errors ``(N, 6)`` that a calibration leaves of what was measured in these states, m and rad."""
 
-    Attributes:
-        model: Geometry and terms.
-        learnt: Learnt residual, or None.
-        told: Whether the residual takes payload, temperature and hour.
-    """
 
-    model: ArmModel
-    learnt: LearntResidual | None = None
-    told: bool = False
-
-    def errors_mm(self, data: Measurements, state: State) -> Array:
-        """Position errors that the calibration leaves at each pose ``(N,)``, mm."""
-        errors = data.difference(self.model)[:, :3]
-        if self.learnt is not None:
-            errors = errors - self.learnt.predict(data.joints, told(data, state) if self.told else None)[:, :3]
-        return np.asarray(1e3 * np.linalg.norm(errors, axis=1))
+def left_by(
+    data: Measurements, state: State, *, model: ArmModel, learnt: LearntResidual | None = None, inputs: bool = False
+) -> Array:
+    """What geometry and terms leave, and a learnt residual, which may take payload, temperature and hour as inputs."""
+    missed = data.difference(model)
+    return missed if learnt is None else missed - learnt.predict(data.joints, told(data, state) if inputs else None)
 
 
 def told(data: Measurements, state: State) -> Array:
@@ -187,7 +177,7 @@ def told(data: Measurements, state: State) -> Array:
     return np.column_stack([inputs, state.hour])
 
 
-def calibrated(plant: Plant, settings: ConditionsSettings, rng: np.random.Generator) -> dict[str, Believed]:
+def calibrated(plant: Plant, settings: ConditionsSettings, rng: np.random.Generator) -> dict[str, Left]:
     """The arm calibrated in every way, each from the same number of poses, by method."""
     arm, nominal = plant.arm, plant.arm.nominal
     apart = State.drawn(settings.ranges, settings.sessions, settings.poses, rng)
@@ -203,12 +193,12 @@ def calibrated(plant: Plant, settings: ConditionsSettings, rng: np.random.Genera
 
     inputs = told(varied, apart)
     return {
-        "raw": Believed(ArmModel.of(nominal)),
-        REFERENCE: Believed(cold.arm_model, learnt(cold.arm_model, usual)),
-        BLIND: Believed(bare.arm_model, learnt(bare.arm_model, varied)),
-        TOLD: Believed(bare.arm_model, learnt(bare.arm_model, varied, inputs), True),
-        TERMS: Believed(knowing),
-        BOTH: Believed(knowing, learnt(knowing, varied, inputs), True),
+        "raw": partial(left_by, model=ArmModel.of(nominal)),
+        REFERENCE: partial(left_by, model=cold.arm_model, learnt=learnt(cold.arm_model, usual)),
+        BLIND: partial(left_by, model=bare.arm_model, learnt=learnt(bare.arm_model, varied)),
+        TOLD: partial(left_by, model=bare.arm_model, learnt=learnt(bare.arm_model, varied, inputs), inputs=True),
+        TERMS: partial(left_by, model=knowing),
+        BOTH: partial(left_by, model=knowing, learnt=learnt(knowing, varied, inputs), inputs=True),
     }
 
 
@@ -225,7 +215,7 @@ def state_at(condition: str, level: float, count: int) -> State:
 
 
 def judged_on(
-    plant: Plant, believed: Mapping[str, Believed] | Calibration, settings: ConditionsSettings, rng: np.random.Generator
+    plant: Plant, calibrations: Mapping[str, Left], settings: ConditionsSettings, rng: np.random.Generator
 ) -> Rows:
     """Errors left at new poses under held-out conditions: a row for each sweep, level, method and pose."""
     levels, count = levels_of(settings.ranges), 2 * settings.poses
@@ -234,15 +224,11 @@ def judged_on(
     for sweep, level, state in [*states, (HELD_OUT, 0, None)]:
         state = state or State.drawn(settings.ranges, settings.sessions, settings.poses, rng)
         data = measured_under(plant, state, rng)
-        if isinstance(believed, Calibration):
-            errors = {"raw": Believed(ArmModel.of(plant.arm.nominal)).errors_mm(data, state)}
-            errors["this calibration"] = 1e3 * np.linalg.norm(believed.errors(data)[:, :3], axis=1)
-        else:
-            errors = {name: model.errors_mm(data, state) for name, model in believed.items()}
-        for method, values in errors.items():
+        for method, errors in calibrations.items():
             place = {"sweep": sweep, "level": level, "method": method}
-            columns = {name: np.full(len(values), value) for name, value in place.items()}
-            parts.append(Rows(columns | {"pose": np.arange(len(values)), "error_mm": values}))
+            error_mm = 1e3 * np.linalg.norm(errors(data, state)[:, :3], axis=1)
+            columns = {name: np.full(len(error_mm), value) for name, value in place.items()}
+            parts.append(Rows(columns | {"pose": np.arange(len(error_mm)), "error_mm": error_mm}))
     return joined(parts)
 
 
@@ -259,7 +245,9 @@ def judged_arm(
         calibration: Judged instead of the calibrations made here.
     """
     if calibration is not None:
-        return judged_on(plants, calibration, settings, _stream(settings.seed))
+        both: dict[str, Left] = {"raw": partial(left_by, model=ArmModel.of(plants.arm.nominal))}
+        both["this calibration"] = lambda data, state: calibration.errors(data)
+        return judged_on(plants, both, settings, _stream(settings.seed))
     rng_of_arm, plant = _stream(settings.seed, 1 + arm), plant_at(plants, arm)
     return judged_on(plant, calibrated(plant, settings, rng_of_arm), settings, rng_of_arm)
 

@@ -246,7 +246,7 @@ def run(
     Args:
         experiment: What is measured.
         folder: Where pieces are kept for the next time; nowhere when None.
-        backend: "serial", "loky" (processes of this machine), or any that joblib knows, "ray" and "dask" among them.
+        backend: "serial", or "loky" (processes of this machine).
         workers: Processes; as many as there are cores when None.
         progress: Told how many pieces are done.
         refused: Told the levels of pieces that cannot be measured, and why; they have no rows, and are tried again by
@@ -281,12 +281,9 @@ def keep(
     require("pyarrow")
     with locked(folder):
         keys = [experiment.key(piece) for piece in pieces]
-        files = [
-            folder / f"{experiment.name}_{piece.label}_{key[:16]}.parquet"
-            for piece, key in zip(pieces, keys, strict=True)
-        ]
-        _write_record(folder, {file.name: key for file, key in zip(files, keys, strict=True)})
-        todo = []
+        names = [f"{experiment.name}_{piece.label}_{key[:16]}.parquet" for piece, key in zip(pieces, keys, strict=True)]
+        _write_record(folder, dict(zip(names, keys, strict=True)))
+        files, todo = [folder / name for name in names], []
         for number, (file, key) in enumerate(zip(files, keys, strict=True)):
             if file.is_file() and parquet_is_sealed(file.read_bytes()):
                 piece_table(file, key)
@@ -302,7 +299,7 @@ def keep(
             refusals.remove(number)
         measured = [number for number in range(len(pieces)) if number not in refusals]
         if refusals:
-            _write_record(folder, {files[number].name: keys[number] for number in measured})
+            _write_record(folder, {names[number]: keys[number] for number in measured})
     return [files[number] for number in measured]
 
 
@@ -317,22 +314,23 @@ def _computed(
 ) -> Iterator[tuple[int, Rows]]:
     """Compute the pieces in ``todo``: yield the number and the rows of each, in any order; arguments as for `run`."""
     done = len(pieces) - len(todo)
-    for number, rows in spread(partial(_measured, experiment, pieces), todo, backend, workers):
+    for number, rows in spread(partial(_measured, experiment, pieces, refused is None), todo, backend, workers):
         if isinstance(rows, Rows):
             yield number, rows
-        elif refused is None:
-            raise rows
-        else:
+        elif refused is not None:
             refused(pieces[number].levels, rows)
         done += 1
         if progress is not None:
             progress(experiment.name, done, len(pieces))
 
 
-def _measured(experiment: Experiment, pieces: Sequence[Piece], number: int) -> Rows | InputError:
+def _measured(experiment: Experiment, pieces: Sequence[Piece], ends: bool, number: int) -> Rows | InputError:
+    """The rows of a piece, or why it cannot be measured; that is raised where it ends the work."""
     try:
         return experiment.measured(pieces[number])
     except InputError as error:
+        if ends:
+            raise
         return error
 
 
@@ -426,18 +424,24 @@ def check_experiment(folder: str | Path) -> list[tuple[Path, str | None]]:
     verdicts: list[tuple[Path, str | None]] = [(record, None)]
     files = {path.name for path in folder.iterdir()} - {RECORD, LOCK}
     for name in sorted({*pieces, *files}):
-        path, reason = folder / name, None
-        if name not in pieces:
-            reason = f"{path} is no piece of this experiment; take it out of the folder"
-            if name.startswith("."):
-                reason = f"{path} was left behind by an interrupted write; delete it"
+        path = folder / name
+        if name in pieces:
+            reason = refusal(piece_table, path, pieces[name])
+        elif name.startswith("."):
+            reason = f"{path} was left behind by an interrupted write; delete it"
         else:
-            try:
-                piece_table(path, pieces[name])
-            except InputError as error:
-                reason = str(error)
+            reason = f"{path} is no piece of this experiment; take it out of the folder"
         verdicts.append((path, reason))
     return verdicts
+
+
+def refusal(read: Callable[..., object], *arguments: Any) -> str | None:
+    """The sentence with which a reader refuses what it is given; None if it takes it."""
+    try:
+        read(*arguments)
+    except InputError as error:
+        return str(error)
+    return None
 
 
 def _arrow_of(values: NDArray[Any]) -> Any:

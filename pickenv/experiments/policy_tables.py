@@ -535,14 +535,13 @@ def _percent(share: float, ends: Sequence[float | None] | None) -> str:
 
 def leaderboard_summary(board: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """Heads and cells of a screen's one table: mean errors (mm), raw and behind the last compensation, by rung."""
-    plants = list(dict.fromkeys(row["plant"] for row in board["reach"]))
-    cells: dict[tuple[str, str], list[str]] = {}
-    for plant in plants:
-        for mine in _by_policy([row for row in board["reach"] if row["plant"] == plant]):
-            key, last = (mine["raw"]["policy"], mine["raw"]["feedback"]), list(mine.values())[-1]
+    rows = []
+    for plant, group in groupby(board["reach"], lambda row: row["plant"]):
+        for mine in _by_policy(list(group)):
+            *_, last = mine.values()
             words = f"{mine['raw']['mean_mm']:.2f}" + (f" / {last['mean_mm']:.2f}" if len(mine) > 1 else "")
-            cells.setdefault(key, []).append(words)
-    return ["policy", "feedback", *(plant.removeprefix(RUNG) for plant in plants)], [[*k, *v] for k, v in cells.items()]
+            rows.append({**mine["raw"], "rung": plant.removeprefix(RUNG), "words": words})
+    return pivot(rows, ["policy", "feedback"], "rung", lambda row: row["words"])
 
 
 def leaderboard_page(board: Mapping[str, Any]) -> str:

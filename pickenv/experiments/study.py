@@ -16,7 +16,8 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import KW_ONLY, dataclass, replace
+from dataclasses import KW_ONLY, astuple, dataclass, replace
+from functools import cache
 from itertools import groupby, product
 from pathlib import Path
 from typing import Annotated, Any, TypeAlias
@@ -86,6 +87,10 @@ DEFAULT_NOISE = Noise(POSITION_STD * 1e3, math.degrees(ATTITUDE_STD))
 """Noise of the tracker in a study that gives none."""
 
 
+SETTING = ("setting", "tolerances", "it_grade", "poses", "noise_mm", "noise_deg", "payload_kg", "method")
+"""Columns that name a setting."""
+
+
 @dataclass(frozen=True)
 class Setting:
     """One cell of a study: a population, how its arms are calibrated, and what they carry.
@@ -95,31 +100,29 @@ class Setting:
         tolerances: Tolerance class.
         it_grade: ISO 286-1 grade of the lengths.
         poses: Calibration poses; 0 without calibration.
-        noise: Noise of the tracker; zero without calibration.
-        method: One of `METHODS`.
+        noise_mm: Noise of the tracker's positions; zero without calibration.
+        noise_deg: Noise of its attitudes.
         payload_kg: Mass held at the tool while picking; calibrations are made with the plant's own.
+        method: One of `METHODS`.
     """
 
     number: int
     tolerances: str
     it_grade: int
     poses: int
-    noise: Noise
-    method: str
+    noise_mm: float
+    noise_deg: float
     payload_kg: float
+    method: str
 
     def columns(self) -> dict[str, Any]:
         """The columns that name this setting."""
-        return {
-            "setting": self.number,
-            "tolerances": self.tolerances,
-            "it_grade": self.it_grade,
-            "poses": self.poses,
-            "noise_mm": self.noise.position_mm,
-            "noise_deg": self.noise.attitude_deg,
-            "payload_kg": self.payload_kg,
-            "method": self.method,
-        }
+        return dict(zip(SETTING, astuple(self), strict=True))
+
+    @property
+    def calibration(self) -> Setting:
+        """What arms are told in this setting: the same in all that differ in payload alone."""
+        return replace(self, number=0, payload_kg=0.0)
 
 
 POSES = WHOLE.within(*LIMITS["poses"])
@@ -183,7 +186,7 @@ class StudyConfig:
         ]
         cells = product(populations, calibrations, self.payload_kg)
         return tuple(
-            Setting(number, name, grade, poses, noise, method, payload)
+            Setting(number, name, grade, poses, noise.position_mm, noise.attitude_deg, payload, method)
             for number, ((name, grade), (method, poses, noise), payload) in enumerate(cells)
         )
 
@@ -353,7 +356,7 @@ class Protocol:
 
     def instrument(self, setting: Setting) -> Instrument:
         """The instrument that measures the arms of a setting."""
-        noise = MeasurementNoise(setting.noise.position_mm * 1e-3, math.radians(setting.noise.attitude_deg))
+        noise = MeasurementNoise(setting.noise_mm * 1e-3, math.radians(setting.noise_deg))
         return replace(self.tracker, noise=noise)
 
     def stream(self, purpose: int, arm: int) -> np.random.Generator:
@@ -556,49 +559,35 @@ def evaluate_arm(protocol: Protocol, settings: Sequence[Setting], arm: Plant, ar
     Returns:
         For each setting, the outcomes of one arm.
     """
-    commands: dict[tuple[Any, ...], ArmCommands] = {}
+    command = cache(lambda calibration: arm_commands(protocol, calibration, arm, around))
     outcomes = []
     targets = forward(protocol.nominal, around.fruit)
     for setting in settings:
-        key = (setting.method, setting.poses, setting.noise)
-        if key not in commands:  # a payload changes where the arm ends, not what it is told
-            commands[key] = arm_commands(protocol, setting, arm, around)
-        command = commands[key]
-        error = pose_error(targets, carrying(arm, setting.payload_kg).tool_pose(command.joints))
+        joints, status, iterations = command(setting.calibration)
+        error = pose_error(targets, carrying(arm, setting.payload_kg).tool_pose(joints))
         position, attitude = (np.linalg.norm(part, axis=1)[None] for part in (error[:, :3], error[:, 3:]))
-        outcomes.append(Outcomes(setting, [command.status], [command.iterations], position, attitude))
+        outcomes.append(Outcomes(setting, [status], [iterations], position, attitude))
     return outcomes
 
 
-@dataclass(frozen=True, eq=False)
-class ArmCommands:
-    """The commands with which an arm reaches for its fruit.
+def arm_commands(protocol: Protocol, setting: Setting, arm: Plant, around: Circumstances) -> tuple[Array, str, int]:
+    """Calibrate one arm as the setting says, and correct its commands.
 
-    Attributes:
-        joints: Joint commands ``(M, n)``, rad or m.
-        status: `OK`, or why the arm could not be calibrated.
-        iterations: Steps of the least squares.
+    Returns:
+        Joint commands ``(M, n)``, rad or m; `OK`, or why the arm could not be calibrated; steps of the least squares.
     """
-
-    joints: Array
-    status: str = OK
-    iterations: int = 0
-
-
-def arm_commands(protocol: Protocol, setting: Setting, arm: Plant, around: Circumstances) -> ArmCommands:
-    """Calibrate one arm as the setting says, and correct its commands."""
     if setting.method == RAW:
-        return ArmCommands(around.fruit)
+        return around.fruit, OK, 0
     try:
         compensator, iterations = _calibrated(protocol, setting, arm, around)
     except InputError as error:
-        return ArmCommands(around.fruit, str(error))
+        return around.fruit, str(error), 0
     except np.linalg.LinAlgError as error:
-        return ArmCommands(around.fruit, f"the identification broke down: {error}")
+        return around.fruit, f"the identification broke down: {error}", 0
     joints, targets = compensator(around.fruit), forward(protocol.nominal, around.fruit).position
     miss = np.linalg.norm(compensator.predict(joints).position - targets, axis=1)
     missed = int(np.sum(miss > 1e-3 * protocol.config.radius_mm))
-    return ArmCommands(joints, reach_status(missed, protocol.config), iterations)
+    return joints, reach_status(missed, protocol.config), iterations
 
 
 def _calibrated(protocol: Protocol, setting: Setting, arm: Plant, around: Circumstances) -> tuple[Compensator, int]:

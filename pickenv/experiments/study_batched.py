@@ -10,10 +10,9 @@ fruit and ``(P, N)`` at poses, arms last. SI.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from operator import itemgetter
-from typing import Any
+from typing import TypeAlias
 
 import numpy as np
 import torch
@@ -44,21 +43,10 @@ IN_TIME = 8
 """Factor on the number of poses worked on together where the arms are measured in time."""
 
 
-@dataclass(frozen=True, eq=False)
-class _Commands:
-    """Commands for N arms.
-
-    Attributes:
-        joints: Joint commands, one array ``(M, N)`` per joint, rad or m.
-        missed: Fruit out of each arm's reach ``(N,)``, as far as its calibration can say.
-        steps: Least-squares steps ``(N,)``.
-        converged: Whether each arm was calibrated here ``(N,)``; the others are calibrated one by one.
-    """
-
-    joints: Sequence[Tensor]
-    missed: NDArray[np.int64]
-    steps: NDArray[np.int64]
-    converged: NDArray[np.bool_]
+Commands: TypeAlias = tuple[Sequence[Tensor], NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]
+"""For N arms: joint commands, one array ``(M, N)`` per joint, rad or m; fruit out of each arm's reach ``(N,)``, as far
+as its calibration can say; least-squares steps ``(N,)``; and whether each arm was calibrated here ``(N,)``, where the
+others are calibrated one by one."""
 
 
 def evaluate_batch(protocol: study.Protocol, chunk: int, rng: object = None, device: str = "cpu") -> Rows:
@@ -109,18 +97,15 @@ def _outcomes(
     targets = in_components(torch, np.stack([met.fruit for met in around], axis=1), place)
     read = visited_frames(protocol, placed, around, place)
     goals = tool_frame(torch, chain_of(protocol.nominal), targets)
-    commands: dict[tuple[Any, ...], _Commands] = {}
+    command = cache(lambda calibration: _commands(protocol, calibration, read, around, (targets, goals), place))
     outcomes = []
     for setting in settings:
-        key = (setting.method, setting.poses, setting.noise)
-        if key not in commands:
-            commands[key] = _commands(protocol, setting, read, around, (targets, goals), place)
-        command = commands[key]
-        error = frame_error(torch, goals, study.carrying(placed, setting.payload_kg).tool_frame(torch, command.joints))
+        joints, missed, taken, converged = command(setting.calibration)
+        error = frame_error(torch, goals, study.carrying(placed, setting.payload_kg).tool_frame(torch, joints))
         position, attitude = _norms(error[:3], count), _norms(error[3:], count)
-        status = [study.reach_status(int(missed), protocol.config) for missed in command.missed]
-        steps = command.steps.tolist()
-        for i in np.flatnonzero(~command.converged).tolist():
+        status = [study.reach_status(fruit, protocol.config) for fruit in missed.tolist()]
+        steps = taken.tolist()
+        for i in np.flatnonzero(~converged).tolist():
             (alone,) = study.evaluate_arm(protocol, [setting], plant_at(plants, i), around[i])
             status[i], steps[i] = alone.status[0], alone.iterations[0]
             position[i], attitude[i] = alone.position[0], alone.attitude[0]
@@ -135,19 +120,19 @@ def _commands(
     around: Sequence[study.Circumstances],
     fruit: tuple[list[Tensor], Frame],
     place: Place,
-) -> _Commands:
+) -> Commands:
     """Calibrate all arms, as they were read, as the setting says; correct their commands for targets, wanted frames."""
     count, (targets, goals) = len(around), fruit
     if setting.method == study.RAW:
         none = np.zeros(count, dtype=np.int64)
-        return _Commands(targets, none, none, np.ones(count, dtype=bool))
+        return targets, none, none, np.ones(count, dtype=bool)
     geometry, steps, converged = identify_batch(protocol, setting, read, around, place)
     chain = tree_map(place, chain_of(geometry, np))
     chains = (chain_of(protocol.nominal), chain)
     joints = corrected(torch, protocol.nominal, chains, targets, Compensator.iterations)
     gap = [a - b for a, b in zip(tool_frame(torch, chain, joints)[9:], goals[9:], strict=True)]
     missed = np.sum(_norms(gap, count) > 1e-3 * protocol.config.radius_mm, axis=1)
-    return _Commands(joints, missed, steps, converged)
+    return joints, missed, steps, converged
 
 
 def _norms(components: Sequence[Tensor], count: int) -> Array:

@@ -278,12 +278,9 @@ def yield_curves(yields: Sequence[Row], along: str, specification: str) -> Figur
 
     Args:
         yields: Rows of `yields_of`.
-        along: The axis; other things that vary are shown by colour and line, or kept at their middle value, which is
-            named.
+        along: The axis, which the study varied; other things that vary are shown by colour and line, or kept at their
+            middle value, which is named.
         specification: When an arm is good enough, in words.
-
-    Raises:
-        InputError: If the study did not vary ``along``.
     """
     keys = ("yield", "yield_low", "yield_high")
     note = f"yield of {_arms(yields)} with 95 % bands; within specification: {specification}"
@@ -295,10 +292,7 @@ def error_curves(quantiles: Sequence[Row], along: str) -> Figure:
 
     Args:
         quantiles: Rows of `quantiles_of`, with probabilities 0.05, 0.5 and 0.95.
-        along: The axis.
-
-    Raises:
-        InputError: If the study did not vary ``along``.
+        along: The axis, which the study varied.
     """
     merged: dict[int, dict[str, Any]] = {}
     for row in _judged(quantiles):
@@ -393,8 +387,6 @@ def _curves(
     Curves that cannot be told apart are drawn once and named together; the title says what the axis does to the best
     one, which ``better`` picks (max or min) by its mean.
     """
-    if along not in AXES or along not in varied(rows):
-        raise InputError(f"the study does not vary '{along}'; draw one of {varied(rows) or 'none'}")
     beside = ("method", "poses") if along == "it_grade" else ("method", "it_grade")
     free = ("tolerances", along, *beside)
     classes = list(dict.fromkeys(row["tolerances"] for row in rows))

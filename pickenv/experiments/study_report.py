@@ -286,7 +286,7 @@ def arms_compared(folder: str | Path, setting: int) -> Comparison:
         loaded = carrying(arm, cell.payload_kg)
 
         def reached(targets: Any) -> tuple[Any, Any, Any]:
-            joints = arm_commands(protocol, cell, arm, replace(around, fruit=targets)).joints
+            joints, *_ = arm_commands(protocol, cell, arm, replace(around, fruit=targets))
             pose = loaded.tool_pose(joints)
             return joints, pose.position, pose_error(forward(nominal, targets), pose)
 

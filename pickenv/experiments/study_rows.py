@@ -33,7 +33,7 @@ from pickenv.base import (
     write_text,
 )
 from pickenv.experiments import study
-from pickenv.experiments.engine import RECORD, Experiment, Rows, check_experiment, keep, kept_tables
+from pickenv.experiments.engine import RECORD, Experiment, Rows, check_experiment, keep, kept_tables, refusal
 
 Row = Mapping[str, Any]
 
@@ -43,7 +43,7 @@ SOBOL_AGAIN = "run `pickenv study` with `sobol` again"
 
 BATCHED = "batched"
 """Name of the executor that works on all arms of a chunk at once; the others work arm by arm."""
-EXECUTORS = {"serial": "serial", "joblib": "loky", "ray": "ray", BATCHED: "loky"}
+EXECUTORS = {"serial": "serial", "joblib": "loky", BATCHED: "loky"}
 """The backend of each executor: where chunks are worked on."""
 
 
@@ -61,7 +61,7 @@ def run_study(
     Args:
         config: The study.
         folder: Results; chunks already there are kept, damaged ones computed again with a warning.
-        executor: A name of `EXECUTORS`. A cluster of Ray is found by RAY_ADDRESS; without it one is started here.
+        executor: A name of `EXECUTORS`.
         workers: Processes; one per core when None, but a single one for "batched".
         device: Where "batched" computes: "cpu" or "cuda".
         progress: Called with (arms done, arms in all).
@@ -315,27 +315,15 @@ def check_folder(folder: str | Path) -> list[tuple[Path, str | None]]:
         there are some: each with None, or the sentence that says why it is refused.
     """
     folder = Path(folder)
-    described = _fault(study_of, folder, folder / "study.toml")
-    rows = check_experiment(folder / ROWS)
-    if described[1] is not None:
-        rows = [(path, reason or f"{path} cannot be judged without a sound {described[0]}") for path, reason in rows]
-    checks = [described, *rows, _fault(read_summary, folder, folder / SUMMARY)]
-    return checks + ([_fault(read_sobol, folder, folder / SOBOL)] if (folder / SOBOL).exists() else [])
-
-
-def _fault(read: Callable[[Path], Any], folder: Path, path: Path) -> tuple[Path, str | None]:
-    """A file of a folder with None, or with the sentence that says why ``read`` refuses it."""
-    try:
-        read(folder)
-    except InputError as error:
-        return path, str(error)
-    return path, None
+    described, rows = folder / "study.toml", check_experiment(folder / ROWS)
+    if (fault := refusal(study_of, folder)) is not None:
+        rows = [(path, reason or f"{path} cannot be judged without a sound {described}") for path, reason in rows]
+    checks = [(described, fault), *rows, (folder / SUMMARY, refusal(read_summary, folder))]
+    return checks + ([(folder / SOBOL, refusal(read_sobol, folder))] if (folder / SOBOL).exists() else [])
 
 
 # Yields and quantiles. The rows are a Parquet data set of any size, of which memory holds a few columns of one setting.
 
-SETTING = ("setting", "tolerances", "it_grade", "poses", "noise_mm", "noise_deg", "payload_kg", "method")
-"""Columns that name a setting."""
 VARIED = ("it_grade", "poses", "noise_mm", "payload_kg")
 """Columns that a study may vary, beside tolerance class and method."""
 
@@ -415,8 +403,8 @@ def quantiles_of(
 def _by_setting(rows: ds.Dataset, columns: Sequence[str]) -> Iterator[tuple[dict[str, Any], Rows]]:
     """Yield each setting, ordered by number, with the given columns of its rows."""
     settings: dict[int, dict[str, Any]] = {}
-    for batch in rows.to_batches(columns=list(SETTING), use_threads=False):
-        groups = pa.Table.from_batches([batch]).group_by(list(SETTING), use_threads=False).aggregate([])
+    for batch in rows.to_batches(columns=list(study.SETTING), use_threads=False):
+        groups = pa.Table.from_batches([batch]).group_by(list(study.SETTING), use_threads=False).aggregate([])
         settings |= {setting["setting"]: setting for setting in groups.to_pylist()}
     for number in sorted(settings):
         table = rows.to_table(columns=list(columns), filter=pc.field("setting") == number, use_threads=False)

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from typing import Any
 
@@ -245,12 +245,9 @@ def sobol_indices(
         Rows as from `variance_indices`. Total minus first order is interaction.
 
     Raises:
-        InputError: If the groups do not name every input once, or ``samples`` is no power of two or too few.
+        InputError: If ``samples`` is no power of two or too few.
     """
-    inputs = sorted(i for group in groups.values() for i in group)
-    d = len(inputs)
-    if inputs != list(range(d)) or not d:
-        raise InputError(f"the groups name inputs {inputs}; name each of 0 to {max(inputs, default=0)} once")
+    d = sum(map(len, groups.values()))
     if samples < LEAST_SAMPLES or samples & (samples - 1):
         raise InputError(f"{samples} samples; give a power of two from {LEAST_SAMPLES}, such as {SAMPLES}")
     even = np.concatenate([qmc.Sobol(2 * d, rng=rng).random(samples // SCRAMBLES) for _ in range(SCRAMBLES)])
@@ -307,35 +304,40 @@ def sensitivities_of(rows: Dataset, setting: int = 0) -> pa.Table:
     for level, group_of in (("parameter", parameter_of), ("kind", tolerance_kind)):
         for i, name in enumerate(names):
             groups.setdefault((level, group_of(name)), []).append(i)
-    places, sums_of_all = list(groups.values()), sums.sum(axis=0)
+    total = sums.sum(axis=0)
     with single_threaded():  # small systems: threads would only wait for one another
-        every = _regressed(sums_of_all, places)
-        left_out = [_regressed(sums_of_all - block, places) for block in sums if block[0, 0]]
-    blocks, chance = len(left_out), _share_by_chance(every, left_out, places, arms)
-    about = {"r2": every.r2, "r2_adjusted": 1.0 - (1.0 - every.r2) * (arms - 1) / (arms - terms), "arms": arms}
-    squares = np.array([part.mean_square for part in left_out])
-    spread = np.sqrt((blocks - 1) / blocks * np.sum((squares - squares.mean(axis=0)) ** 2, axis=0))  # the jackknife's
-    half = float(stdtrit(blocks - 1, TAILS[0])) * spread
-    roots = np.sqrt(np.maximum(every.share, 0.0))
-    pseudo = blocks * roots - (blocks - 1) * np.sqrt(np.maximum([part.share for part in left_out], 0.0))
-    table: list[dict[str, Any]] = []
-    for i, ((level, name), place) in enumerate(groups.items()):
-        low, high = _interval(every.share[i], chance[i], pseudo[:, i])
-        table.append(
-            {
-                "parameter": name,
-                "kind": tolerance_kind(names[place[0]]),
-                "level": level,
-                "share": float(every.share[i] - chance[i]),
-                "share_low": low,
-                "share_high": high,
-                "mean_square_mm2": float(every.mean_square[i]),
-                "mean_square_low_mm2": float(every.mean_square[i] - half[i]),
-                "mean_square_high_mm2": float(every.mean_square[i] + half[i]),
-                "linear": float(every.linear[i]) if level == "parameter" and len(place) == 1 else float("nan"),
-                **about,
-            }
-        )
+        every = np.stack([total, *(total - block for block in sums if block[0, 0])])  # all arms, and without each block
+        slopes, covariance, variance, (r2, *_) = _regressed(every)
+        blocks = len(slopes) - 1
+        # The jackknife's scatter holds for errors of any distribution; it is too large by as much as few arms leave the
+        # regression (the leverage), and put right for that.
+        scatter = slopes[1:] - slopes[1:].mean(axis=0)
+        scatter *= np.sqrt((blocks - 1) / blocks * (1.0 - terms / arms))
+        about = {"r2": float(r2), "r2_adjusted": float(1.0 - (1.0 - r2) * (arms - 1) / (arms - terms)), "arms": arms}
+        table: list[dict[str, Any]] = []
+        for (level, name), group in groups.items():
+            share = _explained(slopes, covariance, group) / variance
+            chance = float(_explained(scatter, covariance[:1], group).sum() / variance[0])
+            roots = np.sqrt(np.maximum(share, 0.0))
+            low, high = _interval(float(share[0]), chance, blocks * roots[0] - (blocks - 1) * roots[1:])
+            square, *squares = slopes[:, [len(names) + i for i in group]].sum(axis=1)
+            half = float(stdtrit(blocks - 1, TAILS[0]) * np.sqrt((blocks - 1) * np.var(squares)))  # the jackknife's
+            of_one = slopes[0, group[0]] * np.sqrt(covariance[0, group[0], group[0]] / variance[0])
+            table.append(
+                {
+                    "parameter": name,
+                    "kind": tolerance_kind(names[group[0]]),
+                    "level": level,
+                    "share": float(share[0] - chance),
+                    "share_low": low,
+                    "share_high": high,
+                    "mean_square_mm2": float(square),
+                    "mean_square_low_mm2": float(square - half),
+                    "mean_square_high_mm2": float(square + half),
+                    "linear": float(of_one) if level == "parameter" and len(group) == 1 else float("nan"),
+                    **about,
+                }
+            )
     return pa.Table.from_pylist(sorted(table, key=lambda row: -row["share"]))
 
 
@@ -395,71 +397,26 @@ def _products(z: Array, block: NDArray[np.int64]) -> Array:
     return np.asarray(np.swapaxes(padded, 1, 2) @ padded)
 
 
-@dataclass(frozen=True, eq=False)
-class _Regression:
-    """A regression on 2 k terms, x and x^2 of k deviations, and what it says of G groups of them.
+def _regressed(sums: Array) -> tuple[Array, Array, Array, Array]:
+    """Regressions on 2 k terms, x and x^2 of k deviations, from the sums of products of S sets of arms ``(S, q, q)``.
 
-    Attributes:
-        slopes: Slopes of the terms ``(2 k,)``, mm^2.
-        terms: Covariance of the terms ``(2 k, 2 k)``.
-        variance: Variance of the squared error, mm^4.
-        share: Each group's share of the variance ``(G,)``, including what scatter alone adds.
-        mean_square: What the groups' spread adds to the mean of the squared error ``(G,)``, mm^2.
-        linear: Standardised coefficient of each group's first deviation ``(G,)``.
-        r2: Share of the variance that all of them explain.
+    Returns:
+        Slopes of the terms ``(S, 2 k)``, mm^2; covariances of the terms ``(S, 2 k, 2 k)``; variances of the squared
+        error, mm^4, and the shares of them that all terms explain (R^2), each ``(S,)``.
     """
-
-    slopes: Array
-    terms: Array
-    variance: float
-    share: Array
-    mean_square: Array
-    linear: Array
-    r2: float
+    count, mean = sums[:, :1, :1], sums[:, :1] / sums[:, :1, :1]
+    covariance = sums / count - mean.mT * mean
+    terms, with_error, variance = covariance[:, 1:-1, 1:-1], covariance[:, 1:-1, -1], covariance[:, -1, -1]
+    steadied = terms * (1.0 + 1e-10 * np.eye(terms.shape[1]))  # two deviations that are one share what they explain
+    slopes = np.asarray(np.linalg.solve(steadied, with_error[..., None])[..., 0], dtype=np.float64)
+    return slopes, terms, variance, np.sum(slopes * with_error, axis=1) / variance
 
 
-def _regressed(sums: Array, groups: Sequence[Sequence[int]]) -> _Regression:
-    """The regression from the sums of products of one set of arms."""
-    count = sums[0, 0]
-    mean = sums[0] / count
-    covariance = sums / count - np.outer(mean, mean)
-    terms, variance = covariance[1:-1, 1:-1], covariance[-1, -1]
-    steadied = terms + np.diag(1e-10 * np.diag(terms))  # two deviations that are one share what they explain
-    slopes = np.linalg.solve(steadied, covariance[1:-1, -1])
-    k = len(slopes) // 2
-    every = [_terms_of(group, k) for group in groups]
-    return _Regression(
-        slopes=slopes,
-        terms=terms,
-        variance=float(variance),
-        share=np.array([slopes[p] @ terms[np.ix_(p, p)] @ slopes[p] / variance for p in every]),
-        mean_square=np.array([slopes[k:][list(group)].sum() for group in groups]),
-        linear=np.array([slopes[group[0]] * np.sqrt(terms[group[0], group[0]] / variance) for group in groups]),
-        r2=float(slopes @ covariance[1:-1, -1] / variance),
-    )
-
-
-def _terms_of(group: Sequence[int], deviations: int) -> list[int]:
-    """Indices of the x and x^2 terms of a group among all terms."""
-    return [*group, *(deviations + i for i in group)]
-
-
-def _share_by_chance(
-    whole: _Regression, left_out: Sequence[_Regression], groups: Sequence[Sequence[int]], arms: int
-) -> Array:
-    """What the scatter of the slopes alone adds to each group's share ``(G,)``.
-
-    The scatter is the jackknife's, which holds for errors of any distribution; it is too large by as much as few arms
-    leave the regression (the leverage), and put right for that.
-    """
-    k = len(whole.slopes) // 2
-    slopes = np.array([part.slopes for part in left_out])
-    scatter = np.sqrt((len(slopes) - 1) / len(slopes) * (1.0 - (2 * k + 1) / arms)) * (slopes - slopes.mean(axis=0))
-    added = []
-    for group in groups:
-        p = _terms_of(group, k)
-        added.append(np.sum((scatter[:, p] @ whole.terms[np.ix_(p, p)]) * scatter[:, p]) / whole.variance)
-    return np.array(added)
+def _explained(slopes: Array, covariance: Array, group: Sequence[int]) -> Array:
+    """What a group of deviations explains by these slopes of all terms ``(S, 2 k)``: a variance ``(S,)``."""
+    both = [*group, *(slopes.shape[1] // 2 + i for i in group)]  # x and x^2
+    part = slopes[:, None, both]
+    return np.asarray((part @ covariance[:, both][:, :, both] @ part.mT)[:, 0, 0])
 
 
 def _interval(share: float, chance: float, pseudo: Array) -> tuple[float, float]:

@@ -30,6 +30,7 @@ from pickenv.experiments.conditions_study import (
     State,
     calibrated,
     conditions_study,
+    judged_arm,
     judged_on,
     levels_of,
     measured_under,
@@ -154,13 +155,14 @@ def test_the_expansion_coefficient_is_found(dynamic: Plant) -> None:
     """To a tenth: periodic drive errors, which no term here explains, pull at it."""
     found = calibrated(warming(dynamic), ConditionsSettings(), np.random.default_rng(0))
     assert set(found) == set(METHODS)
-    model = found[TERMS].model
+    model = found[TERMS].keywords["model"]
     coefficients = dict(zip(model.parameter_names[-len(model.coefficients) :], model.coefficients, strict=True))
     assert coefficients["thermal"] == pytest.approx(EXPANSION, rel=0.12)
     for name, each in found.items():  # the instrument stands in the base frame: base and tool stay
-        assert each.told == (name in (TOLD, BOTH)) and (each.learnt is None) == (name in ("raw", TERMS))
+        assert ("inputs" in each.keywords) == (name in (TOLD, BOTH))
+        assert ("learnt" in each.keywords) == (name not in ("raw", TERMS))
         for part in ("base", "tool"):
-            own, nominal = getattr(each.model.geometry, part), getattr(dynamic.arm.nominal, part)
+            own, nominal = getattr(each.keywords["model"].geometry, part), getattr(dynamic.arm.nominal, part)
             np.testing.assert_array_equal(own.position, nominal.position)
             np.testing.assert_array_equal(own.rotation, nominal.rotation)
 
@@ -242,8 +244,9 @@ def test_a_calibration_is_judged_on_its_own_arm_over_poses(calibration: Path, tm
 def test_what_is_left_is_the_length_of_each_miss_in_mm_level_by_level(calibration: Path) -> None:
     """The same draws once more, by hand."""
     plant, judge = warming(load_plant("qiao2026")), Calibration.load(calibration)
-    settings = ConditionsSettings(sessions=3, poses=4, ranges=ConditionRanges(payload=0.4, weather=0.0, hours=6.0))
-    rows, rng = judged_on(plant, judge, settings, np.random.default_rng(8)), np.random.default_rng(8)
+    ranges = ConditionRanges(payload=0.4, weather=0.0, hours=6.0)
+    settings, rng = ConditionsSettings(sessions=3, poses=4, seed=8, ranges=ranges), np.random.default_rng(8)
+    rows = judged_arm(np.random.default_rng(0), 0, plant, settings, judge)
     days = [state(8, payload=0.1 * k) for k in range(5)] + [state(8, hour=1.5 * k) for k in range(5)]
     assert rows.levels("sweep") == [("payload",), ("hour",), (HELD_OUT,)]
     for k, day in enumerate(days):

@@ -2,10 +2,7 @@
 
 import csv
 import json
-import subprocess
-import sys
 from dataclasses import replace
-from importlib.util import find_spec
 
 import gymnasium as gym
 import numpy as np
@@ -125,27 +122,6 @@ def test_residual_models_help_beyond_least_squares_and_several_processes_find_th
     several = run_policies(settings, backend="loky", workers=2)
     for name, values in alone.columns.items():
         np.testing.assert_array_equal(several[name], values)
-
-
-ON_A_CLUSTER = """
-import sys
-import gymnasium as gym
-import numpy as np
-from pickenv.experiments import PolicySettings, run_policies
-
-settings = PolicySettings(("scripted",), ("raw", "ls"), plants=("qiao2026",), arms=2, episodes=2)
-alone = run_policies(settings)
-rows = run_policies(settings, sys.argv[1], backend="ray", workers=2)
-for name, values in alone.columns.items():
-    np.testing.assert_array_equal(rows[name], values, name)
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(find_spec("ray") is None, reason="the extra pickenv[ray] is not installed")
-def test_a_cluster_finds_the_same(tmp_path):
-    """In a process of its own, for Ray leaves some of its own behind; it is started for calibrations and for rows."""
-    subprocess.run([sys.executable, "-W", "ignore", "-c", ON_A_CLUSTER, str(tmp_path)], check=True)
 
 
 def test_an_evaluation_is_reproducible_and_its_calibrations_are_kept(episodes, folder):

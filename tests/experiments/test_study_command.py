@@ -50,7 +50,7 @@ def test_a_study_prints_writes_and_sums_up(study_file, tmp_path):
     ("arguments", "sentence"),
     [
         (["nowhere.toml"], r"nowhere\.toml does not exist"),
-        (["study.toml", "--executor", "dask"], r"--executor.*'dask' is not one of 'serial', 'joblib', 'ray'"),
+        (["study.toml", "--executor", "ray"], r"--executor.*'ray' is not one of 'serial', 'joblib', 'batched'"),
         (["study.toml", "--executor", "batched", "--device", "tpu"], r"--device.*'tpu' is not one of 'cpu', 'cuda'"),
         (["study.toml", "--out", "study.toml/run"], r"cannot write"),
     ],

@@ -9,7 +9,7 @@ import pytest
 
 from pickenv.arm import PLANTS, TOLERANCES
 from pickenv.base import InputError
-from pickenv.experiments import Noise, load_study
+from pickenv.experiments import load_study
 
 ROOT = Path(__file__).parents[2]
 
@@ -28,7 +28,9 @@ def test_settings_are_the_product_and_an_arm_without_calibration_has_no_poses(st
     assert [setting.number for setting in settings] == list(range(len(settings)))
     assert len(settings) == 2 * (1 + 2) * 2  # grades x (raw, LS with 12 and with 20 poses) x payloads
     raw = [setting for setting in settings if setting.method == "raw"]
-    assert {(setting.poses, setting.noise) for setting in raw} == {(0, Noise(0.0, 0.0))} and len(raw) == 4
+    assert {(setting.poses, setting.noise_mm, setting.noise_deg) for setting in raw} == {(0, 0.0, 0.0)} and len(
+        raw
+    ) == 4
     assert {setting.poses for setting in settings if setting.method == "ls"} == {12, 20}
 
 

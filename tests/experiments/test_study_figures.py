@@ -7,7 +7,6 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 import pytest
 
-from pickenv.base import InputError
 from pickenv.experiments import quantiles_of, sensitivities_of, study_findings as figures, yields_of
 from pickenv.inspect import save_figure
 
@@ -83,14 +82,6 @@ def test_classes_have_a_panel_each():
     both = yields_of(population("fine", "medium"), REQUIRED).to_pylist()
     figure = figures.yield_curves(both, "it_grade", "")
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["Tolerance class fine", "Tolerance class medium"]
-
-
-def test_what_was_not_varied_cannot_be_an_axis(rows):
-    one = ds.dataset(rows.to_table().filter(ds.field("payload_kg") == 0.0))
-    with pytest.raises(InputError, match=r"does not vary 'payload_kg'; draw one of \['it_grade', 'poses', 'noise_mm'"):
-        figures.yield_curves(yields_of(one, REQUIRED).to_pylist(), "payload_kg", "")
-    with pytest.raises(InputError, match="does not vary 'colour'"):
-        figures.yield_curves(yields_of(one, REQUIRED).to_pylist(), "colour", "")
 
 
 def test_distributions_rise_to_one_hundred_percent(rows):

@@ -5,7 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from pickenv.experiments import Noise, study
+from pickenv.experiments import study
 
 
 def test_every_column_is_its_statistic_in_mm_and_degrees():
@@ -37,7 +37,7 @@ def test_an_arm_may_miss_as_many_fruit_as_the_required_share_leaves(missed, ok):
 
 
 def test_only_arms_with_finite_errors_and_no_complaint_are_judged():
-    setting = study.Setting(0, "medium", 8, 12, Noise(0.1, 0.2), 0.0, "ls")
+    setting = study.Setting(0, "medium", 8, 12, 0.1, 0.2, 0.0, "ls")
     position, attitude = np.full((4, 3), 1e-3), np.full((4, 3), 1e-3)
     position[1, 2], attitude[2, 0] = np.nan, np.inf
     outcomes = study.Outcomes(

@@ -22,7 +22,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["
     [
         ("numpy>=2", "numpy==2.0.*"),
         ("scipy>=1.15,<2", "scipy==1.15.*"),
-        ("ray[client]>=2.52.1", "ray==2.52.*"),
+        ("minari[hdf5]>=0.5.1", "minari==0.5.*"),
         ("x", None),
     ],
 )
