@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from pickenv.arm import Array
 from pickenv.orchard import load_look, sample_leaves
 from pickenv.pictures.arm_shapes import JOINT, Solids
-from pickenv.pictures.solids import chequered, leaf_mesh, rod_triangles, turned
+from pickenv.pictures.solids import chequered, leaf_mesh, turned
 from pickenv.pictures.stage import Eye, Mesh, Rods, rgba, spheres
 
 RIPE, GREEN, MISSED_FRUIT = (205, 42, 46), (170, 188, 92), (226, 120, 40)
@@ -65,12 +65,17 @@ def row_of_trees(
     middle = (bottom[1] + top[1]) / 2
     trunks = np.linspace(bottom[0], top[0], max(round((top[0] - bottom[0]) / 0.9), 1) + 1)
     levels = np.arange(bottom[2] + 0.12, top[2] + 0.1, 0.24)
-    start = [[x, middle, ground] for x in trunks] + [[bottom[0] - 0.1, middle, z] for z in levels]
-    end = [[x + 0.03, middle, top[2] + 0.12] for x in trunks] + [[top[0] + 0.1, middle, z + 0.02] for z in levels]
-    radius = np.repeat([0.024, 0.011], [len(trunks), len(levels)])
-    branches = rod_triangles(Rods(np.array(start), np.array(end), radius, rgba(BARK, len(start))))
+    wood = [_branch([x, middle, ground], [x + 0.03, middle, top[2] + 0.12], 0.024) for x in trunks]
+    wood += [_branch([bottom[0] - 0.1, middle, z], [top[0] + 0.1, middle, z + 0.02], 0.011) for z in levels]
     places = sample_leaves(bottom, top, leaf_area_per_volume, load_look("red_apples"), rng)
-    return (branches, _leaves(places, rng)) if len(places) else (branches,)
+    return (*wood, _leaves(places, rng)) if len(places) else tuple(wood)
+
+
+def _branch(start: ArrayLike, end: ArrayLike, radius: float) -> Mesh:
+    along = np.subtract(end, start)
+    length = float(np.linalg.norm(along))
+    outline = [[0.0, 0.0], [radius, 0.0], [radius, 0.0], [radius, length], [radius, length], [0.0, length]]
+    return turned(outline, np.asarray(start), along / length, BARK)
 
 
 @lru_cache(maxsize=8)
