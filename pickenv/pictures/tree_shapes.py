@@ -29,15 +29,13 @@ BRIGHTER = 1.35
 """Factor by which leaves are lighter here than in the images of a simulated camera."""
 
 
-def fruit_solids(places: Array, diameters: ArrayLike, colours: Array, stems: bool = True) -> Solids:
-    """Fruit at ``places`` (N, 3) in colours (N, 3), each on its stem."""
+def fruit_solids(places: Array, diameters: ArrayLike, colours: Array, hanging: ArrayLike = True) -> Solids:
+    """Fruit at ``places`` (N, 3) in colours (N, 3), with a stem where it is ``hanging`` (N,)."""
     radius = np.broadcast_to(np.asarray(diameters, dtype=float) / 2, len(places))
     shades = np.column_stack([colours, np.full(len(places), 255)]).astype(np.uint8).reshape(-1, 4)
     balls = spheres(places, radius, shades)
-    if not stems:
-        return (), (balls,), ()
-    top = places + radius[:, None] * [0.0, 0.0, 0.9]
-    twigs = Rods(top, top + np.array([0.012, 0.0, TWIG]), np.full(len(places), 0.004), rgba(STEM, len(places)))
+    top = (places + radius[:, None] * [0.0, 0.0, 0.9])[np.broadcast_to(hanging, len(places))]
+    twigs = Rods(top, top + np.array([0.012, 0.0, TWIG]), np.full(len(top), 0.004), rgba(STEM, len(top)))
     return (twigs,), (balls,), ()
 
 
@@ -99,9 +97,7 @@ def crate(eye: Eye, size: tuple[int, int], count: int, diameter: float, ground: 
     wide, along = 5, diameter * 1.05
     number = np.arange(count)
     place = np.stack([number % wide, (number // wide) % wide, number // wide**2], axis=-1) + 0.5
-    _, balls, _ = fruit_solids(
-        corner + along * place, diameter, np.broadcast_to(np.array(RIPE), (count, 3)), stems=False
-    )
+    _, balls, _ = fruit_solids(corner + along * place, diameter, fruit_colours(count))
     side = along * wide
     edge = np.array([[0, 0, 0], [side, 0, 0], [side, side, 0], [0, side, 0]], dtype=float)
     start = np.concatenate([corner + edge + [0.0, 0.0, z] for z in (0.0, 0.6 * along)])

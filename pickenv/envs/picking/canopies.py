@@ -281,13 +281,8 @@ def canopy_fruit(scene: pick_scene.PickScene) -> Solids:
     colours = fruit_colours(len(scene.rest))
     colours[~scene.reachable] = GREEN
     colours[scene.attempted & ~scene.attached] = MISSED_FRUIT
-    gripped = present & scene.detached
-    hanging = present & ~gripped
-    places, sizes = scene.positions, scene.diameters
-    return joined_solids(
-        fruit_solids(places[hanging], sizes[hanging], colours[hanging]),
-        fruit_solids(places[gripped], sizes[gripped], colours[gripped], stems=False),
-    )
+    places, sizes = scene.positions[present], scene.diameters[present]
+    return fruit_solids(places, sizes, colours[present], ~scene.detached[present])
 
 
 def camera_solids(orchard: pick_scene.PickSetting) -> Solids:

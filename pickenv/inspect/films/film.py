@@ -350,16 +350,11 @@ def _fruit(film: Film, side: int, episode: int, now: int, picked: int) -> Solids
         missed[number] = not taken and now >= close
     colours = fruit_colours(len(places))
     colours[missed] = MISSED_FRUIT
-    loose = present & in_cup
-    hanging = present & ~in_cup
-    parts = [
-        fruit_solids(places[hanging], FRUIT, colours[hanging]),
-        fruit_solids(places[loose], FRUIT, colours[loose], stems=False),
+    return joined_solids(
+        fruit_solids(places[present], FRUIT, colours[present], ~in_cup[present]),
         crate(film.eye, HALF, picked, FRUIT, film.ground),
-    ]
-    if film.reaching:
-        parts += [sprig(place, FRUIT) for place in film.fruit[episode][:1]]
-    return joined_solids(*parts)
+        *(sprig(place, FRUIT) for place in film.fruit[episode][: film.reaching]),
+    )
 
 
 def _missed(film: Film, side: int, episode: int, now: int) -> Iterator[Words]:
