@@ -12,7 +12,7 @@ from functools import lru_cache
 from itertools import chain
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pickenv.arm import Array, Geometry
 from pickenv.arm.kinematics.forward import drawn_parts, nominal_points, true_points
@@ -98,12 +98,25 @@ def arm_solids(look: ArmLook, points: Array, axis: Array, accent: Rgb | None = N
     return (inner, tubes), (joints,), ()
 
 
-def ghost_points(geometry: Geometry, command: ArrayLike, tool: Array, believed: Array) -> Array:
-    """The ghost's polyline ``(K, 3)``: the arm as its controller believes it to be, the deviation drawn `GAIN` fold."""
-    return true_points(geometry, command, tool + GAIN * (believed - tool))
+def arm_at_work(
+    geometry: Geometry, command: Array, tool: Array, axis: Array, believed: Array, accent: Rgb | None = None
+) -> Solids:
+    """The true arm and its ghost: the arm as its controller believes it to be, the deviation drawn `GAIN` fold.
+
+    Args:
+        geometry: The nominal arm.
+        command: Joint command that the drives got ``(n,)``, rad or m.
+        tool: True tool position ``(3,)``, m.
+        axis: Direction in which the tool points ``(3,)``.
+        believed: Tool position that the controller believes ``(3,)``, m.
+        accent: Colour of the true arm's links, in place of white.
+    """
+    look = arm_look(geometry)
+    true = arm_solids(look, true_points(geometry, command, tool), axis, accent)
+    return joined_solids(true, _ghost(look, true_points(geometry, command, tool + GAIN * (believed - tool))))
 
 
-def ghost_solids(look: ArmLook, points: Array) -> Solids:
+def _ghost(look: ArmLook, points: Array) -> Solids:
     """The ghost: a transparent arm along a polyline ``(K, 3)``."""
     start, end = points[look.parts], points[[i + 1 for i in look.parts]]
     tip = spheres(points[-1:], 0.95 * look.radius[-1:], rgba(GHOST, 1, FAINT))

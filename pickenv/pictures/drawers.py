@@ -97,8 +97,7 @@ def draw_plainly(stage: Stage) -> Pixels:
     picture = Image.fromarray(np.repeat(rows[:, None], width, axis=1))
     pen = ImageDraw.Draw(picture, "RGBA")
     shapes = [shape for mesh in (*stage.still, *stage.meshes) for shape in _triangles(mesh, stage.eye, size)]
-    shapes += [shape for rods in stage.rods for shape in _strokes(rods, stage.eye, size)]
-    shapes += [shape for balls in stage.balls for shape in _discs(balls, stage.eye, size)]
+    shapes += [shape for rods in (*stage.rods, *stage.balls) for shape in _strokes_and_discs(rods, stage.eye, size)]
     for _, draw in sorted(shapes, key=lambda shape: -shape[0]):
         draw(pen)
     return np.array(picture.reduce(FINER))
@@ -119,13 +118,14 @@ def _triangles(mesh: Mesh, eye: Eye, size: tuple[int, int]) -> Iterator[Shape]:
             yield float(corners[:, 2].max()), partial(ImageDraw.ImageDraw.polygon, xy=flat, fill=tuple(colour))
 
 
-def _strokes(rods: Rods, eye: Eye, size: tuple[int, int]) -> Iterator[Shape]:
+def _strokes_and_discs(rods: Rods, eye: Eye, size: tuple[int, int]) -> Iterator[Shape]:
     start, end = eye.project(rods.start, size), eye.project(rods.end, size)
     for a, b, radius, colour in zip(start, end, rods.radius, rods.colour.astype(int), strict=True):
         if min(a[2], b[2]) > NEAREST:
             depth = float(a[2] + b[2]) / 2
             scaled = float(radius * eye.pixels_per_metre(depth, size))
-            yield depth - float(radius), partial(_draw_stroke, (a[0], a[1], b[0], b[1]), scaled, colour)
+            draw = _draw_disc if np.array_equal(a, b) else _draw_stroke
+            yield depth - float(radius), partial(draw, (a[0], a[1], b[0], b[1]), scaled, colour)
 
 
 def _draw_stroke(line: tuple[float, ...], radius: float, colour: Array, pen: ImageDraw.ImageDraw) -> None:
@@ -141,15 +141,8 @@ def _draw_stroke(line: tuple[float, ...], radius: float, colour: Array, pen: Ima
     pen.line([x0, y0 - up, x1, y1 - up], fill=light, width=max(round(1.1 * radius), 1))
 
 
-def _discs(balls: Rods, eye: Eye, size: tuple[int, int]) -> Iterator[Shape]:
-    centres = eye.project(balls.start, size)
-    for (x, y, depth), radius, colour in zip(centres.tolist(), balls.radius, balls.colour.astype(int), strict=True):
-        if depth > NEAREST:
-            scaled = float(radius * eye.pixels_per_metre(depth, size))
-            yield depth - float(radius), partial(_draw_disc, x, y, scaled, colour)
-
-
-def _draw_disc(x: float, y: float, radius: float, colour: Array, pen: ImageDraw.ImageDraw) -> None:
+def _draw_disc(line: tuple[float, ...], radius: float, colour: Array, pen: ImageDraw.ImageDraw) -> None:
+    x, y, *_ = line
     for share, shift, shade in ((1.0, 0.0, SHADE), (0.8, 0.12, 1.0), (0.22, 0.4, 1.35)):
         fill = (*np.clip(colour[:3] * shade, 0, 255).astype(int).tolist(), int(colour[3]))
         cx, cy, r = x - shift * radius, y - shift * radius, share * radius

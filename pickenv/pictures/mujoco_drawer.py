@@ -37,6 +37,21 @@ def screenless(width: int, height: int) -> Any:
     return context
 
 
+def context_of(model: Any) -> Any:
+    """What MuJoCo needs to draw a model off screen."""
+    context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
+    mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
+    return context
+
+
+def pixels_of(scene: Any, context: Any, size: tuple[int, int]) -> Pixels:
+    """A scene drawn ``(height, width, 3)``; ``size`` is width and height, px."""
+    pixels, view = np.empty((*size[::-1], 3), dtype=np.uint8), mujoco.MjrRect(0, 0, *size)
+    mujoco.mjr_render(view, scene, context)
+    mujoco.mjr_readPixels(pixels, None, view, context)
+    return pixels[::-1].copy()
+
+
 class ModelPictures:
     """Pictures of a MuJoCo model by its own cameras, without shadows.
 
@@ -48,8 +63,7 @@ class ModelPictures:
     def __init__(self, model: Any, size: tuple[int, int]) -> None:
         self.model, self.size, self.gl = model, size, screenless(*size)
         self.gl.make_current()
-        self.context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self.context)
+        self.context = context_of(model)
         self.scene, self.camera = mujoco.MjvScene(model, maxgeom=model.ngeom + 100), mujoco.MjvCamera()
         for flag in (mujoco.mjtRndFlag.mjRND_SHADOW, mujoco.mjtRndFlag.mjRND_REFLECTION):
             self.scene.flags[flag] = False
@@ -60,10 +74,7 @@ class ModelPictures:
         self.scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = not dark
         self.camera.type, self.camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, camera
         mujoco.mjv_updateScene(self.model, data, option, None, self.camera, mujoco.mjtCatBit.mjCAT_ALL, self.scene)
-        pixels, view = np.empty((*self.size[::-1], 3), dtype=np.uint8), mujoco.MjrRect(0, 0, *self.size)
-        mujoco.mjr_render(view, self.scene, self.context)
-        mujoco.mjr_readPixels(pixels, None, view, self.context)
-        return pixels[::-1].copy()
+        return pixels_of(self.scene, self.context, self.size)
 
     def close(self) -> None:
         """Give back what drawing took."""
@@ -98,17 +109,13 @@ class MujocoDrawer:
         self.model.tex_data[-12:] = np.repeat(backdrop(stage.dark), 2, axis=0).ravel()
         for texture in range(2):
             mujoco.mjr_uploadTexture(self.model, self.context, texture)
-        pixels, view = np.empty((*stage.size[::-1], 3), dtype=np.uint8), mujoco.MjrRect(0, 0, *stage.size)
-        mujoco.mjr_render(view, self.scene, self.context)
-        mujoco.mjr_readPixels(pixels, None, view, self.context)
-        return pixels[::-1].copy()
+        return pixels_of(self.scene, self.context, stage.size)
 
     def _make_room(self, room: Array) -> None:
         """Make room for a width and height, px, and for numbers of faces and of shapes."""
         self.room, side = room, int(np.ceil(np.sqrt(room[2] + 1)))
         self.model = mujoco.MjModel.from_xml_string(_model(side, *room[:3]))
-        self.context = mujoco.MjrContext(self.model, mujoco.mjtFontScale.mjFONTSCALE_50)
-        mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, self.context)
+        self.context = context_of(self.model)
         self.scene = mujoco.MjvScene(self.model, maxgeom=int(room[3]))
         self.scene.flags[mujoco.mjtRndFlag.mjRND_SHADOW] = False
         self.scene.nlight = len(LIGHTS)

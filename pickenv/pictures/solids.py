@@ -1,4 +1,4 @@
-"""Solids as triangles: rods and balls from one template, cups as surfaces of revolution, and leaves and ground.
+"""Solids as triangles: surfaces of revolution, such as cups and branches, and leaves and ground.
 
 Units: m.
 """
@@ -7,52 +7,12 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array
-from pickenv.pictures.stage import Mesh, Rgb, Rods, rgba
-
-AROUND, ARCS = 14, 4
-"""Corners around a rod, and steps from its rim to its pole: the fewest that look round in a picture of 480 x 360 px."""
-
-
-@lru_cache(maxsize=1)
-def _template() -> tuple[Array, NDArray[np.bool_], NDArray[np.intp]]:
-    """A unit ball cut at its equator: corners (V, 3), which of them belong to the far half, triangles (T, 3)."""
-    lift = np.linspace(0.0, np.pi / 2, ARCS + 1)[:-1]
-    rings = np.concatenate([-lift[::-1], lift])
-    turn = 2.0 * np.pi * np.arange(AROUND) / AROUND
-    ring = np.stack([np.cos(turn), np.sin(turn), np.zeros(AROUND)], axis=-1)
-    body = ring * np.cos(rings)[:, None, None] + [0.0, 0.0, 1.0] * np.sin(rings)[:, None, None]
-    corners = np.concatenate([body.reshape(-1, 3), [[0.0, 0.0, -1.0], [0.0, 0.0, 1.0]]])
-    far = np.concatenate([np.repeat(np.arange(len(rings)) >= ARCS, AROUND), [False, True]])
-    i = np.arange(AROUND)
-    j = (i + 1) % AROUND
-    low, high = len(corners) - 2, len(corners) - 1
-    top = AROUND * (len(rings) - 1)
-    faces = [np.stack([np.full(AROUND, low), j, i], -1), np.stack([np.full(AROUND, high), top + i, top + j], -1)]
-    for below in AROUND * np.arange(len(rings) - 1):
-        above = below + AROUND
-        faces += [np.stack([below + i, below + j, above + j], -1), np.stack([below + i, above + j, above + i], -1)]
-    return corners, far, np.concatenate(faces)
-
-
-def rod_triangles(rods: Rods) -> Mesh:
-    """Rods as triangles, each a copy of one template; rods of no length become balls."""
-    corners, far, faces = _template()
-    along = rods.end - rods.start
-    length = np.linalg.norm(along, axis=-1, keepdims=True)
-    z = np.where(length > 1e-9, along / np.maximum(length, 1e-9), [0.0, 0.0, 1.0])
-    x = np.cross(z, np.where(np.abs(z[:, 2:]) < 0.9, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0]))
-    x = np.where(length > 1e-9, x / np.linalg.norm(x, axis=-1, keepdims=True), [1.0, 0.0, 0.0])
-    normals = np.einsum("vk,nkj->nvj", corners, np.stack([x, np.cross(z, x), z], axis=1))
-    ends = np.where(far[None, :, None], rods.end[:, None], rods.start[:, None])
-    places = ends + normals * rods.radius[:, None, None]
-    shifted = (faces + len(corners) * np.arange(len(places))[:, None, None]).reshape(-1, 3)
-    return Mesh(places.reshape(-1, 3), shifted, np.repeat(rods.colour, len(corners), axis=0), normals.reshape(-1, 3))
+from pickenv.pictures.stage import Mesh, Rgb, rgba
 
 
 def mesh_triangles(surface: Mesh) -> Mesh:

@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 from pickenv.arm import Array
 from pickenv.orchard import load_look, sample_leaves
 from pickenv.pictures.arm_shapes import JOINT, Solids
-from pickenv.pictures.solids import chequered, leaf_mesh, rod_triangles, turned
+from pickenv.pictures.solids import chequered, leaf_mesh, turned
 from pickenv.pictures.stage import Eye, Mesh, Rods, rgba, spheres
 
 RIPE, GREEN, MISSED_FRUIT = (205, 42, 46), (170, 188, 92), (226, 120, 40)
@@ -29,15 +29,13 @@ BRIGHTER = 1.35
 """Factor by which leaves are lighter here than in the images of a simulated camera."""
 
 
-def fruit_solids(places: Array, diameters: ArrayLike, colours: Array, stems: bool = True) -> Solids:
-    """Fruit at ``places`` (N, 3) in colours (N, 3), each on its stem."""
+def fruit_solids(places: Array, diameters: ArrayLike, colours: Array, hanging: ArrayLike = True) -> Solids:
+    """Fruit at ``places`` (N, 3) in colours (N, 3), with a stem where it is ``hanging`` (N,)."""
     radius = np.broadcast_to(np.asarray(diameters, dtype=float) / 2, len(places))
     shades = np.column_stack([colours, np.full(len(places), 255)]).astype(np.uint8).reshape(-1, 4)
     balls = spheres(places, radius, shades)
-    if not stems:
-        return (), (balls,), ()
-    top = places + radius[:, None] * [0.0, 0.0, 0.9]
-    twigs = Rods(top, top + np.array([0.012, 0.0, TWIG]), np.full(len(places), 0.004), rgba(STEM, len(places)))
+    top = (places + radius[:, None] * [0.0, 0.0, 0.9])[np.broadcast_to(hanging, len(places))]
+    twigs = Rods(top, top + np.array([0.012, 0.0, TWIG]), np.full(len(top), 0.004), rgba(STEM, len(top)))
     return (twigs,), (balls,), ()
 
 
@@ -65,12 +63,17 @@ def row_of_trees(
     middle = (bottom[1] + top[1]) / 2
     trunks = np.linspace(bottom[0], top[0], max(round((top[0] - bottom[0]) / 0.9), 1) + 1)
     levels = np.arange(bottom[2] + 0.12, top[2] + 0.1, 0.24)
-    start = [[x, middle, ground] for x in trunks] + [[bottom[0] - 0.1, middle, z] for z in levels]
-    end = [[x + 0.03, middle, top[2] + 0.12] for x in trunks] + [[top[0] + 0.1, middle, z + 0.02] for z in levels]
-    radius = np.repeat([0.024, 0.011], [len(trunks), len(levels)])
-    branches = rod_triangles(Rods(np.array(start), np.array(end), radius, rgba(BARK, len(start))))
+    wood = [_branch([x, middle, ground], [x + 0.03, middle, top[2] + 0.12], 0.024) for x in trunks]
+    wood += [_branch([bottom[0] - 0.1, middle, z], [top[0] + 0.1, middle, z + 0.02], 0.011) for z in levels]
     places = sample_leaves(bottom, top, leaf_area_per_volume, load_look("red_apples"), rng)
-    return (branches, _leaves(places, rng)) if len(places) else (branches,)
+    return (*wood, _leaves(places, rng)) if len(places) else tuple(wood)
+
+
+def _branch(start: ArrayLike, end: ArrayLike, radius: float) -> Mesh:
+    along = np.subtract(end, start)
+    length = float(np.linalg.norm(along))
+    outline = [[0.0, 0.0], [radius, 0.0], [radius, 0.0], [radius, length], [radius, length], [0.0, length]]
+    return turned(outline, np.asarray(start), along / length, BARK)
 
 
 @lru_cache(maxsize=8)
@@ -94,9 +97,7 @@ def crate(eye: Eye, size: tuple[int, int], count: int, diameter: float, ground: 
     wide, along = 5, diameter * 1.05
     number = np.arange(count)
     place = np.stack([number % wide, (number // wide) % wide, number // wide**2], axis=-1) + 0.5
-    _, balls, _ = fruit_solids(
-        corner + along * place, diameter, np.broadcast_to(np.array(RIPE), (count, 3)), stems=False
-    )
+    _, balls, _ = fruit_solids(corner + along * place, diameter, fruit_colours(count))
     side = along * wide
     edge = np.array([[0, 0, 0], [side, 0, 0], [side, side, 0], [0, side, 0]], dtype=float)
     start = np.concatenate([corner + edge + [0.0, 0.0, z] for z in (0.0, 0.6 * along)])

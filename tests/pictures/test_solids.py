@@ -1,4 +1,4 @@
-"""Rods, balls and meshes are what their numbers say: right size, closed, facing outwards; eyes see what they shall."""
+"""Meshes are what their numbers say: right size, closed, facing outwards; eyes see what they shall."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from pickenv.pictures.solids import (
     chequered,
     leaf_mesh,
     mesh_triangles,
-    rod_triangles,
     turned,
 )
-from pickenv.pictures.stage import Eye, Mesh, Rods, fitted_eye, rgba, spheres
+from pickenv.pictures.stage import Eye, Mesh, fitted_eye, rgba
+from pickenv.pictures.tree_shapes import row_of_trees
 
 
 def volume(corners, triangles):
@@ -26,38 +26,6 @@ def volume(corners, triangles):
 def edges_shared(triangles):
     edges = [tuple(sorted((t[i], t[(i + 1) % 3]))) for t in triangles.tolist() for i in range(3)]
     return set(Counter(edges).values())
-
-
-@pytest.mark.parametrize("seed", range(5))
-def test_a_rod_is_as_thick_as_it_says_all_along_and_closed(seed):
-    rng = np.random.default_rng(seed)
-    start, end, radius = rng.normal(size=3), rng.normal(size=3), rng.uniform(0.01, 0.3)
-    rods = Rods(start[None], end[None], np.array([radius]), rgba((1, 2, 3), 1))
-    found = rod_triangles(rods)
-    along = end - start
-    share = np.clip((found.corners - start) @ along / (along @ along), 0.0, 1.0)
-    away = found.corners - (start + share[:, None] * along)
-    np.testing.assert_allclose(np.linalg.norm(away, axis=1), radius, rtol=1e-9)
-    np.testing.assert_allclose(found.normals, away / radius, atol=1e-9)
-    assert edges_shared(found.triangles) == {2}
-    whole = np.pi * radius**2 * np.linalg.norm(along) + 4 / 3 * np.pi * radius**3
-    assert 0.9 * whole < volume(found.corners - start, found.triangles) < whole
-
-
-def test_a_ball_is_round():
-    place, radius, colour = np.array([[1.0, 2.0, 3.0]]), np.array([0.2]), rgba((9, 9, 9), 1)
-    made = rod_triangles(spheres(place, radius, colour))
-    np.testing.assert_allclose(made.corners, place + 0.2 * made.normals, atol=1e-12)
-    np.testing.assert_allclose(np.linalg.norm(made.normals, axis=1), 1.0)
-
-
-def test_several_rods_keep_their_own_corners_and_colours():
-    start = np.array([[0.0, 0.0, 0.0], [5.0, 0.0, 0.0]])
-    colour = np.array([[1, 2, 3, 255], [4, 5, 6, 100]], dtype=np.uint8)
-    found = rod_triangles(Rods(start, start + np.array([0.0, 0.0, 1.0]), np.array([0.1, 0.2]), colour))
-    for triangle in found.triangles:
-        assert np.ptp(found.corners[triangle, 0]) < 1.0
-        assert (found.colour[triangle] == colour[int(found.corners[triangle[0], 0] > 2.0)]).all()
 
 
 @pytest.mark.parametrize("axis", [[0.0, 0.0, 1.0], [1.0, 0.0, 0.0], [0.6, 0.0, -0.8]])
@@ -143,19 +111,20 @@ def test_a_fitted_eye_stands_six_percent_farther_away_than_it_must(angle):
     assert np.linalg.norm(eye.position - middle) == pytest.approx(1.06 * far, rel=1e-9)
 
 
-def test_a_rod_has_as_many_corners_as_it_says_and_parts_are_put_together_in_order():
-    rod = rod_triangles(Rods(np.zeros((1, 3)), np.ones((1, 3)), np.array([0.1]), rgba((9, 8, 7), 1, 0.5)))
-    assert len(rod.corners) == 14 * 2 * 4 + 2 and len(rod.triangles) == 2 * 14 * 8
-    assert rod.colour.tolist() == [[9, 8, 7, 128]] * 114
-    ball = rod_triangles(spheres(np.ones((2, 3)), np.array([0.1, 0.3]), rgba((1, 2, 3), 2)))
-    made = all_triangles([rod, ball, rod])
-    for part, first in ((rod, 0), (ball, 114), (rod, 114 * 3)):
+def test_a_branch_is_closed_and_parts_are_put_together_in_order():
+    leaves, branch = row_of_trees((0.0, 1.0, 0.5), (0.2, 1.1, 0.7), 90.0, 0.0)[::-1][:2]
+    assert edges_shared(np.unique(branch.corners.round(9), axis=0, return_inverse=True)[1][branch.triangles]) >= {2}
+    assert volume(branch.corners, branch.triangles) == pytest.approx(np.pi * 0.011**2 * np.hypot(0.4, 0.02), rel=0.02)
+    parts = [mesh_triangles(part) for part in (branch, leaves, branch)]
+    made, first = all_triangles(parts), 0
+    for part in parts:
         last = first + len(part.corners)
         rows = made.triangles[(made.triangles >= first).all(axis=1) & (made.triangles < last).all(axis=1)]
         np.testing.assert_array_equal(rows - first, part.triangles)
         for whole, own in ((made.corners, part.corners), (made.normals, part.normals), (made.colour, part.colour)):
             np.testing.assert_array_equal(whole[first:last], own)
-    assert len(made.corners) == 114 * 4 and len(made.triangles) == 224 * 4
+        first = last
+    assert len(made.corners) == first and len(made.triangles) == sum(len(part.triangles) for part in parts)
     nothing = all_triangles([])
     parts = (nothing.corners, nothing.normals, nothing.colour, nothing.triangles)
     assert [part.shape for part in parts] == [(0, 3), (0, 3), (0, 4), (0, 3)]

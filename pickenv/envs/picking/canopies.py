@@ -16,11 +16,11 @@ from pickenv import orchard as trees
 from pickenv.arm import Array
 from pickenv.envs.picking import pick_scene
 from pickenv.envs.picking.pick_arm import BELIEVED, SIGHT, TILT, TOOL, TURN
-from pickenv.envs.shared.arm_env import GHOST_WORDS, arm_at_work, standing, tool_dial
+from pickenv.envs.shared.arm_env import GHOST_WORDS, standing, tool_dial
 from pickenv.envs.shared.backends import NUMPY, Flags, Rows
 from pickenv.envs.shared.simulation import length
 from pickenv.envs.shared.task import Task
-from pickenv.pictures.arm_shapes import Solids, cup_solids, frustum_solids, hand_solids, joined_solids
+from pickenv.pictures.arm_shapes import Solids, arm_at_work, cup_solids, frustum_solids, hand_solids, joined_solids
 from pickenv.pictures.stage import SIZE, Eye, Mesh, Stage, Words
 from pickenv.pictures.tree_shapes import GREEN, MISSED_FRUIT, crate, fruit_colours, fruit_solids, row_of_trees
 
@@ -281,13 +281,8 @@ def canopy_fruit(scene: pick_scene.PickScene) -> Solids:
     colours = fruit_colours(len(scene.rest))
     colours[~scene.reachable] = GREEN
     colours[scene.attempted & ~scene.attached] = MISSED_FRUIT
-    gripped = present & scene.detached
-    hanging = present & ~gripped
-    places, sizes = scene.positions, scene.diameters
-    return joined_solids(
-        fruit_solids(places[hanging], sizes[hanging], colours[hanging]),
-        fruit_solids(places[gripped], sizes[gripped], colours[gripped], stems=False),
-    )
+    places, sizes = scene.positions[present], scene.diameters[present]
+    return fruit_solids(places, sizes, colours[present], ~scene.detached[present])
 
 
 def camera_solids(orchard: pick_scene.PickSetting) -> Solids:

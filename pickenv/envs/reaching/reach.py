@@ -12,12 +12,12 @@ from numpy.typing import ArrayLike
 from pickenv.arm import IDEAL, Array, Frame, Geometry, forward
 from pickenv.base import InputError
 from pickenv.envs.shared import simulation
-from pickenv.envs.shared.arm_env import GHOST_WORDS, ArmEnv, Information, arm_at_work, ground_below, standing, tool_dial
+from pickenv.envs.shared.arm_env import GHOST_WORDS, ArmEnv, Information, ground_below, standing, tool_dial
 from pickenv.envs.shared.backends import GOAL, NUMPY, Scalar, episode_key, fresh_seed, seed_word, stream_key
 from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.spaces import action_space, flat_space, given_goals, given_options, goal_space
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Task, checked_action, make_task
-from pickenv.pictures.arm_shapes import CUP_RADIUS, arm_look, cup_solids, joined_solids
+from pickenv.pictures.arm_shapes import CUP_RADIUS, arm_at_work, arm_look, cup_solids, joined_solids
 from pickenv.pictures.stage import SIZE, Eye, Stage, Words, fitted_eye
 from pickenv.pictures.tree_shapes import fruit_colours, fruit_solids, sprig
 

@@ -199,6 +199,10 @@ class ContactScene:
             body.gravcomp = 1.0
         for geom in spec.geoms:  # what touches nothing gets no hull to be drawn as
             geom.contype = geom.conaffinity = OTHER if geom.group == AS_DRAWN else GRIPPER_BIT
+        links = [geom for body in spec.bodies[1:] for geom in body.geoms]
+        if all(geom.group in (AS_DRAWN, 4, UNSEEN) for geom in links):  # nothing else of the arm would be seen
+            for geom in links:
+                geom.group = AS_DRAWN + 1 if geom.group == AS_DRAWN else geom.group
         spec.option.timestep = TIMESTEP if around.model is None else TIMESTEP / 2
         spec.option.integrator = mujoco.mjtIntegrator.mjINT_IMPLICITFAST
         spec.visual.quality.shadowsize = spec.visual.quality.offsamples = 0

@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Array, Geometry, Plant, plant_at, plants_on, true_points
+from pickenv.arm import Array, Geometry, Plant, plant_at, plants_on
 from pickenv.base import InputError, is_there, require
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
@@ -217,23 +217,6 @@ class ArmEnv(DrawnEnv):
 
 MARK: Rgb = (0, 114, 178)
 GHOST_WORDS = f"ghost: the arm as believed, deviation × {arm_shapes.GAIN}"
-
-
-def arm_at_work(geometry: Geometry, command: Array, tool: Array, axis: Array, believed: Array) -> arm_shapes.Solids:
-    """The solids of the true arm and its ghost.
-
-    Args:
-        geometry: The nominal arm.
-        command: Joint command that the drives got ``(n,)``, rad or m.
-        tool: True tool position ``(3,)``, m.
-        axis: Direction in which the tool points ``(3,)``.
-        believed: Tool position that the controller believes ``(3,)``, m.
-    """
-    look = arm_shapes.arm_look(geometry)
-    true = arm_shapes.arm_solids(look, true_points(geometry, command, tool), axis)
-    return arm_shapes.joined_solids(
-        true, arm_shapes.ghost_solids(look, arm_shapes.ghost_points(geometry, command, tool, believed))
-    )
 
 
 def standing(geometry: Geometry, ground: float, dark: bool) -> tuple[Mesh, ...]:

@@ -52,13 +52,6 @@ MOST_VIEWS, BESIDE = 9, 3
 PICTURE_WIDTH, FAINT = 320, 0.4
 """Width, px, and opacity of the pictures behind arrows."""
 ARROWS: dict[str, Any] = QUIVER | {"scale": 1.0, "width": 0.008, "zorder": 2.0}
-BOXES: dict[str, Any] = {
-    "medianprops": {"color": style.INK, "linewidth": 1.4},
-    "meanprops": {"marker": "D", "markerfacecolor": style.PAPER, "markeredgecolor": style.INK, "markersize": 4.0},
-    "flierprops": {"marker": "o", "markersize": 2.5, "markeredgecolor": style.SOFT, "alpha": 0.7},
-    "whiskerprops": {"color": style.SOFT},
-    "capprops": {"color": style.SOFT},
-}
 GROUPS = 8
 """Largest number of groups of poses whose mean errors are drawn against a possible cause."""
 WIDEST = 16
@@ -334,7 +327,7 @@ def error_by_method(
     with style.new_panel(width, 2.9, f"method (number of {counted})", f"{quantity} ({unit})") as (figure, axes):
         means = style.change({label: float(values.mean()) for label, values in series.items()}, unit)
         style.headline(axes, f"Mean {quantity}{' of reaches' * (counted == 'reaches')}: {means}", pad=16.0)
-        boxes = axes.boxplot(list(series.values()), widths=0.55, patch_artist=True, showmeans=True, **BOXES)
+        boxes = axes.boxplot(list(series.values()), widths=0.55, flierprops={"alpha": 0.7})
         names = []
         for box, (label, values, colour) in zip(boxes["boxes"], style.coloured(series), strict=True):
             box.set(facecolor=(*colour, 0.75), edgecolor=style.SOFT)

@@ -34,7 +34,9 @@ LINES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (1,
 MARKS = "os^Dv"
 """Line patterns (`LINES`) and marks to tell curves apart, in turn, where colour has another meaning."""
 
-INK, SOFT, RULE, PAPER = "#1c2024", "#5b6470", "#dde1e6", "#ffffff"
+_SHEET: Any = matplotlib.rc_params_from_file(Path(__file__).parent / "pickenv.mplstyle", use_default_template=False)
+STYLE: dict[str, Any] = dict(_SHEET)
+INK, SOFT, RULE, PAPER = STYLE["text.color"], STYLE["axes.edgecolor"], STYLE["grid.color"], "#ffffff"
 """Colours of text and marks; of axes and secondary parts; of grid lines; of the background. Pages replace them."""
 
 THEME: dict[str, str] = {INK: "ink", SOFT: "soft", RULE: "rule", PAPER: "paper"} | {
@@ -42,29 +44,6 @@ THEME: dict[str, str] = {INK: "ink", SOFT: "soft", RULE: "rule", PAPER: "paper"}
     for colour, variable in ((BLUE, "after"), (GREEN, "best"), (RED, "bad"))
 }
 """The style sheet's variable for each colour that a page replaces; other colours fit light and dark backgrounds."""
-STYLE: dict[str, Any] = {
-    "font.size": 8.0,
-    "axes.titlesize": 9.0,
-    "axes.titleweight": "bold",
-    "axes.titlelocation": "left",
-    "axes.labelcolor": INK,
-    "axes.edgecolor": SOFT,
-    "axes.spines.top": False,
-    "axes.spines.right": False,
-    "axes.grid": True,
-    "axes.axisbelow": True,
-    "grid.color": RULE,
-    "grid.linewidth": 0.6,
-    "legend.frameon": False,
-    "lines.linewidth": 1.4,
-    "text.color": INK,
-    "xtick.color": SOFT,
-    "ytick.color": SOFT,
-    "xtick.labelcolor": INK,
-    "ytick.labelcolor": INK,
-    "text.parse_math": False,  # names of joints and arms are shown as they are, with every $ in them
-    "svg.hashsalt": "pickenv",  # the same figure gives the same file
-}
 
 
 def save_figure(figure: Figure, path: str | Path) -> Path:

@@ -17,7 +17,7 @@ from typing import TypeAlias
 import numpy as np
 
 from pickenv.arm import Array
-from pickenv.arm.kinematics.forward import nominal_points, true_points
+from pickenv.arm.kinematics.forward import nominal_points
 from pickenv.base import InputError, require
 from pickenv.inspect.colours import RED, in_words, policy_colours
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
@@ -26,11 +26,9 @@ from pickenv.pictures.arm_shapes import (
     CUP_RADIUS,
     GAIN,
     Solids,
+    arm_at_work,
     arm_look,
-    arm_solids,
     cup_solids,
-    ghost_points,
-    ghost_solids,
     hand_solids,
     joined_solids,
 )
@@ -329,10 +327,9 @@ def arm_parts(episodes: RecordedEpisodes, policy: RecordedPolicy, episode: int, 
     gripper = hand_solids(tool, axis, CUP_RADIUS, closed) if hand else cup_solids(tool, axis, CUP_RADIUS)
     if episodes.nominal is None:
         return gripper
-    look, command = arm_look(episodes.nominal), policy.joint_command[episode, moment]
+    command = policy.joint_command[episode, moment]
     believed = nominal_points(episodes.nominal, policy.joint_target[episode, moment])[-1]
-    true = arm_solids(look, true_points(episodes.nominal, command, tool), axis, colour)
-    return joined_solids(true, gripper, ghost_solids(look, ghost_points(episodes.nominal, command, tool, believed)))
+    return joined_solids(arm_at_work(episodes.nominal, command, tool, axis, believed, colour), gripper)
 
 
 def tool_axis(policy: RecordedPolicy, episode: int, moment: int) -> Array:
@@ -353,16 +350,11 @@ def _fruit(film: Film, side: int, episode: int, now: int, picked: int) -> Solids
         missed[number] = not taken and now >= close
     colours = fruit_colours(len(places))
     colours[missed] = MISSED_FRUIT
-    loose = present & in_cup
-    hanging = present & ~in_cup
-    parts = [
-        fruit_solids(places[hanging], FRUIT, colours[hanging]),
-        fruit_solids(places[loose], FRUIT, colours[loose], stems=False),
+    return joined_solids(
+        fruit_solids(places[present], FRUIT, colours[present], ~in_cup[present]),
         crate(film.eye, HALF, picked, FRUIT, film.ground),
-    ]
-    if film.reaching:
-        parts += [sprig(place, FRUIT) for place in film.fruit[episode][:1]]
-    return joined_solids(*parts)
+        *(sprig(place, FRUIT) for place in film.fruit[episode][: film.reaching]),
+    )
 
 
 def _missed(film: Film, side: int, episode: int, now: int) -> Iterator[Words]:

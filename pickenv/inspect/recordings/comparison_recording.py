@@ -174,12 +174,8 @@ def _send_tolerance(scribe: Scribe, comparison: Comparison) -> None:
     """Send the gripper's capture region: a line on the error plot, and a ball around the fruit, enlarged as errors."""
     level = [comparison.tolerance_mm] * len(comparison.fruit)
     scribe.curve("metrics/tolerance_mm", f"tolerance {comparison.tolerance_mm:g} mm", RED, level, 1.5)
-    radius = GAIN * comparison.tolerance_mm * 1e-3
-    ball = rr.Ellipsoids3D.from_fields(
-        half_sizes=[[radius] * 3], colors=[(*RED, 160)], line_radii=rr.Radius.ui_points(0.6), fill_mode="majorwireframe"
-    )
-    scribe.still("world/capture", ball)
-    scribe.capture(comparison.tolerance_mm)
+    scribe.capture("world/capture", GAIN * comparison.tolerance_mm * 1e-3, 160, 0.6)
+    scribe.capture("target/capture", comparison.tolerance_mm)
     scribe.axes("target/axes", np.zeros(3), [comparison.tolerance_mm] * 3, list("xyz"), 1.0)
     scribe.along("world/capture", rr.Ellipsoids3D.columns(centers=f32(comparison.fruit)))
 

@@ -227,7 +227,7 @@ def send_steps(
         arrows = rr.Arrows3D.columns(origins=f32(fruit), vectors=f32(miss))
         scribe.along(f"{root}/miss/{key}", arrows, reading_columns(1e3 * miss))
         if scene.tolerance_mm is not None:
-            scribe.capture(scene.tolerance_mm)
+            scribe.capture("target/capture", scene.tolerance_mm)
     if "is_success" in info:
         looks = {"yes": (f"{scene.label}: success", colour), "no": (f"{scene.label}: not yet", STEEL)}
         states = ["yes" if row.info["is_success"] else "no" for row in new]

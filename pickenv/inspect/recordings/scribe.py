@@ -71,12 +71,11 @@ class Scribe:
 
     def still(self, entity: str, *content: rr.AsComponents) -> None:
         """Send archetypes that hold for all time, all of an entity in one chunk."""
-        columns: list[rr.ComponentColumn] = []
-        for archetype in content:
-            for batch in archetype.as_component_batches():
-                columns.append(
-                    rr.ComponentColumn(batch.component_descriptor(), batch, lengths=[len(batch.as_arrow_array())])
-                )
+        batches = [batch for archetype in content for batch in archetype.as_component_batches()]
+        columns = [
+            rr.ComponentColumn(batch.component_descriptor(), batch, lengths=[len(batch.as_arrow_array())])
+            for batch in batches
+        ]
         self.stream.send_columns(entity, [], columns, strict=True)
 
     def along(self, entity: str, *columns: Iterable[rr.ComponentColumn]) -> None:
@@ -164,15 +163,15 @@ class Scribe:
         )
         self.still(entity, arrows)
 
-    def capture(self, tolerance_mm: float) -> None:
-        """Send the gripper's capture region as seen from the fruit: a ball with the tolerance as radius, mm."""
-        ball = rr.Ellipsoids3D(
-            half_sizes=[[tolerance_mm] * 3],
-            colors=[(*RED, 200)],
-            line_radii=rr.Radius.ui_points(0.8),
+    def capture(self, entity: str, radius: float, opacity: int = 200, width: float = 0.8) -> None:
+        """Send the gripper's capture region, a ball with the tolerance as radius; the width of lines is in points."""
+        ball = rr.Ellipsoids3D.from_fields(
+            half_sizes=[[radius] * 3],
+            colors=[(*RED, opacity)],
+            line_radii=rr.Radius.ui_points(width),
             fill_mode="majorwireframe",
         )
-        self.still("target/capture", ball)
+        self.still(entity, ball)
 
     def colour_bar(self, entity: str, top: float, unit: str) -> None:
         """Send a colour scale from 0 to ``top`` with its unit: an image and its ticks as entities below ``entity``."""

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-
 from pickenv.base.intervals import LEAST
 from pickenv.harvester import Measure
 from pickenv.harvester.machine import dense_workspace
@@ -12,7 +10,7 @@ from pickenv.inspect.figures import plot_harvest
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, captioned
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
 from pickenv.inspect.runs.harvest_trace import HarvestTrace
-from pickenv.inspect.runs.number_words import percent, said
+from pickenv.inspect.runs.number_words import said
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part
 
 MEASURES = TEXTS["measures"]
@@ -43,12 +41,13 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     trace = load_part(run, HarvestTrace)
     names = list(trace.measures)
     before, after = (trace.measures[name] for name in (names[0], names[-1]))
+    shares = [_words(measures["harvested"], 1, 100.0, " %") for measures in (before, after)]
     verdict = PageVerdict(
         "note",
         f"From {names[0]} to {names[-1]}: {100 * before['harvested'].value:.0f} to "
         f"{100 * after['harvested'].value:.0f} % of the fruit",
-        f"On {trace.tree_count} simulated trees, {names[0]} collects {_share(before)} of the fruit present at "
-        f"{_words(before['picks_per_hour'], 0)} picks per hour, {names[-1]} {_share(after)} at "
+        f"On {trace.tree_count} simulated trees, {names[0]} collects {shares[0]} of the fruit present at "
+        f"{_words(before['picks_per_hour'], 0)} picks per hour, {names[-1]} {shares[1]} at "
         f"{_words(after['picks_per_hour'], 0)}. {_intervals(trace)}",
     )
     looks = {key: (1, 100.0) if "(%)" in MEASURES.get(key, "") else (3, 1.0) for key in before}
@@ -76,10 +75,5 @@ def _intervals(trace: HarvestTrace) -> str:
     return "In brackets: 95 % intervals over trees."
 
 
-def _share(measures: Mapping[str, Measure]) -> str:
-    harvested = measures["harvested"]
-    return percent(harvested.value, harvested.low, harvested.high, 1)
-
-
-def _words(measure: Measure, digits: int, scale: float = 1.0) -> str:
-    return said(measure.value, (measure.low, measure.high), digits, scale)
+def _words(measure: Measure, digits: int, scale: float = 1.0, unit: str = "") -> str:
+    return said(measure.value, (measure.low, measure.high), digits, scale, unit=unit)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -69,7 +69,7 @@ class HarvestTrace:
 
 def picked_tree(harvest: Harvest) -> PickedTree:
     """The tree of a harvest in plain arrays."""
-    rounds = harvest.rounds
+    rounds, nothing = harvest.rounds, np.zeros(0)
     return PickedTree(
         seconds=harvest.seconds,
         fruit=harvest.tree.fruit,
@@ -77,13 +77,9 @@ def picked_tree(harvest: Harvest) -> PickedTree:
         by_arm=harvest.by_arm,
         zones=np.array([[r.zone.left, r.zone.right, r.zone.bottom, r.zone.top] for r in rounds]).reshape(-1, 4),
         stands=np.array([[r.begin, r.begin + r.times.makespan] for r in rounds]).reshape(-1, 2),
-        arm=_joined([r.times.arm for r in rounds]).astype(np.int64),
-        start=_joined([r.begin + r.times.start for r in rounds]),
-        end=_joined([r.begin + r.times.end for r in rounds]),
-        held=_joined([r.times.held for r in rounds]),
-        got=_joined([r.collected for r in rounds]).astype(bool),
+        arm=np.concatenate([nothing, *(r.times.arm for r in rounds)]).astype(np.int64),
+        start=np.concatenate([nothing, *(r.begin + r.times.start for r in rounds)]),
+        end=np.concatenate([nothing, *(r.begin + r.times.end for r in rounds)]),
+        held=np.concatenate([nothing, *(r.times.held for r in rounds)]),
+        got=np.concatenate([nothing, *(r.collected for r in rounds)]).astype(bool),
     )
-
-
-def _joined(parts: Sequence[Array | NDArray[np.int64] | NDArray[np.bool_]]) -> Array:
-    return np.concatenate([np.asarray(part, dtype=float) for part in parts]) if parts else np.zeros(0)

@@ -209,6 +209,22 @@ def test_a_makers_arm_picks_too_and_stands_where_ours_does():
         made(plant="ideal:ur5e", model=str(MAKERS))
 
 
+def test_a_makers_arm_is_seen_also_if_all_of_it_is_in_the_group_of_what_only_looks_like_it(tmp_path):
+    """Group 2, in which makers keep the look of an arm, is drawn where the arm has nothing in a group that is drawn."""
+    drawn, text = {}, mjcf_text(load_arm("ur5e").nominal, "ur5e")
+    for group in (2, 3, 5):
+        path = tmp_path / f"maker{group}.xml"
+        path.write_text(text.replace("<geom ", f'<geom group="{group}" '))
+        env = made(plant="ideal:ur5e", model=str(path), obs_type="pixels_agent_pos", pixels=128)
+        try:
+            drawn[group] = env.reset(seed=1)[0]["pixels"]["world"]
+        except InputError as error:
+            pytest.skip(f"no pictures on this machine: {error}")
+        env.close()
+    assert_array_equal(drawn[2], drawn[3])
+    assert (drawn[2] != drawn[5]).any(axis=-1).sum() > 50
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
