@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -172,7 +173,7 @@ class ReachVectorEnv(NativeVectorEnv):
     def _observation(self) -> Any:
         views = self._views
         if self.autoreset_mode is AutoresetMode.DISABLED:  # a mask shows again what it leaves out, as it was
-            self._views = self.batch.copied(views)
+            self._views = deepcopy(views)
         parts = [part.T for part in views.observation]
         return dict(zip(GOAL_KEYS, parts, strict=True)) if self.goal_dict else parts[0]
 
