@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from operator import add, itemgetter, mul
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -45,8 +45,7 @@ class LatestCompiled:
         """The compensator's machine code, or itself where it has none."""
         if self._known[0] is not compensate:
             self._known = compensate, getattr(compensate, "compiled", lambda _: compensate)(self._count)
-        made: Compensate = self._known[1]
-        return made
+        return cast(Compensate, self._known[1])
 
 
 class CompiledLook:
