@@ -143,9 +143,9 @@ class ArmBatch:
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
         """Take over the arrays that `state_arrays` returned."""
         self.write(self.columns, slice(None), self.numbers(state["table"]))
-        self.keys[:], self.arm[:] = self.words(state["keys"]), state["arm"]
+        self.keys[:] = self.words(state["keys"])
         if self.task.arms != "fixed":
-            self._exchange_arms(np.arange(self.count))
+            self.take_arms(np.arange(self.count), state["arm"])
 
     def numbers_of_actions(self, actions: ArrayLike) -> Scalar:
         """Actions component by component ``(n, N)``, checked; on a device only their shape is checked.
@@ -203,12 +203,9 @@ class ArmBatch:
     def take_arms(self, rows: Rows, arms: NDArray[np.intp]) -> None:
         """Give the environments ``rows`` the true arms of their episodes."""
         self.arm[rows] = arms
-        self._exchange_arms(rows)
-
-    def _exchange_arms(self, rows: Rows) -> None:
-        places, arms = self.indices(rows), self.indices(self.arm[rows])
+        places, numbers = self.indices(rows), self.indices(self.arm[rows])
         for mine, all_ in zip(arrays_of(self.plant), arrays_of(self.population), strict=True):
-            mine[places] = all_[arms]
+            mine[places] = all_[numbers]
 
 
 class NumpyArms(ArmBatch):
