@@ -117,10 +117,13 @@ def compare(
     runs: list[RecordedEpisodes] = []
     others: list[Given] = []
     for policy in policies:
-        if isinstance(policy, str | Path) and (Path(policy) / RECORD).is_file():
-            runs.append(_recorded(Path(policy)))
-        else:
+        if not (isinstance(policy, str | Path) and (Path(policy) / RECORD).is_file()):
             others.append(policy)
+            continue
+        run = read_run(Path(policy))
+        if run.kind != "comparison":
+            raise InputError(f"{policy} is a run of kind '{run.kind}'; give a folder that `pickenv compare` wrote")
+        runs.append(load_part(run, RecordedEpisodes))
     if others:
         runs.append(_run(others, env, compensate, labels, episodes, seed, gripper, grid_step, allow, report, arguments))
     options: dict[str, Any] = {"env": env, "episodes": episodes, "seed": seed, "gripper": gripper}
@@ -268,8 +271,7 @@ def _field(
     contender: Contender, env_id: str, arguments: Mapping[str, Any], grid: FieldGrid, seed: int, number: int
 ) -> Array:
     """Final pose errors of a policy over a grid of goals ``(F, 6)``, m and rad: all goals at once, one arm for each."""
-    spec = gym.spec(env_id)
-    steps = spec.max_episode_steps or 60
+    steps = gym.spec(env_id).max_episode_steps or 60
     envs: gym.vector.VectorEnv[Any, Any, Any] = gym.make_vec(
         env_id, num_envs=len(grid.joints), autoreset_mode="Disabled", **arguments
     )
@@ -285,13 +287,6 @@ def _field(
     errors = np.array(infos["pose_error"], dtype=float)
     envs.close()
     return errors
-
-
-def _recorded(folder: Path) -> RecordedEpisodes:
-    run = read_run(folder)
-    if run.kind != "comparison":
-        raise InputError(f"{folder} is a run of kind '{run.kind}'; give a folder that `pickenv compare` wrote")
-    return load_part(run, RecordedEpisodes)
 
 
 SAME = ("env_id", "plant_name", "gripper", "seed", "seeds")

@@ -221,10 +221,9 @@ def contenders_of(
             f"there are {len(pairs)} policies and {len(calibrations)} calibrations; give one for each ({NONE} for a "
             "raw arm), one for all, or one policy"
         )
-    behind = calibrations or [None] * len(pairs)
     stages = [
         _calibrated(built_in or calibration, arm, allow)
-        for (_, built_in), calibration in zip(pairs, behind, strict=True)
+        for (_, built_in), calibration in zip(pairs, calibrations or [None] * len(pairs), strict=True)
     ]
     names = list(labels) or _labels([_name(policy) for policy, _ in pairs], [stage for stage, _ in stages])
     if len(names) != len(pairs):
@@ -232,7 +231,6 @@ def contenders_of(
     contenders = []
     for (policy, _), (stage, compensator), label in zip(pairs, stages, names, strict=True):
         if isinstance(policy, str | Path):
-            kind_of(str(policy))
             make = maker_of(str(policy), camera_noise_mm, "raw" if stage == "raw" else LEAST_SQUARES)
         else:
             make = _ready(policy)
@@ -273,18 +271,13 @@ def _ready(policy: Policy) -> PolicyMaker:
 
 def _pair(policy: Given) -> tuple[Given, str | Path | Calibration | None]:
     """A policy, and the calibration that its name stands for if it is one's."""
-    if isinstance(policy, str | Path) and _is_calibration(str(policy)):
+    if not isinstance(policy, str | Path):
+        return policy, None
+    path, training = Path(str(policy).partition("#")[0]), Path(policy) / "policy.npz"
+    is_container = path.suffix == ".npz" and path.is_file()
+    if is_container and read_container(path, None, remake="make it anew").kind == "calibration":
         return "scripted", policy
-    if isinstance(policy, str | Path) and (Path(policy) / "policy.npz").is_file():
-        return Path(policy) / "policy.npz", None  # the folder of one training
-    return policy, None
-
-
-def _is_calibration(name: str) -> bool:
-    path = Path(name.partition("#")[0])
-    if path.suffix != ".npz" or not path.is_file():
-        return False
-    return read_container(path, None, remake="make it anew").kind == "calibration"
+    return (training if training.is_file() else policy), None  # the folder of one training
 
 
 def _calibrated(

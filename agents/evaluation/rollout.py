@@ -140,8 +140,6 @@ def _run(
 
 
 def _joined(parts: Sequence[Rollout]) -> Rollout:
-    if len(parts) == 1:
-        return parts[0]
     arrays = [field.name for field in fields(Reaches) if field.name != "seeds"]
     reaches = Reaches(
         seeds=tuple(seed for part in parts for seed in part.reaches.seeds),

@@ -117,9 +117,8 @@ class AdaptiveReach(LookingReach):
         super().__init__(env)
         self.camera_std, self.unmodelled_std, self.prior = camera_std, unmodelled_std, prior
         typical = random_joints(self.geometry, 200, np.random.default_rng(0))  # decides only what is identifiable
-        model = link_model(self.geometry)
         self.start: extended_kalman_filter.FilterState = extended_kalman_filter.start_filter(
-            model, self.geometry, typical, full_pose=False, prior=prior
+            link_model(self.geometry), self.geometry, typical, full_pose=False, prior=prior
         )
         self.filters: list[extended_kalman_filter.FilterState] = []
 

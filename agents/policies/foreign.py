@@ -81,10 +81,8 @@ def foreign_policy(path: str | Path, env: Any, seed: int) -> Policy:
     path = Path(path)
     if not path.is_file():
         raise InputError(f"{path} does not exist; give a zip of Stable-Baselines3 or a Python file with {MAKER}")
-    return _written(path, env, seed) if path.suffix == ".py" else _trained(path, env)
-
-
-def _written(path: Path, env: Any, seed: int) -> Policy:
+    if path.suffix != ".py":
+        return _trained(path, env)
     with faults_in(path, "policy"):
         make = runpy.run_path(str(path)).get(MAKER)
     if make is None:

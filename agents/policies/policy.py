@@ -83,9 +83,8 @@ def read_observation(geometry: Geometry, observation: ArrayLike) -> ObservationP
             f"the observation has {values.shape[-1]} numbers; a policy for {n} joints reads {n + 12}, or {n + 15} with "
             "feedback='camera'"
         )
-    span = geometry.upper - geometry.lower
     return ObservationParts(
-        joints=geometry.lower + (values[..., :n] + 1.0) / 2.0 * span,
+        joints=geometry.lower + (values[..., :n] + 1.0) / 2.0 * (geometry.upper - geometry.lower),
         believed=values[..., n : n + 3],
         seen=values[..., n + 3 : n + 6],
         offset=values[..., n + 6 : n + 9],

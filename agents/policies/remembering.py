@@ -139,12 +139,8 @@ def load_remembering(name: str | Path, arm: Arm | None = None) -> RememberingPol
 
 
 def remembers(name: str | Path) -> bool:
-    """Whether a shipped baseline or a file holds a policy with a memory; False also where it is no policy file."""
-    try:
-        path = policy_path(name)
-    except InputError:
-        return False
-    return read_container(path, None, remake=REMAKE).kind == REMEMBERING
+    """Whether a shipped baseline or a file holds a policy with a memory; errors as for `load_policy`."""
+    return read_container(policy_path(name), None, remake=REMAKE).kind == REMEMBERING
 
 
 class RememberingReach(LookingReach):

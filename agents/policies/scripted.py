@@ -9,18 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.agents.policies import policy
-from pickenv.arm import (
-    Array,
-    Geometry,
-    Plant,
-    Pose,
-    forward,
-    inverse,
-    joint_jacobian,
-    plants_on,
-    pose_error,
-    truncated_inverse,
-)
+from pickenv.arm import Array, Plant, Pose, forward, inverse, joint_jacobian, plants_on, pose_error, truncated_inverse
 from pickenv.base import InputError, register
 from pickenv.envs import CONTROL_PERIOD
 from pickenv.harvester import Work, assign, zone_work
@@ -290,11 +279,12 @@ class OracleReach(ScriptedReach):
 
     def wanted_joints(self, reading: policy.ObservationParts) -> Array:
         """Joints that bring the true arm's tool to the fruit."""
-        return _of_true_arm(self._env.plant, super().wanted_joints(reading), self.wanted_pose(reading), self.geometry)
+        return _of_true_arm(self._env.plant, super().wanted_joints(reading), self.wanted_pose(reading))
 
 
-def _of_true_arm(plant: Plant, joints: Array, pose: Pose, nominal: Geometry) -> Array:
+def _of_true_arm(plant: Plant, joints: Array, pose: Pose) -> Array:
     """Joints near ``joints`` at which the tool of the true arm at rest has a pose."""
+    nominal = plant.arm.nominal
     for _ in range(ITERATIONS):
         back = truncated_inverse(joint_jacobian(plant.geometry, joints))
         joints = joints + np.einsum("...ij,...j->...i", back, pose_error(plant.tool_pose(joints), pose))
@@ -501,7 +491,7 @@ class OraclePick(ScriptedPick):
 
     def _corrected(self, rows: Any, at: Array) -> Array:
         plants = plants_on(self._env.plant, lambda values: values[rows])
-        return _of_true_arm(plants, at, forward(self.geometry, at), self.geometry)
+        return _of_true_arm(plants, at, forward(self.geometry, at))
 
 
 # A scripted policy for the harvester: plan the zone once, pick by the plan, plan anew for what was missed. It uses
@@ -558,8 +548,7 @@ class ScriptedHarvest:
     def act_together(self, observations: dict[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
         """The next actions of PettingZoo's agents."""
         shared = next(iter(observations.values()))[: len(self.task.bounds[0])]
-        parts = self.act(shared).reshape(-1, 3)
-        return dict(zip(observations, parts, strict=True))
+        return dict(zip(observations, self.act(shared).reshape(-1, 3), strict=True))
 
     def _decoded(self, values: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
         """Joints, time left of each blade, fruit in the base frame, and whether each fruit hangs in reach."""

@@ -17,14 +17,7 @@ from pickenv.agents.policies.remembering import LSTM, RememberingPolicy
 from pickenv.arm.files.arm import content_sha256
 from pickenv.base import InputError, check_limit, file_sha256, is_there, npz_path, seed_words, stream, versions
 from pickenv.envs import PickVectorEnv, ReachGoalVectorEnv, ReachIdealVectorEnv, ReachToolVectorEnv, ReachVectorEnv
-from pickenv.wrappers import (
-    GapScalingVector,
-    SameArmMixture,
-    SameArmVector,
-    Scaling,
-    ToolSteppingVector,
-    tool_steps_of,
-)
+from pickenv.wrappers import GapScalingVector, SameArmMixture, SameArmVector, Scaling, ToolSteppingVector, tool_steps_of
 
 Native = ReachVectorEnv | PickVectorEnv
 ENVIRONMENTS: dict[str, type[Native]] = {
@@ -134,8 +127,7 @@ def make_environment(training: Training, count: int, mode: str, number: int = 0)
     Raises:
         InputError: If an argument is impossible or the calibration is of another arm.
     """
-    arguments = arguments_of(training)[number]
-    env = ENVIRONMENTS[training.env_id](count, autoreset_mode=mode, **arguments)
+    env = ENVIRONMENTS[training.env_id](count, autoreset_mode=mode, **arguments_of(training)[number])
     if training.compensate is not None:
         env.compensator = load_compensator(training.compensate, env.task.plant.arm, training.allow)
     return env

@@ -90,8 +90,7 @@ def _fault_of_the_disk(error: BaseException | None) -> OSError | None:
 
 def _temporary(target: Path) -> Path:
     """Make an empty file beside ``target``, named after this process, with the permissions of any other new file."""
-    name = f".pickenv-{_machine()}-{os.getpid()}-{secrets.token_hex(4)}{target.suffix}"
-    temporary = target.with_name(name)
+    temporary = target.with_name(f".pickenv-{_machine()}-{os.getpid()}-{secrets.token_hex(4)}{target.suffix}")
     os.close(os.open(temporary, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))  # less what the umask takes away
     return temporary
 

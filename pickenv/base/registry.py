@@ -117,8 +117,11 @@ def get(kind: str, name: str, *, package: str = "", version: str = "", module: s
         raise InputError(f"{kind} '{name}' comes from {source}, but here from {entry[1]}; install the former alone")
     if not package:
         raise InputError(f"{kind} '{name}' comes from {source}, which is of no package: import it first")
-    way = f"pip install {package}" if _version(package) is None else f"pip install {package}=={version}"
-    state = "is not installed" if _version(package) is None else "is installed in another version that lacks it"
+    way, state = f"pip install {package}=={version}", "is installed in another version that lacks it"
+    try:
+        metadata.version(package)
+    except metadata.PackageNotFoundError:
+        way, state = f"pip install {package}", "is not installed"
     raise InputError(f"{kind} '{name}' comes from {source}, which {state}: {way}")
 
 
@@ -237,10 +240,3 @@ def _origin_of_module(module: str) -> Origin:
             return _origin_of_entry_point(point)
     packages = metadata.packages_distributions().get(top, ())
     return Origin(packages[0], metadata.version(packages[0])) if packages else Origin("", "", module)
-
-
-def _version(package: str) -> str | None:
-    try:
-        return metadata.version(package)
-    except metadata.PackageNotFoundError:
-        return None

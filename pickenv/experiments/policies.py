@@ -125,7 +125,7 @@ class PolicySettings:
         own = {**sight, "fruit_noise_mm": self.fruit_noise_mm} if task == "Reach" else {}
         if not plant.startswith(RUNG):
             return own | {"plant": plant, "tolerances": self.tolerances, "population_seed": population_seed(seed)}
-        fixed = on_ladder(task, plant.removeprefix(RUNG), "test", {})
+        fixed = on_ladder(task, difficulty=plant.removeprefix(RUNG), split="test")
         if (asked := self.arms * len(self.levels("seeds"))) > (most := fixed.get("population", 1)):
             raise InputError(f"{plant} has {most} arms to be judged on; {asked} were asked for")
         arms = {name: value for name, value in fixed.items() if name not in ("arms", "population")}

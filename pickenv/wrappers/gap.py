@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any, SupportsFloat
+from typing import Any, SupportsFloat, cast
 
 import gymnasium as gym
 import numpy as np
@@ -75,8 +75,7 @@ class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
     @property
     def autoreset_mode(self) -> AutoresetMode:
         """The environments' autoreset mode; torchrl asks the outermost wrapper for it."""
-        mode: AutoresetMode = self.metadata["autoreset_mode"]
-        return mode
+        return cast(AutoresetMode, self.metadata["autoreset_mode"])
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None

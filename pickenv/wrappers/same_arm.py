@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array, Geometry, joint_jacobian, truncated_inverse
 from pickenv.base import InputError
+from pickenv.base.container import part_of
 from pickenv.envs.picking.pick import PickEnv
 from pickenv.envs.picking.pick_scene import given_hours, pick_reward
 from pickenv.envs.shared.backends import GOAL, NUMPY, episode_key, fresh_seed, seed_word, stream_key
@@ -262,7 +263,7 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
         """Take over the arrays that `state_arrays` of environments with the same arguments returned."""
-        run, parts = self.run, {key[4:]: value.copy() for key, value in state.items() if key.startswith("run/")}
+        run, parts = self.run, {key: value.copy() for key, value in part_of(state, "run/").items()}
         run.seeds, run.count, run.tokens, run.joints = (parts[key] for key in ("seeds", "count", "tokens", "joints"))
         run.pick, self._arms = int(parts["pick"]), parts["arms"]
         inner: Any = self.env.unwrapped
@@ -338,8 +339,7 @@ class SameArmMixture(VectorEnv[Any, Any, Any]):
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
         """Take over the arrays that `state_arrays` of a mixture of the same parts returned."""
         for k, part in enumerate(self.parts):
-            mine = f"{k}/"
-            part.take_state_arrays({key[len(mine) :]: value for key, value in state.items() if key.startswith(mine)})
+            part.take_state_arrays(part_of(state, f"{k}/"))
 
 
 def _joined(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -496,7 +496,7 @@ class ManyCanopies(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         """Act for one period; where that ends a canopy, go to the next."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         if self.measured:
-            before, self._binned = self._binned, self._in_bin()
+            before, self._binned = self._binned, int(self._inner.scene.collected.sum())
             reward = pick_reward(self._binned - before, 0)
         if not (terminated or truncated):
             return observation, reward, False, False, self._info(info)
@@ -511,9 +511,6 @@ class ManyCanopies(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         observation, info = self.env.reset(seed=seed, options=options | {"hours": self.hours[self._canopy]})
         self._binned = 0
         return observation, self._info(info)
-
-    def _in_bin(self) -> int:
-        return int(self._inner.scene.collected.sum())
 
     def _info(self, info: dict[str, Any]) -> dict[str, Any]:
         attempted, collected = self._done + np.array([info["attempted"], info["collected"]])

@@ -13,6 +13,8 @@ from stable_baselines3.common.vec_env import VecEnv
 
 import pickenv  # noqa: F401  (registers the environments)
 from pickenv.base import InputError, seed_words, stream
+from pickenv.base.container import named_part, part_of
+from pickenv.envs.shared.native_vector import final_rows
 from pickenv.wrappers.compensation import Compensate, CompensationVectorWrapper
 from pickenv.wrappers.gap import ScaledVector
 
@@ -94,12 +96,12 @@ class Sb3Vec(VecEnv):
         dones = terminations | truncations
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         if dones.any():
-            last, final = self.seen, batch
+            rows = np.flatnonzero(dones)
             if self.mode is AutoresetMode.DISABLED:
+                last, final = final_rows(self.seen, rows, self.num_envs), batch
                 self.seen, _ = self.envs.reset(options={"reset_mask": dones})
             else:
                 last, final = batch["final_obs"], batch["final_info"]
-            rows = np.flatnonzero(dones)
             for i, ending in zip(rows, self._endings(rows, last, final, truncations & ~terminations), strict=True):
                 infos[i] = ending
             self._returns[rows], self._lengths[rows] = 0.0, 0
@@ -109,11 +111,8 @@ class Sb3Vec(VecEnv):
         self, rows: NDArray[np.intp], last: Any, final: dict[str, Any], cut: NDArray[np.bool_]
     ) -> list[dict[str, Any]]:
         """Infos of the episodes that ended in the environments ``rows``."""
-        if isinstance(last, dict):
-            observations: Any = [{key: value[i].copy() for key, value in last.items()} for i in rows]
-        else:
-            observations = [last[i].copy() for i in rows]
-        columns: dict[str, Any] = {"terminal_observation": observations, "TimeLimit.truncated": cut[rows].tolist()}
+        columns: dict[str, Any] = {"terminal_observation": [last[i].copy() for i in rows]}
+        columns["TimeLimit.truncated"] = cut[rows].tolist()
         numbers = {key: values for key, values in final.items() if key[0] != "_" and np.ndim(values) == 1}
         columns |= {key: np.asarray(values)[rows].tolist() for key, values in numbers.items()}
         sums = zip(self._returns[rows].tolist(), self._lengths[rows].tolist(), strict=True)
@@ -126,19 +125,17 @@ class Sb3Vec(VecEnv):
         observations = self.seen if scaled is None else scaled.raw
         observations = observations if isinstance(observations, dict) else {"flat": observations}
         arrays = {"returns": self._returns, "lengths": self._lengths}
-        arrays |= {f"raw/{key}": part for key, part in observations.items()}
-        arrays |= {f"env/{key}": value for key, value in self._remembering().state_arrays().items()}
+        arrays |= named_part("raw/", observations) | named_part("env/", self._remembering().state_arrays())
         return {key: np.array(value) for key, value in arrays.items()}
 
     def take_state(self, state: dict[str, NDArray[Any]]) -> None:
         """Take over the arrays that `state` of environments with the same arguments returned."""
         self._returns, self._lengths = state["returns"].copy(), state["lengths"].copy()
-        observations = {key[4:]: value.copy() for key, value in state.items() if key.startswith("raw/")}
+        observations = {key: value.copy() for key, value in part_of(state, "raw/").items()}
         self.seen = observations.get("flat", observations)
         if (scaled := self._scaled()) is not None:
             scaled.raw, self.seen = self.seen, scaled.scaling.shown(self.seen)
-        below = {key[4:]: value for key, value in state.items() if key.startswith("env/")}
-        self._remembering().take_state_arrays(below)
+        self._remembering().take_state_arrays(part_of(state, "env/"))
 
     def _layers(self) -> Iterator[Any]:
         """The wrappers, from the outermost inwards, and then the wrapped environments."""

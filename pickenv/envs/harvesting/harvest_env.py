@@ -135,9 +135,7 @@ class HarvestEnv(DrawnEnv):
         super().reset(seed=seed)
         zones = batch.given_zones(self.task, given_options(options, batch.OPTIONS), 1)
         self.state = batch.begin_zones(self.task, [self.np_random], **zones)
-        if self.render_mode == "human":
-            self.render()
-        return batch.observe(self.task, self.state)[0], self._information()
+        return self._shown(self.state)
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, Information]:
         """Move all joints by ``action``.
@@ -148,18 +146,18 @@ class HarvestEnv(DrawnEnv):
         values = checked_action(action, (self.task.machine.joints,), self.task.most_action)
         if self.state is None:
             raise InputError("step was called before reset; call reset first")
-        rewards = batch.step(self.task, self.state, values[None], [self.np_random], self.compensator)
-        terminated = bool(batch.finished(self.state)[0])
-        if self.render_mode == "human":
-            self.render()
-        return batch.observe(self.task, self.state)[0], float(rewards[0]), terminated, False, self._information()
+        (reward,) = batch.step(self.task, self.state, values[None], [self.np_random], self.compensator)
+        observation, information = self._shown(self.state)
+        return observation, float(reward), bool(batch.finished(self.state)[0]), False, information
 
     def _stage(self) -> Stage | None:
         return None if self.state is None else draw_harvest(self.task, self.state, self.compensator, dark=self.dark)
 
-    def _information(self) -> Information:
-        assert self.state is not None
-        return {key: values[0].item() for key, values in batch.information(self.state).items()}
+    def _shown(self, state: batch.HarvestState) -> tuple[NDArray[np.float32], Information]:
+        if self.render_mode == "human":
+            self.render()
+        information = {key: values[0].item() for key, values in batch.information(state).items()}
+        return batch.observe(self.task, state)[0], information
 
 
 # The native vector version of `pickenv/Harvest-v0`: many zones in one set of arrays.
@@ -262,11 +260,10 @@ def draw_harvest(
         tree_shapes.crate(_eye(state), SIZE, picked, float(state.diameters[0].mean()), -machine.base_height),
         _cameras(task, command[0]),
     )
-    seconds = float(state.periods[0]) * CONTROL_PERIOD
     words = (
         Words(f"picked {picked} of {int(state.reachable[0].sum())}", large=True),
         Words(f"missed {int(state.attempts[0]) - picked}"),
-        Words(f"{seconds:.1f} s", "top right"),
+        Words(f"{float(state.periods[0]) * CONTROL_PERIOD:.1f} s", "top right"),
         Words(GHOST_WORDS, "bottom left"),
     )
     return Stage(_eye(state), *solids, still=_surroundings(task, state, dark), words=words, dark=dark)
@@ -283,8 +280,7 @@ def _master(machine: Machine, joints: Array, pivots: Array) -> arm_shapes.Solids
     end = np.stack([top, frame, ends[1], *pivots])
     radius = np.array([0.05, 0.035, 0.03, *[0.022] * len(pivots)])
     colour = np.concatenate([rgba(arm_shapes.METAL, 1), rgba(arm_shapes.LINK, 2), rgba(arm_shapes.METAL, len(pivots))])
-    joints_at = np.stack([shoulder, frame])
-    balls = spheres(joints_at, np.array([0.075, 0.05]), rgba(arm_shapes.JOINT, 2))
+    balls = spheres(np.stack([shoulder, frame]), np.array([0.075, 0.05]), rgba(arm_shapes.JOINT, 2))
     return (Rods(start, end, radius, colour),), (balls,), ()
 
 

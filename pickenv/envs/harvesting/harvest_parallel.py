@@ -7,7 +7,7 @@ observation and its own place among the agents, and shares the team's reward.
 from __future__ import annotations
 
 from copy import deepcopy
-from typing import Any
+from typing import Any, cast
 
 import gymnasium as gym
 import numpy as np
@@ -98,8 +98,7 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
     def render(self) -> NDArray[np.uint8] | None:
         """A picture of the whole machine, as in `pickenv/Harvest-v0`; None without a render mode."""
         self._env.compensator = self.compensator
-        picture: NDArray[np.uint8] | None = None if self.render_mode is None else self._env.render()
-        return picture
+        return None if self.render_mode is None else cast(NDArray[np.uint8], self._env.render())
 
     def _seen(self) -> Observations:
         shared = self.state()

@@ -301,7 +301,6 @@ def begin_zones(
             start[i] = np.concatenate([master, *[machine.slave_home] * machine.arms])
     if joints is not None and (distances(task, start) < machine.body.clearance).any():
         raise InputError("option start_joints brings two arms nearer than the guard lets them; move them apart")
-    reachable = np.asarray(machine.reach(start[:, :3], sightings).any(axis=1)) & located
     state = HarvestState(
         joints=start,
         fruit=positions,
@@ -313,7 +312,7 @@ def begin_zones(
         believed=sightings,
         error=sightings - positions,
         located=located,
-        reachable=reachable,
+        reachable=np.asarray(machine.reach(start[:, :3], sightings).any(axis=1)) & located,
         status=np.zeros((n, task.fruit), dtype=np.int64),
         busy=np.zeros((n, machine.arms), dtype=np.int64),
         tried=np.full((n, machine.arms), -1),
@@ -393,10 +392,8 @@ def step(
         state.swing, state.velocity = swing(branch, state.swing, state.velocity, state.masses, CONTROL_PERIOD)
     collected, lost = attempts(task, state, tips, rngs)
     state.left = work_left(task, state)
-    progress = before - state.left
-    effort = np.abs(actions).mean(axis=1)
-    cost = rules.guard_cost * state.held + rules.period_cost + rules.motion_cost * effort
-    return np.asarray(collected - lost + progress - cost)
+    cost = rules.guard_cost * state.held + rules.period_cost + rules.motion_cost * np.abs(actions).mean(axis=1)
+    return np.asarray(collected - lost + (before - state.left) - cost)
 
 
 def _guard(task: HarvestTask, start: Array, target: Array) -> tuple[NDArray[np.int64], Array]:

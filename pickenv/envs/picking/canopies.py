@@ -244,30 +244,24 @@ def draw_pick(canopies: Canopies, row: int = 0, dark: bool = False) -> Stage:
     point, axis, command = sight[TOOL][9:], sight[TOOL][6:9], sight[SIGHT + canopies.task.joints :]
     collected, reachable = int(canopies.counts[COLLECTED, row]), int(scene.reachable.sum())
     offset = point - scene.positions[number]
+    opening = orchard.station.tool_radius
+    cup = orchard.gripper.kind == "cup"  # else a hand around a usual fruit
     solids = joined_solids(
         arm_at_work(nominal, command, point, axis, sight[BELIEVED][9:]),
-        gripper_solids(orchard, point, axis, scene.held is not None),
+        cup_solids(point, axis, opening) if cup else hand_solids(point, axis, opening, scene.held is not None),
         canopy_fruit(scene),
         crate(pick_eye(orchard), SIZE, collected, float(np.mean(scene.diameters)), ground_of(orchard)),
         camera_solids(orchard),
     )
-    missed = scene.attempted & ~scene.attached
     words = (
         Words(f"picked {collected} of {reachable}", "top left", large=True),
-        Words(f"missed {int(missed.sum())}", "top left"),
+        Words(f"missed {int((scene.attempted & ~scene.attached).sum())}", "top left"),
         Words(f"{1e3 * float(np.linalg.norm(offset)):.1f} mm from the fruit", "top right"),
         Words(GHOST_WORDS, "bottom left"),
     )
     still = (*standing(nominal, ground_of(orchard), dark), *trees_of(orchard))
     dial = tool_dial(axis, offset, 1e3 * orchard.gripper.tolerance)
     return Stage(pick_eye(orchard), *solids, still=still, words=words, dial=dial, dark=dark)
-
-
-def gripper_solids(orchard: pick_scene.PickSetting, point: Array, axis: Array, closed: bool) -> Solids:
-    """The solids of the gripper: a cup as wide as its opening, or a hand around a usual fruit."""
-    if orchard.gripper.kind == "cup":
-        return cup_solids(point, axis, orchard.station.tool_radius)
-    return hand_solids(point, axis, orchard.station.tool_radius, closed)
 
 
 def canopy_fruit(scene: pick_scene.PickScene) -> Solids:

@@ -181,17 +181,9 @@ class PickEnv(ArmEnv):
 
     look = staticmethod(look_at_arm)
 
-    def __init__(
-        self,
-        *,
-        difficulty: str | None = None,
-        split: str = "train",
-        executor: str = "auto",
-        render_mode: str | None = None,
-        **arguments: Any,
-    ) -> None:
+    def __init__(self, *, executor: str = "auto", render_mode: str | None = None, **arguments: Any) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
-        task, self.orchard = make_pick(**on_ladder("Pick", difficulty, split, arguments))
+        task, self.orchard = make_pick(**on_ladder("Pick", **arguments))
         super().__init__(task, render_mode, executor)
         self._reach = reach_of(task.plant.arm.nominal, self.orchard.station.approach)
         space, self.action_space = pick_spaces(task, self.orchard)

@@ -36,8 +36,6 @@ class PickVectorEnv(NativeVectorEnv):
 
     Args:
         num_envs: N.
-        difficulty: A rung of the ladder, as in `pickenv/Reach-v0`.
-        split: Which of the difficulty's arms to take: "train" or "test".
         max_episode_steps: Steps after which an episode is truncated, or None for never.
         autoreset_mode: "NextStep", "SameStep" or "Disabled", or an `AutoresetMode`.
         render_mode: None or "rgb_array".
@@ -62,15 +60,13 @@ class PickVectorEnv(NativeVectorEnv):
         self,
         num_envs: int = 1,
         *,
-        difficulty: str | None = None,
-        split: str = "train",
         max_episode_steps: int | None = pick_scene.LONGEST,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
         super().__init__(num_envs, max_episode_steps, autoreset_mode, render_mode)
-        task, self.orchard = pick_scene.make_pick(**on_ladder("Pick", difficulty, split, arguments))
+        task, self.orchard = pick_scene.make_pick(**on_ladder("Pick", **arguments))
         self.task: Task = task
         self.metadata["render_fps"] = task.situation.frames_per_second
         self._reach = reach_of(task.plant.arm.nominal, self.orchard.station.approach)

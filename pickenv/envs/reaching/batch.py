@@ -6,12 +6,13 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from typing import Any, NamedTuple, cast
+from copy import deepcopy
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Array, Plant, leaves, tree_map
+from pickenv.arm import Array, Plant, leaves
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_batch import ArmBatch, Columns, NumpyArms, Words
 from pickenv.envs.shared.backends import GOAL, Rows, Scalar, episode_key, stream_key
@@ -47,10 +48,6 @@ class Batch(ArmBatch, ABC):
     def __init__(self, task: Task, count: int, goal_dict: bool, poses: bool) -> None:
         super().__init__(task, count, task.moves)
         self.goal_dict, self.poses = goal_dict, poses
-
-    def copied(self, out: Views) -> Views:
-        """A copy of the views ``out``."""
-        return cast(Views, tree_map(self.copy, out))
 
     @abstractmethod
     def show(self, rows: Rows, compensate: Compensate | None) -> Views:
@@ -119,7 +116,7 @@ class Batch(ArmBatch, ABC):
 
     def merged(self, out: Views, rows: Rows, some: Views) -> Views:
         """A copy of the views ``out`` of all environments, with those of the environments ``rows`` replaced."""
-        out, places = self.copied(out), self.indices(rows)
+        out, places = deepcopy(out), self.indices(rows)
         for all_, few in zip(leaves(out), leaves(some), strict=True):
             all_[..., places] = few
         return out

@@ -24,11 +24,13 @@ from pickenv.envs.shared.task import Compensate, Task
 class CompiledBatch(NumpyBatch):
     """The state of N reach tasks in arrays; arguments as in `pickenv.envs.reaching.batch.Batch`."""
 
+    remade = ("_table", "_arms", "_code", "_fast")
+
     def __init__(self, task: Task, count: int, goal_dict: bool, poses: bool) -> None:
         super().__init__(task, count, goal_dict, poses)
-        self._side_by_side()
+        self.remake()
 
-    def _side_by_side(self) -> None:
+    def remake(self) -> None:
         """Put the state into one array and the arms' numbers into another, and drop all compiled code."""
         self._table = np.array(self.columns)
         self.columns = list(self._table)
@@ -37,15 +39,6 @@ class CompiledBatch(NumpyBatch):
         self._plants = [self.plant_of(block) for block in self._blocks]
         self._code: dict[str, Compiled] = {}
         self._fast = LatestCompiled(self.count)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """All attributes but the compiled code and the arrays, which `__setstate__` makes anew."""
-        return {key: value for key, value in vars(self).items() if key not in ("_table", "_arms", "_code", "_fast")}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take over the attributes that `__getstate__` returned."""
-        vars(self).update(state)
-        self._side_by_side()
 
     def advance(self, actions: Array, moments: Words, compensate: Compensate | None) -> Views:
         """Act in all environments; see `pickenv.envs.reaching.batch.Batch.advance`."""

@@ -226,17 +226,9 @@ class ReachEnv(ArmEnv):
     gripper = 0
     """Count of the numbers that follow the arm's in an action."""
 
-    def __init__(
-        self,
-        *,
-        difficulty: str | None = None,
-        split: str = "train",
-        executor: str = "auto",
-        render_mode: str | None = None,
-        **arguments: Any,
-    ) -> None:
+    def __init__(self, *, executor: str = "auto", render_mode: str | None = None, **arguments: Any) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
-        super().__init__(self.task_of(**on_ladder("Reach", difficulty, split, arguments)), render_mode, executor)
+        super().__init__(self.task_of(**on_ladder("Reach", **arguments)), render_mode, executor)
         self.observation_space: spaces.Space[Any] = flat_space(self.task)
         self.action_space: Any = action_space(self.task)
         self._stream: int | None = None
@@ -255,7 +247,12 @@ class ReachEnv(ArmEnv):
             self._episode += 1
         x, task = self._x, self.task
         self._key = episode_key(x, self._word(self._stream), self._word(self._episode))
-        self._take_arm(options.get("arm"))
+        arm = options.get("arm")
+        if arm is None and task.arms != "fixed":
+            (arm,) = self._plain((simulation.drawn_arm(x, task, self._word(self._stream), self._key),))
+            arm = int(arm)
+        if arm is not None:
+            self._use_arm(task.given_arm(arm))
         start = self._start(options.get("start_joints"))
         goal = self._wanted(options)
         command = self._command(start)
@@ -276,8 +273,7 @@ class ReachEnv(ArmEnv):
             raise InputError("step was called before reset; call reset first")
         self._state = simulation.act(self._x, self.task, self._state, self._numbers(values.tolist()))
         self._step += 1
-        period = self.task.situation.value("period", self._state.drawn)
-        observation, reward, information = self._look(period)
+        observation, reward, information = self._look(self.task.situation.value("period", self._state.drawn))
         return observation, reward, self.task.end_on_success and information["is_success"], False, information
 
     def _stage(self) -> Stage | None:
@@ -309,16 +305,6 @@ class ReachEnv(ArmEnv):
             "fruit_position": np.array(plain(scene.fruit)),
         }
         return observation, reward, information
-
-    def _take_arm(self, number: int | None) -> None:
-        """Make arm ``number`` the true arm of this episode, or draw one if it is None and arms are not fixed."""
-        x, task = self._x, self.task
-        if task.arms == "fixed" and number is None:
-            return
-        if number is None:
-            assert self._stream is not None
-            number = int(self._plain((simulation.drawn_arm(x, task, self._word(self._stream), self._key),))[0])
-        self._use_arm(task.given_arm(number))
 
     def _wanted(self, options: dict[str, Any]) -> Frame:
         """Frame of the wanted pose: the one that options ask for, or the first drawn pose that fits the task."""

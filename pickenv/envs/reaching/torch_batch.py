@@ -19,7 +19,7 @@ from pickenv.base import InputError
 from pickenv.envs.reaching.batch import Batch, Views
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_batch import Columns, Words, naming_effects
-from pickenv.envs.shared.backends import Executor, Flags, Rows, Scalar, torch_executor
+from pickenv.envs.shared.backends import Flags, Rows, Scalar, torch_executor
 from pickenv.envs.shared.task import Compensate, Task, as_numbers, check_choice
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
@@ -48,6 +48,8 @@ class TorchBatch(Batch):
         InputError: If there is no such device or number type.
     """
 
+    remade = ("_step", "_see", "_pack")
+
     def __init__(
         self, task: Task, count: int, goal_dict: bool, poses: bool, device: str, dtype: str, compiled: bool
     ) -> None:
@@ -57,7 +59,7 @@ class TorchBatch(Batch):
         except (RuntimeError, AssertionError) as error:
             raise InputError(f"device {device!r} cannot be used ({str(error).splitlines()[0]}); give cpu") from error
         self.dtype = DTYPES[dtype]
-        self.x: Executor = torch_executor()
+        self.x = torch_executor()
         self.block = BLOCK if self.device.type == "cpu" else count
         super().__init__(task, count, goal_dict, poses)
         self.population: Plant = plants_on(task.plant, self.numbers)
@@ -73,9 +75,10 @@ class TorchBatch(Batch):
         self.make_room(12, 3)
         self.columns = [column.clone() for column in self.columns]
         self._compiled = compiled
-        self._make_step()
+        self.remake()
 
-    def _make_step(self) -> None:
+    def remake(self) -> None:
+        """Compile the step, if asked for."""
         self._step, self._see = self._fused(self._act), self._fused(self._shown)
         self._pack = self._fused(_packed)
 
@@ -85,16 +88,6 @@ class TorchBatch(Batch):
             return function
         options: Any = {"max_fusion_size": MOST_FUSED} if self.device.type == "cpu" else {}
         return torch.compile(function, fullgraph=True, dynamic=False, options=options)
-
-    def __getstate__(self) -> dict[str, Any]:
-        """All attributes but the executor and the compiled functions, which `__setstate__` makes anew."""
-        return {key: value for key, value in vars(self).items() if key not in ("_step", "_see", "_pack", "x")}
-
-    def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take over the attributes that `__getstate__` returned."""
-        vars(self).update(state)
-        self.x = torch_executor()
-        self._make_step()
 
     def numbers(self, values: Array) -> Tensor:
         """NumPy's numbers on the device, in the batch's number type."""
@@ -119,10 +112,6 @@ class TorchBatch(Batch):
     def put(self, column: Tensor, where: Any, values: Scalar) -> None:
         """Write ``values`` into a column, for the environments ``where``."""
         column[where] = values.to(column.dtype)
-
-    def copy(self, values: Tensor) -> Tensor:
-        """A copy of the tensor."""
-        return values.clone()
 
     def given(self, actions: ArrayLike | Tensor) -> Tensor:
         """Actions on the device."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -44,8 +45,6 @@ class ReachVectorEnv(NativeVectorEnv):
 
     Args:
         num_envs: N.
-        difficulty: A rung of the ladder, as in `pickenv/Reach-v0`.
-        split: Which of the difficulty's arms to take: "train" or "test".
         max_episode_steps: Steps after which an episode is truncated, or None for never.
         autoreset_mode: An `AutoresetMode` or its name, see the table.
         executor: "numpy"; "compiled", also on arrays but with the step as machine code, whose results agree up to
@@ -83,8 +82,6 @@ class ReachVectorEnv(NativeVectorEnv):
         self,
         num_envs: int = 1,
         *,
-        difficulty: str | None = None,
-        split: str = "train",
         max_episode_steps: int | None = 60,
         autoreset_mode: str | AutoresetMode = AutoresetMode.NEXT_STEP,
         executor: str = "auto",
@@ -97,7 +94,7 @@ class ReachVectorEnv(NativeVectorEnv):
     ) -> None:
         super().__init__(num_envs, max_episode_steps, autoreset_mode, render_mode)
         check_choice("executor", executor, ("auto", *names("backend")))
-        self.task: Task = self.task_of(**on_ladder("Reach", difficulty, split, arguments))
+        self.task: Task = self.task_of(**on_ladder("Reach", **arguments))
         self.metadata |= {"render_fps": self.task.situation.frames_per_second, "torch": executor == "torch"}
         self._set_spaces(goal_space(self.task) if self.goal_dict else flat_space(self.task), action_space(self.task))
         self._poses = bool(pose_infos)
@@ -172,7 +169,7 @@ class ReachVectorEnv(NativeVectorEnv):
     def _observation(self) -> Any:
         views = self._views
         if self.autoreset_mode is AutoresetMode.DISABLED:  # a mask shows again what it leaves out, as it was
-            self._views = self.batch.copied(views)
+            self._views = deepcopy(views)
         parts = [part.T for part in views.observation]
         return dict(zip(GOAL_KEYS, parts, strict=True)) if self.goal_dict else parts[0]
 

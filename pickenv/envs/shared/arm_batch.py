@@ -43,7 +43,7 @@ def naming_effects(plant: Plant, executor: str) -> Iterator[None]:
 class ArmBatch:
     """The state of N arms, one per environment.
 
-    The methods from `numbers` to `copy` decide where the state's numbers live: in NumPy, unless overridden.
+    The methods from `numbers` to `components` decide where the state's numbers live: in NumPy, unless overridden.
 
     Attributes:
         x: The executor.
@@ -56,12 +56,14 @@ class ArmBatch:
         population: The population that true arms are taken from.
         keys: Keys of the environments' episodes.
         columns: The state, one column per number.
+        remade: Names of the attributes that are neither pickled nor copied, but made anew by `remake`.
     """
 
     x: Executor
     block: int
     plant: Plant
     population: Plant
+    remade: tuple[str, ...] = ()
 
     def __init__(self, task: Task, count: int, actions: int) -> None:
         self.task, self.count, self.actions = task, count, actions
@@ -69,7 +71,18 @@ class ArmBatch:
         self.keys: Scalar = self.words(np.zeros(count, dtype=np.uint64))
         self.columns: Columns = []
         self._widths: list[int] = []
-        self._plant_widths: list[int] = []
+
+    def __getstate__(self) -> dict[str, Any]:
+        """All attributes but those in `remade`."""
+        return {key: value for key, value in vars(self).items() if key not in self.remade}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Take over the attributes that `__getstate__` returned."""
+        vars(self).update(state)
+        self.remake()
+
+    def remake(self) -> None:
+        """Make the attributes in `remade`."""
 
     def make_room(self, goal: int, seen: int) -> None:
         """Make room for the arms' states, one column per number, and for the plants' memories.
@@ -79,9 +92,9 @@ class ArmBatch:
             seen: Count of numbers in the goal as the camera saw it.
         """
         n, middle = self.task.joints, list(self.numbers(np.array([self.task.middle]).T))
-        self._plant_widths = [len(part) for part in self.plant_of(slice(0, 1)).initial_state(self.x.m, middle)]
-        self._widths = [n, goal, seen, *self.task.situation.widths(self.actions, n + 3 * self.task.camera)]
-        self.columns = list(self.numbers(np.zeros((sum(self._widths) + sum(self._plant_widths), self.count))))
+        memory = [len(part) for part in self.plant_of(slice(0, 1)).initial_state(self.x.m, middle)]
+        self._widths = [n, goal, seen, *self.task.situation.widths(self.actions, n + 3 * self.task.camera), *memory]
+        self.columns = list(self.numbers(np.zeros((sum(self._widths), self.count))))
 
     @property
     def fixed(self) -> int:
@@ -112,10 +125,6 @@ class ArmBatch:
         """Write ``values`` into a column, for the environments ``where``."""
         column[where] = values
 
-    def copy(self, values: Scalar) -> Scalar:
-        """A copy of the executor's numbers."""
-        return np.copy(values)
-
     def given(self, actions: ArrayLike) -> Scalar:
         """Actions as the executor's array; actions that need no conversion are not copied."""
         ready = isinstance(actions, np.ndarray) and actions.dtype.kind == "f"
@@ -134,9 +143,9 @@ class ArmBatch:
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
         """Take over the arrays that `state_arrays` returned."""
         self.write(self.columns, slice(None), self.numbers(state["table"]))
-        self.keys[:], self.arm[:] = self.words(state["keys"]), state["arm"]
+        self.keys[:] = self.words(state["keys"])
         if self.task.arms != "fixed":
-            self._exchange_arms(np.arange(self.count))
+            self.take_arms(np.arange(self.count), state["arm"])
 
     def numbers_of_actions(self, actions: ArrayLike) -> Scalar:
         """Actions component by component ``(n, N)``, checked; on a device only their shape is checked.
@@ -163,12 +172,7 @@ class ArmBatch:
 
     def state_of(self, columns: Columns) -> ArmState:
         """The state that is stored in ``columns``."""
-        parts, first = [], 0
-        for width in (*self._widths, *self._plant_widths):
-            parts.append(tuple(columns[first : first + width]))
-            first += width
-        target, goal, sighting, numbers, sent, late, *memory = parts
-        return ArmState(target, goal, sighting, numbers, sent, late, tuple(memory))
+        return ArmState.of(columns, self._widths)
 
     def starts(self, keys: Scalar, joints: Array | None) -> Columns:
         """Joint targets that episodes start from: ``joints (episodes, n)`` if given, else drawn, else mid-range."""
@@ -199,12 +203,9 @@ class ArmBatch:
     def take_arms(self, rows: Rows, arms: NDArray[np.intp]) -> None:
         """Give the environments ``rows`` the true arms of their episodes."""
         self.arm[rows] = arms
-        self._exchange_arms(rows)
-
-    def _exchange_arms(self, rows: Rows) -> None:
-        places, arms = self.indices(rows), self.indices(self.arm[rows])
+        places, numbers = self.indices(rows), self.indices(self.arm[rows])
         for mine, all_ in zip(arrays_of(self.plant), arrays_of(self.population), strict=True):
-            mine[places] = all_[arms]
+            mine[places] = all_[numbers]
 
 
 class NumpyArms(ArmBatch):

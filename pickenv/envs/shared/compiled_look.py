@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from itertools import accumulate
 from operator import add, itemgetter, mul
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -46,8 +45,7 @@ class LatestCompiled:
         """The compensator's machine code, or itself where it has none."""
         if self._known[0] is not compensate:
             self._known = compensate, getattr(compensate, "compiled", lambda _: compensate)(self._count)
-        made: Compensate = self._known[1]
-        return made
+        return cast(Compensate, self._known[1])
 
 
 class CompiledLook:
@@ -88,11 +86,9 @@ class CompiledLook:
 
     def _compiled(self, state: ArmState, command: Sequence[float]) -> Callable[[], None]:
         """Trace and compile the function for states and commands of these lengths."""
-        trace, widths = Trace(), [len(part) for part in (*state[:-1], *state.plant, command)]
-        given, ends = trace.inputs("given", sum(widths)), list(accumulate(widths))
-        parts = [tuple(given[end - width : end]) for end, width in zip(ends, widths, strict=True)]
-        target, goal, sighting, drawn, sent, late, *memory, now = parts
-        before = ArmState(target, goal, sighting, drawn, sent, late, tuple(memory))
+        trace, widths = Trace(), [len(part) for part in (*state[:-1], *state.plant)]
+        given = trace.inputs("given", sum(widths) + len(command))
+        before, now = ArmState.of(given[: sum(widths)], widths), given[sum(widths) :]
         key, moment = trace.inputs("words", 2, WORD)
         plant = with_numbers(self._plants, trace.inputs("arms", len(self._arms)))
         period = self._task.situation.value("period", before.drawn)

@@ -6,7 +6,6 @@ arguments never change within a version of the ladder; all others are for the us
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from typing import Any
 
 from pickenv.base import InputError, seed_words, stream
@@ -57,7 +56,7 @@ SPLITS = ("train", "test")
 POPULATION = {"train": 256, "test": 64}
 
 
-def on_ladder(task: str, difficulty: str | None, split: str, arguments: Mapping[str, Any]) -> dict[str, Any]:
+def on_ladder(task: str, *, difficulty: str | None = None, split: str = "train", **arguments: Any) -> dict[str, Any]:
     """An environment's arguments, together with those that a difficulty fixes.
 
     Args:
@@ -74,7 +73,7 @@ def on_ladder(task: str, difficulty: str | None, split: str, arguments: Mapping[
     if difficulty is None:
         if split != SPLITS[0]:
             raise InputError(f"split '{split}' needs a difficulty; give one of {', '.join(LADDER)}")
-        return dict(arguments)
+        return arguments
     if difficulty not in LADDER:
         raise InputError(f"difficulty is {difficulty!r}; give one of {', '.join(LADDER)}")
     fixed = LADDER[difficulty] | (EYES[task] if difficulty == "own_eyes" else {})
@@ -86,4 +85,4 @@ def on_ladder(task: str, difficulty: str | None, split: str, arguments: Mapping[
         raise InputError(
             f"difficulty '{difficulty}' fixes {', '.join(both)}; leave {'it' if len(both) == 1 else 'them'} out"
         )
-    return fixed | dict(arguments)
+    return fixed | arguments

@@ -104,9 +104,8 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         rewards = self._act(values, live)
         if rested.size:
             self._restart(rested)
-        terminated, truncated = self._finished() & live, np.zeros(self.num_envs, dtype=np.bool_)
-        if self.max_episode_steps is not None:
-            truncated = (self._elapsed >= self.max_episode_steps) & live
+        most = np.inf if self.max_episode_steps is None else self.max_episode_steps
+        terminated, truncated = self._finished() & live, (self._elapsed >= most) & live
         self._over = over = terminated | truncated
         final: Information = {}
         if self.autoreset_mode is AutoresetMode.SAME_STEP and over.any():

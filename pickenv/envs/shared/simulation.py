@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import chain
+from itertools import accumulate, chain
 from types import ModuleType
 from typing import NamedTuple
 
@@ -53,6 +53,14 @@ class ArmState(NamedTuple):
     sent: Components
     sensed: Components
     plant: PlantState
+
+    @classmethod
+    def of(cls, columns: Sequence[Scalar], widths: Sequence[int]) -> ArmState:
+        """The state whose numbers are ``columns``, for the count of numbers in each of its parts."""
+        ends = accumulate(widths)
+        parts = [tuple(columns[end - width : end]) for end, width in zip(ends, widths, strict=True)]
+        target, goal, sighting, drawn, sent, late, *memory = parts
+        return cls(target, goal, sighting, drawn, sent, late, tuple(memory))
 
     @property
     def columns(self) -> list[Scalar]:

@@ -70,13 +70,6 @@ def exact(value: Scalar) -> Any:
     return value
 
 
-def exact_chain(chain: Chain) -> Chain:
-    """The chain ``chain`` with its zeros and ones made `Exact`; joint angles at zero stay numbers."""
-    links = tuple(link._replace(**{name: exact(getattr(link, name)) for name in FACTORS}) for link in chain.links)
-    tool = None if chain.tool is None else tuple(exact(value) for value in chain.tool)
-    return Chain(tuple(exact(value) for value in chain.base), links, tool)
-
-
 def exact_plant(plant: Plant) -> Plant:
     """The plant ``plant`` with `Exact` zeros and ones in its base frame, its payload and the payload's centre."""
     load = plant.load
@@ -192,8 +185,11 @@ class Task:
 
     @cached_property
     def exact(self) -> Chain:
-        """The nominal chain with `Exact` zeros and ones, which cost no arithmetic."""
-        return exact_chain(self.nominal)
+        """The nominal chain with `Exact` zeros and ones, which cost no arithmetic; joint angles stay numbers."""
+        chain = self.nominal
+        links = [link._replace(**{name: exact(getattr(link, name)) for name in FACTORS}) for link in chain.links]
+        tool = None if chain.tool is None else tuple(map(exact, chain.tool))
+        return chain._replace(base=tuple(map(exact, chain.base)), links=tuple(links), tool=tool)
 
     @cached_property
     def middle(self) -> tuple[float, ...]:

@@ -76,7 +76,7 @@ def test_what_a_rung_fixes_never_changes_within_a_version(task, split):
     size, seed = SEEDS[split]
     for name, fixed in (RUNGS | {"own_eyes": DAY | EYES[task]}).items():
         drawn = {"population": size, "population_seed": seed} if "arms" in fixed else {}
-        assert on_ladder(task, name, split, {"tolerance_mm": 3.0}) == fixed | drawn | {"tolerance_mm": 3.0}
+        assert on_ladder(task, difficulty=name, split=split, tolerance_mm=3.0) == fixed | drawn | {"tolerance_mm": 3.0}
 
 
 def test_given_goals_are_met_to_the_last_digits_and_stand_upright_enough():
