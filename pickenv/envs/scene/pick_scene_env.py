@@ -213,7 +213,7 @@ class PickSceneEnv(ReachEnv):
     def _places(self) -> Array:
         """Where fruit may hang ``(k, 3)``, m, and where the arm stands."""
         tries = (simulation.goal_attempt(FLOATS, self.task, 0, attempt) for attempt in range(ATTEMPTS))
-        joints = np.array([pose for pose, fits in tries if fits][:SPREAD])
+        joints: Array = np.array([pose for pose, fits in tries if fits][:SPREAD])
         geometry = self.task.plant.arm.nominal
         moves = np.linalg.svd(joint_jacobian(geometry, joints), compute_uv=False)[:, -1]
         self._favoured = joints[np.argmax(moves)]
