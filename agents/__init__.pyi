@@ -1,3 +1,10 @@
+from .demonstrations.cloning import Clone as Clone, ClonedScene as ClonedScene, clone as clone
+from .demonstrations.data_sets import (
+    SIGHT as SIGHT,
+    arms_of as arms_of,
+    datasets as datasets,
+    recorded_episode as recorded_episode,
+)
 from .evaluation.compare import PolicyComparison as PolicyComparison, compare as compare
 from .evaluation.contenders import maker_of as maker_of
 from .evaluation.reaches import (
@@ -35,13 +42,6 @@ from .policies.scripted import (
     ServoScene as ServoScene,
 )
 from .training.checkpoints import read_checkpoint as read_checkpoint
-from .training.cloning import Clone as Clone, ClonedScene as ClonedScene, clone as clone
-from .training.data_sets import (
-    SIGHT as SIGHT,
-    arms_of as arms_of,
-    datasets as datasets,
-    recorded_episode as recorded_episode,
-)
 from .training.training import Trained as Trained, resumed as resumed, train as train
 from .training.training_setup import (
     HELD_OUT as HELD_OUT,

@@ -48,7 +48,7 @@ SHELVES: dict[str, tuple[tuple[str, ...], ...]] = {
     "pickenv.arm": (("kinematics",), ("files",), ("effects",), ("plant",)),
     "pickenv.envs": (("shared",), ("reaching",), ("picking", "harvesting"), ("scene",)),
     "pickenv.inspect": (("runs",), ("figures",), ("recordings", "reports", "films")),
-    "pickenv.agents": (("policies",), ("evaluation",), ("training",)),
+    "pickenv.agents": (("policies",), ("demonstrations",), ("evaluation",), ("training",)),
 }
 # Narrower than the floors: what these rooms may import, and nothing else of ours.
 ONLY = {

@@ -274,7 +274,7 @@ def datasets(
 
     More: clients.md
     """
-    from pickenv.agents.training.data_sets import QUALITIES
+    from pickenv.agents.demonstrations.data_sets import QUALITIES
 
     separate({}, {"--json": json_file})
     with progress_bars() as report:

@@ -85,7 +85,8 @@ def measure(
                 network = clone(taken, env, seed=int(learnt.integers(2**31)))
             acting: Any = ScriptedScene(env) if policy == "script" else ClonedScene(env, network)
             for number, seed in enumerate(seeds):
-                row: dict[str, Any] = {"use": use, "error_mm": error_mm, "camera_mm": camera_mm, "arm": arm}
+                row: dict[str, Any] = {"use": use, "error_mm": error_mm, "camera_mm": camera_mm}
+                row |= {"arm": arms * training + arm}  # no two trainings share one
                 rows.append(row | {"fruit": number} | pick(env, acting, seed))
             env.close()
     return rows

@@ -82,8 +82,10 @@ def test_demonstrations_to_see_are_small_and_hold_pictures_joints_and_both_arms(
         first = env.reset(seed=seed)[0]
         for action in episode.actions:
             last = env.step(action)[0]
-        for place, seen in ((0, first), (-1, last)):
-            np.testing.assert_array_equal(episode.observations["pixels"]["wrist"][place], seen["pixels"]["wrist"])
+        for place, seen, other in ((0, first, last), (-1, last, first)):
+            recorded = episode.observations["pixels"]["wrist"][place].astype(float)  # Minari keeps them as JPEG
+            off, apart = (np.abs(recorded - view["pixels"]["wrist"]).mean() for view in (seen, other))
+            assert off < 0.5 * apart
             np.testing.assert_array_equal(episode.observations["agent_pos"][place], seen["agent_pos"])
     bytes_of_an_episode = sum(file.stat().st_size for file in (tmp_path / card["name"]).rglob("*.hdf5")) / 2
     assert bytes_of_an_episode < 5e6 / 50

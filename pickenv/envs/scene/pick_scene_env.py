@@ -34,10 +34,6 @@ PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25
 HELD_STEPS, REACH_OF_APPLES = 5, 0.85
 """Steps for which a fruit must be held to count, and the reach of an arm before a tree of apple's size."""
 
-BEFORE, BESIDE, TURNED = (0.06, 0.3), (0.02, 0.35), 0.1
-"""With `within_mm`, how far before the fruit the tool starts; how far beside it at most, and further per metre before
-it; both m at full scale. And the standard deviation per axis of its attitude, rad."""
-
 SPREAD, ATTEMPTS = 64, 2000
 """Number of poses over which the mean of `error_mm` is taken, and of poses tried to see where fruit may hang."""
 
@@ -143,6 +139,9 @@ class PickSceneEnv(ReachEnv):
     """
 
     gripper = 1
+    before, beside, turned = (0.06, 0.3), (0.02, 0.35), 0.1
+    """With `within_mm`, how far before the fruit the tool starts, m; how far beside it at most, m, and further per
+    metre before it, at full scale; and the standard deviation per axis of its attitude, rad."""
 
     def __init__(
         self,
@@ -224,9 +223,9 @@ class PickSceneEnv(ReachEnv):
         rng, geometry = np.random.default_rng([int(self._key), 1]), self.task.plant.arm.nominal
         place, attitude = forward(geometry, self._favoured)
         fruit = Pose(place + rng.uniform(-within, within, 3), attitude)
-        ahead = rng.uniform(*BEFORE)
-        off = np.append((BESIDE[0] + BESIDE[1] * ahead) * rng.uniform(-1.0, 1.0, 2), -ahead)
-        turn = Rotation.from_rotvec(TURNED * rng.normal(size=3)).as_matrix()
+        ahead = rng.uniform(*self.before)
+        off = np.append((self.beside[0] + self.beside[1] * ahead) * rng.uniform(-1.0, 1.0, 2), -ahead)
+        turn = Rotation.from_rotvec(self.turned * rng.normal(size=3)).as_matrix()
         start = Pose(fruit.position + attitude @ off * self.scene.around.scale, attitude @ turn)
         goal = inverse(geometry, fruit, self._favoured, restarts=0).joints
         return goal, inverse(geometry, start, goal, restarts=0).joints

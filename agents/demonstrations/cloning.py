@@ -12,13 +12,15 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-import torch as th
 from numpy.typing import NDArray
-from torch import nn
 
 from pickenv.agents.policies.policy import ReachController
 from pickenv.arm import Array, Geometry, forward, joint_jacobian, truncated_inverse
-from pickenv.base import InputError, npz_path, read_container, refusing_damage, write_container
+from pickenv.base import InputError, npz_path, read_container, refusing_damage, require, write_container
+
+require("torch")
+import torch as th  # noqa: E402
+from torch import nn  # noqa: E402
 
 KIND, REMAKE = "clone", "clone the demonstrations anew"
 CAMERA = "wrist"

@@ -1,0 +1,1 @@
+"""Recorded episodes, and networks that learn from them alone."""
