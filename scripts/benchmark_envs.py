@@ -47,8 +47,16 @@ SINGLE = (
     ("Pick", "auto", "plant orchard, ten fruit"),
 )
 """Environments that are stepped alone: on what they run, and what they hold."""
+SEES = {"obs_type": "pixels_agent_pos", "pixels": 64}
+SCENES: dict[str, tuple[dict[str, Any], str]] = {
+    "PickScene states": ({"plant": "coarse:ur5e"}, "10 MuJoCo substeps, contacts"),
+    "PickScene states, all effects": ({"plant": "orchard"}, "10 MuJoCo substeps, contacts, plant orchard"),
+    "PickScene pictures": ({"plant": "coarse:ur5e", "cameras": ["wrist"], **SEES}, "one of 64 px in each step"),
+}
+"""Scenes in contact that are stepped alone: their arguments, and what they hold."""
 WHAT = {
     "FetchReach-v4": "20 MuJoCo substeps, contacts",
+    "FetchPickAndPlace-v4": "20 MuJoCo substeps, contacts",
     "PandaReach-v3": "20 Bullet substeps, contacts",
     "CartPole-v1 native": "4 numbers, no arm",
 }
@@ -224,7 +232,8 @@ def peers(folder: Path, seconds: float, *words: str) -> dict[str, dict[str, Any]
     except (subprocess.SubprocessError, OSError) as error:
         return {
             name: {"steps_per_s": None, "frames_per_s": None, "note": f"cannot be run: {error}"}
-            for name in ("FetchReach-v4", "PandaReach-v3")
+            for name in WHAT
+            if name.endswith(("-v3", "-v4"))
         }
 
 
@@ -254,6 +263,8 @@ def main(
     for name, backend, what in SINGLE:
         value = rate(stepper(gym.make(f"pickenv/{name}-v0")), seconds)
         add(f"{name} single", 1, backend, value, f"{what}, gym.make")
+    for name, (arguments, what) in SCENES.items():
+        add(name, 1, "mujoco", rate(stepper(gym.make("pickenv/PickScene-v0", **arguments)), seconds), what)
     for count in (1, 16, 256, 1024):
         value = vector("pickenv/Pick-v0", count, seconds)
         add(f"Pick native {count}", count, "numpy", value, "plant orchard, ten fruit")
@@ -283,6 +294,7 @@ def main(
         "harvest_single_vs_fetchreach": ratio("Harvest single", "FetchReach-v4"),
         "pick_single_vs_fetchreach": ratio("Pick single", "FetchReach-v4"),
         "pick_native_256_vs_fetchreach": ratio("Pick native 256", "FetchReach-v4"),
+        "scene_states_vs_fetchpickandplace": ratio("PickScene states", "FetchPickAndPlace-v4"),
         "single_vs_pandareach": ratio("Reach single", "PandaReach-v3"),
         "native_16_vs_fetchreach": ratio("Reach native 16", "FetchReach-v4"),
         "native_256_vs_fetchreach": ratio("Reach native 256", "FetchReach-v4"),
