@@ -21,7 +21,7 @@ from lerobot.processor import ActionProcessorStep, ProcessorStepRegistry
 from lerobot.utils.constants import ACTION, OBS_IMAGES, OBS_STATE
 
 import pickenv
-from pickenv.agents import ServoScene, arms_of, recorded_episode
+from pickenv.agents import Policy, arms_of, recorded_episode
 from pickenv.base import DO_NOT_USE, obey, write_json
 from pickenv.wrappers import CompensationWrapper
 
@@ -149,10 +149,9 @@ class PickenvEnv(EnvConfig):
         timing = {"control_period_s": 1.0 / self.fps, "max_episode_steps": self.episode_length}
         return {**chosen, **timing, "render_mode": "rgb_array", **self.arguments}
 
-    def make_one(self, **other: Any) -> gymnasium.Env[Any, Any]:
-        """One environment, with the calibration in between, and with some other arguments."""
-        arguments = self.gym_kwargs | other
-        env = gymnasium.make(self.gym_id, disable_env_checker=self.disable_env_checker, **arguments)
+    def make_one(self) -> gymnasium.Env[Any, Any]:
+        """One environment, with the calibration in between."""
+        env = gymnasium.make(self.gym_id, disable_env_checker=self.disable_env_checker, **self.gym_kwargs)
         if self.calibration is None:
             return env
         return CompensationWrapper(env, pickenv.Calibration.load(self.calibration).compensator(), self.allow)
@@ -170,52 +169,62 @@ class PickenvEnv(EnvConfig):
 
 
 def record(
-    config: PickenvEnv, root: str | Path, episodes: int = 50, *, seed: int = 0, repo_id: str = "pickenv/sight"
+    env: gymnasium.Env[Any, Any],
+    policy: Policy,
+    root: str | Path,
+    episodes: int = 50,
+    *,
+    seed: int = 0,
+    repo_id: str = "pickenv/demonstrations",
 ) -> LeRobotDataset:
-    """Record demonstrations as a LeRobotDataset (v3): `ServoScene`, who sees the fruit exactly, takes it.
+    """Record a policy as a LeRobotDataset (v3); episodes that end without success are left out.
 
     ``meta/pickenv.json`` has the environment's arguments, the seeds, and the links of the believed and the true arm.
 
     Args:
-        config: The environment; its cameras are recorded as pictures.
+        env: A single environment of pickenv. Of dictionaries pictures and "agent_pos" are recorded, as LeRobot names
+            them; of plain observations all numbers, as "observation.state".
+        policy: What acts in it.
         root: Folder of the data set, which is not there yet.
-        episodes: Episodes that are tried; those that took their fruit are recorded.
-        seed: Seed of the first episode; the next ones count up.
+        episodes: Episodes that are tried.
+        seed: Seed of the first one; the next ones count up.
         repo_id: Name of the data set.
 
     Raises:
-        InputError: If no episode took its fruit.
+        InputError: If no episode succeeded.
     """
-    env: Any = config.make_one(obs_type="pixels_environment_state_agent_pos", feedback="camera")
-    names = [*env.unwrapped.plant.arm.nominal.joint_names, "gripper"]
-    numbers = {"dtype": "float32", "shape": (len(names),), "names": names}
-    side = env.unwrapped.pixels
-    picture = {"dtype": "image", "shape": (side, side, 3), "names": ["height", "width", "channels"]}
-    images = {camera: f"{OBS_IMAGES}.{camera}" for camera in config.cameras}
-    features = {OBS_STATE: numbers, ACTION: numbers, **dict.fromkeys(images.values(), picture)}
-    recorded, policy, seeds = None, ServoScene(env), []
+    inner: Any = env.unwrapped
+    about: dict[str, Any] = {"environment": env.spec.id, "arguments": env.spec.kwargs, "simulated": True}
+    recorded, seeds, plain = None, [], not isinstance(env.observation_space, gymnasium.spaces.Dict)
     for number in range(seed, seed + episodes):
         row, info = recorded_episode(env, policy, number)
-        if not info["is_success"]:
+        if not info.get("is_success", True):
             continue
-        if recorded is None:
-            recorded = LeRobotDataset.create(
-                repo_id, config.fps, features, root, robot_type=env.unwrapped.plant.arm.name, use_videos=False
-            )
         seen = row["observations"]
-        for step, action in enumerate(row["actions"]):
-            views = {key: seen["pixels"][camera][step] for camera, key in images.items()}
-            frame = {OBS_STATE: seen["agent_pos"][step], ACTION: action, "task": env.unwrapped.task_description}
-            recorded.add_frame(frame | views)
+        columns = {OBS_STATE: seen if plain else seen["agent_pos"], ACTION: row["actions"]}
+        if not plain:
+            columns |= {f"{OBS_IMAGES}.{camera}": views for camera, views in seen.get("pixels", {}).items()}
+        if recorded is None:
+            features = {key: _feature(values[0]) for key, values in columns.items()}
+            fps, name = int(env.metadata["render_fps"]), inner.plant.arm.name
+            recorded = LeRobotDataset.create(repo_id, fps, features, root, robot_type=name, use_videos=False)
+        for step in range(len(row["actions"])):
+            frame = {key: values[step] for key, values in columns.items()}
+            recorded.add_frame({**frame, "task": getattr(inner, "task_description", env.spec.id)})
         recorded.save_episode()
         seeds.append(number)
     if recorded is None:
-        raise pickenv.InputError(f"none of {episodes} episodes took its fruit; record more, or another arm")
+        raise pickenv.InputError(f"none of {episodes} episodes succeeded; record more, or another policy")
     recorded.finalize()
-    about = {"environment": config.gym_id, "arguments": config.gym_kwargs, "calibration": config.calibration}
-    write_json(Path(root) / "meta/pickenv.json", about | {"seeds": seeds, "arms": arms_of(env), "simulated": True})
-    env.close()
+    write_json(Path(root) / "meta/pickenv.json", {**about, "seeds": seeds, "arms": arms_of(env)})
     return recorded
+
+
+def _feature(value: np.ndarray[Any, Any]) -> dict[str, Any]:
+    """LeRobot's description of a column, by its first value."""
+    if value.ndim == 3:
+        return {"dtype": "image", "shape": value.shape, "names": ["height", "width", "channels"]}
+    return {"dtype": "float32", "shape": value.shape, "names": [f"number_{i}" for i in range(len(value))]}
 
 
 @ProcessorStepRegistry.register("pickenv_compensation")

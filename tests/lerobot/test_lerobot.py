@@ -9,6 +9,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import gymnasium as gym
 import numpy as np
 import pytest
 
@@ -35,6 +36,7 @@ from lerobot.processor.converters import (  # noqa: E402
 from lerobot.utils.constants import ACTION  # noqa: E402
 
 import pickenv  # noqa: E402
+from pickenv.agents import SIGHT, ScriptedReach, ScriptedScene, ServoScene  # noqa: E402
 from pickenv.calibration import ArmModel, Calibration  # noqa: E402
 
 ROOT = Path(__file__).parents[2]
@@ -174,17 +176,15 @@ def test_the_simulated_arm_is_commanded_as_the_step_would_command_a_real_one(cal
     assert np.abs(command - target).max() > 1e-3
 
 
-def test_demonstrations_are_a_data_set_that_lerobot_reads_and_trains_on(tmp_path: Path) -> None:
-    config = plugin.PickenvEnv(
-        plant="coarse:ur5e", error_mm=4.0, cameras=["wrist"], pixels=32, arguments={"within_mm": 60.0}
-    )
-    made = plugin.record(config, tmp_path / "set", episodes=3, seed=5)
+def test_demonstrations_are_a_data_set_that_lerobot_reads(tmp_path: Path) -> None:
+    place = SIGHT | {"pixels": 32}
+    env = gym.make("pickenv/PickScene-v0", plant="coarse:ur5e", error_mm=4.0, **place)
+    made = plugin.record(env, ServoScene(env), tmp_path / "set", episodes=3, seed=5)
     about = json.loads((tmp_path / "set/meta/pickenv.json").read_text())
     assert about["arguments"]["error_mm"] == 4.0 and set(about["seeds"]) <= {5, 6, 7}
     assert about["arms"]["true"] != about["arms"]["believed"]
     read = LeRobotDataset(made.repo_id, root=tmp_path / "set")
     assert read.num_episodes == len(about["seeds"]) and read.fps == 25
-    env = config.make_one(obs_type="pixels_environment_state_agent_pos", feedback="camera")
     seen, _ = env.reset(seed=about["seeds"][0])
     first = read[0]
     np.testing.assert_array_equal(first["observation.state"], seen["agent_pos"])
@@ -196,10 +196,18 @@ def test_demonstrations_are_a_data_set_that_lerobot_reads_and_trains_on(tmp_path
     env.close()
 
 
-def test_no_demonstration_no_data_set(tmp_path: Path) -> None:
-    config = plugin.PickenvEnv(cameras=["wrist"], pixels=16, episode_length=2)
-    with pytest.raises(pickenv.InputError, match="none of 2 episodes took its fruit; record more, or another arm"):
-        plugin.record(config, tmp_path / "set", episodes=2)
+def test_every_task_that_has_one_arm_can_be_recorded(tmp_path: Path) -> None:
+    env = gym.make("pickenv/Reach-v0", plant="ideal:ur5e")
+    made = plugin.record(env, ScriptedReach(env), tmp_path / "set", episodes=2)
+    read = LeRobotDataset(made.repo_id, root=tmp_path / "set")
+    assert (read.num_episodes, len(read)) == (2, 120)
+    np.testing.assert_array_equal(read[60]["observation.state"], env.reset(seed=1)[0])
+
+
+def test_no_success_no_data_set(tmp_path: Path) -> None:
+    env = gym.make("pickenv/PickScene-v0", max_episode_steps=2)
+    with pytest.raises(pickenv.InputError, match="none of 2 episodes succeeded; record more, or another policy"):
+        plugin.record(env, ScriptedScene(env), tmp_path / "set", episodes=2)
     assert not (tmp_path / "set").exists()
 
 
