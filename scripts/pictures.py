@@ -59,6 +59,10 @@ KEPT = {
         ("visuomotor.png", "visuomotor-dark.png"),
         ("scene", "Calibrated arms keep their fruit; eyes do if the camera is in its place"),
     ),
+    **dict.fromkeys(
+        ("clones.png", "clones-dark.png"),
+        ("clones", "The blind script needs a calibrated arm; networks that see do not, whoever demonstrated"),
+    ),
 }
 """Pictures of numbers that the ledger has all, with their study and message."""
 
