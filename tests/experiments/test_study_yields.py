@@ -6,7 +6,7 @@ import pyarrow.dataset as ds
 import pytest
 
 from pickenv.base import share_interval
-from pickenv.experiments import study_rows, yields_of
+from pickenv.experiments import study, yields_of
 
 REQUIRED = 0.95
 
@@ -22,7 +22,7 @@ def test_yields_are_counted_over_all_arms_and_chunks(written, failed):
         assert (row["arms"], row["within"], row["failed"]) == (200, good.sum(), (arms.status != "ok").sum())
         assert row["yield"] == good.sum() / 200
         assert row["it_grade"] == arms.it_grade.iloc[0]
-    assert set(study_rows.SETTING) < set(table[0])
+    assert set(study.SETTING) < set(table[0])
 
 
 def test_the_required_share_itself_is_enough_and_an_arm_without_a_result_is_not(written):
