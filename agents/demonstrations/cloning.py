@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pickenv.agents.policies.policy import ReachController
 from pickenv.arm import Array, Geometry, forward, joint_jacobian, truncated_inverse
-from pickenv.base import InputError, npz_path, read_container, refusing_damage, require, write_container
+from pickenv.base import InputError, listed, npz_path, read_container, refusing_damage, require, write_container
 
 require("torch")
 import torch as th  # noqa: E402
@@ -37,6 +37,8 @@ class Clone(nn.Module):
 
     Args:
         numbers: Joints and gripper, n + 1.
+        arm: Fingerprint of the nominal arm that it is of.
+        pixels: Width and height of the pictures that it saw.
 
     Attributes:
         middle: Means of joints and gripper.
@@ -48,8 +50,9 @@ class Clone(nn.Module):
     spread: th.Tensor
     unit: th.Tensor
 
-    def __init__(self, numbers: int) -> None:
+    def __init__(self, numbers: int, arm: str, pixels: int) -> None:
         super().__init__()
+        self.arm, self.pixels = arm, pixels
         self.see = nn.Sequential(
             *(nn.Conv2d(3, POINTS, 5, 2, 2), nn.ReLU(), nn.Conv2d(POINTS, 2 * POINTS, 3, 2, 1), nn.ReLU()),
             nn.Conv2d(2 * POINTS, POINTS, 3, 1, 1),
@@ -77,7 +80,7 @@ class Clone(nn.Module):
     def save(self, path: str | Path) -> Path:
         """Write one verified file, whole or not at all; ``.npz`` is appended if missing."""
         arrays = {name: value.numpy() for name, value in self.state_dict().items()}
-        return write_container(npz_path(path), KIND, {}, arrays)
+        return write_container(npz_path(path), KIND, {"arm": self.arm, "pixels": self.pixels}, arrays)
 
     @classmethod
     def load(cls, path: str | Path) -> Clone:
@@ -88,7 +91,8 @@ class Clone(nn.Module):
         """
         container = read_container(path, KIND, remake=REMAKE)
         with refusing_damage(path, "a clone", REMAKE):
-            network = cls(len(container.arrays["middle"]))
+            header = container.header
+            network = cls(len(container.arrays["middle"]), str(header["arm"]), int(header["pixels"]))
             network.load_state_dict({name: th.as_tensor(np.array(value)) for name, value in container.arrays.items()})
         return network.eval()
 
@@ -130,10 +134,15 @@ def clone(
         steps.append(_tool_steps(controller.geometry, joints[:count, :-1], actions * [*controller.increment, 1.0]))
     if not steps:
         raise InputError("there are no demonstrations; give one at least")
+    side = pictures[0].shape[1]
+    if sizes := {str(views.shape[1:]) for views in pictures if views.shape[1:] != (side, side, 3)}:
+        raise InputError(
+            f"pictures of {side} px and {listed(sizes)}; give square ones of one size, (pixels, pixels, 3)"
+        )
     seen, target = np.concatenate(numbers), np.concatenate(steps)
     with th.random.fork_rng(devices=[]):
         th.manual_seed(seed)
-        network = Clone(seen.shape[1])
+        network = Clone(seen.shape[1], controller.geometry.fingerprint(), side)
         network.middle, network.spread = _tensor(seen.mean(axis=0)), _tensor(seen.std(axis=0) + 1e-3)
         network.unit = _tensor(np.abs(target).mean(axis=0) + 1e-6)
         shown = th.as_tensor(np.concatenate(pictures)).permute(0, 3, 1, 2).contiguous()
@@ -175,19 +184,24 @@ class ClonedScene(ReachController):
 
     def __init__(self, env: Any, network: Clone) -> None:
         super().__init__(env)
-        if len(network.middle) != self.geometry.joints + 1:
-            theirs, own = len(network.middle) - 1, self.geometry.joints
-            raise InputError(
-                f"the clone is of an arm of {theirs} joints, and this one has {own}; clone one of this arm"
-            )
+        if network.arm != self.geometry.fingerprint():
+            raise InputError(f"the clone is of another arm than {env.unwrapped.plant.arm.name}; clone one of this arm")
         self.network = network
 
     def reset(self) -> None:
         """Nothing to forget."""
 
     def act(self, observation: Any) -> NDArray[np.float32]:
-        """The next action ``(n + 1,)``."""
-        picture = th.as_tensor(np.array(observation["pixels"][CAMERA])).permute(2, 0, 1)[None]
+        """The next action ``(n + 1,)``.
+
+        Raises:
+            InputError: If the picture has another size than those that it learnt from.
+        """
+        shown = np.array(observation["pixels"][CAMERA])
+        if len(shown) != self.network.pixels:
+            size = self.network.pixels
+            raise InputError(f"the picture has {len(shown)} px, the clone saw {size}; make the environment with {size}")
+        picture = th.as_tensor(shown).permute(2, 0, 1)[None]
         numbers = np.asarray(observation["agent_pos"], dtype=float)
         with th.no_grad():
             step = (self.network(picture, _tensor(numbers)[None]) * self.network.unit)[0].double().numpy()

@@ -81,9 +81,16 @@ def test_what_cannot_be_cloned_is_refused_in_one_sentence(sees, few):
         clone([(seen["agent_pos"], actions)], sees, seed=0)
     with pytest.raises(InputError, match=r"actions \(\d+, 6\) and joints .*; give 6 joints and a gripper"):
         clone([(seen, actions[:, 1:])], sees, seed=0)
-    other = gym.make(SCENE, plant="ideal:panda")
-    with pytest.raises(InputError, match="is of an arm of 6 joints, and this one has 7; clone one of this arm"):
-        ClonedScene(other, clone(few, sees, seed=0, passes=1))
+    half = {"pixels": {"wrist": seen["pixels"]["wrist"][:, ::2, ::2]}}
+    with pytest.raises(InputError, match=r"pictures of 64 px and \(32, 32, 3\); give square ones of one size"):
+        clone([(seen, actions), (seen | half, actions)], sees, seed=0)
+    network = clone(few, sees, seed=0, passes=1)
+    for robot in ("panda", "qiao2026"):
+        other = gym.make(SCENE, plant=f"ideal:{robot}")
+        with pytest.raises(InputError, match=rf"the clone is of another arm than {robot}; clone one of this arm"):
+            ClonedScene(other, network)
+    with pytest.raises(InputError, match="the picture has 32 px, the clone saw 64; make the environment with 64"):
+        ClonedScene(sees, network).act(sees.reset(seed=0)[0] | {"pixels": {"wrist": half["pixels"]["wrist"][0]}})
 
 
 @pytest.mark.slow
