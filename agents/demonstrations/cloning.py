@@ -15,8 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.agents.policies.policy import ReachController
-from pickenv.arm import Array, Geometry, forward, joint_jacobian, truncated_inverse
-from pickenv.base import InputError, listed, npz_path, read_container, refusing_damage, require, write_container
+from pickenv.arm import Array, Geometry, content_sha256, forward, joint_jacobian, truncated_inverse
+from pickenv.base import (
+    InputError,
+    check_limit,
+    npz_path,
+    read_container,
+    refusing_damage,
+    require,
+    write_container,
+)
+from pickenv.envs import check_count
 
 require("torch")
 import torch as th  # noqa: E402
@@ -37,7 +46,7 @@ class Clone(nn.Module):
 
     Args:
         numbers: Joints and gripper, n + 1.
-        arm: Fingerprint of the nominal arm that it is of.
+        task: Hash of the nominal arm, its increments in a period and the scale of the scene that it is of.
         pixels: Width and height of the pictures that it saw.
 
     Attributes:
@@ -50,9 +59,9 @@ class Clone(nn.Module):
     spread: th.Tensor
     unit: th.Tensor
 
-    def __init__(self, numbers: int, arm: str, pixels: int) -> None:
+    def __init__(self, numbers: int, task: str, pixels: int) -> None:
         super().__init__()
-        self.arm, self.pixels = arm, pixels
+        self.task, self.pixels = task, pixels
         self.see = nn.Sequential(
             *(nn.Conv2d(3, POINTS, 5, 2, 2), nn.ReLU(), nn.Conv2d(POINTS, 2 * POINTS, 3, 2, 1), nn.ReLU()),
             nn.Conv2d(2 * POINTS, POINTS, 3, 1, 1),
@@ -80,7 +89,7 @@ class Clone(nn.Module):
     def save(self, path: str | Path) -> Path:
         """Write one verified file, whole or not at all; ``.npz`` is appended if missing."""
         arrays = {name: value.numpy() for name, value in self.state_dict().items()}
-        return write_container(npz_path(path), KIND, {"arm": self.arm, "pixels": self.pixels}, arrays)
+        return write_container(npz_path(path), KIND, {"task": self.task, "pixels": self.pixels}, arrays)
 
     @classmethod
     def load(cls, path: str | Path) -> Clone:
@@ -92,8 +101,10 @@ class Clone(nn.Module):
         container = read_container(path, KIND, remake=REMAKE)
         with refusing_damage(path, "a clone", REMAKE):
             header = container.header
-            network = cls(len(container.arrays["middle"]), str(header["arm"]), int(header["pixels"]))
+            network = cls(len(container.arrays["middle"]), str(header["task"]), int(header["pixels"]))
             network.load_state_dict({name: th.as_tensor(np.array(value)) for name, value in container.arrays.items()})
+            if not all(np.isfinite(value).all() for value in container.arrays.values()):
+                raise ValueError("it holds numbers that are not finite")
         return network.eval()
 
 
@@ -116,33 +127,34 @@ def clone(
         progress: Called with (name, passes done, in all).
 
     Raises:
-        InputError: If there are no demonstrations, or they hold no pictures of the wrist camera, or are of another arm.
+        InputError: If there are no demonstrations, or they hold no pictures of the wrist camera, or do not fit the arm.
     """
+    check_count("passes", passes)
+    check_limit("seed", seed, "seed")
     controller = ReachController(env)
-    pictures, numbers, steps = [], [], []
-    for observations, actions in demonstrations:
-        try:
-            shown, joints = observations["pixels"][CAMERA], np.asarray(observations["agent_pos"], dtype=float)
-        except (KeyError, TypeError, IndexError) as error:
-            raise InputError("the demonstrations hold no pictures of the wrist camera and no agent_pos") from error
+    width = controller.geometry.joints + 1
+    pictures, numbers, steps = list[NDArray[Any]](), list[Array](), list[Array]()
+    for episode, (observations, actions) in enumerate(demonstrations):
+        views, joints = _looked(observations)
         actions, count = np.asarray(actions, dtype=float), len(actions)
-        if actions.shape[1:] != joints.shape[1:] or joints.shape[1] != controller.geometry.joints + 1:
-            arm = f"{controller.geometry.joints} joints and a gripper"
-            raise InputError(f"a demonstration has actions {actions.shape} and joints {joints.shape}; give {arm}")
-        pictures.append(np.asarray(shown)[:count])
+        size = (pictures[0] if pictures else views).shape[1:]
+        sees = views.dtype == np.uint8 and views.shape[1:] == size == (*size[:1], *size[:1], 3)
+        moves = joints.shape[1:] == actions.shape[1:] == (width,)
+        if not (sees and moves and min(len(views), len(joints)) >= count > 0):
+            shapes = f"pictures {views.dtype} {views.shape}, agent_pos {joints.shape} and actions {actions.shape}"
+            give = f"uint8 (k, pixels, pixels, 3) of one size, and (k, {width}) of both"
+            raise InputError(f"demonstration {episode} has {shapes}; give {give}")
+        if not (np.isfinite(joints).all() and np.isfinite(actions).all()):
+            raise InputError(f"demonstration {episode} has numbers that are not finite; leave it out")
+        pictures.append(views[:count])
         numbers.append(joints[:count])
         steps.append(_tool_steps(controller.geometry, joints[:count, :-1], actions * [*controller.increment, 1.0]))
     if not steps:
         raise InputError("there are no demonstrations; give one at least")
-    side = pictures[0].shape[1]
-    if sizes := {str(views.shape[1:]) for views in pictures if views.shape[1:] != (side, side, 3)}:
-        raise InputError(
-            f"pictures of {side} px and {listed(sizes)}; give square ones of one size, (pixels, pixels, 3)"
-        )
     seen, target = np.concatenate(numbers), np.concatenate(steps)
     with th.random.fork_rng(devices=[]):
-        th.manual_seed(seed)
-        network = Clone(seen.shape[1], controller.geometry.fingerprint(), side)
+        th.manual_seed(seed % 2**63)
+        network = Clone(width, _task_of(env), pictures[0].shape[1])
         network.middle, network.spread = _tensor(seen.mean(axis=0)), _tensor(seen.std(axis=0) + 1e-3)
         network.unit = _tensor(np.abs(target).mean(axis=0) + 1e-6)
         shown = th.as_tensor(np.concatenate(pictures)).permute(0, 3, 1, 2).contiguous()
@@ -184,8 +196,9 @@ class ClonedScene(ReachController):
 
     def __init__(self, env: Any, network: Clone) -> None:
         super().__init__(env)
-        if network.arm != self.geometry.fingerprint():
-            raise InputError(f"the clone is of another arm than {env.unwrapped.plant.arm.name}; clone one of this arm")
+        if network.task != _task_of(env):
+            name = env.unwrapped.plant.arm.name
+            raise InputError(f"the clone is of another arm, period or scale than this {name}; clone one of this")
         self.network = network
 
     def reset(self) -> None:
@@ -195,20 +208,35 @@ class ClonedScene(ReachController):
         """The next action ``(n + 1,)``.
 
         Raises:
-            InputError: If the picture has another size than those that it learnt from.
+            InputError: If there is no picture, or of another size than those that it learnt from.
         """
-        shown = np.array(observation["pixels"][CAMERA])
+        shown, numbers = _looked(observation)
         if len(shown) != self.network.pixels:
             size = self.network.pixels
             raise InputError(f"the picture has {len(shown)} px, the clone saw {size}; make the environment with {size}")
-        picture = th.as_tensor(shown).permute(2, 0, 1)[None]
-        numbers = np.asarray(observation["agent_pos"], dtype=float)
+        picture = th.as_tensor(shown.copy()).permute(2, 0, 1)[None]
         with th.no_grad():
             step = (self.network(picture, _tensor(numbers)[None]) * self.network.unit)[0].double().numpy()
         turn = forward(self.geometry, numbers[:-1]).rotation
         moves = np.concatenate([turn @ step[:3], turn @ step[3:6]])
         joints = truncated_inverse(joint_jacobian(self.geometry, numbers[:-1])) @ moves
         return np.append(self.action(joints), np.clip(step[6], -1.0, 1.0)).astype(np.float32)
+
+
+def _looked(observation: Any) -> tuple[NDArray[Any], Array]:
+    """The wrist's picture, and joints and gripper, of an observation, or those of many."""
+    try:
+        return np.asarray(observation["pixels"][CAMERA]), np.asarray(observation["agent_pos"], dtype=float)
+    except (KeyError, TypeError, IndexError) as error:
+        raise InputError(
+            "an observation holds no picture of the wrist camera or no agent_pos; give obs_type='pixels_agent_pos'"
+        ) from error
+
+
+def _task_of(env: Any) -> str:
+    """A hash of what gives a step its meaning: the nominal arm, its increments and the scale of the scene."""
+    inner = env.unwrapped
+    return content_sha256(inner.plant.arm.fingerprint(), np.array(inner.increment).tolist(), inner.scene.around.scale)
 
 
 def _tool_steps(geometry: Geometry, joints: Array, moves: Array) -> Array:

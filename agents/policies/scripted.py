@@ -198,6 +198,8 @@ class SeeingScene(ScriptedScene):
 
 def _state_of(observation: Any) -> Any:
     """The numbers of the state in an observation of the scene, or the observation itself."""
+    if isinstance(observation, dict) and "environment_state" not in observation:
+        raise InputError("the observation holds no state; make the environment with obs_type='state'")
     return observation["environment_state"] if isinstance(observation, dict) else observation
 
 
@@ -228,7 +230,7 @@ class ServoScene(policy.ReachController):
         """The next action, with suction.
 
         Raises:
-            InputError: If the observation holds no camera.
+            InputError: If the observation holds no camera, or no state.
         """
         numbers = np.asarray(_state_of(observation))
         reading = self.present(numbers[:-2])

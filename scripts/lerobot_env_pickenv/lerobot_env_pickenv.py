@@ -179,11 +179,12 @@ def record(
 ) -> LeRobotDataset:
     """Record a policy as a LeRobotDataset (v3); episodes that end without success are left out.
 
-    ``meta/pickenv.json`` has the environment's arguments, the seeds, and the links of the believed and the true arm.
+    ``meta/pickenv.json`` has the environment's arguments, whether a compensator stood before the arm, and for each
+    episode its seed and the links of the believed and the true arm.
 
     Args:
-        env: A single environment of pickenv. Of dictionaries pictures and "agent_pos" are recorded, as LeRobot names
-            them; of plain observations all numbers, as "observation.state".
+        env: A single environment of pickenv with one arm. Of dictionaries pictures and "agent_pos" are recorded, as
+            LeRobot names them; of plain observations all numbers, as "observation.state".
         policy: What acts in it.
         root: Folder of the data set, which is not there yet.
         episodes: Episodes that are tried.
@@ -191,11 +192,18 @@ def record(
         repo_id: Name of the data set.
 
     Raises:
-        InputError: If no episode succeeded.
+        InputError: If the folder is there, the environment cannot be recorded, or no episode succeeded.
     """
     inner: Any = env.unwrapped
-    about: dict[str, Any] = {"environment": env.spec.id, "arguments": env.spec.kwargs, "simulated": True}
-    recorded, seeds, plain = None, [], not isinstance(env.observation_space, gymnasium.spaces.Dict)
+    space, rate = env.observation_space, float(env.metadata["render_fps"])
+    plain = isinstance(space, gymnasium.spaces.Box)
+    if Path(root).exists():
+        raise pickenv.InputError(f"{root} is there already; take it away, or name another folder")
+    if not (hasattr(inner, "plant") and (plain or "agent_pos" in space.spaces)):
+        raise pickenv.InputError(f"{env.spec.id} shows neither plain numbers nor agent_pos of one arm; record another")
+    if rate != round(rate):
+        raise pickenv.InputError(f"the environment has {rate:.2f} steps a second; LeRobot takes whole numbers")
+    recorded, kept = None, []
     for number in range(seed, seed + episodes):
         row, info = recorded_episode(env, policy, number)
         if not info.get("is_success", True):
@@ -206,17 +214,20 @@ def record(
             columns |= {f"{OBS_IMAGES}.{camera}": views for camera, views in seen.get("pixels", {}).items()}
         if recorded is None:
             features = {key: _feature(values[0]) for key, values in columns.items()}
-            fps, name = int(env.metadata["render_fps"]), inner.plant.arm.name
-            recorded = LeRobotDataset.create(repo_id, fps, features, root, robot_type=name, use_videos=False)
+            name = inner.plant.arm.name
+            recorded = LeRobotDataset.create(repo_id, int(rate), features, root, robot_type=name, use_videos=False)
         for step in range(len(row["actions"])):
             frame = {key: values[step] for key, values in columns.items()}
             recorded.add_frame({**frame, "task": getattr(inner, "task_description", env.spec.id)})
         recorded.save_episode()
-        seeds.append(number)
+        kept.append({"seed": number, **arms_of(env)})
     if recorded is None:
         raise pickenv.InputError(f"none of {episodes} episodes succeeded; record more, or another policy")
     recorded.finalize()
-    write_json(Path(root) / "meta/pickenv.json", {**about, "seeds": seeds, "arms": arms_of(env)})
+    arguments = {**env.spec.kwargs, "max_episode_steps": env.spec.max_episode_steps}
+    about = {"environment": env.spec.id, "arguments": json.loads(json.dumps(arguments, default=repr))}
+    about |= {"compensated": inner.compensator is not None, "episodes": kept, "simulated": True}
+    write_json(Path(root) / "meta/pickenv.json", about)
     return recorded
 
 

@@ -5,11 +5,7 @@ mm (simulated arm qiao2026); it is what the calibration's report promised, and r
 """
 
 import json
-import os
 import re
-import shlex
-import subprocess
-import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -23,28 +19,17 @@ import pytest
 import pickenv
 from pickenv.agents import ScriptedReach, episode_seeds, run_reaches
 from pickenv.arm import forward, geometry_in_mujoco, joints_in_mujoco, load_arm
+from tests.journeys.pages import ROOT, walked
 
 gym.register_envs(gymnasium_robotics)
-ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs/twin.md").read_text(encoding="utf-8")
-BLOCKS = re.findall(r"^```(\w*)\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
-ENVIRONMENT = os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg"}
 
 
 @pytest.fixture(scope="module")
 def home(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, list[str]]:
     """An empty folder in which all blocks of the page were run, and what each printed."""
-    folder, said = tmp_path_factory.mktemp("home"), []
-    for kind, text in BLOCKS:
-        lines = text.splitlines() if kind == "sh" else [text]
-        for line in lines:
-            words = ["-m", "pickenv.cli", *shlex.split(line)[1:]] if kind == "sh" else ["-c", line]
-            done = subprocess.run(
-                [sys.executable, *words], cwd=folder, env=ENVIRONMENT, capture_output=True, text=True, check=False
-            )
-            assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
-            said.append(done.stdout)
-    return folder, said
+    folder = tmp_path_factory.mktemp("home")
+    return folder, walked("twin.md", folder)
 
 
 def shown(said: list[str]) -> tuple[float, float]:

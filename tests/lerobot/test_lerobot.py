@@ -181,11 +181,12 @@ def test_demonstrations_are_a_data_set_that_lerobot_reads(tmp_path: Path) -> Non
     env = gym.make("pickenv/PickScene-v0", plant="coarse:ur5e", error_mm=4.0, **place)
     made = plugin.record(env, ServoScene(env), tmp_path / "set", episodes=3, seed=5)
     about = json.loads((tmp_path / "set/meta/pickenv.json").read_text())
-    assert about["arguments"]["error_mm"] == 4.0 and set(about["seeds"]) <= {5, 6, 7}
-    assert about["arms"]["true"] != about["arms"]["believed"]
+    seeds = [episode["seed"] for episode in about["episodes"]]
+    assert about["arguments"]["error_mm"] == 4.0 and set(seeds) <= {5, 6, 7} and not about["compensated"]
+    assert all(episode["true"] != episode["believed"] for episode in about["episodes"])
     read = LeRobotDataset(made.repo_id, root=tmp_path / "set")
-    assert read.num_episodes == len(about["seeds"]) and read.fps == 25
-    seen, _ = env.reset(seed=about["seeds"][0])
+    assert read.num_episodes == len(seeds) and read.fps == 25
+    seen, _ = env.reset(seed=seeds[0])
     first = read[0]
     np.testing.assert_array_equal(first["observation.state"], seen["agent_pos"])
     picture = np.moveaxis(first["observation.images.wrist"].numpy(), 0, -1)
@@ -193,15 +194,35 @@ def test_demonstrations_are_a_data_set_that_lerobot_reads(tmp_path: Path) -> Non
     for row in range(read.meta.episodes[0]["length"]):
         *_, info = env.step(read[row]["action"].numpy())
     assert info["is_success"]
+    with pytest.raises(pickenv.InputError, match="set is there already; take it away, or name another folder"):
+        plugin.record(env, ServoScene(env), tmp_path / "set")
     env.close()
 
 
 def test_every_task_that_has_one_arm_can_be_recorded(tmp_path: Path) -> None:
-    env = gym.make("pickenv/Reach-v0", plant="ideal:ur5e")
+    env = gym.make("pickenv/Reach-v0", plant="medium:ur5e", arms="per_episode")
     made = plugin.record(env, ScriptedReach(env), tmp_path / "set", episodes=2)
     read = LeRobotDataset(made.repo_id, root=tmp_path / "set")
     assert (read.num_episodes, len(read)) == (2, 120)
     np.testing.assert_array_equal(read[60]["observation.state"], env.reset(seed=1)[0])
+    first, second = json.loads((tmp_path / "set/meta/pickenv.json").read_text())["episodes"]
+    assert first["believed"] == second["believed"] and first["true"] != second["true"]
+
+
+@pytest.mark.parametrize(
+    ("name", "arguments", "words"),
+    [
+        ("Reach", {"control_period_s": 0.03}, "has 33.33 steps a second; LeRobot takes whole numbers"),
+        ("ReachGoal", {}, "shows neither plain numbers nor agent_pos of one arm; record another"),
+        ("PickScene", {"obs_type": "pixels"}, "shows neither plain numbers nor agent_pos of one arm; record another"),
+    ],
+)
+def test_what_lerobot_cannot_hold_is_refused_before_the_first_episode(
+    name: str, arguments: dict[str, Any], words: str, tmp_path: Path
+) -> None:
+    env = gym.make(f"pickenv/{name}-v0", **arguments)
+    with pytest.raises(pickenv.InputError, match=words):
+        plugin.record(env, ScriptedReach(env), tmp_path / "set")
 
 
 def test_no_success_no_data_set(tmp_path: Path) -> None:

@@ -34,7 +34,7 @@ PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25
 HELD_STEPS, REACH_OF_APPLES = 5, 0.85
 """Steps for which a fruit must be held to count, and the reach of an arm before a tree of apple's size."""
 
-SPREAD, ATTEMPTS = 64, 2000
+SPREAD, ATTEMPTS, TRIES = 64, 2000, 50
 """Number of poses over which the mean of `error_mm` is taken, and of poses tried to see where fruit may hang."""
 
 
@@ -82,8 +82,10 @@ class PickSceneEnv(ReachEnv):
 
     As in `pickenv/Reach-v0`: joints at mid-range or drawn, the fruit where the nominal arm's tool can be. `reset` takes
     its options. With `within_mm` the fruit hangs about one place that suits the arm, and the tool is 6 to 30 cm before
-    it and up to 12 cm beside, at full scale, where the wrist camera sees it. The strength of the stem is drawn as in
-    `pickenv/Pick-v0` (Bu et al. 2020), the branch is that of `pickenv/orchard/presets/branch.toml`.
+    it and up to 12.5 cm beside along each axis, at full scale, where the wrist camera sees it; for another goal give
+    `start_joints` too. Arms of fewer than six joints come to these places in an attitude of their own. The strength of
+    the stem is drawn as in `pickenv/Pick-v0` (Bu et al. 2020), the branch is that of
+    `pickenv/orchard/presets/branch.toml`.
 
     ## Episode End
 
@@ -222,13 +224,18 @@ class PickSceneEnv(ReachEnv):
         """Joints with the tool at this episode's fruit, and those that it starts from, both ``(n,)``."""
         rng, geometry = np.random.default_rng([int(self._key), 1]), self.task.plant.arm.nominal
         place, attitude = forward(geometry, self._favoured)
-        fruit = Pose(place + rng.uniform(-within, within, 3), attitude)
-        ahead = rng.uniform(*self.before)
-        off = np.append((self.beside[0] + self.beside[1] * ahead) * rng.uniform(-1.0, 1.0, 2), -ahead)
-        turn = Rotation.from_rotvec(self.turned * rng.normal(size=3)).as_matrix()
-        start = Pose(fruit.position + attitude @ off * self.scene.around.scale, attitude @ turn)
-        goal = inverse(geometry, fruit, self._favoured, restarts=0).joints
-        return goal, inverse(geometry, start, goal, restarts=0).joints
+        how: dict[str, Any] = {"restarts": 0, "position_only": geometry.joints < 6}
+        for _ in range(TRIES):
+            fruit = Pose(place + rng.uniform(-within, within, 3), attitude)
+            ahead = rng.uniform(*self.before)
+            off = np.append((self.beside[0] + self.beside[1] * ahead) * rng.uniform(-1.0, 1.0, 2), -ahead)
+            turn = Rotation.from_rotvec(self.turned * rng.normal(size=3)).as_matrix()
+            start = Pose(fruit.position + attitude @ off * self.scene.around.scale, attitude @ turn)
+            goal = inverse(geometry, fruit, self._favoured, **how)
+            begin = inverse(geometry, start, goal.joints, **how)
+            if goal.reached and begin.reached:
+                return goal.joints, begin.joints
+        raise InputError(f"within_mm is {1e3 * within:g}; the arm reaches too little of that, give less")
 
     def _start(self, joints: Any) -> Sequence[Scalar]:
         if joints is None and self._within is not None:
