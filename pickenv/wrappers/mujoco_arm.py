@@ -22,6 +22,21 @@ FAR = 1e-3
 """Largest distance allowed between the nominal arm's tool and the achieved goal or the tool's site, m (and rad)."""
 
 
+def _physics(env: gym.Env[Any, Any]) -> tuple[Any, Any]:
+    """The environment's `mujoco.MjModel` and `mujoco.MjData`: its own, or those within its simulator, as robosuite's.
+
+    Raises:
+        InputError: If it has none.
+    """
+    inner: Any = env.unwrapped
+    for holder in (inner, getattr(inner, "sim", None)):
+        model, data = (getattr(holder, name, None) for name in ("model", "data"))
+        model, data = getattr(model, "_model", model), getattr(data, "_data", data)
+        if hasattr(model, "jnt_qposadr") and hasattr(data, "qpos"):
+            return model, data
+    raise InputError(f"{type(inner).__name__} has no MuJoCo model and data; wrap an environment on MuJoCo")
+
+
 class _Hung:
     """What hangs on the tool inside a model, and can be moved against it.
 
@@ -134,8 +149,7 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         if not (goals or contact):
             lacks = f"{type(inner).__name__} has no achieved_goal and compute_reward"
             raise InputError(f"{lacks}; wrap a goal environment, or give contact=True")
-        if not (hasattr(inner, "model") and hasattr(inner, "data")):
-            raise InputError(f"{type(inner).__name__} has no MuJoCo model and data; wrap an environment on MuJoCo")
+        _physics(env)
         truth = true.geometry if isinstance(true, Plant) else true
         if truth.joints != nominal.joints:
             raise InputError(f"the true arm has {truth.joints} joints, the nominal one {nominal.joints}; give one arm")
@@ -150,7 +164,7 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         observation, info = self.env.reset(seed=seed, options=options)
         if self._contact:
             inner: Any = self.env.unwrapped
-            inner.hung_on_tool = _Hung(inner.model, inner.data, self._nominal)  # where the next wrapper finds it
+            inner.hung_on_tool = _Hung(*_physics(self.env), self._nominal)  # where the next wrapper finds it
         return observation, self._judged(observation, info)
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
@@ -173,8 +187,7 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     def _tools(self) -> tuple[Pose, Pose]:
         """The believed tool and the true one."""
-        inner: Any = self.env.unwrapped
-        joints = joints_in_mujoco(inner.model, inner.data, self._nominal)
+        joints = joints_in_mujoco(*_physics(self.env), self._nominal)
         command = joints if self._compensator is None else np.asarray(self._compensator(joints), dtype=float)
         true = self._true.tool_pose(command) if isinstance(self._true, Plant) else forward(self._true, command)
         return forward(self._nominal, joints), true

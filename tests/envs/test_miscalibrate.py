@@ -108,6 +108,26 @@ class Touch(gym.Env[Any, Any]):
         return self.data.site("tool").xpos.copy(), float(touched), False, False, {}
 
 
+class Held:
+    """What holds another object, as robosuite's binding holds MuJoCo's."""
+
+    def __init__(self, **held: Any) -> None:
+        vars(self).update(held)
+
+
+class SimulatorTouch(gym.Wrapper[Any, Any, Any, Any]):
+    """The same task as robosuite would have it: ``model`` is a description, MuJoCo's own are in the simulator."""
+
+    def __init__(self) -> None:
+        super().__init__(Touch())
+        self.model = "a description of the table and the robot"
+        self.sim = Held(model=Held(_model=self.env.model), data=Held(_data=self.env.data))
+
+    @property
+    def unwrapped(self):
+        return self
+
+
 PARTS = (("geom", "palm"), ("geom", "heel"), ("geom", "finger"), ("cam", "eye"), ("body", "finger"))
 
 
@@ -287,6 +307,19 @@ def test_a_contact_happens_where_the_true_finger_is(part):
         for env in (wrapped.unwrapped, bare):
             env.data.qpos[env.n + 1 : env.n + 4], env.data.qvel[:] = place.position + 0.004, 0.0
         assert (wrapped.step(action)[1], bare.step(action)[1]) == touched
+
+
+def test_a_model_within_a_simulator_is_displaced_as_the_environments_own_is():
+    own, held = Touch(), SimulatorTouch()
+    true = erring(own.nominal, 20.0)
+    action = np.random.default_rng(4).uniform(own.nominal.lower, own.nominal.upper)
+    for env in (own, held):
+        wrapped = Miscalibrate(env, own.nominal, true, contact=True)
+        wrapped.reset(seed=0)
+        wrapped.step(action)
+    for one, other in zip(edited(own.model), edited(held.env.model), strict=True):
+        np.testing.assert_array_equal(one, other)
+    assert not np.array_equal(own.model.geom_pos, Touch().model.geom_pos)
 
 
 def test_a_calibration_puts_the_finger_back():
