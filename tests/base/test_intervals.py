@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import assume, given, strategies as st
 from hypothesis.extra.numpy import arrays
 from scipy import stats
 
@@ -212,6 +212,7 @@ def test_quantile_levels_by_the_binomial(count: int, probability: float) -> None
         assert inner >= tail - 1e-7 or rank < 1.0 + 1e-9
         assert outer <= tail + 1e-7 or rank > count - 1e-9
 
+    assume(not np.isclose(reached[[0, count - 1]], [0.975, 0.025], rtol=0, atol=1e-12).any())  # either answer is right there
     low, high = quantile_levels(count, probability)
     assert (low is None) == (reached[0] < 0.975)
     assert (high is None) == (reached[count - 1] > 0.025)

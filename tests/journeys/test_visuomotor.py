@@ -18,6 +18,7 @@ PRINTED = re.findall(r"^```text\n(.*?)^```", (ROOT / "docs/visuomotor.md").read_
 _, RECORD, CLONE, CURVE = commands("visuomotor.md")
 
 
+@pytest.mark.slow
 def test_from_an_empty_folder_to_the_curve_of_a_policy_that_sees(tmp_path: Path) -> None:
     pytest.importorskip("mujoco")
     said = ran(CURVE, tmp_path)

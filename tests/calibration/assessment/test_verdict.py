@@ -60,7 +60,7 @@ def refused(noisy):
 
 def test_noise_of_20_mm_is_not_to_be_used_and_everything_says_so(refused):
     done, out, told, page = refused
-    assert done.exit_code == 3 and done.output.startswith("verdict: DO NOT USE: ")
+    assert done.exit_code == 3 and done.stdout.startswith("verdict: DO NOT USE: ")
     reason = told["verdict"]["reason"]
     assert told["verdict"]["grade"] == "do not use" and "nominal one" in reason
     assert done.output.splitlines()[0] == f"verdict: DO NOT USE: {reason}"

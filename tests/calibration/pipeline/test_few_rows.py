@@ -55,5 +55,5 @@ def test_five_to_seven_rows_end_in_a_verdict_that_is_not_good(
     """Each is judged by a fit to the others; by seven the priors and the rows together tell a gain."""
     path = tracked(dynamic, rows, 0).write_csv(tmp_path / "few.csv")
     ended = CliRunner().invoke(app, ["calibrate", str(path), "--arm", qiao.name, "--frames", "known"])
-    assert ended.exit_code == (3 if ended.output.startswith("verdict: DO NOT USE") else 0), ended.output
-    assert not ended.output.startswith("verdict: GOOD") and "each judged without its block" in ended.output
+    assert ended.exit_code == (3 if ended.stdout.startswith("verdict: DO NOT USE") else 0), ended.output
+    assert not ended.stdout.startswith("verdict: GOOD") and "each judged without its block" in ended.stdout

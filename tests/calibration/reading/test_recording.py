@@ -127,6 +127,7 @@ def test_a_shifted_clock_shifts_the_offset_and_nothing_else(tmp_path: Path) -> N
     np.testing.assert_array_equal(later.readings(), rows.readings())
 
 
+@pytest.mark.slow
 def test_intervals_hold_of_offset_and_rate(tmp_path: Path) -> None:
     deviations = []
     for seed in range(12):
@@ -153,6 +154,7 @@ def test_rests_are_the_rows_that_a_person_would_write(tmp_path: Path) -> None:
     np.testing.assert_allclose(rows.readings(), pose.position + pose.rotation @ TARGET, atol=5 * NOISE)
 
 
+@pytest.mark.slow
 def test_motion_calibrates_about_as_well_as_rests(tmp_path: Path) -> None:
     ratios = []
     for seed in range(3):
