@@ -22,8 +22,8 @@ from pickenv.calibration.model.pixels import LENS_NAMES
 NARROW = 10
 """Least width in characters of a column of words."""
 
-LENGTHS_OF_KINDS = ("reflector", "anchor", "socket", "point", "tip", "edge", "plane_offset", "zero")
-NUMBERS_OF_KINDS = ("scale", "normal", "along", "axis", "down")
+LENGTHS_OF_KINDS = ("reflector", "anchor", "socket", "point", "tip", "plane_offset", "zero")
+NUMBERS_OF_KINDS = ("scale", "normal", "axis", "down")
 """Beginnings of the names of measurements' own unknowns that are numbers without a unit: directions and scales.
 
 `LENGTHS_OF_KINDS` has the beginnings of those that are lengths.

@@ -26,8 +26,6 @@ def calibrate(
     split: Literal["random", "blocked"] = "random",
     seed: Annotated[int, Option(min=0)] = 0,
     test: list[Path] | None = None,
-    refit: str | None = None,
-    refit_rows: Annotated[int | None, Option(min=3)] = None,
     fit: Literal["auto", "offsets", "full"] = "auto",
     tolerances: str | None = None,
     prior_scale: Annotated[float | None, Option(min=1e-3, max=1e3)] = None,
@@ -62,8 +60,6 @@ def calibrate(
             calibration is fitted to all rows.
         seed: Seed of everything random.
         test: Held-out rows from other files instead.
-        refit: --test is another station: find its base, tool or base,tool from a few rows of it.
-        refit_rows: Rows to find them from; 6 if left out.
         fit: auto: all parameters, each expected within its tolerance class; offsets: the joints' zeros alone; full: all
             parameters without expectations, as the papers do.
         tolerances: Tolerance class that the arm's parts are made to, by name or file; as the arm's file says, or a
@@ -94,7 +90,6 @@ def calibrate(
     typed = dict(locals())
     from pickenv.calibration.camera.boards import write_lens
     from pickenv.calibration.pipeline.fitting import lens_of
-    from pickenv.calibration.pipeline.verification import frames_and_rows
     from pickenv.inspect.runs.run_folder import RECORD
 
     separate(
@@ -109,8 +104,7 @@ def calibrate(
     )
     if report is not None or run is not None:
         require("jinja2", "matplotlib", "plotly")  # said now, and not after the work
-    frames_moved, count = frames_and_rows(refit, refit_rows)
-    choices = pickenv.Choices(**fields_among(pickenv.Choices, typed) | {"refit": frames_moved, "refit_rows": count})
+    choices = pickenv.Choices(**fields_among(pickenv.Choices, typed))
     with progress_bars() as progress:
         result = pickenv.calibrate(
             arm,

@@ -93,7 +93,7 @@ def test_other_rows_of_another_target_are_refused(tmp_path: Path) -> None:
     (tmp_path / "other.toml").write_text(text, encoding="utf-8")
     arm = load_arm(f"{tmp_path / 'robot.urdf'}#{','.join(ARMS)}", whole=True)
     left, right, other = (
-        read_observations([tmp_path / f"{name}.csv"], arm.nominal, tmp_path / f"{name}.toml").observations
+        read_observations([tmp_path / f"{name}.csv"], arm.nominal, tmp_path / f"{name}.toml")
         for name in (*ARMS, "other")
     )
     with pytest.raises(InputError, match="names 'tracker' and 'prism', as no fitted file of this kind does"):
