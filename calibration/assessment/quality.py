@@ -18,7 +18,7 @@ from scipy import stats
 from pickenv.arm import Array, Geometry, forward
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.diagnosis import Weight
-from pickenv.calibration.identification.least_squares import Identifiability, Identification, is_angle, observability
+from pickenv.calibration.identification.least_squares import Identification, observability
 from pickenv.calibration.model.arm_model import ArmModel, frames_model
 from pickenv.calibration.model.observations import MISS_UNITS, Rows, equally_spaced
 from pickenv.calibration.model.prior import FRAMES
@@ -28,9 +28,6 @@ CORRELATED = 0.9
 
 OPTIMISTIC = 1.5
 """Ratio of held-out errors to training errors above which the fit does not carry over to other poses."""
-
-SMALL_SHARE = 0.01
-"""Coefficient in a combination of parameters below which a reader need not see it."""
 
 SIGNIFICANCE = 0.05
 """Level of the chi^2 test."""
@@ -111,29 +108,6 @@ def correlated_pairs(found: Identification, limit: float = CORRELATED) -> tuple[
     names = found.identifiability.kept_names
     pairs = [(names[i], names[j], float(rho[i, j])) for i, j in np.argwhere(np.triu(np.abs(rho) > limit, 1))]
     return tuple(sorted(pairs, key=lambda pair: -abs(pair[2])))
-
-
-def base_combinations(found: Identifiability) -> dict[str, str]:
-    """For each kept parameter, the combination that it stands for: itself plus the dropped parameters that it absorbs.
-
-    Coefficients between lengths and angles are in mm/deg or deg/mm; others below `SMALL_SHARE` are left out.
-    """
-    texts = {name: name for name in found.kept_names}
-    for dropped, absorbed in found.dropped.items():
-        for name, share in absorbed.items():
-            if name not in texts or (abs(share) < SMALL_SHARE and is_angle(name) == is_angle(dropped)):
-                continue  # what only the choice of a frame ties has no share of its own
-            texts[name] += f" {'-' if share < 0 else '+'} {_coefficient(share, name, dropped)}{dropped}"
-    return texts
-
-
-def _coefficient(share: float, kept: str, dropped: str) -> str:
-    unit, value = "", abs(share)
-    if is_angle(kept) and not is_angle(dropped):
-        unit, value = " deg/mm ", float(np.degrees(value)) * 1e-3
-    elif is_angle(dropped) and not is_angle(kept):
-        unit, value = " mm/deg ", float(np.radians(value)) * 1e3
-    return (unit and f"{value:.4g}{unit}") or ("" if abs(value - 1) < 1e-6 else f"{value:.4g} ")
 
 
 def axis_errors(errors: Array, unit: str = "mm") -> dict[str, tuple[float, float, float, float]]:

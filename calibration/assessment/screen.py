@@ -114,12 +114,6 @@ def unit_of(name: str, geometric: tuple[str, ...]) -> tuple[str, float]:
     return "SI", 1.0
 
 
-def unknowns_in(unit: str, unknowns: Mapping[str, float]) -> dict[str, float]:
-    """The measurements' own unknowns that screens show in ``unit``, converted to it, without the numbers of a lens."""
-    units = {name: unit_of(name, ()) for name in unknowns if name not in LENS_NAMES}
-    return {name: unknowns[name] * scale for name, (its_unit, scale) in units.items() if its_unit == unit}
-
-
 # The drives' harmonics as terminal, page, JSON and saved file show them: orders and amplitudes with uncertainties.
 
 

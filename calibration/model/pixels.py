@@ -266,9 +266,9 @@ class PixelObservations(Observations):
         return by_point(numbers, points) @ by_arm * weight, by_values(numbers, points) * weight
 
 
-def with_lens(data: PixelObservations, kind: str) -> PixelObservations:
-    """A copy of the views whose lens is "fixed" or "free", whatever their description says."""
-    return replace(data, lens_std=np.full(len(LENS_NAMES), 0.0 if kind == "fixed" else np.inf))
+def with_free_lens(data: PixelObservations) -> PixelObservations:
+    """A copy of the views whose lens is to be fitted, whatever their description says."""
+    return replace(data, lens_std=np.full(len(LENS_NAMES), np.inf))
 
 
 # Where a board or other points stand in a camera's frame, view by view. A first pose to start from, not a result: the

@@ -455,8 +455,6 @@ class Result:
             "converged": self.fit.identification.converged,
             "iterations": len(solution.residual_rms) - 1,
             "solve_seconds": solution.solve_seconds,
-            "unknowns_mm": screen.unknowns_in("mm", solution.unknowns),
-            "directions": screen.unknowns_in("1", solution.unknowns),
             "held_out": held_out,
             "repeat_mm": None if (repeat := origins_of(self.train).repeat) is None else repeat * 1e3,
             "recordings": [clock.as_dict() for clock in self.clocks],

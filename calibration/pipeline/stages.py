@@ -30,7 +30,6 @@ from pickenv.calibration.model.arm_model import CARRIER, ArmModel, kind_of_term,
 from pickenv.calibration.model.measurements import FRAMES, OWN, Frames, InstrumentStation, Measurements, Stacked
 from pickenv.calibration.model.noise import noise_of
 from pickenv.calibration.model.observations import Observations, Rows, origins_of, pose_count
-from pickenv.calibration.model.pixels import with_lens
 from pickenv.calibration.model.prior import FIT_WORDS, prior_model
 from pickenv.calibration.pipeline import fitting
 from pickenv.calibration.pipeline.result import Result, assess, workspace_joints
@@ -57,7 +56,6 @@ class Choices:
         learn_from: Poses for the named residual model, which is then used as it is, as the paper does; when None it
             learns from the training rows, if it wins there.
         settings: Settings of the network that learns from ``learn_from``; the paper's when None.
-        lens: "fixed" or "free", for pictures; when None, what their description says.
         fit: One of `pickenv.calibration.model.prior.FIT_WORDS`: "auto", all parameters by their priors; "offsets", the
             joints' zeros alone; "full", all parameters without priors, as the papers do.
         tolerances: The tolerance class that parts are expected to be made to, by name or path; when None, the arm's own
@@ -75,7 +73,6 @@ class Choices:
     frames: Frames | None = None
     learn_from: Measurements | None = None
     settings: BpnnSettings | None = None
-    lens: str | None = None
     fit: str = "auto"
     tolerances: str | None = None
     prior_scale: float | None = None
@@ -90,8 +87,6 @@ def refuse_options(train: Observations, choices: Choices) -> None:
     """
     learnt = choices.residual not in ("auto", "none")
     tracked = all(part.poses is not None for part in train.parts)
-    if choices.lens is not None and train.kind != "pixels":
-        raise InputError(f"`lens` is for pictures, but {train.source} holds {train.kind}; leave it out")
     known = choices.frames == "known"
     if known or (learnt and not tracked):
         option = "`frames='known'`" if known else f"`residual='{choices.residual}'`"
@@ -376,8 +371,6 @@ def calibrate(
             raise InputError("`frames='known'` is for a single arm; leave it out for a whole robot")
         arm = replace(arm, nominal=arm.nominal.between(*between[0].tolist()))
     rng = rng or np.random.default_rng(choices.seed)
-    if choices.lens is not None and train.views is not None:
-        train = with_lens(train.views, choices.lens)
     few = test is None and test_rows is None and train.poses is not None
     few = few and pose_count(train.joints) < ENOUGH_FOR_BLOCKS
     if test is None and (split == "blocked" or few or train.kind == "pixels"):

@@ -34,7 +34,6 @@ def calibrate(
     residual: Annotated[str, Option(metavar="NAME")] = "auto",
     force: Annotated[bool, Option("--force")] = False,
     robust: Annotated[bool, Option("--robust/--no-robust")] = True,
-    lens: Literal["fixed", "free"] | None = None,
     lens_out: Path | None = None,
     unit: str | None = None,
     details: Annotated[bool, Option("--details")] = False,
@@ -72,7 +71,6 @@ def calibrate(
         residual: Residual model: auto (the best of ours, if it wins), none, {residual}.
         force: Use the named residual model even if it does not win.
         robust: Rows far off, held out or not, are listed and left out, or listed and kept.
-        lens: Of pictures: take the camera's numbers as they are, or fit them.
         lens_out: Write the camera's lens as ROS camera_info (.yaml).
         unit: Serial number of the robot, kept in the calibration.
         details: Print parameters, terms, harmonics, notes and evidence as well.

@@ -9,7 +9,6 @@ from scipy import stats
 
 from pickenv.arm import forward, parameter_jacobian
 from pickenv.calibration import (
-    Identifiability,
     Measurements,
     ThermalTerm,
     frames_model,
@@ -23,7 +22,6 @@ from pickenv.calibration.assessment.quality import (
     Completeness,
     RegionError,
     Workspace,
-    base_combinations,
     correlated_pairs,
     grade_quality,
 )
@@ -304,33 +302,6 @@ def test_pairs_that_correlate_by_more_than_nine_tenths_are_named_strongest_first
     assert correlated_pairs(replace(found, covariance=matrix)) == ()  # not more than nine tenths
     unknown = replace(found, covariance=np.full_like(found.covariance, np.nan))
     assert grade_quality(unknown, errors(1e-4), errors(2e-3), errors(1e-4)).pairs == ()
-
-
-@pytest.mark.parametrize(
-    ("share", "text"),
-    [
-        (0.01, "a1 + 0.01 a2"),
-        (0.0099, "a1"),
-        (-0.01, "a1 - 0.01 a2"),
-        (1.0 + 1e-7, "a1 + a2"),
-        (1.0 + 1e-5, "a1 + 1 a2"),
-        (2.5, "a1 + 2.5 a2"),
-    ],
-)
-def test_shares_below_a_hundredth_are_left_out_and_a_whole_one_needs_no_number(share, text):
-    found = Identifiability(("a1", "a2"), np.array([0]), {"a2": {"a1": share}}, *[np.ones(2)] * 2)
-    assert base_combinations(found) == {"a1": text}
-
-
-def test_a_share_that_is_left_out_hides_no_other():
-    dropped = {"a3": {"a1": 1e-4, "a2": 0.5}}
-    found = Identifiability(("a1", "a2", "a3"), np.array([0, 1]), dropped, *[np.ones(3)] * 2)
-    assert base_combinations(found) == {"a1": "a1", "a2": "a2 + 0.5 a3"}
-
-
-def test_a_small_share_of_another_unit_is_shown():
-    found = Identifiability(("d3", "theta1"), np.array([0]), {"theta1": {"d3": 0.005}}, *[np.ones(2)] * 2)
-    assert base_combinations(found) == {"d3": f"d3 + {np.radians(0.005) * 1e3:.4g} mm/deg theta1"}
 
 
 @pytest.mark.parametrize(
