@@ -23,9 +23,6 @@ from pickenv.calibration.model.arm_model import ArmModel, frames_model
 from pickenv.calibration.model.observations import MISS_UNITS, Rows, equally_spaced
 from pickenv.calibration.model.prior import FRAMES
 
-CORRELATED = 0.9
-"""Correlation of two parameters' estimates above which they are hard to tell apart."""
-
 OPTIMISTIC = 1.5
 """Ratio of held-out errors to training errors above which the fit does not carry over to other poses."""
 
@@ -99,15 +96,6 @@ def completeness(found: Identification, noise: str = "stated noise") -> Complete
     chi_square, freedom = found.chi_square, found.degrees_of_freedom  # without spare equations SciPy's law gives NaN
     large, small = float(stats.chi2.sf(chi_square, freedom)), float(stats.chi2.cdf(chi_square, freedom))
     return Completeness(chi_square, freedom, large, small, noise)
-
-
-def correlated_pairs(found: Identification, limit: float = CORRELATED) -> tuple[tuple[str, str, float], ...]:
-    """Pairs of kept parameters whose estimates correlate by more than ``limit``, strongest first."""
-    std = np.sqrt(np.diag(found.covariance))
-    rho = found.covariance / std[:, None] / std
-    names = found.identifiability.kept_names
-    pairs = [(names[i], names[j], float(rho[i, j])) for i, j in np.argwhere(np.triu(np.abs(rho) > limit, 1))]
-    return tuple(sorted(pairs, key=lambda pair: -abs(pair[2])))
 
 
 def axis_errors(errors: Array, unit: str = "mm") -> dict[str, tuple[float, float, float, float]]:
@@ -341,7 +329,6 @@ class Quality:
             "fail" (do not use it), "caution" (know this before use) or "note".
         observability: Observability indices of the kept geometric parameters on the training poses, by name.
         completeness: The chi^2 test.
-        pairs: Pairs of correlated parameters, with their correlation.
         workspace: Expected errors where rows were measured and where the arm will work; None without priors.
     """
 
@@ -350,7 +337,6 @@ class Quality:
     findings: tuple[tuple[Weight, str], ...]
     observability: dict[str, float]
     completeness: Completeness
-    pairs: tuple[tuple[str, str, float], ...]
     workspace: Workspace | None
 
     @property
@@ -402,17 +388,10 @@ def grade_quality(
     bare = geometric or found
     observed = observability(bare.identifiability.singular_values * np.sqrt(bare.poses), bare.poses)
     test = completeness(found, noise)
-    pairs = correlated_pairs(bare) if np.isfinite(bare.covariance).all() else ()
     unlearnt = after if parametric is None else parametric
     notes, beyond = [test.sentence()], []
     if noise.startswith("stated noise") and test.reduced > MANY_NOISES**2:
         notes, beyond = [], [f"{test.sentence()}; something else than noise is at work"]
-    if pairs:
-        notes.append(
-            f"{len(pairs)} pair{'s' * (len(pairs) > 1)} of parameters correlate by more than {CORRELATED:g}, most "
-            f"{pairs[0][0]} and {pairs[0][1]} ({pairs[0][2]:+.2f}): read them together, the predicted pose is not "
-            "affected"
-        )
     # All rows together may say that the arm is better where it was measured, if those held out do not contradict.
     sure = workspace is not None and workspace.measured.better >= SURE and count >= SEVERAL
     certain = before is not None and sure and _chance(after, before, blocks) > SIGNIFICANCE
@@ -439,7 +418,7 @@ def grade_quality(
     if grade == "good":
         fall = "is" if before is None else f"falls from {_rms(before, unit):#.4g} to"
         reason = f"on {count} held-out {called} the error {fall} {_rms(after, unit):#.4g} {unit} RMS"
-    return Quality(grade, reason, tuple(findings), observed, test, pairs, workspace)
+    return Quality(grade, reason, tuple(findings), observed, test, workspace)
 
 
 def _rms(errors: Array, unit: str) -> float:

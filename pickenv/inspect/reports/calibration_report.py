@@ -212,15 +212,13 @@ def _poses(r: Result, train: Observations) -> Section:
         (name, figure(observability[name.partition(" ")[0].lower()]), words)
         for name, words in TEXTS["observability"].items()
     ]
-    pairs = [(f"{a}, {b}", f"{rho:+.3f}") for a, b, rho in r.quality.pairs[:8]]
-    hard = PageTable("Parameters hard to tell apart", ("parameters", "correlation"), pairs, "code")
     coverage = Drawing("joint_coverage", caption, lambda: joint_coverage(geometry, {"fitted": train.joints}))
     return Section(
         "Were the poses good?",
         (
             _table(over.block()) if over is not None else "",
             *((coverage, _uncertainty(r)) if r.has_nominal else ()),
-            (PageTable("Observability of the parameters", (), indices), hard if pairs else None),
+            PageTable("Observability of the parameters", (), indices),
         ),
     )
 
