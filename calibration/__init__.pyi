@@ -9,6 +9,7 @@ from .camera.boards import (
     load_board as load_board,
     read_lens as read_lens,
     write_board as write_board,
+    write_lens as write_lens,
 )
 from .compensation.compensator import Compensator as Compensator, aimed as aimed, taught as taught
 from .delivery.document import Document as Document, Order as Order, provenance as provenance
@@ -76,6 +77,7 @@ from .pipeline.fitting import (
     Fit as Fit,
     fit as fit,
     fit_remainder as fit_remainder,
+    lens_of as lens_of,
 )
 from .pipeline.measured_cycles import measured_iso9283 as measured_iso9283
 from .pipeline.result import Result as Result, assess as assess, workspace_joints as workspace_joints

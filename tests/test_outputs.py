@@ -182,7 +182,7 @@ def test_nothing_is_exported_in_place_of_a_folder(kind, place):
 
 def test_every_command_that_writes_files_is_asked():
     named = {option for _, option in writing_options()}
-    assert named >= {"--json", "--out", "--report", "--table"} and len(writing_options()) >= 25
+    assert named >= {"--json", "--out", "--report", "--lens-out", "--table"} and len(writing_options()) >= 25
 
 
 @pytest.mark.parametrize("place", ["/", ".", "run"])

@@ -14,10 +14,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array
-from pickenv.base import InputError, read_text, require, toml_tables, write_whole, yaml_content
+from pickenv.base import InputError, read_text, require, toml_tables, write_text, write_whole, yaml_content
 from pickenv.calibration.model.pixels import Lens
 
-# A camera's lens in the files that others write: ROS camera_info YAML and OpenCV's own YAML. Written
+# A camera's lens in the files that others write: ROS camera_info YAML, in and out, and OpenCV's own YAML. Written
 # against ROS 2's camera_calibration_parsers (plumb_bob) and OpenCV's FileStorage, YAML 1.0.
 
 MATRIX = ("camera_matrix", "cameraMatrix", "K")
@@ -53,6 +53,27 @@ def read_lens(path: str | Path) -> Lens:
     values = np.array([*matrix[[0, 1, 0, 1], [0, 1, 2, 2]], *np.resize(np.append(distortion, 0.0), COEFFICIENTS)])
     size = _size(path, content, "width"), _size(path, content, "height")
     return Lens(values, size, str(content.get("camera_name", path.stem)))
+
+
+def write_lens(lens: Lens, path: str | Path) -> Path:
+    """Write a lens as ROS camera_info YAML with all digits; the file is written whole or not at all."""
+    import yaml
+
+    fx, fy, cx, cy, *distortion = (float(value) for value in lens.values)
+    matrix = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
+    width, height = lens.size
+    projection = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
+    content: dict[str, Any] = {
+        "image_width": width,
+        "image_height": height,
+        "camera_name": lens.name,
+        "camera_matrix": {"rows": 3, "cols": 3, "data": matrix},
+        "distortion_model": "plumb_bob",
+        "distortion_coefficients": {"rows": 1, "cols": COEFFICIENTS, "data": distortion},
+        "rectification_matrix": {"rows": 3, "cols": 3, "data": np.eye(3).ravel().tolist()},
+        "projection_matrix": {"rows": 3, "cols": 4, "data": projection},
+    }
+    return write_text(Path(path), yaml.safe_dump(content, sort_keys=False, default_flow_style=None))
 
 
 def _numbers(path: Path, found: dict[str, Any], names: tuple[str, ...]) -> Array:

@@ -25,7 +25,7 @@ from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.arm_model import ArmModel, Term, frames_model, kind_of_term
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import MISS_UNITS, Observations, Rows, origins_of
-from pickenv.calibration.model.pixels import LENS_NAMES, PixelObservations
+from pickenv.calibration.model.pixels import LENS_NAMES, Lens, PixelObservations
 from pickenv.calibration.model.prior import PriorModel, prior_model
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn
@@ -406,3 +406,15 @@ def view_names(views: PixelObservations) -> tuple[str, ...]:
     return tuple(
         f"{Path(file).name}: row {line}" for file, line in map(origins_of(views).place, range(len(views.joints)))
     )
+
+
+def lens_of(fit: Fit, data: Observations) -> Lens:
+    """The lens that a fit to pictures found.
+
+    Raises:
+        InputError: If there are no pictures.
+    """
+    if data.views is None:
+        raise InputError(f"{data.source} holds {data.kind}, no pictures, so there is no lens to write")
+    lens: Lens = data.views.camera
+    return replace(lens, values=data.views.numbers.whole(unknowns_of(fit.identification, data)))

@@ -34,6 +34,7 @@ def calibrate(
     residual: Annotated[str, Option(metavar="NAME")] = "auto",
     force: Annotated[bool, Option("--force")] = False,
     robust: Annotated[bool, Option("--robust/--no-robust")] = True,
+    lens_out: Path | None = None,
     unit: str | None = None,
     details: Annotated[bool, Option("--details")] = False,
     json_file: Annotated[Path | None, Option("--json")] = None,
@@ -70,6 +71,7 @@ def calibrate(
         residual: Residual model: auto (the best of ours, if it wins), none, {residual}.
         force: Use the named residual model even if it does not win.
         robust: Rows far off, held out or not, are listed and left out, or listed and kept.
+        lens_out: Write the camera's lens as ROS camera_info (.yaml).
         unit: Serial number of the robot, kept in the calibration.
         details: Print parameters, terms, harmonics, notes and evidence as well.
         json_file: Write the figures to this file.
@@ -84,6 +86,8 @@ def calibrate(
     More: calibrating-a-robot.md
     """
     typed = dict(locals())
+    from pickenv.calibration.camera.boards import write_lens
+    from pickenv.calibration.pipeline.fitting import lens_of
     from pickenv.inspect.runs.run_folder import RECORD
 
     separate(
@@ -93,6 +97,7 @@ def calibrate(
             "--out": None if out is None else npz_path(out),
             "--report": report,
             "--run": None if run is None else run / RECORD,
+            "--lens-out": lens_out,
         },
     )
     if report is not None or run is not None:
@@ -117,6 +122,7 @@ def calibrate(
     deliver(
         [
             (out, result.calibration.save),
+            (lens_out, lambda path: write_lens(lens_of(result.geometric, result.train), path)),
             (report, lambda path: result.write_page(path, seeds)),
             (run, lambda folder: write_run(folder, command, seed, result, seeds)),
             (json_file, result.as_dict()),

@@ -150,7 +150,7 @@ def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
     print(f"warning: {with_options(str(message))}", file=sys.stderr)
 
 
-WRITTEN = ("json_file", "out", "report", "run")
+WRITTEN = ("json_file", "lens_out", "out", "report", "run")
 """Parameters of commands that name what is written."""
 
 

@@ -10,8 +10,8 @@ import pytest
 import yaml
 
 from pickenv.base import InputError
-from pickenv.calibration import Lens, projected, read_lens
-from pickenv.calibration.model.pixels import by_point, by_values, undistorted
+from pickenv.calibration import Lens, projected, read_lens, write_lens
+from pickenv.calibration.model.pixels import LENS_NAMES, by_point, by_values, undistorted
 
 POINTS = np.random.default_rng(0).normal(size=(50, 3)) * (0.3, 0.3, 0.1) + (0.0, 0.0, 1.2)
 
@@ -35,23 +35,8 @@ def test_derivatives_are_those_of_the_projection(webcam: Lens) -> None:
         np.testing.assert_allclose(found(webcam.values, POINTS), central, atol=1e-5)
 
 
-def camera_info(lens: Lens) -> dict[str, object]:
-    """What ROS writes of a camera."""
-    fx, fy, cx, cy, *distortion = lens.values.tolist()
-    return {
-        "image_width": lens.size[0],
-        "image_height": lens.size[1],
-        "camera_name": lens.name,
-        "camera_matrix": {"rows": 3, "cols": 3, "data": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]},
-        "distortion_model": "plumb_bob",
-        "distortion_coefficients": {"rows": 1, "cols": 5, "data": distortion},
-    }
-
-
-def test_every_digit_is_read_of_what_ros_writes(webcam: Lens, tmp_path: Path) -> None:
-    path = tmp_path / "webcam.yaml"
-    path.write_text(yaml.safe_dump(camera_info(webcam)))
-    found = read_lens(path)
+def test_files_keep_every_digit(webcam: Lens, tmp_path: Path) -> None:
+    found = read_lens(write_lens(webcam, tmp_path / "webcam.yaml"))
     np.testing.assert_array_equal(found.values, webcam.values)
     assert found.size == webcam.size and found.name == "webcam"
 
@@ -68,6 +53,14 @@ def test_we_read_what_opencv_writes(tmp_path: Path) -> None:
     assert found.size == (800, 600)
 
 
+def test_camera_info_is_ross(webcam: Lens, tmp_path: Path) -> None:
+    content = yaml.safe_load(write_lens(webcam, tmp_path / "a.yaml").read_text())
+    assert content["distortion_model"] == "plumb_bob" and content["image_width"] == 640
+    assert len(content["projection_matrix"]["data"]) == 12 and content["camera_matrix"]["rows"] == 3
+    assert content["distortion_coefficients"]["data"] == webcam.values[4:].tolist()
+    assert LENS_NAMES[4:] == ("k1", "k2", "p1", "p2", "k3")
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -82,8 +75,9 @@ def test_we_read_what_opencv_writes(tmp_path: Path) -> None:
     ],
 )
 def test_bad_camera_files_are_refused(change: dict[str, object], words: str, webcam: Lens, tmp_path: Path) -> None:
-    path = tmp_path / "a.yaml"
-    path.write_text(yaml.safe_dump(camera_info(webcam) | change))
+    path = write_lens(webcam, tmp_path / "a.yaml")
+    content = yaml.safe_load(path.read_text()) | change
+    path.write_text(yaml.safe_dump(content))
     with pytest.raises(InputError, match=words):
         read_lens(path)
 

@@ -13,7 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from pickenv.base import InputError
-from pickenv.calibration import load_board, pose_carrier, read_observations
+from pickenv.calibration import load_board, pose_carrier, read_lens, read_observations
 from pickenv.calibration.identification.diagnosis import without_blind_views
 from pickenv.calibration.reading.description import DESCRIPTIONS
 from pickenv.cli import app
@@ -45,7 +45,7 @@ def test_a_real_camera(lens: str, rms: float, left_out: float, ical: Path, tmp_p
     file, columns = tmp_path / "found.json", tmp_path / "mine.toml"
     text = (DESCRIPTIONS / "ical_charuco.toml").read_text(encoding="utf-8")
     columns.write_text(text.replace("[camera]", f'[camera]\nlens = "{lens}"'), encoding="utf-8")
-    said = call("calibrate", ical, "--columns", columns, "--json", file)
+    said = call("calibrate", ical, "--columns", columns, "--json", file, "--lens-out", tmp_path / "a.yaml")
     found = json.loads(file.read_text())
     assert found["kind"] == "pixels" and found["views"] == 15 and found["corners"] == 309
     assert 0.9 * rms < found["rms_px"] <= rms
@@ -56,6 +56,7 @@ def test_a_real_camera(lens: str, rms: float, left_out: float, ical: Path, tmp_p
     assert "NaN" not in file.read_text()
     assert "1 corner found; a view needs 6" in said  # the third picture
     assert (found["lens"]["k1"] != 0.0) == (lens == "free")
+    assert read_lens(tmp_path / "a.yaml").values.tolist() == list(found["lens"].values())
     by_view = np.array(found["leave_one_out_view_rms_px"])
     low, high = found["leave_one_out_mean_ci95_px"]
     assert len(by_view) == 15 and low < by_view.mean() < high
