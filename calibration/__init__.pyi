@@ -90,6 +90,7 @@ from .pipeline.stages import (
 )
 from .pipeline.twin import twin as twin
 from .pipeline.verification import frames_and_rows as frames_and_rows, verify as verify
+from .planning.like import plan_like as plan_like
 from .planning.plan import plan_poses as plan_poses
 from .reading.description import load_description as load_description
 from .reading.read import (

@@ -112,6 +112,9 @@ def by_values(values: Array, points: Array) -> Array:
     return derivatives
 
 
+SLANT = 0.5
+"""Cosine of the largest angle between a line of sight and a board's normal at which its corners are found: 60 deg."""
+
 Mount = Literal["hand", "world"]
 """Place of the camera: on the arm's tool, or fixed in the world with the board on the tool."""
 
@@ -172,7 +175,7 @@ class PixelObservations(Observations):
         return np.nonzero(self.seen)[0]
 
     def imagined(self, joints: Array) -> Self:
-        """Views of the camera at other joints ``(M, n)``, as if every corner were seen."""
+        """Views of the camera at other joints ``(M, n)``, as if every corner were seen (see `visible`)."""
         usual = np.full_like(self.std, np.median(self.std[self.seen]))
         full_views = replace(self, seen=np.ones_like(self.seen), std=usual, remarks=None, pictures=None)
         return Observations.imagined(full_views, joints)
@@ -202,6 +205,25 @@ class PixelObservations(Observations):
         poses = inverse_pose(poses) if self.mount == "hand" else poses
         seen = views.joints, poses.position, poses.rotation, prismatic
         return Measurements(*seen, source=self.source, conditions=views.conditions)
+
+    def visible(self, model: ArmModel, unknowns: Array, margin: float = 0.0) -> NDArray[np.bool_]:
+        """Mask ``(V, K)`` of corners that a model predicts inside the picture, by a margin in px.
+
+        A flat board must face the camera; other points are seen from all sides.
+        """
+        tool, points = model.pose(self.joints, self.conditions), self.in_camera(model)
+        values, ahead = self.numbers.whole(unknowns), points[..., 2] > 0.0
+        if not self.board[:, 2].any():
+            towards = tool.rotation[..., 2] if self.mount == "world" else tool.rotation[:, 2]  # into the board
+            middle = points.mean(axis=1)
+            facing = np.sum(towards * middle, axis=1) > SLANT * np.linalg.norm(middle, axis=1)
+            ahead = ahead & facing[:, None]
+        points = np.where(ahead[..., None], points, [0.0, 0.0, 1.0])
+        size = np.array(self.camera.size)
+        pinhole = points[..., :2] / points[..., 2:] * values[:2] + values[2:4]
+        near = (np.abs(pinhole - size / 2.0) < size).all(axis=-1)  # farther off the distortion means nothing
+        places = projected(values, points)
+        return np.asarray(ahead & near & ((places >= margin) & (places <= size - 1.0 - margin)).all(axis=-1))
 
     def in_camera(self, model: ArmModel) -> Array:
         """The board's corners in the camera's frame ``(V, K, 3)``, m."""

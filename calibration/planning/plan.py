@@ -8,7 +8,8 @@ are chosen by what they tell beyond these, and the predicted error is the one th
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from functools import cache, partial
 from operator import itemgetter
 from pathlib import Path
@@ -53,7 +54,7 @@ def exchange(
         rng: Draws the order of exchanges.
         weight: W ``(p, p)``, to minimise trace(W M^-1) of the information M; None for D-optimality.
         most_passes: Largest number of rounds of exchange; with 0 the candidates come in the order of their addition.
-        known: Information ``(p, p)`` that there is already, from priors.
+        known: Information ``(p, p)`` that there is already, from priors or from rows measured before.
 
     Returns:
         Indices of the chosen candidates, and the number of rounds of exchange.
@@ -186,11 +187,13 @@ class Design:
 
     Attributes:
         joints: Candidates ``(N, n)``, rad or m.
-        rows: Weighted, scaled Jacobians of the candidates by the parameters ``(N, r, p)``.
-        model: The parameters.
-        weight: One over the standard uncertainty of each row ``(r,)``.
-        kind: "pose" (r = 6) or "position" (r = 3).
-        known: Information ``(p, p)`` that there is already, from priors.
+        rows: Weighted, scaled Jacobians of the candidates by the parameters ``(N, r, p)``, an instrument's own unknowns
+            first.
+        model: The arm's parameters, which come last among the columns.
+        weight: One over the standard uncertainty of each row ``(r,)``; empty if an instrument's first rows tell it.
+        kind: "pose" (r = 6), "position" (r = 3), or the kind of an instrument's rows.
+        known: Information ``(p, p)`` that there is already, from priors and from rows measured before.
+        names: Names of an instrument's own unknowns.
         framed: Whether base and tool are fitted with priors; what they can absorb then is no error of the arm.
     """
 
@@ -200,6 +203,7 @@ class Design:
     weight: Array
     kind: str
     known: Array
+    names: tuple[str, ...] = ()
     framed: bool = False
 
 
@@ -215,13 +219,15 @@ class PosePlan:
         travel_seconds: Time of the moves in measuring order, joints moving together at the arm's speeds, s.
         random_travel_seconds: Time of the moves in random order, mean of 20 orders, s.
         predicted_error: RMS position error to expect from the parameters' uncertainty, m; None if there are no test
-            poses and no priors.
+            poses, priors or first rows.
         random_predicted_error: The error to expect from as many poses drawn at random, median of 20 sets, m; or None.
         where: Where these errors are taken, in words.
         passes: Rounds of exchange.
-        model: Observability of the parameters planned for, beside that of as many poses drawn at random (for JSON).
+        model: Observability of the parameters planned for, beside that of as many poses drawn at random (for JSON);
+            None if the plan builds on an instrument's first rows.
         arm: Observability of the arm's own parameters, with base and tool taken as known: what papers state. None if
-            the poses are too few to tell all these parameters without priors.
+            the plan builds on first rows, or if the poses are too few to tell all these parameters without priors.
+        first: Number of rows measured already.
         seconds: Time that the planning took, s.
         lines: Lines of the poses in the file that they were chosen from; None if they were drawn.
         curve: For other numbers of poses: the number, the error of as many planned poses, and that of as many drawn
@@ -238,25 +244,33 @@ class PosePlan:
     random_predicted_error: float | None
     where: str
     passes: int
-    model: dict[str, Any]
-    arm: dict[str, Any] | None
-    seconds: float
+    model: dict[str, Any] | None = None
+    arm: dict[str, Any] | None = None
+    first: int = 0
+    seconds: float = 0.0
     lines: NDArray[np.int64] | None = None
     curve: tuple[tuple[int, float, float], ...] = ()
+
+    @property
+    def parameters(self) -> tuple[str, ...]:
+        """The parameters planned for: the instrument's own unknowns, then the arm's."""
+        return (*self.design.names, *self.design.model.names)
 
     def as_dict(self) -> dict[str, Any]:
         """The plan's figures for JSON; condition and O1 ratio at the top level are for the arm's own parameters."""
         figures: dict[str, Any] = {
             "poses": len(self.joints),
+            "first_rows": self.first,
             "candidates": len(self.design.joints),
             "kind": self.design.kind,
-            "parameters": list(self.design.model.names),
+            "parameters": list(self.parameters),
         }
         plain = ("criterion", "where", "travel_seconds", "random_travel_seconds", "passes", "seconds")
         figures |= {name: getattr(self, name) for name in plain}
-        figures |= {"arm": self.arm, "model": self.model}
-        for key in ("condition", "random_condition", "o1_ratio"):
-            figures[key] = None if self.arm is None else self.arm[key]
+        if self.model is not None:
+            figures |= {"arm": self.arm, "model": self.model}
+            for key in ("condition", "random_condition", "o1_ratio"):
+                figures[key] = None if self.arm is None else self.arm[key]
         if self.predicted_error is not None and self.random_predicted_error is not None:
             figures["predicted_error_mm"] = self.predicted_error * 1e3
             figures["random_predicted_error_mm"] = self.random_predicted_error * 1e3
@@ -273,8 +287,10 @@ class PosePlan:
         """A short report in words."""
         lines = [
             f"{len(self.joints)} of {len(self.design.joints)} candidates, {self.criterion}, {self.design.kind} "
-            f"measurements, {len(self.design.model.names)} parameters, in {self.seconds:.2f} s"
+            f"measurements, {len(self.parameters)} parameters, in {self.seconds:.2f} s"
         ]
+        if self.first:
+            lines.append(f"  besides the {self.first} measured already, at poses where such rows can be measured")
         parts = {"parameters planned for": self.model, "arm alone, base and tool known": self.arm}
         for label, part in parts.items():
             if part is not None:
@@ -356,6 +372,18 @@ def _rows(geometry: Geometry, model: ErrorModel, weight: Array, joints: Array) -
     return np.asarray(jacobian * model.tolerance * weight[:, None])
 
 
+def criterion_of(criterion: str | None, test_joints: Array | None) -> str:
+    """The criterion; if left out, "test-poses" if there are test poses, else "d-optimal".
+
+    Raises:
+        InputError: If the criterion is unknown.
+    """
+    criterion = criterion or ("d-optimal" if test_joints is None else "test-poses")
+    if criterion not in CRITERIA:
+        raise InputError(f"criterion is '{criterion}'; give {' or '.join(CRITERIA)}")
+    return criterion
+
+
 @single_threaded()
 def plan_poses(
     arm: Arm,
@@ -373,8 +401,7 @@ def plan_poses(
     """Choose ``count`` poses to measure, and order them for short travel.
 
     If parameters have priors, the error to expect is that of the posterior, as `pickenv.calibrate` states it; if base
-    and tool are fitted, it leaves out what they can absorb. The poses of most information may then promise a larger
-    error than random ones; the poses of least error are chosen instead.
+    and tool are fitted, it leaves out what they can absorb.
 
     Args:
         arm: The arm, with joint limits and speeds.
@@ -399,11 +426,7 @@ def plan_poses(
     """
     if kind not in KINDS:
         raise InputError(f"kind is '{kind}'; give {' or '.join(KINDS)}")
-    criterion = criterion or ("d-optimal" if test_joints is None else "test-poses")
-    if criterion not in CRITERIA:
-        raise InputError(f"criterion is '{criterion}'; give {' or '.join(CRITERIA)}")
-    if criterion == "test-poses" and test_joints is None:
-        raise InputError("the test-poses criterion needs test poses; name a file of them or use d-optimal")
+    criterion = criterion_of(criterion, test_joints)
     begin = time.perf_counter()
     geometry = arm.nominal
     if isinstance(candidates, int):
@@ -411,12 +434,10 @@ def plan_poses(
         joints = candidate_joints(geometry, candidates, rng)
     else:
         joints = np.asarray(candidates, dtype=float)
+    if criterion == "test-poses" and test_joints is None:
+        raise InputError("the test-poses criterion needs test poses; name a file of them or use d-optimal")
     design = design_of(geometry, model, joints, kind, position_std)
-    least, parameters = _least(design), len(design.model.names)
-    if count < least:
-        raise InputError(
-            f"{count} poses are too few for {parameters} parameters; plan at least {least}, better {2 * least}"
-        )
+    refuse_too_few(count, len(design.model.names), _least(design))
     if count > len(joints):
         raise InputError(f"{count} poses cannot be chosen from {len(joints)} candidates; give more candidates")
 
@@ -428,32 +449,81 @@ def plan_poses(
         return np.stack([joints[rng.choice(len(joints), size, replace=False)] for _ in range(DRAWS)])
 
     field = random_joints(geometry, FIELD, np.random.default_rng(0)) if test_joints is None else test_joints
-    goal = error_weight(geometry, design, field)
-    aim = goal if criterion == "test-poses" else None
+    plan = finished_plan(
+        arm,
+        design,
+        count,
+        rng,
+        drawn=drawn,
+        rows_at=lambda joints: _rows(geometry, design.model, design.weight, joints),
+        criterion=criterion,
+        goal=error_weight(geometry, design, field),
+        where="over the joint ranges" if test_joints is None else "at the test poses",
+        sizes=plan_sizes(count, _least(design), len(joints)) if curve else (),
+    )
+    if test_joints is None and not design.known.any():
+        plan = replace(plan, predicted_error=None, random_predicted_error=None)
+    links, sets = design_of(geometry, link_model(geometry), joints, kind, position_std), drawn(count)
+    return replace(
+        plan,
+        model=_against_chance(geometry, design, plan.chosen, sets),
+        arm=None if count < _least(links) else _against_chance(geometry, links, plan.chosen, sets),
+        seconds=time.perf_counter() - begin,
+    )
+
+
+def finished_plan(
+    arm: Arm,
+    design: Design,
+    count: int,
+    rng: np.random.Generator,
+    *,
+    drawn: Callable[[int], Array],
+    rows_at: Callable[[Array], Array],
+    criterion: str,
+    goal: Array,
+    where: str,
+    sizes: Sequence[int],
+) -> PosePlan:
+    """The best poses of a design in an order of short travel, compared with random sets and other numbers of poses.
+
+    If parameters have priors, the poses of most information may promise a larger error than random ones; the poses of
+    least error are then chosen instead.
+
+    Args:
+        arm: The arm, with joint speeds.
+        design: The candidates.
+        count: Number of poses to measure.
+        rng: Draws the order of exchanges, and orders to compare with.
+        drawn: Gives, for a number of poses, `DRAWS` random sets of as many, as joints or as indices of candidates; it
+            gives the same sets when called again.
+        rows_at: Gives the Jacobians ``(size, r, p)`` of the poses of one such set.
+        criterion: See `plan_poses`.
+        goal: W ``(p, p)`` of `error_weight`.
+        where: Where the error to expect is taken, in words.
+        sizes: Numbers of poses for `PosePlan.curve`.
+    """
+    joints, aim = design.joints, goal if criterion == "test-poses" else None
+    places, passes = exchange(design.rows, count, rng, aim, known=design.known)
 
     def error(rows: Array) -> float:
         return predicted_error(rows, goal, design.known)
 
     def chance(size: int) -> float:
-        sets = (_rows(geometry, design.model, design.weight, poses) for poses in drawn(size))
-        return float(np.median([error(rows) for rows in sets]))
+        return float(np.median([error(rows_at(poses)) for poses in drawn(size)]))
 
-    places, passes = exchange(design.rows, count, rng, aim, known=design.known)
     by_chance = chance(count)
     if design.known.any() and error(design.rows[places]) > by_chance:  # much information, but not about the workspace
         places, passes = exchange(design.rows, count, rng, goal, known=design.known)
     places = places[short_tour(joints[places], arm.speed)]
     shuffled = [travel_seconds(joints[rng.permutation(places)], arm.speed) for _ in range(DRAWS)]
     points: list[tuple[int, float, float]] = []
-    if curve:
+    if len(sizes):
         # Poses added one after the other: the first of a larger set are a smaller one.
-        sizes = plan_sizes(count, least, len(joints))
         added, _ = exchange(design.rows, sizes[-1], rng, aim, most_passes=0, known=design.known)
         for size in sizes:
             rows = design.rows[places if size == count else added[:size]]
             points.append((size, error(rows), chance(size)))
-    links, sets = design_of(geometry, link_model(geometry), joints, kind, position_std), drawn(count)
-    stated = test_joints is not None or bool(design.known.any())
     return PosePlan(
         joints=joints[places],
         chosen=places,
@@ -461,13 +531,10 @@ def plan_poses(
         criterion=criterion,
         travel_seconds=travel_seconds(joints[places], arm.speed),
         random_travel_seconds=float(np.mean(shuffled)),
-        predicted_error=error(design.rows[places]) if stated else None,
-        random_predicted_error=by_chance if stated else None,
-        where="over the joint ranges" if test_joints is None else "at the test poses",
+        predicted_error=error(design.rows[places]),
+        random_predicted_error=by_chance,
+        where=where,
         passes=passes,
-        model=_against_chance(geometry, design, places, sets),
-        arm=None if count < _least(links) else _against_chance(geometry, links, places, sets),
-        seconds=time.perf_counter() - begin,
         curve=tuple(points),
     )
 
@@ -508,6 +575,24 @@ def plan_sizes(count: int, least: int, most: int) -> list[int]:
     return sorted(size for size in sizes if size <= most)
 
 
+def refuse_too_few(count: int, parameters: int, least: int, besides: str = "") -> None:
+    """Refuse a plan with too few poses to tell all parameters.
+
+    Args:
+        count: Number of poses.
+        parameters: Number of parameters.
+        least: Least number of poses.
+        besides: Words for the message on rows that are measured already; may be empty.
+
+    Raises:
+        InputError: If there are fewer than ``least`` poses.
+    """
+    if count < least:
+        raise InputError(
+            f"{count} poses {besides}are too few for {parameters} parameters; plan at least {least}, better {2 * least}"
+        )
+
+
 def error_weight(geometry: Geometry, design: Design, test_joints: Array) -> Array:
     """The matrix W ``(p, p)`` for which trace(W M^-1) is the mean squared predicted position error at test poses, m^2.
 
@@ -519,7 +604,7 @@ def error_weight(geometry: Geometry, design: Design, test_joints: Array) -> Arra
         frames = frames_model(geometry)
         basis = np.linalg.qr(place(frames).reshape(-1, len(frames.names)))[0]
         stacked = stacked - basis @ (basis.T @ stacked)
-    return np.asarray(stacked.T @ stacked / len(test_joints))
+    return np.pad(stacked.T @ stacked / len(test_joints), (len(design.names), 0))
 
 
 def predicted_error(rows: Array, weight: Array, known: Array | float = 0.0) -> float:

@@ -41,12 +41,13 @@ def board(file: str, out: Path = Path("board.pdf")) -> None:
 def plan_poses(
     arm: Annotated[str, Option()],
     n: Annotated[int, Option("--n", min=1)] = 30,
-    kind: Literal["pose", "position"] = "pose",
+    kind: Literal["pose", "position"] | None = None,
     criterion: Literal["d-optimal", "test-poses"] | None = None,
     at: Path | None = None,
     frames: Literal["fitted", "known"] = "fitted",
     candidates: Annotated[int, Option(min=10)] = 2000,
     pool: Annotated[Path | None, Option("--from")] = None,
+    like: Path | None = None,
     columns: str | None = None,
     noise_mm: Annotated[float | None, Option(callback=limited("scatter_mm"))] = None,
     fit: Literal["auto", "offsets", "full"] = "auto",
@@ -62,13 +63,14 @@ def plan_poses(
     Args:
         arm: Arm name or file ({arm_format}).
         n: Poses to measure.
-        kind: What will be measured.
+        kind: What will be measured: pose if left out.
         criterion: test-poses: to be accurate at the poses of --at, as is the default with --at.
         at: CSV of joints or tool poses where accuracy matters.
         frames: fitted: base and tool will be fitted too; known: the arm's own parameters alone.
         candidates: Poses to choose from.
         pool: Choose from the poses of this file (CSV of joints or tool poses) instead.
-        columns: Column description of the file of --from; ours if left out.
+        like: Plan more poses like those of this first measurement, of any kind (touches, wire, pictures, …).
+        columns: Column description of the file of --like or --from; ours if left out.
         noise_mm: What one position coordinate will scatter by.
         fit: What will be fitted, as `pickenv calibrate` says it.
         tolerances: Tolerance class that parts are made to, by name or file.
@@ -85,12 +87,13 @@ def plan_poses(
     """
     from pickenv.calibration.model.measurements import POSITION_STD
     from pickenv.calibration.model.prior import prior_model
+    from pickenv.calibration.planning.like import plan_like
     from pickenv.calibration.reading.read import joints_of
 
-    separate({"--at": at, "--arm": arm, "--from": pool}, {"--out": out, "--json": json_file})
+    separate({"--at": at, "--arm": arm, "--from": pool, "--like": like}, {"--out": out, "--json": json_file})
     robot = pickenv.load_arm(arm)
-    if columns is not None and pool is None:
-        raise InputError("--columns describes the file of --from; give that too")
+    if columns is not None and pool is None and like is None:
+        raise InputError("--columns describes the file of --like or --from; give that too")
     test_joints = None if at is None else joints_of(pickenv.calibration.read_targets(at, robot.nominal), robot.nominal)
     rng = np.random.default_rng(seed)
     prior = prior_model(
@@ -104,12 +107,18 @@ def plan_poses(
     how: dict[str, Any] = {"criterion": criterion, "test_joints": test_joints, "curve": curve}
     how["candidates"], lines = candidates, None
     if pool is not None:
-        how["candidates"], lines = pickenv.calibration.pool_of(pool, robot.nominal, columns)
-    how |= {"kind": kind, "position_std": POSITION_STD if noise_mm is None else noise_mm * 1e-3}
-    known = prior if prior.proper else prior.parameters
-    planned = pickenv.calibration.plan_poses(robot, known, n, rng, **how)
-    if lines is not None:
-        planned = replace(planned, lines=lines[planned.chosen])
+        how["candidates"], lines = pickenv.calibration.pool_of(pool, robot.nominal, columns if like is None else None)
+    if like is not None:
+        if kind is not None or noise_mm is not None or frames == "known":
+            raise InputError("--like says what is measured and how well; leave out --kind, --noise-mm and --frames")
+        first = pickenv.calibration.given_rows(pickenv.calibration.given_arm(robot, columns), like, columns)
+        planned = plan_like(robot, first, n, rng, lines=lines, prior=prior if prior.proper else None, **how)
+    else:
+        how |= {"kind": kind or "pose", "position_std": POSITION_STD if noise_mm is None else noise_mm * 1e-3}
+        known = prior if prior.proper else prior.parameters
+        planned = pickenv.calibration.plan_poses(robot, known, n, rng, **how)
+        if lines is not None:
+            planned = replace(planned, lines=lines[planned.chosen])
     table = partial(planned.write_csv, prismatic=robot.nominal.prismatic)
     deliver([(out, table), (json_file, planned.as_dict())], planned.report())
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import cv2
 import numpy as np
 import pytest
 
@@ -111,6 +112,35 @@ def test_jacobians_are_the_residuals_slopes(mount: str) -> None:
         step[k] = 1e-6
         slope = (data.residual(model, own + step) - data.residual(model, own - step)) / 2e-6
         np.testing.assert_allclose(-by_lens[:, k], slope, atol=1e-4 * max(1.0, np.abs(slope).max()))
+
+
+@pytest.mark.parametrize("mount", MOUNTS)
+@pytest.mark.parametrize("margin", [0.0, 40.0])
+def test_corners_are_visible_that_opencv_puts_into_the_picture(mount: str, margin: float) -> None:
+    """Boards near and far to the side: not seen at a slant, nor where a lens folds the world's edge inwards."""
+    folding = Lens(np.array([620.0, 622.0, 400.0, 238.0, -0.33, 0.0, 0.0, 0.0, 0.0]), (640, 480))
+    geometry, data = views_of(mount, 150, 1, lens=folding)
+    rng = np.random.default_rng(2)
+    joints = data.joints + rng.normal(0.0, 1.0, data.joints.shape) * np.array([0.2, 0.2, 0.1, 0.5, 0.5, 0.5])
+    data, model = replace(data, joints=joints), ArmModel.of(geometry)
+    points, (width, height) = data.in_camera(model), folding.size
+    fx, fy, cx, cy, *distortion = folding.values
+    matrix = np.array([[fx, 0.0, cx], [0.0, fy, cy], [0.0, 0.0, 1.0]])
+    expected, folded = np.zeros(points.shape[:2], dtype=bool), 0
+    for view, corners in enumerate(points):
+        inwards = np.cross(corners[1] - corners[0], corners[-1] - corners[0])
+        middle = corners.mean(axis=0)
+        facing = inwards @ middle > 0.5 * np.linalg.norm(inwards) * np.linalg.norm(middle)
+        for k, (x, y, z) in enumerate(corners):
+            if facing and z > 0.0:
+                place = cv2.projectPoints(corners[k], np.zeros(3), np.zeros(3), matrix, np.array(distortion))[0]
+                u, v = place.ravel()
+                near = abs(fx * x / z + cx - width / 2) < width and abs(fy * y / z + cy - height / 2) < height
+                inside = margin <= u <= width - 1 - margin and margin <= v <= height - 1 - margin
+                expected[view, k], folded = near and inside, folded + (inside and not near)
+    found = data.visible(model, np.zeros(0), margin)
+    np.testing.assert_array_equal(found, expected)
+    assert 0.05 < found.mean() < 0.95 and folded > 20
 
 
 def test_of_finished_poses_base_and_tool_alone_are_fitted() -> None:
@@ -250,13 +280,7 @@ def balls_of(mount: str, seed: int, noise: float = 0.3) -> tuple[Geometry, Pixel
     model = ArmModel.of(true)
     points = everything.in_camera(model)
     far = np.linalg.norm(points, axis=2)
-    before = points[..., 2:] > 0.0
-    slopes = np.where(before, points, [0.0, 0.0, 1.0])
-    size = np.array(LENS.size)
-    places, straight = projected(LENS.values, slopes), slopes[..., :2] / slopes[..., 2:] * LENS.values[:2]
-    near = np.abs(straight + LENS.values[2:4] - size / 2.0) < size  # farther off the distortion means nothing
-    inside = before & near & (places >= 5.0) & (places <= size - 6.0)
-    good = inside.all(axis=(1, 2)) & (np.abs(far.mean(axis=1) - 0.7) < 0.45)
+    good = everything.visible(model, np.zeros(0), 5.0).all(axis=1) & (np.abs(far.mean(axis=1) - 0.7) < 0.45)
     rows = np.flatnonzero(good)[:40]
     corners = projected(LENS.values, points[rows]) + noise * rng.normal(size=(len(rows), 20, 2))
     near = np.argsort(np.argsort(far[rows], axis=1), axis=1) < 10

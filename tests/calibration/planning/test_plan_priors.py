@@ -1,6 +1,7 @@
 """Plans over priors: few poses are enough, what they promise is what calibrations then state, and chance does worse."""
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,13 +12,15 @@ from typer.testing import CliRunner
 import pickenv
 from pickenv.arm import Arm, displace_pose, forward, load_arm
 from pickenv.base import InputError
-from pickenv.calibration import Choices, Measurements, plan_poses, prior_model, random_joints
+from pickenv.calibration import Choices, Measurements, plan_like, plan_poses, prior_model, random_joints
 from pickenv.calibration.assessment.quality import workspace_error
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.model.noise import stated_noise
 from pickenv.calibration.model.prior import PriorModel
+from pickenv.calibration.planning.like import first_rows
 from pickenv.calibration.planning.plan import PosePlan
 from pickenv.cli import app
+from tests.calibration.simulated_instruments import KINDS
 
 STD = np.repeat([1e-4, 2e-4], 3)
 
@@ -105,6 +108,52 @@ def test_what_is_known_well_beforehand_is_not_worth_a_pose() -> None:
     arm = load_arm("ur5")
     errors = [planned(arm, expected(arm, False, scale=scale), 3, None).predicted_error for scale in (1e-3, 1.0, 30.0)]
     assert errors[0] < 1e-2 * errors[1] < 1e-2 * errors[2]  # type: ignore[operator]
+
+
+@pytest.mark.parametrize("kind", ["wire", "touches", "plane"])
+def test_other_instruments_are_planned_for_over_priors_too(kind: str) -> None:
+    """Wire and plane from so few first rows, of one equation each, that none could be planned without priors."""
+    arm = load_arm("ur5")
+    data: Any = KINDS[kind](arm.nominal, 15, np.random.default_rng(0), 1.0)
+    few, rng = data.select(np.arange(12)), np.random.default_rng(1)
+    plan = plan_like(arm, few, 3, rng, candidates=150, criterion="test-poses", prior=expected(arm, False))
+    assert plan.first == 12 and set(data.unknowns()) <= set(plan.parameters)
+    assert not any(name.startswith("base_") for name in plan.parameters)
+    assert 0.0 < plan.predicted_error < plan.random_predicted_error  # type: ignore[operator]
+    if kind == "touches":
+        return
+    with pytest.raises(InputError, match="too few for"):
+        plan_like(arm, few, 3, np.random.default_rng(1), candidates=150)
+
+
+@pytest.mark.parametrize("kind", sorted(KINDS))
+def test_the_error_to_expect_of_other_instruments_is_the_posteriors_too(kind: str) -> None:
+    """One pose more than the first rows, of any kind: the plan's error and that of a fit to all these rows."""
+    arm = load_arm("ur5")
+    near = random_joints(arm.nominal, 100, np.random.default_rng(5))
+    data: Any = KINDS[kind](arm.nominal, 26, np.random.default_rng(0), 1.0)
+    model, few = expected(arm, False, scale=1.0), data.select(np.arange(25))
+    plan = plan_like(
+        arm,
+        few,
+        1,
+        np.random.default_rng(1),
+        candidates=data.joints,
+        criterion="test-poses",
+        test_joints=near,
+        prior=model,
+    )
+    all_rows = data.select(np.r_[:25, data_row(data, plan)])
+    _, first, _ = first_rows(arm, few)
+    solution = solve(replace(model, start=first), all_rows, stated_noise(all_rows))
+    stated = workspace_error(solution, first.geometry, all_rows.joints, near)
+    assert stated is not None
+    assert stated.declared.calibrated == pytest.approx(plan.predicted_error, rel=0.15)
+
+
+def data_row(data: Any, plan: PosePlan) -> int:
+    """The row of the one pose planned."""
+    return int(np.argmin(np.linalg.norm(data.joints - plan.joints[0], axis=1)))
 
 
 def test_the_command_takes_the_class_and_its_factor(tmp_path: Any) -> None:

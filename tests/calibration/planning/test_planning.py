@@ -263,7 +263,7 @@ def test_poses_are_chosen_from_a_file_and_named_by_its_lines(qiao, tmp_path):
     assert found["condition"] < found["random_condition"]  # of sets drawn from the same file
     assert [point["poses"] for point in found["curve"]] == [10, 20, 40, 80]
     refused = CliRunner().invoke(app, ["plan-poses", "--arm", "qiao2026", "--columns", "ur5_jacobi2025"])
-    assert "describes the file of --from" in str(refused.exception)
+    assert "describes the file of --like or --from" in str(refused.exception)
     refused = CliRunner().invoke(app, ["plan-poses", "--arm", "qiao2026", "--noise-mm", "0"])
     assert "--noise-mm is 0.0; give 1e-06 to 100" in str(refused.exception)
 
