@@ -52,14 +52,14 @@ def used(arm) -> None:
 
 
 def read_csv(path: Path) -> None:
-    measured = read_observations([path], UR5.nominal).observations
+    measured = read_observations([path], UR5.nominal)
     assert np.isfinite(measured.joints).all() and np.isfinite(measured.position).all()
 
 
 def read_yaml(path: Path) -> None:
     described = path.with_name("described.toml")
     described.write_text(DESCRIBED, encoding="utf-8")
-    assert np.isfinite(read_observations([path], UR5.nominal, described).observations.position).all()
+    assert np.isfinite(read_observations([path], UR5.nominal, described).position).all()
 
 
 def read_described(path: Path) -> None:
@@ -67,7 +67,7 @@ def read_described(path: Path) -> None:
     load_description(path)
     sound = path.with_name("sound.yaml")
     sound.write_text(yaml_text(), encoding="utf-8")
-    assert np.isfinite(read_observations([sound], UR5.nominal, path).observations.joints).all()
+    assert np.isfinite(read_observations([sound], UR5.nominal, path).joints).all()
 
 
 MODEL = """<mujoco model="small"><compiler angle="radian" eulerseq="XYZ"/>

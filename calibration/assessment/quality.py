@@ -18,19 +18,13 @@ from scipy import stats
 from pickenv.arm import Array, Geometry, forward
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.diagnosis import Weight
-from pickenv.calibration.identification.least_squares import Identifiability, Identification, is_angle, observability
+from pickenv.calibration.identification.least_squares import Identification, observability
 from pickenv.calibration.model.arm_model import ArmModel, frames_model
 from pickenv.calibration.model.observations import MISS_UNITS, Rows, equally_spaced
 from pickenv.calibration.model.prior import FRAMES
 
-CORRELATED = 0.9
-"""Correlation of two parameters' estimates above which they are hard to tell apart."""
-
 OPTIMISTIC = 1.5
 """Ratio of held-out errors to training errors above which the fit does not carry over to other poses."""
-
-SMALL_SHARE = 0.01
-"""Coefficient in a combination of parameters below which a reader need not see it."""
 
 SIGNIFICANCE = 0.05
 """Level of the chi^2 test."""
@@ -102,38 +96,6 @@ def completeness(found: Identification, noise: str = "stated noise") -> Complete
     chi_square, freedom = found.chi_square, found.degrees_of_freedom  # without spare equations SciPy's law gives NaN
     large, small = float(stats.chi2.sf(chi_square, freedom)), float(stats.chi2.cdf(chi_square, freedom))
     return Completeness(chi_square, freedom, large, small, noise)
-
-
-def correlated_pairs(found: Identification, limit: float = CORRELATED) -> tuple[tuple[str, str, float], ...]:
-    """Pairs of kept parameters whose estimates correlate by more than ``limit``, strongest first."""
-    std = np.sqrt(np.diag(found.covariance))
-    rho = found.covariance / std[:, None] / std
-    names = found.identifiability.kept_names
-    pairs = [(names[i], names[j], float(rho[i, j])) for i, j in np.argwhere(np.triu(np.abs(rho) > limit, 1))]
-    return tuple(sorted(pairs, key=lambda pair: -abs(pair[2])))
-
-
-def base_combinations(found: Identifiability) -> dict[str, str]:
-    """For each kept parameter, the combination that it stands for: itself plus the dropped parameters that it absorbs.
-
-    Coefficients between lengths and angles are in mm/deg or deg/mm; others below `SMALL_SHARE` are left out.
-    """
-    texts = {name: name for name in found.kept_names}
-    for dropped, absorbed in found.dropped.items():
-        for name, share in absorbed.items():
-            if name not in texts or (abs(share) < SMALL_SHARE and is_angle(name) == is_angle(dropped)):
-                continue  # what only the choice of a frame ties has no share of its own
-            texts[name] += f" {'-' if share < 0 else '+'} {_coefficient(share, name, dropped)}{dropped}"
-    return texts
-
-
-def _coefficient(share: float, kept: str, dropped: str) -> str:
-    unit, value = "", abs(share)
-    if is_angle(kept) and not is_angle(dropped):
-        unit, value = " deg/mm ", float(np.degrees(value)) * 1e-3
-    elif is_angle(dropped) and not is_angle(kept):
-        unit, value = " mm/deg ", float(np.radians(value)) * 1e3
-    return (unit and f"{value:.4g}{unit}") or ("" if abs(value - 1) < 1e-6 else f"{value:.4g} ")
 
 
 def axis_errors(errors: Array, unit: str = "mm") -> dict[str, tuple[float, float, float, float]]:
@@ -367,7 +329,6 @@ class Quality:
             "fail" (do not use it), "caution" (know this before use) or "note".
         observability: Observability indices of the kept geometric parameters on the training poses, by name.
         completeness: The chi^2 test.
-        pairs: Pairs of correlated parameters, with their correlation.
         workspace: Expected errors where rows were measured and where the arm will work; None without priors.
     """
 
@@ -376,7 +337,6 @@ class Quality:
     findings: tuple[tuple[Weight, str], ...]
     observability: dict[str, float]
     completeness: Completeness
-    pairs: tuple[tuple[str, str, float], ...]
     workspace: Workspace | None
 
     @property
@@ -428,17 +388,10 @@ def grade_quality(
     bare = geometric or found
     observed = observability(bare.identifiability.singular_values * np.sqrt(bare.poses), bare.poses)
     test = completeness(found, noise)
-    pairs = correlated_pairs(bare) if np.isfinite(bare.covariance).all() else ()
     unlearnt = after if parametric is None else parametric
     notes, beyond = [test.sentence()], []
     if noise.startswith("stated noise") and test.reduced > MANY_NOISES**2:
         notes, beyond = [], [f"{test.sentence()}; something else than noise is at work"]
-    if pairs:
-        notes.append(
-            f"{len(pairs)} pair{'s' * (len(pairs) > 1)} of parameters correlate by more than {CORRELATED:g}, most "
-            f"{pairs[0][0]} and {pairs[0][1]} ({pairs[0][2]:+.2f}): read them together, the predicted pose is not "
-            "affected"
-        )
     # All rows together may say that the arm is better where it was measured, if those held out do not contradict.
     sure = workspace is not None and workspace.measured.better >= SURE and count >= SEVERAL
     certain = before is not None and sure and _chance(after, before, blocks) > SIGNIFICANCE
@@ -465,7 +418,7 @@ def grade_quality(
     if grade == "good":
         fall = "is" if before is None else f"falls from {_rms(before, unit):#.4g} to"
         reason = f"on {count} held-out {called} the error {fall} {_rms(after, unit):#.4g} {unit} RMS"
-    return Quality(grade, reason, tuple(findings), observed, test, pairs, workspace)
+    return Quality(grade, reason, tuple(findings), observed, test, workspace)
 
 
 def _rms(errors: Array, unit: str) -> float:

@@ -22,8 +22,8 @@ from pickenv.calibration.model.pixels import LENS_NAMES
 NARROW = 10
 """Least width in characters of a column of words."""
 
-LENGTHS_OF_KINDS = ("reflector", "anchor", "socket", "point", "tip", "edge", "plane_offset", "zero")
-NUMBERS_OF_KINDS = ("scale", "normal", "along", "axis", "down")
+LENGTHS_OF_KINDS = ("reflector", "anchor", "socket", "point", "tip", "plane_offset", "zero")
+NUMBERS_OF_KINDS = ("scale", "normal", "axis", "down")
 """Beginnings of the names of measurements' own unknowns that are numbers without a unit: directions and scales.
 
 `LENGTHS_OF_KINDS` has the beginnings of those that are lengths.
@@ -112,12 +112,6 @@ def unit_of(name: str, geometric: tuple[str, ...]) -> tuple[str, float]:
     if name in LENS_NAMES:
         return ("px", 1.0) if name in LENS_NAMES[:4] else ("1", 1.0)
     return "SI", 1.0
-
-
-def unknowns_in(unit: str, unknowns: Mapping[str, float]) -> dict[str, float]:
-    """The measurements' own unknowns that screens show in ``unit``, converted to it, without the numbers of a lens."""
-    units = {name: unit_of(name, ()) for name in unknowns if name not in LENS_NAMES}
-    return {name: unknowns[name] * scale for name, (its_unit, scale) in units.items() if its_unit == unit}
 
 
 # The drives' harmonics as terminal, page, JSON and saved file show them: orders and amplitudes with uncertainties.

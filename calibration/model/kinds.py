@@ -1,8 +1,8 @@
 """Kinds of measurement beyond poses and positions: sockets, distances, reflectors, tilts.
 
-A distance is measured from a point, a line or a plane: a draw wire, a ball bar and a ball on a sphere measure it from a
-point, a ball on an edge from a line, a dial gauge and a probe on a table from a plane. A direction is a vector of three
-numbers of which only the direction counts; one more equation keeps its length at one. SI units.
+A distance is measured from a point or a plane: a draw wire, a ball bar and a ball on a sphere measure it from a point,
+a dial gauge and a probe on a table from a plane. A direction is a vector of three numbers of which only the direction
+counts; one more equation keeps its length at one. SI units.
 """
 
 from __future__ import annotations
@@ -45,13 +45,13 @@ def tool_points_jacobian(model: ArmModel, joints: Array, conditions: Conditions,
     return observations.point_jacobian(model.jacobian(joints, conditions), rotation @ tip), rotation
 
 
-SurfaceName = Literal["point", "line", "plane"]
+SurfaceName = Literal["point", "plane"]
 
 STEPS = 20
 """Iterations of a robust fit, which gross rows hardly pull."""
 
 FAR = 5.0
-"""Points farther off than this many median distances are left out when principal axes are fitted."""
+"""Points farther off than this many median distances are left out when a plane is fitted."""
 
 
 def direction(vector: Array) -> tuple[Array, Array]:
@@ -95,21 +95,17 @@ def _centre(points: Array, readings: Array, zero: float, unknown: bool) -> tuple
     return middle + at, begin
 
 
-def _principal_axes(points: Array, count: int) -> tuple[Array, NDArray[np.bool_]]:
-    """Principal axes ``(3, 3)`` of points ``(N, 3)``, and a mask ``(N,)`` of the points near the first ``count`` axes.
-
-    Axes of larger spread come first.
-    """
-    near = np.ones(len(points), dtype=bool)
-    axes = np.eye(3)
+def _normal(points: Array) -> Array:
+    """The normal ``(3,)`` of the plane nearest to points ``(N, 3)``, fitted without those that lie far off it."""
+    near, axes = np.ones(len(points), dtype=bool), np.eye(3)
     for _ in range(STEPS):
         middle = points[near].mean(axis=0)
         axes = np.linalg.svd(points[near] - middle)[2]
-        off = np.linalg.norm((points - middle) @ axes[count:].T, axis=1)
+        off = np.abs((points - middle) @ axes[2])
         before, near = near, off <= FAR * max(float(np.median(off)), 1e-9)
         if near.sum() < 4 or np.array_equal(before, near):
             break
-    return axes, near
+    return np.asarray(axes[2])
 
 
 class _Point:
@@ -141,40 +137,6 @@ class _Point:
         return np.zeros(0), np.zeros((0, len(values)))
 
 
-class _Line(_Point):
-    """A line, described by its point nearest to the origin and a direction of length one."""
-
-    names = ("edge_x", "edge_y", "edge_z", "along_x", "along_y", "along_z")
-    tolerances = np.repeat([LENGTH_TOLERANCE, ANGLE_TOLERANCE], 3)
-
-    @staticmethod
-    def gap(values: Array, points: Array) -> tuple[Array, Array, Array]:
-        ahead, by_vector = direction(values[3:])
-        away = points - values[:3]
-        far = away @ ahead
-        across = away - far[:, None] * ahead
-        size = np.linalg.norm(across, axis=1)
-        out = across / np.maximum(size, 1e-12)[:, None]
-        return size, out, np.concatenate([-out, -far[:, None] * (out @ by_vector)], axis=1)
-
-    @staticmethod
-    def start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
-        """First values of the line, along the longest axis of the points, and the zero.
-
-        Across that axis the line is the centre of a circle through the points.
-        """
-        axes, near = _principal_axes(points, 1)
-        across, begin = _centre(points[near] @ axes[1:].T, readings[near], zero, unknown)
-        return np.concatenate([across @ axes[1:], axes[0]]), begin
-
-    @staticmethod
-    def gauge(values: Array) -> tuple[Array, Array]:
-        at, ahead = values[:3], values[3:]
-        short, by_vector = unit_length(ahead)
-        rows = np.vstack([np.concatenate([np.zeros(3), by_vector[0]]), np.concatenate([ahead, at])])
-        return np.append(short, -(at @ ahead)), rows
-
-
 class _Plane(_Point):
     """A plane, described by a normal of length one and the plane's distance from the origin."""
 
@@ -194,7 +156,7 @@ class _Plane(_Point):
         The normal is the shortest axis of the points, or the direction along which the readings grow, whichever
         explains the readings better.
         """
-        shortest = _principal_axes(points, 2)[0][2]
+        shortest = _normal(points)
         matrix = np.column_stack([points - points.mean(axis=0), np.ones(len(points))])
         slope = steady_solution(matrix, readings)[:3]
         candidates = [shortest, *([slope / np.linalg.norm(slope)] if np.linalg.norm(slope) > 1e-9 else [])]
@@ -212,7 +174,7 @@ class _Plane(_Point):
         return short, np.append(by_vector, [[0.0]], axis=1)
 
 
-SURFACES: dict[SurfaceName, type[_Point]] = {"point": _Point, "line": _Line, "plane": _Plane}
+SURFACES: dict[SurfaceName, type[_Point]] = {"point": _Point, "plane": _Plane}
 """Classes of surfaces by name."""
 
 
@@ -324,9 +286,9 @@ class SocketObservations(Observations):
         return (self.spacing - apart) / self.spacing_std, np.pad(by_sockets, ((0, 0), (0, 3)))
 
 
-# Distances of one tool point from a point, a line or a plane: draw wire, ball bar, sphere, edge, plane, dial gauge.
+# Distances of one tool point from a point or a plane: draw wire, ball bar, sphere, plane, dial gauge.
 # The reading is (1 + scale) * distance + zero; where something merely touches, every reading is the same. What the
-# point, line or plane is, and as much of scale, zero and tool point as is not known, are found together with the arm.
+# point or plane is, and as much of scale, zero and tool point as is not known, are found together with the arm.
 # SI units.
 
 
@@ -337,7 +299,7 @@ SCALE_TOLERANCE = 1e-3
 @register("observation", "distances")
 @dataclass(frozen=True, eq=False)
 class DistanceObservations(Observations):
-    """Distances of a point of the tool from a point, line or plane that does not move.
+    """Distances of a point of the tool from a point or plane that does not move.
 
     Each uncertainty is 0 if its number is exact and infinite if the number is to be fitted.
 
@@ -345,8 +307,8 @@ class DistanceObservations(Observations):
         joints: ``(N, n)``, rad or m.
         length: Readings ``(N,)``, m.
         std: Standard uncertainty of a reading, m.
-        surface: What the distance is measured from: a draw wire's anchor or a sphere's centre ("point"), an edge
-            ("line"), or a plane ("plane"). A distance from a plane is signed, and a plane has no zero of its own.
+        surface: What the distance is measured from: a draw wire's anchor or a sphere's centre ("point"), or a plane
+            ("plane"). A distance from a plane is signed, and a plane has no zero of its own.
         zero: The reading at distance 0, m.
         zero_std: Standard uncertainty of ``zero``, m.
         scale_std: Standard uncertainty of the amount by which the reading's scale exceeds 1.
@@ -383,7 +345,7 @@ class DistanceObservations(Observations):
 
     @cached_property
     def numbers(self) -> Stated:
-        """Numbers of the point, line or plane, then the instrument's zero, scale and tool point."""
+        """Numbers of the point or plane, then the instrument's zero, scale and tool point."""
         surface, zero_std = SURFACES[self.surface], 0.0 if self.surface == "plane" else self.zero_std
         return Stated(
             (*surface.names, "zero", "scale", *TIP),
@@ -438,7 +400,7 @@ class ReflectorObservations(Observations):
         joints: ``(N, n)``, rad or m.
         points: Measured positions ``(N, k, 3)``, m; values of lost reflectors are ignored.
         seen: Whether each reflector was seen ``(N, k)``.
-        covariance: Covariance of a point, m^2: ``(3, 3)``, or ``(N, k, 3, 3)`` if each point has its own.
+        std: Standard uncertainty of a coordinate of a point, m.
         conditions: Payload, temperature and torques, where known.
         source: Where the data come from.
         origins: File and line of each row; None where they come from no file.
@@ -449,7 +411,7 @@ class ReflectorObservations(Observations):
     joints: Array
     points: Array
     seen: NDArray[np.bool_]
-    covariance: Array
+    std: float
     conditions: Conditions = NONE_KNOWN
     source: str = "reflectors"
     kind: str = "reflectors"
@@ -457,13 +419,8 @@ class ReflectorObservations(Observations):
     origins: Origins | None = None
     places: Array | None = None
     places_std: float = np.inf
-
+    per_row = ("points", "seen")
     width = 3
-
-    @worked_out
-    def per_row(self) -> tuple[str, ...]:
-        """Names of the arrays with one entry per row; "covariance" is one of them if each point has its own."""
-        return ("points", "seen", *(["covariance"] if self.covariance.ndim > 2 else []))
 
     @property
     def rows_of_misses(self) -> Rows:
@@ -509,33 +466,20 @@ class ReflectorObservations(Observations):
         weight = self.seen[..., None] / np.maximum(self.seen.sum(axis=0), 1)[:, None]
         return np.asarray(np.sum(np.where(self.seen[..., None], local, 0.0) * weight, axis=0))
 
-    def _points(self, model: ArmModel, numbers: Array) -> Array:
-        tool = model.pose(self.joints, self.conditions)
-        return np.asarray(tool.position[:, None] + np.einsum("nij,kj->nki", tool.rotation, numbers.reshape(-1, 3)))
-
     def missed(self, model: ArmModel, numbers: Array) -> Array:
         """Measured minus predicted position of each reflector seen ``(R, 3)``, m."""
-        return np.asarray((self.points - self._points(model, numbers))[self.seen])
-
-    def whitened(self, model: ArmModel, numbers: Array) -> Array:
-        """Whitened errors of the reflectors seen."""
-        errors = self.points - self._points(model, numbers)
-        return np.asarray(np.einsum("nkij,nkj->nki", self._whitening(), errors)[self.seen])
+        tool = model.pose(self.joints, self.conditions)
+        predicted = tool.position[:, None] + np.einsum("nij,kj->nki", tool.rotation, numbers.reshape(-1, 3))
+        return np.asarray((self.points - predicted)[self.seen])
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
         """Whitened derivatives of the reflectors seen, by the model and by the reflectors' places."""
         tool, pose = model.pose(self.joints, self.conditions), model.jacobian(self.joints, self.conditions)
         count = self.points.shape[1]
         lever = np.einsum("nij,kj->nki", tool.rotation, numbers.reshape(-1, 3))
-        by_arm = observations.point_jacobian(pose[:, None], lever)
+        by_arm = observations.point_jacobian(pose[:, None], lever)[self.seen]
         by_place = np.einsum("nij,kl->nkilj", tool.rotation, np.eye(count)).reshape(len(self.joints), count, 3, -1)
-        white = self._whitening()
-        by_arm = np.einsum("nkij,nkjp->nkip", white, by_arm)[self.seen]
-        return by_arm, np.einsum("nkij,nkjp->nkip", white, by_place)[self.seen]
-
-    def _whitening(self) -> Array:
-        """The inverse of each covariance's Cholesky factor, a matrix W with W C W^T = 1 ``(N, k, 3, 3)``."""
-        return np.broadcast_to(np.linalg.inv(np.linalg.cholesky(self.covariance)), (*self.points.shape, 3))
+        return by_arm / self.std, by_place[self.seen] / self.std
 
 
 # Which way is down, as an inclinometer or accelerometer on the tool tells it: one to three components of gravity. It

@@ -387,7 +387,7 @@ class Stacked(Observations):
 
     @worked_out
     def origins(self) -> Origins:
-        """File and line of every row."""
+        """File and line of every row, and the scatter of the first station's repeats."""
         parts = [origins_of(part) for part in self.parts]
         starts = _starts([len(origins.files) for origins in parts])
         return Origins(
@@ -395,6 +395,7 @@ class Stacked(Observations):
             np.concatenate([origins.file + start for origins, start in zip(parts, starts, strict=True)]),
             np.concatenate([origins.line for origins in parts]),
             tuple(dict.fromkeys(clock for origins in parts for clock in origins.clocks)),
+            repeat=parts[0].repeat,
         )
 
     @property

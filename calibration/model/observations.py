@@ -98,6 +98,7 @@ class Origins:
         line: Line of each row in its file ``(N,)``, from 1.
         clocks: The clocks of the recordings among the files.
         scene: Names of the sensor and of the target that the rows are of; empty where the files name none.
+        repeat: RMS of a position's scatter between repeats, m, as the files state it; None where they do not.
     """
 
     files: tuple[str, ...]
@@ -105,6 +106,7 @@ class Origins:
     line: NDArray[np.int64]
     clocks: tuple[Clocks, ...] = ()
     scene: tuple[str, str] = ("", "")
+    repeat: float | None = None
 
     def select(self, rows: ArrayLike) -> Origins:
         """The origins of the given rows (indices or a mask)."""

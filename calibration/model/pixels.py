@@ -20,7 +20,7 @@ from pickenv.arm import Array, Pose, inverse_pose, rotation_matrix
 from pickenv.base import InputError, register
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.measurements import Measurements
-from pickenv.calibration.model.observations import Observations, Origins, Rows, Stated, nearest_rotation, point_jacobian
+from pickenv.calibration.model.observations import Observations, Origins, Rows, Stated, point_jacobian
 
 # What a camera makes of a point: a pinhole, and the radial and tangential distortion of its lens. Brown 1971, with
 # the coefficients as OpenCV and ROS ("plumb_bob") order them: k1, k2, p1, p2, k3. Points lie in the camera's frame (x
@@ -266,18 +266,13 @@ class PixelObservations(Observations):
         return by_point(numbers, points) @ by_arm * weight, by_values(numbers, points) * weight
 
 
-def with_lens(data: PixelObservations, kind: str) -> PixelObservations:
-    """A copy of the views whose lens is "fixed" or "free", whatever their description says."""
-    return replace(data, lens_std=np.full(len(LENS_NAMES), 0.0 if kind == "fixed" else np.inf))
+def with_free_lens(data: PixelObservations) -> PixelObservations:
+    """A copy of the views whose lens is to be fitted, whatever their description says."""
+    return replace(data, lens_std=np.full(len(LENS_NAMES), np.inf))
 
 
 # Where a board or other points stand in a camera's frame, view by view. A first pose to start from, not a result: the
-# fit of the arm takes the corners themselves. Of a board a homography, then its two rotations' common pose (Zhang 2000,
-# section 3.1); of few corners, three of which may lie in one line, and of points in space the attitude and place that
-# least squares find from several attitudes.
-
-ENOUGH = 6
-"""Least number of a board's corners from which a homography is taken."""
+# fit of the arm takes the corners themselves.
 
 STARTING = 4
 """Least number of points in a view that show where the board is: three may do so in up to four ways."""
@@ -286,33 +281,20 @@ LEAST_SPREAD = 0.05
 """A view's corners must spread so far across their longest line, as a share of the spread along it, to show it."""
 
 TRIED, STEPS = 4, 12
-"""Number of attitudes, of a cube's 24, that are tried for points in space, and of steps from each."""
+"""Number of attitudes, of a cube's 24, from which steps are taken, and of these steps."""
 
 
 def board_poses(data: PixelObservations) -> Pose:
-    """The board's pose in the camera's frame in each view ``(V,)``.
+    """The board's pose in the camera's frame in each view ``(V,)``, from which directions to its points fit the rays.
+
+    It is found by Gauss-Newton steps. The starts are the attitudes of a cube, each with the place that is best for it
+    (least distances of the points from their lines of sight), of which the `TRIED` best go on.
 
     Args:
         data: Views with at least four corners each, not all in one line.
     """
-    rays = undistorted(data.camera.values, np.where(data.seen[..., None], data.corners, data.camera.values[2:4]))
-    flat = (data.seen.sum(axis=1) >= ENOUGH) & (not data.board[:, 2].any())
-    poses = Pose(np.empty((len(flat), 3)), np.empty((len(flat), 3, 3)))
-    if not flat.all():
-        poses.position[~flat], poses.rotation[~flat] = _poses_in_space(data.board, data.seen[~flat], rays[~flat])
-    for view in np.flatnonzero(flat):
-        seen = data.seen[view]
-        poses.position[view], poses.rotation[view] = _pose(data.board[seen, :2], rays[view, seen])
-    return poses
-
-
-def _poses_in_space(points: Array, seen: NDArray[np.bool_], rays: Array) -> Pose:
-    """Poses ``(V,)`` of points ``(K, 3)`` by Gauss-Newton steps: the directions to them differ least from the rays'.
-
-    The starts are the attitudes of a cube, each with the place that is best for it (least distances of the points from
-    their lines of sight), of which the `TRIED` best go on.
-    """
-    middle = points.mean(axis=0)
+    points, seen, middle = data.board, data.seen, data.board.mean(axis=0)
+    rays = undistorted(data.camera.values, np.where(seen[..., None], data.corners, data.camera.values[2:4]))
     sight = np.concatenate([rays, np.ones_like(rays[..., :1])], axis=-1)[:, None]
     sight, weight = sight / np.linalg.norm(sight, axis=-1, keepdims=True), seen[:, None, :, None]
 
@@ -341,24 +323,3 @@ def _poses_in_space(points: Array, seen: NDArray[np.bool_], rays: Array) -> Pose
         turn, place = rotation_matrix(step[..., 3:]) @ turn, place + step[..., :3]
     turn, place = (part[:, 0] for part in nearest(turn, place, 1))
     return Pose(place - turn @ middle, turn)
-
-
-def _pose(flat: Array, rays: Array) -> Pose:
-    """The board's pose: the homography to the rays gives its first two axes and its position."""
-    homography = _homography(flat, rays)
-    scale = np.linalg.norm(homography[:, :2], axis=0).mean()
-    first, second, position = (homography / scale).T
-    if position[2] < 0.0:  # the board is in front of the camera
-        first, second, position = -first, -second, -position
-    rotation = nearest_rotation(np.stack([first, second, np.cross(first, second)], axis=1))
-    return Pose(position, rotation)
-
-
-def _homography(flat: Array, rays: Array) -> Array:
-    """The homography H in (ray, 1) ~ H (point, 1), by the normalised direct linear transform (Hartley 1997)."""
-    middle, size = flat.mean(axis=0), float(np.sqrt(2.0) / np.linalg.norm(flat - flat.mean(axis=0), axis=1).mean())
-    points = np.column_stack([(flat - middle) * size, np.ones(len(flat))])
-    blank = np.zeros_like(points)
-    rows = np.block([[points, blank, -rays[:, :1] * points], [blank, points, -rays[:, 1:] * points]])
-    scaled = np.array([[size, 0.0, -size * middle[0]], [0.0, size, -size * middle[1]], [0.0, 0.0, 1.0]])
-    return np.asarray(np.linalg.svd(rows)[2][-1].reshape(3, 3) @ scaled)

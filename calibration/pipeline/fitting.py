@@ -28,7 +28,6 @@ from pickenv.calibration.model.observations import MISS_UNITS, Observations, Row
 from pickenv.calibration.model.pixels import LENS_NAMES, Lens, PixelObservations
 from pickenv.calibration.model.prior import PriorModel, prior_model
 from pickenv.calibration.pipeline.calibration import Calibration
-from pickenv.calibration.pipeline.verification import errors_there, restationed
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.gate import position_rms
 from pickenv.calibration.residuals.residual_models import PERIODIC_SPAN, fit_residual
@@ -218,7 +217,6 @@ class HeldOut:
         parametric: Errors of the model used, without its learnt residual.
         used: Name of the model by which each part of the rows was judged: one, or one per block.
         blocks: The block of each error ``(M,)``; None if rows were held out once.
-        refit: How frames were found anew for these rows, in words; empty if they are those of the fit.
         pixels: For pictures, the geometry's errors in px, view by view; empty for other kinds.
     """
 
@@ -226,7 +224,6 @@ class HeldOut:
     parametric: Array
     used: tuple[str, ...]
     blocks: Rows | None = None
-    refit: str = ""
     pixels: tuple[Array, ...] = ()
 
     def text(self, rows: int, fitted: int) -> str:
@@ -237,7 +234,7 @@ class HeldOut:
             fitted: Number of rows that the calibration was fitted to.
         """
         if self.blocks is None:
-            counted = f"{rows} {self.rows} held out, {fitted} fitted{self.refit}"
+            counted = f"{rows} {self.rows} held out, {fitted} fitted"
             return f"{counted}; interval over rows{self._reason()}"
         counts = Counter(self.used).most_common()
         models = ", ".join(name if len(counts) == 1 else f"{name} ({count})" for name, count in counts)
@@ -274,7 +271,7 @@ def held_out_of(fits: Mapping[str, Fit], test: Observations) -> HeldOut:
         fits: Calibrations by name, step by step: of the geometry alone, then each with one part more.
         test: The held-out rows.
     """
-    bare = next(iter(fits.values()))
+    bare, (used, best) = next(iter(fits.values())), list(fits.items())[-1]
     if test.poses is not None:
         before = test.poses.difference(ArmModel.of(bare.calibration.nominal))
     else:
@@ -284,43 +281,9 @@ def held_out_of(fits: Mapping[str, Fit], test: Observations) -> HeldOut:
     if test.views is not None:
         solution, views = bare.identification, [test.views.select(np.array([i])) for i in range(len(test.joints))]
         pixels = tuple(view.pixel_errors(solution.arm_model, unknowns_of(solution, view)) for view in views)
-    return replace(_step_by_step(fits, before, lambda fit: what_is_left(fit, test)), pixels=pixels)
-
-
-def _step_by_step(fits: Mapping[str, Fit], nominal: Array, left: Callable[[Fit], Array]) -> HeldOut:
-    """The held-out errors of the nominal arm, as given, and of each step's calibration, which ``left`` computes."""
-    used, best = list(fits.items())[-1]
-    errors = {name: left(fit) for name, fit in zip((GEOMETRIC, *list(fits)[1:]), fits.values(), strict=True)}
-    return HeldOut({NOMINAL: nominal, **errors}, left(without_residual(best)), (used,))
-
-
-def held_out_elsewhere(
-    fits: Mapping[str, Fit], test: Measurements, own: Sequence[str], count: int
-) -> tuple[HeldOut, Rows]:
-    """Errors on rows of another station, whose frames are found from a few of its rows, separately for each model.
-
-    Args:
-        fits: Calibrations by name, step by step: of the geometry alone, then each with one part more.
-        test: Rows of the other station.
-        own: Which of "base" and "tool" the station has of its own.
-        count: Number of rows from which these frames are found.
-
-    Returns:
-        The errors, and the indices of the rows to which they belong, which are all but those used to find the frames.
-
-    Raises:
-        InputError: If there are too few rows.
-    """
-    bare, best = next(iter(fits.values())), list(fits.values())[-1]
-    _, used, others, *_ = restationed(best.calibration, test, own, count)
-
-    def left(fit: Fit) -> Array:
-        there, *_ = restationed(fit.calibration, test, own, count, used)
-        return errors_there(there, fit.calibration, test.select(others))
-
-    nominal = replace(bare, calibration=replace(bare.calibration, model=ArmModel.of(bare.calibration.nominal)))
-    refit = f", {' and '.join(own)} found from {count} others of the same station"
-    return replace(_step_by_step(fits, left(nominal), left), refit=refit), others
+    steps = zip((GEOMETRIC, *list(fits)[1:]), fits.values(), strict=True)
+    errors = {NOMINAL: before} | {name: what_is_left(fit, test) for name, fit in steps}
+    return HeldOut(errors, what_is_left(without_residual(best), test), (used,), pixels=pixels)
 
 
 def by_station(held_out: HeldOut, train: Observations, folds: Sequence[tuple[Rows, Rows]]) -> HeldOut:

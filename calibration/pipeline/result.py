@@ -29,7 +29,7 @@ from pickenv.calibration.model.observations import MISS_UNITS, Clocks, Observati
 from pickenv.calibration.pipeline import fitting
 from pickenv.calibration.pipeline.calibration import QUANTITIES, Calibration, PoseUncertainty, variance_by_station
 from pickenv.calibration.pipeline.twin import SCATTER, SCATTER_PARTS, scatter_of, twin
-from pickenv.calibration.reading.read import NoiseFloor, floor_record, floor_text, joints_of, read_targets
+from pickenv.calibration.reading.read import joints_of, read_targets
 from pickenv.calibration.residuals.gate import GateVerdict, position_rms, selected, verdicts_record
 
 CAUTIONS, CAUTION = 3, 100
@@ -60,7 +60,6 @@ class Result:
         base_frame: The error in the robot's own base frame; None if base and tool were known.
         terms: How terms were chosen; None if they were not chosen from the rows.
         gate: Verdicts on the residual models; empty if none was judged.
-        floor: What the files say about noise (`pickenv.calibration.reading.read.NoiseFloor`); None if not from files.
         left_out: Rows that were found far off, each with whether it was kept or left out.
         unit: Serial number of the robot; None if it was not named.
         pixels: Reprojection errors, for JSON; None if no pictures were taken.
@@ -78,7 +77,6 @@ class Result:
     base_frame: instrument.BaseFrameError | None
     terms: TermChoice | None = None
     gate: tuple[GateVerdict, ...] = ()
-    floor: NoiseFloor | None = None
     left_out: tuple[diagnosis.LeftOut, ...] = ()
     unit: str | None = None
     pixels: dict[str, Any] | None = None
@@ -152,8 +150,8 @@ class Result:
         if self.stiffnesses:
             record["stiffnesses"] = self.stiffnesses
         if self.train.poses is not None:
-            repeat = None if self.floor is None else self.floor[0]
-            record[SCATTER] = dict(zip(SCATTER_PARTS, scatter_of(self.train.poses, repeat), strict=True))
+            scatter = scatter_of(self.train.poses, origins_of(self.train).repeat)
+            record[SCATTER] = dict(zip(SCATTER_PARTS, scatter, strict=True))
         if self.set_ups:
             record["stations"] = self.set_ups
         record["left_out"] = [f"{item.file}:{item.line}" for item in self.left_out if not item.kept]
@@ -405,8 +403,8 @@ class Result:
             ),
         ]
         rows += [("recording", clock.text()) for clock in self.clocks]
-        if self.floor is not None:
-            rows.append(("noise floor of a position", floor_text(self.floor)))
+        if (repeat := origins_of(self.train).repeat) is not None:
+            rows.append(("repeatability of a position by the files", f"{repeat * 1e3:.4f} mm"))
         return screen.Block("Evidence", (), tuple(rows), key="evidence")
 
     def as_dict(self) -> dict[str, Any]:
@@ -457,10 +455,8 @@ class Result:
             "converged": self.fit.identification.converged,
             "iterations": len(solution.residual_rms) - 1,
             "solve_seconds": solution.solve_seconds,
-            "unknowns_mm": screen.unknowns_in("mm", solution.unknowns),
-            "directions": screen.unknowns_in("1", solution.unknowns),
             "held_out": held_out,
-            "noise_floor_mm": None if self.floor is None else floor_record(self.floor),
+            "repeat_mm": None if (repeat := origins_of(self.train).repeat) is None else repeat * 1e3,
             "recordings": [clock.as_dict() for clock in self.clocks],
             "terms": terms,
             "harmonics": {"note": screen.OWN, "found": self.harmonics} if self.harmonics else None,

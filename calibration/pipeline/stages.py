@@ -30,13 +30,11 @@ from pickenv.calibration.model.arm_model import CARRIER, ArmModel, kind_of_term,
 from pickenv.calibration.model.measurements import FRAMES, OWN, Frames, InstrumentStation, Measurements, Stacked
 from pickenv.calibration.model.noise import noise_of
 from pickenv.calibration.model.observations import Observations, Rows, origins_of, pose_count
-from pickenv.calibration.model.pixels import with_lens
 from pickenv.calibration.model.prior import FIT_WORDS, prior_model
 from pickenv.calibration.pipeline import fitting
 from pickenv.calibration.pipeline.result import Result, assess, workspace_joints
-from pickenv.calibration.pipeline.verification import REFIT_ROWS, near_rows
 from pickenv.calibration.reading.description import load_description
-from pickenv.calibration.reading.read import NoiseFloor, joints_of, read_observations, read_targets
+from pickenv.calibration.reading.read import joints_of, read_observations, read_targets
 from pickenv.calibration.residuals.bpnn import BpnnSettings
 from pickenv.calibration.residuals.gate import AUTO, GateVerdict, gate_residuals, position_rms, selected
 from pickenv.calibration.residuals.residual_models import TRIAL_FITTERS, require_residual
@@ -58,9 +56,6 @@ class Choices:
         learn_from: Poses for the named residual model, which is then used as it is, as the paper does; when None it
             learns from the training rows, if it wins there.
         settings: Settings of the network that learns from ``learn_from``; the paper's when None.
-        lens: "fixed" or "free", for pictures; when None, what their description says.
-        refit: Which of "base" and "tool" differ in the rows to judge by, as they do at another station.
-        refit_rows: Number of the rows to judge by from which these frames are found.
         fit: One of `pickenv.calibration.model.prior.FIT_WORDS`: "auto", all parameters by their priors; "offsets", the
             joints' zeros alone; "full", all parameters without priors, as the papers do.
         tolerances: The tolerance class that parts are expected to be made to, by name or path; when None, the arm's own
@@ -78,9 +73,6 @@ class Choices:
     frames: Frames | None = None
     learn_from: Measurements | None = None
     settings: BpnnSettings | None = None
-    lens: str | None = None
-    refit: tuple[str, ...] = ()
-    refit_rows: int = REFIT_ROWS
     fit: str = "auto"
     tolerances: str | None = None
     prior_scale: float | None = None
@@ -95,8 +87,6 @@ def refuse_options(train: Observations, choices: Choices) -> None:
     """
     learnt = choices.residual not in ("auto", "none")
     tracked = all(part.poses is not None for part in train.parts)
-    if choices.lens is not None and train.kind != "pixels":
-        raise InputError(f"`lens` is for pictures, but {train.source} holds {train.kind}; leave it out")
     known = choices.frames == "known"
     if known or (learnt and not tracked):
         option = "`frames='known'`" if known else f"`residual='{choices.residual}'`"
@@ -140,8 +130,8 @@ def given_rows(
     *,
     known: bool = False,
     like: Observations | None = None,
-) -> tuple[Observations, NoiseFloor | None]:
-    """Read the rows, and what their files say about noise (for several stations, the noise of the first station).
+) -> Observations:
+    """Read the rows.
 
     Args:
         arm: The arm.
@@ -163,7 +153,7 @@ def given_rows(
             raise InputError("columns describe files, but rows are given; leave them out")
         for item in items:
             _refuse_no_numbers(arm, item)
-        return _joined(arm, items, stations, known, like), None
+        return _joined(arm, items, stations, known, like)
     layouts: list[str | Path | None] = [*_each(columns)] or [None]
     if len(layouts) > 1 and len(layouts) != len(items):
         raise InputError(
@@ -172,9 +162,8 @@ def given_rows(
     together = len(layouts) == 1 and stations is None
     sets = [items] if together else [[file] for file in items]
     layouts = layouts if len(layouts) > 1 else layouts * len(sets)
-    readings = [read_observations(part, arm.nominal, layout) for part, layout in zip(sets, layouts, strict=True)]
-    rows = [reading.observations for reading in readings]
-    return _joined(arm, rows, stations, known, like), readings[0].floor
+    rows = [read_observations(part, arm.nominal, layout) for part, layout in zip(sets, layouts, strict=True)]
+    return _joined(arm, rows, stations, known, like)
 
 
 def pool_of(path: str | Path, geometry: Geometry, columns: str | Path | None = None) -> tuple[Array, NDArray[np.int64]]:
@@ -191,7 +180,7 @@ def pool_of(path: str | Path, geometry: Geometry, columns: str | Path | None = N
     if columns is None:
         targets = read_targets(path, geometry)
         return joints_of(targets, geometry), np.array(targets.lines, dtype=np.int64)
-    data = read_observations([path], geometry, columns).observations
+    data = read_observations([path], geometry, columns)
     return data.joints, origins_of(data).line
 
 
@@ -376,16 +365,12 @@ def calibrate(
     if split not in SPLITS:
         raise InputError(f"split is '{split}'; give {' or '.join(SPLITS)}")
     known_frames = choices.frames == "known"
-    train, floor = given_rows(arm, data, columns, stations, known=known_frames)
+    train = given_rows(arm, data, columns, stations, known=known_frames)
     if (between := train.parts[0].conditions.between) is not None:
-        if known_frames or choices.refit:
-            raise InputError("`frames='known'` and `refit` are for a single arm; leave them out for a whole robot")
+        if known_frames:
+            raise InputError("`frames='known'` is for a single arm; leave it out for a whole robot")
         arm = replace(arm, nominal=arm.nominal.between(*between[0].tolist()))
     rng = rng or np.random.default_rng(choices.seed)
-    if choices.lens is not None and train.views is not None:
-        train = with_lens(train.views, choices.lens)
-    if choices.refit and test is None:
-        raise InputError("`refit` is for rows of another station; give them as `test`")
     few = test is None and test_rows is None and train.poses is not None
     few = few and pose_count(train.joints) < ENOUGH_FOR_BLOCKS
     if test is None and (split == "blocked" or few or train.kind == "pixels"):
@@ -397,12 +382,10 @@ def calibrate(
         train, held_out = (train.select(np.sort(part)) for part in rows)
         result = _judged_once(Draft(arm, choices, train, held_out, rng, progress))
     else:
-        like = None if choices.refit else train
-        held_out, _ = given_rows(arm, test, columns, stations, known=known_frames or bool(choices.refit), like=like)
+        held_out = given_rows(arm, test, columns, stations, known=known_frames, like=train)
         refuse_trained(train, held_out)
-        judge = _judged_elsewhere if choices.refit else _judged_once
-        result = judge(Draft(arm, choices, train, held_out, rng, progress))
-    return replace(result, floor=floor, unit=unit, stations=stations)
+        result = _judged_once(Draft(arm, choices, train, held_out, rng, progress))
+    return replace(result, unit=unit, stations=stations)
 
 
 def _through(stages: Sequence[Callable[[Draft], Draft]], draft: Draft) -> Draft:
@@ -457,19 +440,6 @@ def _judged_by_blocks(draft: Draft) -> Result:
             draft.progress("judging blocks", number + 1, len(folds))
     final = replace(complete, test=checked.train.select(np.concatenate([rows_out for _, rows_out in folds])))
     return _assessed(final, fitting.by_station(fitting.pooled(list(complete.fits), parts), checked.train, folds))
-
-
-def _judged_elsewhere(draft: Draft) -> Result:
-    """Judge the calibration on another station, whose own frames are found from a few of its rows."""
-    test = draft.test
-    draft = _through(STAGES, replace(draft, test=draft.train.select(np.arange(0))))
-    if test.poses is None:
-        raise InputError(f"`refit` is for poses and positions, but {test.source} holds {test.kind}; leave it out")
-    choices = draft.choices
-    near, left_out = near_rows(draft.best[1].calibration, test.poses, choices.refit, choices.refit_rows)
-    held_out, others = fitting.held_out_elsewhere(draft.fits, near, choices.refit, choices.refit_rows)
-    final = replace(draft, test=near.select(others), left_out=(*draft.left_out, *left_out))
-    return _assessed(final, held_out)
 
 
 def _folds(train: Observations) -> list[tuple[Rows, Rows]]:

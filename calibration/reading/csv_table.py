@@ -161,21 +161,6 @@ class Table:
         self.cache[name] = np.array([0.0 if lost else self._number(text, name, line) for text, lost, line in cells])
         return np.array(blank)
 
-    def resolution(self, names: tuple[str, ...]) -> float:
-        """Size of the last decimal digit that the numbers of the columns typically (median) have.
-
-        0 if one of the columns is computed from others.
-        """
-        if any(name not in self.header for name in names):
-            return 0.0
-        digits = []
-        for name in names:
-            for text in self.texts(name)[:200]:
-                mantissa, _, exponent = text.lower().partition("e")
-                shift = int(exponent) if re.fullmatch(r"[+-]?[0-9]{1,3}", exponent) else 0
-                digits.append(len(mantissa.replace(self.decimal, ".").partition(".")[2]) - shift)
-        return float(10.0 ** -np.median(digits))
-
     def _number(self, text: str, name: str, line: int) -> float:
         """The finite number that a cell's text spells, with this file's decimal sign."""
         grouped = self.decimal == "," and "." in text  # a point beside a decimal comma groups thousands

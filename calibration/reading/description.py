@@ -131,7 +131,7 @@ class BarTable(ContactTable):
 
 @toml_table
 class RadiusTable(ContactTable):
-    """[sphere] or [edge]: the radius that the tool point keeps from the centre or the edge; fitted if not given."""
+    """[sphere]: the radius that the tool point keeps from the centre; fitted if not given."""
 
     length: Annotated[float, MM.positive, Key("radius_mm")] | None = None
     length_std: Annotated[float, MM.not_negative, Key("radius_std_mm")] = 0.0
@@ -421,7 +421,6 @@ class DescriptionFile:
     wire: WireTable | None = None
     bar: BarTable | None = None
     sphere: RadiusTable | None = None
-    edge: RadiusTable | None = None
     plane: ContactTable | None = None
     dial: DialTable | None = None
     touches: ContactTable | None = None

@@ -210,8 +210,8 @@ def _reflectors(files: Files, section: description.ReflectorsTable) -> kinds.Ref
     if (visible.sum(axis=0) < 3).any():
         which = int(np.argmin(visible.sum(axis=0)))
         raise InputError(f"{files.source}: reflector {which + 1} was seen in fewer than three poses; leave it out")
-    covariance, places = np.eye(3) * first.std**2, np.reshape(section.places, (-1, 3)) if section.places else None
-    data = kinds.ReflectorObservations(files.joints, np.concatenate(points), visible, covariance)
+    places = np.reshape(section.places, (-1, 3)) if section.places else None
+    data = kinds.ReflectorObservations(files.joints, np.concatenate(points), visible, first.std)
     return replace(data, places=places, places_std=section.places_std)
 
 
@@ -226,14 +226,13 @@ def _wire(files: Files, section: description.WireTable) -> kinds.DistanceObserva
 
 
 @register("instrument", "plane")
-@register("instrument", "edge")
 @register("instrument", "sphere")
 @register("instrument", "bar")
 def _kept(files: Files, section: description.ContactTable) -> kinds.DistanceObservations:
-    """Read contacts at a ball bar, a sphere, an edge or a plane: one distance for all rows, known or to be fitted."""
+    """Read contacts at a ball bar, a sphere or a plane: one distance for all rows, known or to be fitted."""
     length = getattr(section, "length", 0.0)  # a plane has none; None is to be fitted
     zero_std = np.inf if length is None else getattr(section, "length_std", 0.0)
-    surface = {"edge": "line", "plane": "plane"}.get(files.first.kind, "point")
+    surface = "plane" if files.first.kind == "plane" else "point"
     data = _distances(files, section, np.full(len(files.joints), length or 0.0), zero_std=zero_std, surface=surface)
     _refuse_one_pose(files, np.arange(len(files.joints)))
     return data

@@ -1,7 +1,6 @@
 """Reading measured files of any kind: our own columns, or any foreign file through a description of its columns.
 
-`read_measurements` reads poses or positions. `read_observations` reads any kind, from one file or several, together
-with what the files themselves say about noise: repeat sigma and the size of the last digit.
+`read_measurements` reads poses or positions. `read_observations` reads any kind, from one file or several.
 """
 
 from __future__ import annotations
@@ -23,39 +22,6 @@ from pickenv.calibration.reading import csv_table, description, kind_readers, re
 from pickenv.calibration.reading.bag_table import read_log
 from pickenv.calibration.reading.kind_readers import Files
 
-NoiseFloor = tuple[float | None, float | None]
-"""The noise that a file itself states, twice, each as the RMS of a position error's norm, m, or None if not stated.
-
-The first is from its columns of repeat sigma, the second from the last digit of its position columns: the digit's size
-/ sqrt(12) per coordinate.
-"""
-
-
-def floor_record(floor: NoiseFloor) -> dict[str, float | None]:
-    """The noise floor as JSON entries "repeat" and "digits", mm, None if not stated."""
-    return dict(zip(("repeat", "digits"), (None if value is None else value * 1e3 for value in floor), strict=True))
-
-
-def floor_text(floor: NoiseFloor) -> str:
-    """The noise floor in words, mm."""
-    repeat, digits = floor
-    parts = [] if repeat is None else [f"repeatability {repeat * 1e3:.4f} mm"]
-    parts += [] if digits is None else [f"digits of the file {digits * 1e3:.2g} mm"]
-    return " and ".join(parts) if parts else "not stated by the file"
-
-
-@dataclass(frozen=True, eq=False)
-class FileReading:
-    """Measurements of any kind as they were read.
-
-    Attributes:
-        observations: The data.
-        floor: What the files say about noise.
-    """
-
-    observations: Observations
-    floor: NoiseFloor
-
 
 def read_measurements(
     path: str | Path, geometry: Geometry, columns: str | Path | None = None, *, repeats: bool = False
@@ -71,7 +37,7 @@ def read_measurements(
     Raises:
         InputError: Names the file, row, column or unit at fault.
     """
-    rows = read_observations([path], geometry, columns, repeats=repeats).observations
+    rows = read_observations([path], geometry, columns, repeats=repeats)
     poses: Measurements | None = rows.poses
     if poses is None:
         raise InputError(
@@ -82,7 +48,7 @@ def read_measurements(
 
 def read_observations(
     paths: Sequence[str | Path], geometry: Geometry, columns: str | Path | None = None, *, repeats: bool = False
-) -> FileReading:
+) -> Observations:
     """Read measurements of any kind from one file or several of one layout.
 
     Files of sockets that name no socket column hold one socket each; the files of one folder make a pair.
@@ -104,9 +70,8 @@ def read_observations(
     names, links = (("", ""), ("", "")) if given is None else given.ends
     geometry = _between(geometry, links, where or str(paths[0]))
     if given is not None and given.pixels is not None:
-        return FileReading(
-            _in_scene(kind_readers.read_views(paths, geometry, given, where), geometry, names), (None, None)
-        )
+        views: Observations = _in_scene(kind_readers.read_views(paths, geometry, given, where), geometry, names)
+        return views
     form = () if given is None else (given.separator, given.decimal, given.names)
     topic = None if given is None or given.recording is None else given.recording.topic
     tables = [read_log(Path(path), topic, *form) for path in paths]
@@ -126,8 +91,9 @@ def read_observations(
     rows = _rows(tables, layouts, where, geometry, "fitted" if given is not None else _frames(tables))
     if not repeats:
         kind_readers.refuse_duplicates(rows.joints, rows, origins_of(rows))
-    rows = replace(rows, origins=replace(origins_of(rows), clocks=clocks))
-    return FileReading(_in_scene(rows, geometry, names), _floor(logged, described))
+    rows = replace(rows, origins=replace(origins_of(rows), clocks=clocks, repeat=_repeat(logged, described)))
+    read_rows: Observations = _in_scene(rows, geometry, names)
+    return read_rows
 
 
 def _between(geometry: Geometry, links: tuple[str, str], where: str) -> Geometry:
@@ -268,20 +234,14 @@ def _attitudes(table: csv_table.Table, described: description.RotationTable | No
     return values
 
 
-def _floor(tables: list[csv_table.Table], layouts: list[description.DescriptionFile]) -> NoiseFloor:
-    """The noise floor of all files together, from repeat sigma and from the last digit."""
-    repeat, digits = [], []
+def _repeat(tables: list[csv_table.Table], layouts: list[description.DescriptionFile]) -> float | None:
+    """RMS of a position's scatter between repeats, m, by the files' columns of repeat sigma; None without these."""
+    squares = []
     for table, layout in zip(tables, layouts, strict=True):
-        if layout.unit not in description.LENGTHS or not layout.columns:
-            continue
-        unit = TO_SI[layout.unit]
         if std_columns := getattr(layout.measured, "std_columns", ()):
-            std = table.values(std_columns) * unit
-            repeat.append(np.sum(std**2, axis=1) / (std.shape[1] / min(std.shape[1], 3)))
-        if step := table.resolution(layout.columns) * unit:
-            digits.append(step * np.sqrt(min(len(layout.columns), 3) / 12.0))
-    sigma = float(np.sqrt(np.mean(np.concatenate(repeat)))) if repeat else None
-    return sigma, float(max(digits)) if digits else None
+            std = table.values(std_columns) * TO_SI[layout.unit]
+            squares.append(np.sum(std**2, axis=1) / (std.shape[1] / min(std.shape[1], 3)))
+    return float(np.sqrt(np.mean(np.concatenate(squares)))) if squares else None
 
 
 # Reading targets for a calibrated arm: our own CSV columns, joints (q1_deg, q2_mm, …) or tool poses (x_mm … rz_deg).

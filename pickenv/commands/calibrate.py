@@ -26,8 +26,6 @@ def calibrate(
     split: Literal["random", "blocked"] = "random",
     seed: Annotated[int, Option(min=0)] = 0,
     test: list[Path] | None = None,
-    refit: str | None = None,
-    refit_rows: Annotated[int | None, Option(min=3)] = None,
     fit: Literal["auto", "offsets", "full"] = "auto",
     tolerances: str | None = None,
     prior_scale: Annotated[float | None, Option(min=1e-3, max=1e3)] = None,
@@ -36,7 +34,6 @@ def calibrate(
     residual: Annotated[str, Option(metavar="NAME")] = "auto",
     force: Annotated[bool, Option("--force")] = False,
     robust: Annotated[bool, Option("--robust/--no-robust")] = True,
-    lens: Literal["fixed", "free"] | None = None,
     lens_out: Path | None = None,
     unit: str | None = None,
     details: Annotated[bool, Option("--details")] = False,
@@ -62,8 +59,6 @@ def calibrate(
             calibration is fitted to all rows.
         seed: Seed of everything random.
         test: Held-out rows from other files instead.
-        refit: --test is another station: find its base, tool or base,tool from a few rows of it.
-        refit_rows: Rows to find them from; 6 if left out.
         fit: auto: all parameters, each expected within its tolerance class; offsets: the joints' zeros alone; full: all
             parameters without expectations, as the papers do.
         tolerances: Tolerance class that the arm's parts are made to, by name or file; as the arm's file says, or a
@@ -76,7 +71,6 @@ def calibrate(
         residual: Residual model: auto (the best of ours, if it wins), none, {residual}.
         force: Use the named residual model even if it does not win.
         robust: Rows far off, held out or not, are listed and left out, or listed and kept.
-        lens: Of pictures: take the camera's numbers as they are, or fit them.
         lens_out: Write the camera's lens as ROS camera_info (.yaml).
         unit: Serial number of the robot, kept in the calibration.
         details: Print parameters, terms, harmonics, notes and evidence as well.
@@ -94,7 +88,6 @@ def calibrate(
     typed = dict(locals())
     from pickenv.calibration.camera.boards import write_lens
     from pickenv.calibration.pipeline.fitting import lens_of
-    from pickenv.calibration.pipeline.verification import frames_and_rows
     from pickenv.inspect.runs.run_folder import RECORD
 
     separate(
@@ -109,8 +102,7 @@ def calibrate(
     )
     if report is not None or run is not None:
         require("jinja2", "matplotlib", "plotly")  # said now, and not after the work
-    frames_moved, count = frames_and_rows(refit, refit_rows)
-    choices = pickenv.Choices(**fields_among(pickenv.Choices, typed) | {"refit": frames_moved, "refit_rows": count})
+    choices = pickenv.Choices(**fields_among(pickenv.Choices, typed))
     with progress_bars() as progress:
         result = pickenv.calibrate(
             arm,

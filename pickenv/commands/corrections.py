@@ -111,7 +111,7 @@ def plan_poses(
     if like is not None:
         if kind is not None or noise_mm is not None or frames == "known":
             raise InputError("--like says what is measured and how well; leave out --kind, --noise-mm and --frames")
-        first, _ = pickenv.calibration.given_rows(pickenv.calibration.given_arm(robot, columns), like, columns)
+        first = pickenv.calibration.given_rows(pickenv.calibration.given_arm(robot, columns), like, columns)
         planned = plan_like(robot, first, n, rng, lines=lines, prior=prior if prior.proper else None, **how)
     else:
         how |= {"kind": kind or "pose", "position_std": POSITION_STD if noise_mm is None else noise_mm * 1e-3}
@@ -154,7 +154,7 @@ def verify(
 
     separate({"CALIBRATION": calibration, "FILES": files, "--columns": columns}, {"--json": json_file})
     old = pickenv.Calibration.load(calibration)
-    data = pickenv.calibration.read_observations(files, old.arm, columns).observations
+    data = pickenv.calibration.read_observations(files, old.arm, columns)
     verdict = verified(old, data, *frames_and_rows(refit, refit_rows))
     good, arm = verdict.status == "still good", old.arm_name if old.arm_name in pickenv.arm.shipped_arms() else "ARM"
     step = next_step(arm, calibration, not good)
@@ -304,7 +304,7 @@ def twin(
     loaded = pickenv.Calibration.load(calibration, None, unit)
     robot = pickenv.load_arm(arm or loaded.arm_name)
     obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
-    data = None if not rows else pickenv.calibration.read_observations(rows, robot.nominal, columns).observations
+    data = None if not rows else pickenv.calibration.read_observations(rows, robot.nominal, columns)
     if data is not None and not isinstance(data, pickenv.calibration.Measurements):
         raise InputError(f"--rows holds {data.kind}, not poses or positions; leave it out")
     plant = pickenv.calibration.twin(loaded, robot, data, name=path.stem, seed=seed)

@@ -95,8 +95,7 @@ class RealSet:
         """
         arm = load_arm(self.arm.format(data))
         rows, poses = (
-            read_observations(files, arm.nominal, self.columns).observations if files else None
-            for files in self.paths(data)
+            read_observations(files, arm.nominal, self.columns) if files else None for files in self.paths(data)
         )
         assert rows is not None
         return arm, rows, poses

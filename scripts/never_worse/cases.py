@@ -167,7 +167,7 @@ def ur10e(settings: Settings) -> list[Row]:
     folder, arm = settings.data / "ur10e_realsense", load_arm("ur10e")
     views, columns = folder / "views.csv", folder / "columns.toml"
     truth = chain_of_origins(folder / "factory_kinematics.yaml")
-    measured = read_observations([views], arm.nominal, columns).observations.joints
+    measured = read_observations([views], arm.nominal, columns).joints
     result = pickenv.calibrate(arm, views, columns=columns)
     settings.step("23 pictures")
     every = np.full(arm.nominal.joints, np.pi)

@@ -87,7 +87,7 @@ def offset_of(
     pose = np.c_[times, cameras[:, :3, 3], rotation_vector(cameras[:, :3, :3])][some]
     np.savetxt(folder / "camera.csv", pose, "%.9f", ",", header="t,x,y,z,rx,ry,rz", comments="")
     (folder / "columns.toml").write_text(COLUMNS, encoding="utf-8")
-    rows = read_observations([folder / "camera.csv"], load_arm(arm).nominal, folder / "columns.toml").observations
+    rows = read_observations([folder / "camera.csv"], load_arm(arm).nominal, folder / "columns.toml")
     assert rows.origins is not None
     return rows.origins.clocks[0]
 

@@ -21,7 +21,7 @@ from pickenv.calibration import (
 )
 
 TIP = np.array([0.03, -0.02, 0.06])
-ANCHOR, LINE_POINT, ALONG = np.array([0.5, -0.9, 0.3]), np.array([0.35, 0.2, 0.3]), np.array([0.6, -0.64, 0.48])
+ANCHOR, PLACE = np.array([0.5, -0.9, 0.3]), np.array([0.35, 0.2, 0.3])
 NORMAL, OFFSET = np.array([0.36, 0.48, 0.8]), 0.3
 DOWN = np.array([0.02, -0.01, -1.0]) / np.linalg.norm([0.02, -0.01, -1.0])
 MOUNT = rotation_matrix(np.array([0.4, -0.3, 0.9]))
@@ -37,10 +37,6 @@ def points_at(geometry: Geometry, joints: np.ndarray) -> np.ndarray:
 
 def from_anchor(points: np.ndarray) -> np.ndarray:
     return np.linalg.norm(points - ANCHOR, axis=-1, keepdims=True)
-
-
-def from_line(points: np.ndarray) -> np.ndarray:
-    return np.linalg.norm(np.cross(points - LINE_POINT, ALONG), axis=-1, keepdims=True)
 
 
 def from_plane(points: np.ndarray) -> np.ndarray:
@@ -86,12 +82,6 @@ def sphere(geometry: Geometry, count: int, rng: np.random.Generator, noise: floa
     return replace(bar(geometry, count, rng, noise), length=np.zeros(count), zero_std=np.inf, kind="sphere")
 
 
-def edge(geometry: Geometry, count: int, rng: np.random.Generator, noise: float = 0.0) -> DistanceObservations:
-    """A ball of 20 mm radius on an edge."""
-    joints = held(geometry, from_line, 0.02 + noise * STD * rng.normal(size=(count, 1)), rng)
-    return DistanceObservations(joints, np.full(count, 0.02), STD, "line", tip=HERE, tip_std=2e-4, kind="edge")
-
-
 def plane(geometry: Geometry, count: int, rng: np.random.Generator, noise: float = 0.0) -> DistanceObservations:
     joints = held(geometry, from_plane, noise * STD * rng.normal(size=(count, 1)), rng)
     return DistanceObservations(joints, np.zeros(count), STD, "plane", tip=HERE, kind="plane")
@@ -106,7 +96,7 @@ def dial(geometry: Geometry, count: int, rng: np.random.Generator, noise: float 
 
 def touches(geometry: Geometry, count: int, rng: np.random.Generator, noise: float = 0.0) -> SocketObservations:
     """One point of the tool, not known, in one place."""
-    joints = held(geometry, lambda p: p, LINE_POINT + noise * STD * rng.normal(size=(count, 3)), rng)
+    joints = held(geometry, lambda p: p, PLACE + noise * STD * rng.normal(size=(count, 3)), rng)
     none, socket = np.zeros((0, 2), dtype=np.int64), np.zeros(count, dtype=np.int64)
     return SocketObservations(joints, socket, none, np.zeros(0), STD, places=("point",), tip_std=np.inf)
 
@@ -134,14 +124,13 @@ def placed_reflectors(
     points = points + noise * STD * rng.normal(size=points.shape)
     seen = rng.uniform(size=points.shape[:2]) > 0.2
     stated = PLACES + noise * 1e-4 * rng.normal(size=PLACES.shape)
-    return ReflectorObservations(joints, points, seen, np.eye(3) * STD**2, places=stated, places_std=1e-4)
+    return ReflectorObservations(joints, points, seen, STD, places=stated, places_std=1e-4)
 
 
 KINDS: dict[str, Callable[..., Observations]] = {
     "wire": wire,
     "bar": bar,
     "sphere": sphere,
-    "edge": edge,
     "plane": plane,
     "dial": dial,
     "touches": touches,
@@ -154,14 +143,13 @@ KINDS: dict[str, Callable[..., Observations]] = {
 }
 
 
-DIRECTIONS = ("along", "normal")
+DIRECTIONS = ("normal",)
 """What may come out the other way round where nothing tells its sense."""
 
 
 def truth_of(data: Observations, names: tuple[str, ...]) -> dict[str, float]:
     """What was simulated, by the names of the unknowns."""
-    foot = LINE_POINT - ALONG * (LINE_POINT @ ALONG)
-    vectors = {"tip": TIP, "anchor": ANCHOR, "edge": foot, "along": ALONG, "normal": NORMAL, "point": LINE_POINT}
+    vectors = {"tip": TIP, "anchor": ANCHOR, "normal": NORMAL, "point": PLACE}
     vectors |= {"down": DOWN} | {f"axis{k + 1}": MOUNT[k] for k in range(3)}
     vectors |= {f"reflector{k + 1}": place for k, place in enumerate(PLACES)}
     parts = [(name, zip("xyz", vector, strict=True)) for name, vector in vectors.items()]

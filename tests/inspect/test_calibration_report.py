@@ -133,9 +133,9 @@ def test_every_parameter_is_there_with_its_uncertainty_and_what_the_rows_told_of
     assert evidence.prior_text[1:] in text and "tolerance class cobot" in text
 
 
-def test_without_priors_the_page_names_the_sum_that_is_known(plant, sets):
+def test_without_priors_the_page_says_that_nothing_was_expected(plant, sets):
     text = Page(calibration_page(assess(plant.arm, fit(plant.arm, sets[0]), *sets))).text
-    assert "a1 + a2 + a3" in text and "Nothing was expected of them beforehand." in text
+    assert "Nothing was expected of them beforehand." in text
     assert " over nominal (mm) calibrated (mm)" not in text
 
 

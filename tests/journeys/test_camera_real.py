@@ -59,7 +59,7 @@ def errors(walked: tuple[Path, str], data_folder: Path) -> dict[str, dict[str, f
     """Error of the nominal and of the calibrated arm against the factory's in each region, mm."""
     data, arm = data_folder / "ur10e_realsense", load_arm("ur10e")
     truth = chain_of_origins(data / "factory_kinematics.yaml")
-    measured = read_observations([data / "views.csv"], arm.nominal, data / "columns.toml").observations.joints
+    measured = read_observations([data / "views.csv"], arm.nominal, data / "columns.toml").joints
     every = np.full(6, np.pi)
     arms = {
         "nominal": flange_of(arm.nominal),

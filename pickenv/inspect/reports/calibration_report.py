@@ -13,7 +13,7 @@ import numpy as np
 
 from pickenv.base import InputError, write_text
 from pickenv.calibration import Measurements, Observations, Result, random_joints
-from pickenv.calibration.assessment.quality import axis_errors, base_combinations
+from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.pipeline.fitting import GEOMETRIC, NOMINAL
 from pickenv.calibration.pipeline.result import SIGMAS, has_moved
@@ -172,7 +172,6 @@ def _errors(r: Result, blocks: Mapping[str, Block]) -> Section:
 
 def _parameters(r: Result) -> Section:
     joints, links = r.arm.nominal.joint_names, r.arm.nominal.link_names
-    combinations = base_combinations(r.fit.identification.identifiability)
     every, unknowns = r.plain_parameters(), r.fit.identification.unknowns
     limits: dict[str, float] = {}
     for row in every:
@@ -185,8 +184,6 @@ def _parameters(r: Result) -> Section:
         limit = limits.get(unit, abs(change) or 1.0)
         bar = "" if name in unknowns else (change, float(np.nan_to_num(row["std"])), limit)
         narrowed = "" if row["narrowed"] is None else f"{100 * row['narrowed']:.0f} %"
-        if combinations.get(name, name) != name:
-            narrowed = combinations[name]
         words = f"{figure(change)} ± {figure(row['std'])} {unit}"
         return name, parameter_words(name, joints, links), words, bar, narrowed
 
@@ -215,15 +212,13 @@ def _poses(r: Result, train: Observations) -> Section:
         (name, figure(observability[name.partition(" ")[0].lower()]), words)
         for name, words in TEXTS["observability"].items()
     ]
-    pairs = [(f"{a}, {b}", f"{rho:+.3f}") for a, b, rho in r.quality.pairs[:8]]
-    hard = PageTable("Parameters hard to tell apart", ("parameters", "correlation"), pairs, "code")
     coverage = Drawing("joint_coverage", caption, lambda: joint_coverage(geometry, {"fitted": train.joints}))
     return Section(
         "Were the poses good?",
         (
             _table(over.block()) if over is not None else "",
             *((coverage, _uncertainty(r)) if r.has_nominal else ()),
-            (PageTable("Observability of the parameters", (), indices), hard if pairs else None),
+            PageTable("Observability of the parameters", (), indices),
         ),
     )
 

@@ -9,7 +9,6 @@ from scipy import stats
 
 from pickenv.arm import forward, parameter_jacobian
 from pickenv.calibration import (
-    Identifiability,
     Measurements,
     ThermalTerm,
     frames_model,
@@ -23,8 +22,6 @@ from pickenv.calibration.assessment.quality import (
     Completeness,
     RegionError,
     Workspace,
-    base_combinations,
-    correlated_pairs,
     grade_quality,
 )
 from pickenv.calibration.assessment.screen import Block, figure, is_number, unit_of
@@ -274,63 +271,6 @@ def test_a_gain_that_nineteen_of_twenty_arms_do_not_have_is_cautioned(found):
     assert Workspace(region(), region(0.5, 0.95)).reservation is None
     (said,) = cautions(found, workspace=Workspace(region(), region(0.5, 0.9475)))
     assert "(1.000 mm expected) is better than the drawing (2.000 mm) for 95 % of the arms that the rows allow" in said
-
-
-def correlated(found, rho):
-    """The identification with one pair that correlates by rho, another by -0.95, and nothing else."""
-    size = found.identifiability.rank
-    std = np.linspace(1.0, 2.0, size)
-    matrix = np.eye(size)
-    matrix[0, 1] = matrix[1, 0] = rho
-    matrix[2, 5] = matrix[5, 2] = -0.95
-    return replace(found, covariance=matrix * std[:, None] * std)
-
-
-def test_pairs_that_correlate_by_more_than_nine_tenths_are_named_strongest_first(found):
-    names = found.identifiability.kept_names
-    weak = (names[2], names[5], pytest.approx(-0.95))
-    assert correlated_pairs(correlated(found, 0.89)) == (weak,)
-    assert correlated_pairs(correlated(found, 0.99)) == ((names[0], names[1], pytest.approx(0.99)), weak)
-    notes = [text for _, text in grade_quality(correlated(found, 0.99), *[errors(1e-4)] * 3).findings]
-    assert any(
-        f"2 pairs of parameters correlate by more than 0.9, most {names[0]} and {names[1]} (+0.99)" in n for n in notes
-    )
-    notes = [text for _, text in grade_quality(correlated(found, 0.89), *[errors(1e-4)] * 3).findings]
-    assert any(
-        f"1 pair of parameters correlate by more than 0.9, most {names[2]} and {names[5]} (-0.95)" in n for n in notes
-    )
-    matrix = np.eye(found.identifiability.rank)
-    matrix[0, 1] = matrix[1, 0] = 0.9
-    assert correlated_pairs(replace(found, covariance=matrix)) == ()  # not more than nine tenths
-    unknown = replace(found, covariance=np.full_like(found.covariance, np.nan))
-    assert grade_quality(unknown, errors(1e-4), errors(2e-3), errors(1e-4)).pairs == ()
-
-
-@pytest.mark.parametrize(
-    ("share", "text"),
-    [
-        (0.01, "a1 + 0.01 a2"),
-        (0.0099, "a1"),
-        (-0.01, "a1 - 0.01 a2"),
-        (1.0 + 1e-7, "a1 + a2"),
-        (1.0 + 1e-5, "a1 + 1 a2"),
-        (2.5, "a1 + 2.5 a2"),
-    ],
-)
-def test_shares_below_a_hundredth_are_left_out_and_a_whole_one_needs_no_number(share, text):
-    found = Identifiability(("a1", "a2"), np.array([0]), {"a2": {"a1": share}}, *[np.ones(2)] * 2)
-    assert base_combinations(found) == {"a1": text}
-
-
-def test_a_share_that_is_left_out_hides_no_other():
-    dropped = {"a3": {"a1": 1e-4, "a2": 0.5}}
-    found = Identifiability(("a1", "a2", "a3"), np.array([0, 1]), dropped, *[np.ones(3)] * 2)
-    assert base_combinations(found) == {"a1": "a1", "a2": "a2 + 0.5 a3"}
-
-
-def test_a_small_share_of_another_unit_is_shown():
-    found = Identifiability(("d3", "theta1"), np.array([0]), {"theta1": {"d3": 0.005}}, *[np.ones(2)] * 2)
-    assert base_combinations(found) == {"d3": f"d3 + {np.radians(0.005) * 1e3:.4g} mm/deg theta1"}
 
 
 @pytest.mark.parametrize(

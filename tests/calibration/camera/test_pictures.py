@@ -42,19 +42,10 @@ def ical(data_folder: Path) -> Path:
 )
 def test_a_real_camera(lens: str, rms: float, left_out: float, ical: Path, tmp_path: Path) -> None:
     """Bounds: a plain bundle adjustment of the same pictures, 2.61 and 3.28 px, 1.09 and 1.58 px."""
-    file = tmp_path / "found.json"
-    said = call(
-        "calibrate",
-        ical,
-        "--columns",
-        "ical_charuco",
-        "--lens",
-        lens,
-        "--json",
-        file,
-        "--lens-out",
-        tmp_path / "a.yaml",
-    )
+    file, columns = tmp_path / "found.json", tmp_path / "mine.toml"
+    text = (DESCRIPTIONS / "ical_charuco.toml").read_text(encoding="utf-8")
+    columns.write_text(text.replace("[camera]", f'[camera]\nlens = "{lens}"'), encoding="utf-8")
+    said = call("calibrate", ical, "--columns", columns, "--json", file, "--lens-out", tmp_path / "a.yaml")
     found = json.loads(file.read_text())
     assert found["kind"] == "pixels" and found["views"] == 15 and found["corners"] == 309
     assert 0.9 * rms < found["rms_px"] <= rms
@@ -111,7 +102,7 @@ def test_a_mirrored_picture_is_named(ical: Path, tmp_path: Path) -> None:
     folder, description = views_folder(tmp_path, ical)
     picture = cv2.imread(str(folder / "images/3.jpg"))
     cv2.imwrite(str(folder / "images/3.jpg"), picture[:, ::-1])
-    views = read_observations([folder], pose_carrier().nominal, description).observations
+    views = read_observations([folder], pose_carrier().nominal, description)
     _, left = without_blind_views(views)
     (said,) = [item.why for item in left if item.line == 4]
     assert re.search(r"3\.jpg: no corner of the board was found; it is mirrored", said)
@@ -145,7 +136,7 @@ def test_an_arm_beside_finished_poses_and_a_lens_without_pictures_are_refused(ic
 
 def test_a_table_of_corners_is_the_pictures(ical: Path, tmp_path: Path) -> None:
     """The same corners from a table: the same views."""
-    whole = read_observations([ical], pose_carrier().nominal, "ical_charuco").observations
+    whole = read_observations([ical], pose_carrier().nominal, "ical_charuco")
     lines = ["view,corner,u,v,x,y,z,qx,qy,qz,qw"]
     poses = [json.loads(json.dumps(_pose(ical / f"poses/{i}.yaml"))) for i in range(16)]
     for view, (pose, seen, corners) in enumerate(zip(poses, whole.seen, whole.corners, strict=True)):  # type: ignore[attr-defined]
@@ -160,7 +151,7 @@ def test_a_table_of_corners_is_the_pictures(ical: Path, tmp_path: Path) -> None:
     )
     (tmp_path / "corners.toml").write_text(text)
     table, layout = [tmp_path / "corners.csv"], tmp_path / "corners.toml"
-    found = read_observations(table, pose_carrier().nominal, layout).observations
+    found = read_observations(table, pose_carrier().nominal, layout)
     np.testing.assert_array_equal(found.seen, whole.seen)  # type: ignore[attr-defined]
     np.testing.assert_allclose(found.joints, whole.joints, atol=1e-12)
     np.testing.assert_allclose(found.corners[found.seen], whole.corners[whole.seen], atol=1e-9)  # type: ignore[attr-defined]

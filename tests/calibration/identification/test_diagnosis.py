@@ -165,7 +165,7 @@ def test_rows_far_off_of_any_kind_are_left_out(qiao, kind):
     if kind == "reflectors":
         points = pose.position[:, None] + np.einsum("nij,kj->nki", pose.rotation, TRIAD)
         points += rng.normal(size=points.shape) * 2e-5
-        clean = ReflectorObservations(joints, points, np.ones((160, 3), dtype=bool), np.eye(3) * 2e-5**2)
+        clean = ReflectorObservations(joints, points, np.ones((160, 3), dtype=bool), 2e-5)
         points = points.copy()
         points[rows, 1] += 0.05
         bad = replace(clean, points=points)
@@ -254,7 +254,7 @@ def test_reflectors_are_calibrated_from_anywhere(qiao):
         pose.position[:, None] + np.einsum("nij,kj->nki", pose.rotation, TRIAD) + rng.normal(size=(80, 3, 3)) * 2e-5
     )
     seen = rng.uniform(size=(80, 3)) > 0.1
-    whole = ReflectorObservations(joints, points, seen, np.eye(3) * 2e-5**2)
+    whole = ReflectorObservations(joints, points, seen, 2e-5)
     train, test = choose(whole, 20, rng)
     found = calibrate(qiao, whole.select(train), test=whole.select(test), choices=PLAIN)
     assert found.position["nominal"].mean > 0.4 and found.position["geometric"].mean < 0.06
@@ -316,7 +316,7 @@ def test_numbers_that_are_none_are_named_whatever_was_measured(qiao):
     joints = random_joints(qiao.nominal, 40, rng)
     points, seen = rng.normal(size=(40, 2, 3)), np.ones((40, 2), dtype=bool)
     points[7, 1, 2] = np.nan
-    data = ReflectorObservations(joints, points, seen, np.eye(3) * 1e-10)
+    data = ReflectorObservations(joints, points, seen, 1e-5)
     with pytest.raises(InputError, match="row 8: what was read is no finite number"):
         calibrate(qiao, data, choices=PLAIN)
     seen[7, 1] = False  # a reflector that was lost may hold anything
@@ -330,7 +330,7 @@ def test_a_verdict_counts_rows_and_not_what_was_read_in_them(qiao):
     pose = forward(qiao.true, joints)
     points = pose.position[:, None] + np.einsum("nij,kj->nki", pose.rotation, TRIAD)
     points += 2e-5 * rng.normal(size=points.shape)
-    data = ReflectorObservations(joints, points, np.ones((100, 3), dtype=bool), np.eye(3) * 2e-5**2)
+    data = ReflectorObservations(joints, points, np.ones((100, 3), dtype=bool), 2e-5)
     found = calibrate(qiao, data.select(np.arange(70)), test=data.select(np.arange(70, 100)), choices=PLAIN)
     assert found.quality.reason.startswith("on 30 held-out rows the error falls") and len(found.errors["nominal"]) == 90
 

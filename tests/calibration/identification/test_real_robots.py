@@ -93,7 +93,7 @@ def read_set(data_folder, arm, columns, *files):
 
 def held_out(arm, reading, split="random", seed=0, **choices):
     chosen = Choices(**({"terms": "none", "residual": "none", "seed": seed} | choices))
-    return calibrate(arm, reading.observations, split=split, choices=chosen)
+    return calibrate(arm, reading, split=split, choices=chosen)
 
 
 def test_ur5_over_its_ten_blocks(data_folder):
@@ -121,7 +121,7 @@ def test_ur5_over_its_ten_blocks(data_folder):
 def test_the_interval_between_blocks_holds_what_other_cuts_of_the_file_give(data_folder, arm, columns, files):
     arm, reading = read_set(data_folder, arm, columns, files)
     low, high = held_out(arm, reading, "blocked").position["geometric"].rms_ci95
-    data = reading.observations
+    data = reading
     count = len(data.joints)
     for folds, shift in ((10, count // 20), (8, 0), (12, 0)):
         turned = data.select(np.roll(np.arange(count), -shift))
@@ -168,7 +168,7 @@ def test_no_learnt_residual_wins_where_harmonics_were_taken(data_folder):
     """UR5's 20 random poses: 0.062 mm (0.050 to 0.079) with geometry and harmonics alone, a process left 0.066."""
     arm, reading = read_set(data_folder, "ur5", "ur5_jacobi2025", "ur5_wam_jacobi2025/UR5/*grid*.csv")
     _, poses = read_set(data_folder, "ur5", "ur5_jacobi2025", "ur5_wam_jacobi2025/UR5/*random*.csv")
-    found = calibrate(arm, reading.observations, test=poses.observations)
+    found = calibrate(arm, reading, test=poses)
     assert found.best_model == "geometry+periodic" and not any(verdict.accepted for verdict in found.gate)
     assert found.position[found.best_model].mean <= 0.066
 
@@ -181,7 +181,7 @@ def test_wam_yields_under_its_weight(data_folder):
     """
     arm, grid = read_set(data_folder, "wam", "wam_jacobi2025", "ur5_wam_jacobi2025/WAM/*grid*.csv")
     _, random = read_set(data_folder, "wam", "wam_jacobi2025", "ur5_wam_jacobi2025/WAM/*random*.csv")
-    found = calibrate(arm, grid.observations, test=random.observations, choices=Choices(residual="none"))
+    found = calibrate(arm, grid, test=random, choices=Choices(residual="none"))
     assert found.best_model == "geometry+gravity"
     assert found.position[found.best_model].mean <= 2.92
 
@@ -208,7 +208,7 @@ def test_ur10_geometry(data_folder, series):
     assert np.mean([item["nominal"].rms for item in found]) == pytest.approx(nominal, rel=0.03)
     assert np.mean([item["geometric"].rms for item in found]) <= geometric
     if series != "A":
-        assert reading.floor[0] * 1e3 == pytest.approx(0.027, abs=0.006)  # a tenth of what geometry leaves
+        assert reading.origins.repeat * 1e3 == pytest.approx(0.027, abs=0.006)  # a tenth of what geometry leaves
 
 
 def test_a_file_of_poses_without_a_convention_is_asked_for_it(data_folder, tmp_path):
@@ -217,13 +217,13 @@ def test_a_file_of_poses_without_a_convention_is_asked_for_it(data_folder, tmp_p
     What is left of a full fit is the finding of the poses: the same pictures' corners leave a quarter of it.
     """
     arm, reading = read_set(data_folder, "ur10e", "ur10e_figaroh_pnp", "figaroh-calib/ur10_mocap_pose_calibration.csv")
-    found = fit(arm, reading.observations)
-    assert left_mm_of_positions(found.calibration.nominal, reading.observations).mean() == pytest.approx(3.26, abs=0.03)
-    assert left_mm_of_positions(found.calibration.identified, reading.observations).mean() <= 2.6
+    found = fit(arm, reading)
+    assert left_mm_of_positions(found.calibration.nominal, reading).mean() == pytest.approx(3.26, abs=0.03)
+    assert left_mm_of_positions(found.calibration.identified, reading).mean() <= 2.6
     silent = Path(calibration.__file__).parent / "reading" / "descriptions" / "ur10e_figaroh_pnp.toml"
     (tmp_path / "silent.toml").write_text(silent.read_text().replace('convention = "euler_xyz_extrinsic"', ""))
     with pytest.raises(InputError, match="names no convention") as caught:
-        read_observations([reading.observations.source], arm.nominal, tmp_path / "silent.toml")
+        read_observations([reading.source], arm.nominal, tmp_path / "silent.toml")
     lines = str(caught.value).splitlines()[1:-1]
     assert lines[0].split()[:3] == ["euler_xyz_extrinsic", "(fanuc_wpr)", "3.21"]
     assert all(float(line.split()[-2]) > 20 for line in lines[1:])  # deg
@@ -249,7 +249,7 @@ def test_balls_in_sockets_need_no_tracker(data_folder):
         "mukca_sockets",
         "mukca_sockets/data/panda_1/*/hole_*.csv",
     )
-    assert len(reading.observations.joints) == 182 and len(reading.observations.pairs) == 3
+    assert len(reading.joints) == 182 and len(reading.pairs) == 3
     found = held_out(arm, reading)
     assert found.position["nominal"].mean == pytest.approx(7.8, abs=0.1)
     assert found.position["geometric"].mean < 0.53
@@ -272,5 +272,5 @@ def test_two_axes_before_a_camera(data_folder):
     """The positioner's nominal table as published; the published calibration left 1.74 mm."""
     arm, reading = read_set(data_folder, "positioner", "positioner_rct", "positioner_rct/*.yaml")
     found = held_out(arm, reading)
-    assert len(reading.observations.joints) == 205
+    assert len(reading.joints) == 205
     assert found.position["nominal"].mean < 0.5 and found.position["geometric"].mean < 0.4

@@ -21,7 +21,6 @@ from pickenv.calibration import (
 )
 
 TRIAD = np.array([[50.0, 0.0, 20.0], [-40.0, 60.0, 0.0], [-30.0, -50.0, 35.0]]) * 1e-3
-STATION = np.array([4.0, -2.0, 1.0])
 
 
 def poses_from_reflectors(points: np.ndarray, reference: np.ndarray) -> Pose:
@@ -47,7 +46,7 @@ def reflectors(geometry, count=60, seed=0, lost=0.0, local=TRIAD):
     points = pose.position[:, None] + np.einsum("nij,kj->nki", pose.rotation, local)
     seen = rng.uniform(size=points.shape[:2]) >= lost
     points = np.where(seen[..., None], points, np.nan if lost else 0.0)
-    return ReflectorObservations(joints, points, seen, np.eye(3) * 15e-6**2)
+    return ReflectorObservations(joints, points, seen, 15e-6)
 
 
 def wire(geometry, count=80, seed=0, anchor=(1.5, -2.0, 0.3)):
@@ -92,7 +91,6 @@ KINDS = {
     "pose": lambda g: exact_poses(g, 12),
     "position": lambda g: exact_poses(g, 12).positions_only(),
     "reflectors": lambda g: reflectors(g, 12, lost=0.2),
-    "tracker": lambda g: anisotropic(reflectors(g, 12)),
     "distance": lambda g: wire(g, 12),
     "sockets": lambda g: sockets(g, 4),
 }
@@ -101,13 +99,6 @@ KINDS = {
 def exact_poses(geometry, count, seed=0):
     joints = random_joints(geometry, count, np.random.default_rng(seed))
     return Measurements(joints, *forward(geometry, joints), prismatic=geometry.prismatic)
-
-
-def anisotropic(data):
-    """As a tracker at `STATION` sees them: surer along its beam than across."""
-    away = data.points - STATION
-    along = away[..., :, None] * away[..., None, :] / np.sum(away**2, axis=-1)[..., None, None]
-    return replace(data, covariance=(6e-6) ** 2 * along + (2e-5) ** 2 * (np.eye(3) - along))
 
 
 @pytest.mark.parametrize("kind", KINDS)
@@ -174,14 +165,6 @@ def test_lost_reflectors_weigh_nothing(qiao):
     assert np.isfinite(some.residual(model, some.start(model))).all()
     filled = replace(whole, points=np.where(some.seen[..., None], whole.points, 99.0), seen=some.seen)
     np.testing.assert_array_equal(filled.residual(model, TRIAD.ravel()), some.residual(model, TRIAD.ravel()))
-
-
-def test_points_weigh_by_the_inverse_of_their_covariance(qiao):
-    data = anisotropic(reflectors(qiao.true, 6))
-    model, places = ArmModel.of(qiao.nominal), TRIAD.ravel()
-    misses, inverse = data.misses(model, places), np.linalg.inv(data.covariance.reshape(-1, 3, 3))
-    expected = np.einsum("ni,nij,nj->n", misses, inverse, misses)
-    np.testing.assert_allclose(np.sum(data.residual(model, places).reshape(-1, 3) ** 2, axis=1), expected)
 
 
 def test_a_draw_wire_calibrates_an_arm_and_finds_its_own_anchor(qiao):

@@ -47,21 +47,18 @@ def files(ur5: Arm, tmp_path: Path) -> tuple[list[Path], list[Path], list[np.nda
 def test_one_layout_is_for_all_files_and_several_are_one_each(
     ur5: Arm, files: tuple[list[Path], list[Path], list[np.ndarray]]
 ) -> None:
-    """What is told of noise is the first file's: its last digit, over the root of twelve, in three coordinates."""
     data, (points, wire), joints = files
-    one, floor = given_rows(ur5, data[0], points)
-    assert isinstance(one, Measurements) and floor is not None and floor[1] == pytest.approx(1e-5 * 0.5)
+    one = given_rows(ur5, data[0], points)
+    assert isinstance(one, Measurements)
     np.testing.assert_allclose(one.joints, joints[0])
-    both, _ = given_rows(ur5, data[:2], [points])
+    both = given_rows(ur5, data[:2], [points])
     assert isinstance(both, Measurements) and len(both) == 16
     np.testing.assert_allclose(both.joints, np.concatenate(joints[:2]))
-    apart, floor = given_rows(ur5, data[1::-1], points, "tool")
+    apart = given_rows(ur5, data[1::-1], points, "tool")
     assert len(apart.stations) == 2
-    assert floor is not None and floor[1] == pytest.approx(1e-4 * 0.5)
     assert {name.partition("_")[0] for name in apart.unknowns()} == {"tool2"}
-    mixed, floor = given_rows(ur5, data[1:], [points, wire])
+    mixed = given_rows(ur5, data[1:], [points, wire])
     assert [type(part) for part in mixed.parts] == [Measurements, DistanceObservations]
-    assert floor is not None and floor[1] == pytest.approx(1e-4 * 0.5)
     assert {name.partition("_")[0] for name in mixed.unknowns()} == {"anchor", "zero", "tool2"}
     np.testing.assert_allclose(mixed.joints, np.concatenate(joints[1:]))
     for wrong in ([points, points], [points, points, points, wire]):
@@ -73,13 +70,13 @@ def test_arrays_are_taken_as_they_are_and_not_described(
     ur5: Arm, files: tuple[list[Path], list[Path], list[np.ndarray]]
 ) -> None:
     data, (points, _), _ = files
-    one, _ = given_rows(ur5, data[0], points)
-    assert given_rows(ur5, one) == (one, None) and given_rows(ur5, [one]) == (one, None)
-    both, floor = given_rows(ur5, [one, one])
-    assert isinstance(both, Measurements) and len(both) == 16 and floor is None
-    apart, _ = given_rows(ur5, [one, one], stations="base,tool")
+    one = given_rows(ur5, data[0], points)
+    assert given_rows(ur5, one) is one and given_rows(ur5, [one]) is one
+    both = given_rows(ur5, [one, one])
+    assert isinstance(both, Measurements) and len(both) == 16
+    apart = given_rows(ur5, [one, one], stations="base,tool")
     assert {name.partition("_")[0] for name in apart.unknowns()} == {"base2", "tool2"}
-    shared, _ = given_rows(ur5, [one, one], stations="none")
+    shared = given_rows(ur5, [one, one], stations="none")
     assert len(shared.stations) == 2 and not shared.unknowns()
     with pytest.raises(InputError, match="columns describe files, but rows are given"):
         given_rows(ur5, one, points)

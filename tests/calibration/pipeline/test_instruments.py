@@ -29,7 +29,7 @@ from tests.calibration.simulated_instruments import (
     ANGLE_STD,
     HERE,
     KINDS,
-    LINE_POINT,
+    PLACE,
     STD,
     held,
     start_and_truth,
@@ -69,7 +69,7 @@ def test_every_kind_is_calibrated_and_judged_by_one_call(arm: Arm, kind: str) ->
 UNSIZED = {"sphere": "longest link", "plane": "longest link", "touches": "longest link", "tilt of two": "all lengths"}
 
 
-@pytest.mark.parametrize("kind", [*UNSIZED, "bar", "edge"])
+@pytest.mark.parametrize("kind", [*UNSIZED, "bar"])
 def test_an_arm_of_unknown_size_is_said_to_be_one(arm: Arm, kind: str) -> None:
     _, data = start_and_truth(kind, arm.nominal, 80, np.random.default_rng(4))
     result = calibrate(arm, data, choices=PLAIN)
@@ -175,7 +175,7 @@ def test_several_column_descriptions_are_one_for_each_file(arm: Arm) -> None:
 
 def test_a_socket_that_was_never_fitted_cannot_be_judged(arm: Arm) -> None:
     data = touches(arm.nominal, 40, np.random.default_rng(7), 1.0)
-    there = held(arm.nominal, lambda p: p, np.tile(LINE_POINT + 0.1, (8, 1)), np.random.default_rng(8))
+    there = held(arm.nominal, lambda p: p, np.tile(PLACE + 0.1, (8, 1)), np.random.default_rng(8))
     other = replace(data, joints=there, socket=np.zeros(8, dtype=np.int64), places=("socket9",), source="new.csv")
     with pytest.raises(InputError, match=r"new\.csv: socket9 occurs in no row that was fitted; give rows of it"):
         calibrate(arm, data, test=other, choices=PLAIN)

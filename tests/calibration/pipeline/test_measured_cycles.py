@@ -182,7 +182,7 @@ def test_rows_that_are_alike_to_the_last_digit_are_cycles(tmp_path):
     file = replace(rows, position=np.round(rows.position, 4)).write_csv(tmp_path / "rows.csv")
     with pytest.raises(InputError, match="repeats row"):
         read_measurements(file, NOMINAL)
-    again = read_observations([file], NOMINAL, repeats=True).observations
+    again = read_observations([file], NOMINAL, repeats=True)
     assert len(again.joints) == 150
     for pose in measured_iso9283(ARM, again)["poses"]:
         assert pose["repeatability_mm"] < 0.3

@@ -104,7 +104,7 @@ def test_rows_of_one_set_up_stay_one_however_they_are_parted(
 ) -> None:
     """Real arms, whose unmodelled errors differ from region to region: parted by time, by a joint, and by height."""
     arm = load_arm(name)
-    data = read_observations([data_folder / file], arm.nominal, columns).observations
+    data = read_observations([data_folder / file], arm.nominal, columns)
     assert isinstance(data, Measurements)
     for key in (np.arange(len(data)), data.joints[:, 1], data.position[:, 2]):
         assert said(arm, halves(data, key)) == [((0, 1), ())]
@@ -117,7 +117,7 @@ def test_two_series_of_a_real_arm_are_two_stations_and_equal_to_the_flagged_run(
         ("A/measurements_grid.csv", "ur10_landgraf2021", 80),
         ("B/measurements_joint_configurations.csv", "ur10_landgraf2021_repeats", 10),
     ):
-        whole = read_observations([data_folder / (SERIES + file)], arm.nominal, columns).observations
+        whole = read_observations([data_folder / (SERIES + file)], arm.nominal, columns)
         days.append(whole.select(np.arange(0, len(whole.joints), step)))
     alone, flagged = (calibrate(arm, days, stations=asked, choices=PLAIN) for asked in (None, "base"))
     assert alone.best == flagged.best and alone.best.rms < 0.6

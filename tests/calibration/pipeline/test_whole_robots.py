@@ -93,7 +93,7 @@ def test_other_rows_of_another_target_are_refused(tmp_path: Path) -> None:
     (tmp_path / "other.toml").write_text(text, encoding="utf-8")
     arm = load_arm(f"{tmp_path / 'robot.urdf'}#{','.join(ARMS)}", whole=True)
     left, right, other = (
-        read_observations([tmp_path / f"{name}.csv"], arm.nominal, tmp_path / f"{name}.toml").observations
+        read_observations([tmp_path / f"{name}.csv"], arm.nominal, tmp_path / f"{name}.toml")
         for name in (*ARMS, "other")
     )
     with pytest.raises(InputError, match="names 'tracker' and 'prism', as no fitted file of this kind does"):
@@ -210,7 +210,7 @@ def test_what_a_scene_says_cannot_be_said_otherwise(tmp_path: Path) -> None:
     files, columns = ([tmp_path / f"{link}.{end}" for link in ARMS] for end in ("csv", "toml"))
     with pytest.raises(InputError, match="says which files share a base or a tool; leave `stations` out"):
         pickenv.calibrate(arm, files, columns=columns, stations="base,tool")
-    with pytest.raises(InputError, match="are for a single arm; leave them out for a whole robot"):
+    with pytest.raises(InputError, match="is for a single arm; leave it out for a whole robot"):
         pickenv.calibrate(arm, files, columns=columns, choices=Choices(frames="known"))
     poses = tmp_path / "poses.csv"
     poses.write_text("x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n300,0,300,0,0,0\n", encoding="utf-8")

@@ -32,7 +32,7 @@ from pickenv.calibration import (
 )
 from pickenv.calibration.planning.plan import PosePlan, exchange
 from pickenv.cli import app
-from tests.calibration.simulated_instruments import KINDS, LINE_POINT, STD, from_anchor, from_plane, points_at
+from tests.calibration.simulated_instruments import KINDS, PLACE, STD, from_anchor, from_plane, points_at
 
 LENS = Lens(np.array([620.0, 622.0, 323.0, 238.0, -0.08, 0.05, 0.0008, -0.0005, 0.01]), (640, 480))
 BOARD = Board(kind="charuco", columns=7, rows=5, square=0.025, marker=0.018, dictionary="5x5_100").corners
@@ -103,7 +103,7 @@ def wire_at(geometry: Geometry, joints: np.ndarray, rng: np.random.Generator) ->
 
 def touched(geometry: Geometry, joints: np.ndarray, rng: np.random.Generator) -> Observations:
     """The point touched again from near these joints: the arm is jogged until the tip is there."""
-    wanted = LINE_POINT + STD * rng.normal(size=(len(joints), 3))
+    wanted = PLACE + STD * rng.normal(size=(len(joints), 3))
     for _ in range(30):
         now = points_at(geometry, joints)
         if np.abs(now - wanted).max() < 1e-9:
@@ -199,7 +199,7 @@ def test_every_kind_is_planned_where_it_can_be_measured(kind: str, ur5: Arm) -> 
     assert set(data.unknowns()) - set(plan.parameters) <= set(data.unknowns()) and plan.predicted_error > 0.0
     points = points_at(ur5.nominal, plan.design.joints)
     if kind == "touches":
-        assert np.linalg.norm(points - LINE_POINT, axis=1).max() < 1e-3
+        assert np.linalg.norm(points - PLACE, axis=1).max() < 1e-3
     if kind in ("bar", "sphere"):
         assert np.abs(from_anchor(points) - 0.7).max() < 1e-3
     if kind == "plane":

@@ -171,7 +171,7 @@ def described(folder: Path, columns: Sequence[str] = POSE, **changes: Any) -> Pa
 
 
 def read(path: Path, columns: Path) -> tuple[Observations, Clocks]:
-    rows = read_observations([path], UR5, columns).observations
+    rows = read_observations([path], UR5, columns)
     assert rows.origins is not None
     return rows, rows.origins.clocks[0]
 

@@ -47,7 +47,7 @@ def read(tmp_path: Path, ur5: Geometry) -> Reader:
         ]
         (tmp_path / "data.csv").write_text("\n".join(lines) + "\n", encoding="utf-8")
         (tmp_path / "mine.toml").write_text(JOINTS + description, encoding="utf-8")
-        return read_observations([tmp_path / "data.csv"], ur5, tmp_path / "mine.toml").observations
+        return read_observations([tmp_path / "data.csv"], ur5, tmp_path / "mine.toml")
 
     return reader
 
@@ -81,7 +81,6 @@ def test_a_wire_says_what_of_it_is_known(read: Reader, lengths: np.ndarray) -> N
         ("bar = {}", "point", 0.0, np.inf),
         ("sphere = { radius_mm = 30 }", "point", 0.03, 0.0),
         ("sphere = {}", "point", 0.0, np.inf),
-        ("edge = { radius_mm = 5 }", "line", 0.005, 0.0),
         ("plane = { std_mm = 0.05 }", "plane", 0.0, 0.0),
     ],
 )

@@ -15,7 +15,6 @@ from pickenv.calibration import (
     read_observations,
     same_poses,
 )
-from pickenv.calibration.reading.read import floor_text
 
 JOINTS = 'joints.columns = ["A1", "A2", "A3", "A4", "A5", "A6"]\njoints.unit = "deg"\n'
 TRIAD = np.array([[50.0, 0.0, 20.0], [-40.0, 60.0, 0.0], [-30.0, -50.0, 35.0]]) * 1e-3
@@ -67,12 +66,11 @@ def test_reflectors_with_some_lost(read, moved, mark):
     for row, which in ((3, 1), (7, 0), (7, 2)):
         rows[row][6 + 3 * which : 9 + 3 * which] = {"zeros": [0, 0, 0], "empty": [""] * 3, "nan": ["NaN"] * 3}[mark]
     lost = "zeros" if mark == "zeros" else "empty"
-    found = read(JOINTS + REFLECTORS + f'reflectors.lost = "{lost}"\nreflectors.std_mm = 0.02\n', rows, NAMES + TRIPLES)
-    data = found.observations
+    data = read(JOINTS + REFLECTORS + f'reflectors.lost = "{lost}"\nreflectors.std_mm = 0.02\n', rows, NAMES + TRIPLES)
     assert isinstance(data, ReflectorObservations) and data.seen.sum() == 87
     assert not data.seen[3, 1] and not data.seen[7, 0] and not data.seen[7, 2] and data.seen[7, 1]
     np.testing.assert_allclose(data.points[data.seen], points[data.seen], atol=1e-12)
-    np.testing.assert_allclose(data.covariance, np.eye(3) * 2e-5**2)
+    assert data.std == pytest.approx(2e-5)
 
 
 def test_a_lost_reflector_that_nobody_announced_is_refused(read, moved):
@@ -99,7 +97,7 @@ def test_draw_wire_lengths(read, moved):
     length = np.linalg.norm(pose.position - [1.0, 2.0, 0.5], axis=1) * 1e3
     rows = [[*np.degrees(q), value] for q, value in zip(joints, length, strict=True)]
     description = JOINTS + 'wire.columns = ["L"]\nwire.unit = "mm"\nwire.std_mm = 0.1\n'
-    data = read(description, rows, [*NAMES, "L"]).observations
+    data = read(description, rows, [*NAMES, "L"])
     assert isinstance(data, DistanceObservations) and data.std == pytest.approx(1e-4)
     np.testing.assert_allclose(data.length, length / 1e3)
 
@@ -112,8 +110,7 @@ def test_sockets_by_file_and_folder(read, moved):
     joints, _ = moved
     files = ("left/hole_0.csv", "left/hole_1.csv", "right/hole_0.csv", "right/hole_1.csv")
     names = f"names = {NAMES}\n".replace("'", '"')
-    found = read(names + JOINTS + SPACED, np.degrees(joints), None, files)
-    data = found.observations
+    data = read(names + JOINTS + SPACED, np.degrees(joints), None, files)
     assert isinstance(data, SocketObservations)
     np.testing.assert_array_equal(data.pairs, [[0, 1], [2, 3]])
     np.testing.assert_allclose(data.spacing, 0.05)
@@ -127,7 +124,7 @@ def test_sockets_by_column(read, moved):
     joints, _ = moved
     rows = [[*np.degrees(q), 10 + i % 4] for i, q in enumerate(joints)]
     description = JOINTS + '[sockets]\ncolumn = "hole"\nspacing_mm = 50.0\n'
-    data = read(description, rows, [*NAMES, "hole"]).observations
+    data = read(description, rows, [*NAMES, "hole"])
     np.testing.assert_array_equal(data.pairs, [[0, 1], [2, 3]])
     np.testing.assert_array_equal(data.socket, np.arange(30) % 4)
     for train, test in contiguous_folds(data.groups, same_poses(data.joints), 3):
@@ -151,22 +148,13 @@ def test_conditions_and_repeat_sigma(read, moved):
     description = JOINTS + 'position.columns = ["x", "y", "z"]\nposition.unit = "m"\n'
     description += 'position.std_columns = ["sx", "sy", "sz"]\n' + CONDITIONS
     found = read(description, rows, names)
-    conditions = found.observations.conditions
+    conditions = found.conditions
     np.testing.assert_allclose(conditions.temperature, extra[:, 0] - 22.0)
     np.testing.assert_allclose(conditions.payload, extra[:, 1] * 1e-3)
     np.testing.assert_allclose(conditions.torque, -extra[:, 2:8])
-    assert found.floor[0] == pytest.approx(np.sqrt(np.mean(np.sum(extra[:, 8:] ** 2, axis=1))))
-    half = found.observations.select(np.arange(15))
+    assert found.origins.repeat == pytest.approx(np.sqrt(np.mean(np.sum(extra[:, 8:] ** 2, axis=1))))
+    half = found.select(np.arange(15))
     np.testing.assert_allclose(half.conditions.torque, conditions.torque[:15])
-
-
-def test_the_last_digit_is_a_floor_of_the_noise(read, moved):
-    joints, pose = moved
-    rows = [[*np.degrees(q), *(f"{v * 1e3:.2f}" for v in p)] for q, p in zip(joints, pose.position, strict=True)]
-    description = JOINTS + 'position.columns = ["x", "y", "z"]\nposition.unit = "mm"\n'
-    repeat, digits = read(description, rows, [*NAMES, "x", "y", "z"]).floor
-    assert digits == pytest.approx(1e-5 * np.sqrt(3 / 12)) and repeat is None
-    assert "digits of the file 0.005 mm" in floor_text((repeat, digits))
 
 
 def test_yaml_entries_by_dotted_paths(tmp_path, ur5, moved):
@@ -179,7 +167,7 @@ def test_yaml_entries_by_dotted_paths(tmp_path, ur5, moved):
     names = [f"joints.{i}" for i in range(6)]
     description = f"joints.columns = {names}\njoints.unit = 'rad'\nposition.columns = ['tool.x', 'tool.y', 'tool.z']\n"
     (tmp_path / "mine.toml").write_text(description.replace("'", '"') + 'position.unit = "m"\n')
-    data = read_observations([tmp_path / "data.yaml"], ur5, tmp_path / "mine.toml").observations
+    data = read_observations([tmp_path / "data.yaml"], ur5, tmp_path / "mine.toml")
     np.testing.assert_allclose(data.joints, joints)
     np.testing.assert_allclose(data.position, pose.position)
     (tmp_path / "data.yaml").write_text("a: [1, 2\n")
@@ -202,7 +190,7 @@ def test_a_convention_that_is_not_named_is_asked_for_with_a_table(read, moved):
         read(description, rows, names)
     table = str(caught.value).splitlines()[1:-1]
     assert "euler_zyx_intrinsic (kuka_abc)" in table[0] and "0.00 mm" in table[0] and len(table) == 6
-    named = read(description + 'rotation.convention = "kuka_abc"\n', rows, names).observations
+    named = read(description + 'rotation.convention = "kuka_abc"\n', rows, names)
     assert isinstance(named, Measurements)
     np.testing.assert_allclose(named.rotation, pose.rotation, atol=1e-12)
 
@@ -214,7 +202,7 @@ def test_repeated_rows_are_refused(read, moved):
     with pytest.raises(InputError, match=r"row 32 repeats row 6 to the last digit \(2 repeated rows in all\)"):
         read(description, [*rows, rows[4], rows[9]], [*NAMES, "x", "y", "z"])
     rows[5][:6] = rows[4][:6]  # the same pose measured twice is no repetition
-    assert len(read(description, rows, [*NAMES, "x", "y", "z"]).observations.joints) == 30
+    assert len(read(description, rows, [*NAMES, "x", "y", "z"]).joints) == 30
 
 
 BAD = {
@@ -262,7 +250,7 @@ def test_misses_are_in_metres_whatever_the_kind(read, moved, ur5):
     from pickenv.calibration import ArmModel
 
     rows, _ = reflector_rows(moved)
-    data = read(JOINTS + REFLECTORS, rows, NAMES + TRIPLES).observations
+    data = read(JOINTS + REFLECTORS, rows, NAMES + TRIPLES)
     shifted = TRIAD.ravel() + np.array([1e-3, 0, 0, 0, 0, 0, 0, 0, 0])
     left = np.linalg.norm(data.misses(ArmModel.of(ur5), shifted), axis=1).reshape(30, 3)
     np.testing.assert_allclose(left, np.broadcast_to([1e-3, 0, 0], (30, 3)), atol=1e-9)

@@ -94,7 +94,7 @@ def written(
 
 
 def read(file: Path) -> tuple[Observations, Clocks]:
-    rows = read_observations([file], UR5, file.parent / "columns.toml").observations
+    rows = read_observations([file], UR5, file.parent / "columns.toml")
     assert rows.origins is not None
     return rows, rows.origins.clocks[0]
 
