@@ -72,7 +72,6 @@ HEAVY = (
         "onnxruntime",
         "llvmlite",
         "tensorboard",
-        "pettingzoo",
         "rosbags",
     ),
     *("mujoco", "typer", "rich", "yaml", "tqdm", "pydantic"),

@@ -22,7 +22,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "camera": ("cv2",),
     "recordings": ("rosbags",),
     "study": ("pyarrow", "joblib", "pandas"),
-    "harvest": ("skimage", "ortools", "pettingzoo"),
+    "harvest": ("skimage", "ortools"),
     "export": ("onnx",),
     "data": ("minari",),
     "compiled": ("llvmlite",),

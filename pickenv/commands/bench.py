@@ -46,9 +46,9 @@ def calibration(
     from pickenv.experiments.robots import QUICK, ROWS, BenchSettings, run_bench
     from pickenv.inspect.runs.run_folder import listed_files
 
-    page, blocked = out / "bench.md", out / "measured_gains.json"
+    blocked = out / tables.BLOCKED_FILE
     shown = [out / name for name in (tables.GAINS_FILE, tables.ROBOTS_FILE)]
-    separate({}, {"--out": [page, blocked, *shown], "--json": json_file})
+    separate({}, {"--out": [blocked, *shown], "--json": json_file})
     require("torch", "pyarrow", *(["joblib"] if workers > 1 else []))
     settings = replace(BenchSettings.quick() if quick else BenchSettings(), seed=seed)
     names = list(dict.fromkeys(only or (QUICK if quick else ROWS)))
@@ -59,9 +59,11 @@ def calibration(
             print_table("Gains predicted and measured", tables.GAIN_HEADS, tables.gain_cells(result), words=words)
             print(tables.agreement_words(result))
         if len(result.models):
-            print(tables.spread_table(result.models))
-        for name, held_out, poses, _ in tables.peer_cells(result):
-            print(f"{name}: {held_out} mm RMS on 200 rows of the UR5, {poses} mm on its 20 random poses")
+            cells, heads = tables.spread_cells(result.models), tables.SPREAD_HEADS
+            print_table("Geometry and the best model", heads, cells, words=heads, caption=tables.NOTE)
+        if len(result.peers):
+            heads = tables.PEER_HEADS
+            print_table("Peers on the UR5's rows", heads, tables.peer_cells(result), words=heads[:1])
         for name, reason in result.skipped.items():
             print(f"not made: {name}: {reason}")
 
@@ -70,15 +72,7 @@ def calibration(
             result = run_bench(names, settings, data, out, peers, workers=workers, progress=report)
         measured_gains = tables.blocked_json(result, date.today().isoformat())
         files = [(out / name, text) for name, text in tables.csv_files(result).items()]
-        deliver(
-            [
-                (page, tables.bench_page(result)),
-                *files,
-                (blocked, measured_gains),
-                (json_file, tables.bench_json(result)),
-            ],
-            show,
-        )
+        deliver([*files, (blocked, measured_gains), (json_file, tables.bench_json(result))], show)
 
 
 @bench.command(cls=CommandOfNames)

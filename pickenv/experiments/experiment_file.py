@@ -96,7 +96,6 @@ class Number:
         spread: Whether the standard deviation and the range of the units' means are shown beside each number.
         digits: Digits after the point.
         scale: Factor on what is shown, such as 100 for percent.
-        exp: Whether what is shown is the exponential, of a function that gives a logarithm.
         figure: Name of the table's figure; no figure when left out.
         x: The column of ``by`` that lines are drawn along in the figure; whiskers when left out.
         panels: The column of ``by`` whose levels have a panel each.
@@ -119,7 +118,6 @@ class Number:
     margin: Annotated[float, Unit().positive] | None = None
     digits: Annotated[int, WHOLE.within(0, 9)] = 2
     scale: float = 1.0
-    exp: bool = False
     figure: Annotated[str, WORD] | None = None
     x: Annotated[str, WORD] | None = None
     panels: Annotated[str, WORD] | None = None
@@ -186,9 +184,6 @@ class ExperimentFile:
                 raise InputError(f"{self.path}: no column {error} for '{number.title}'; there are {columns}") from error
             except ValueError as error:
                 raise InputError(f"{self.path}: '{number.title}': {error}") from error
-            if number.exp:
-                shown = ("estimate", "sampled")
-                made_of = [row | {key: row[key].exponential for key in shown if key in row} for row in made_of]
             tables.append({"title": number.title, "rows": made_of})
         return tables
 

@@ -1,4 +1,4 @@
-"""The output of `pickenv bench calibration`: rows for programs (JSON), and tables for people (Markdown)."""
+"""The output of `pickenv bench calibration`: rows for programs (JSON), and tables for people."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pickenv.experiments.robots import OURS, PEER_ROWS, PEER_SET, SETS, SPREAD, 
 from pickenv.inspect.runs.number_words import said
 
 GAIN_HEADS = ("robot", "held out", "calibration", "before (mm)", "left (mm)", "predicted", "measured", "points apart")
-GAINS_FILE, ROBOTS_FILE = "gains.csv", "measured-robots.csv"
+GAINS_FILE, ROBOTS_FILE, BLOCKED_FILE = "gains.csv", "measured-robots.csv", "measured_gains.json"
 HELD = {"random": "random fifths", "blocks": "blocks", "poses": "its 20 random poses"}
 
 SPREAD_HEADS = ("robot and rows judged", "nominal (mm)", "geometry (mm)", "best model (mm)", "published (mm)")
@@ -26,7 +26,7 @@ NOTE = (
     "with the 95 % interval between blocks. Other poses: 95 % interval over poses. None where one "
     "block outweighs the others."
 )
-PEER_HEADS = ("calibration of the UR5", "200 of its rows, RMS (mm)", "its 20 random poses, mean (mm)", "what it does")
+PEER_HEADS = ("calibration of the UR5", "200 of its rows, RMS (mm)", "its 20 random poses, mean (mm)")
 
 
 def bench_json(bench: Bench) -> dict[str, Any]:
@@ -224,11 +224,6 @@ def spread_cells(models: Rows) -> list[tuple[str, ...]]:
     return table
 
 
-def spread_table(models: Rows) -> str:
-    """`spread_cells` as a Markdown table."""
-    return _markdown(SPREAD_HEADS, spread_cells(models))
-
-
 def _millimetres(model: dict[str, Any]) -> str:
     """A value with its spread in brackets, three digits after the point below 1 mm."""
     value = model["value_mm"]
@@ -238,27 +233,6 @@ def _millimetres(model: dict[str, Any]) -> str:
 def peer_cells(bench: Bench) -> list[tuple[str, ...]]:
     """The cells of the table of errors that peers leave on the UR5's rows."""
     return [
-        (PEER_ROWS[name], f"{held_out['held_out_mm']:.4f}", f"{poses['held_out_mm']:.4f}", poses["note"])
+        (PEER_ROWS[name], f"{held_out['held_out_mm']:.4f}", f"{poses['held_out_mm']:.4f}")
         for name, held_out, poses in _by_row(bench.peers)
     ]
-
-
-def _markdown(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [f"| {' | '.join(heads)} |", "|" + "---|" * len(heads)]
-    lines += ["".join(f"| {text} " if text else "| " for text in cells) + "|" for cells in rows]
-    return "\n".join(lines) + "\n"
-
-
-def bench_page(bench: Bench) -> str:
-    """All tables as one Markdown page."""
-    parts = ["# Calibrations of measured robots\n"]
-    if bench.gains:
-        parts += ["## Gains predicted by twins, and measured\n", _markdown(GAIN_HEADS, gain_cells(bench))]
-        parts.append(agreement_words(bench) + "\n")
-    if len(bench.models):
-        parts += ["## Geometry and the best model\n", spread_table(bench.models), NOTE + "\n"]
-    if len(bench.peers):
-        parts += ["## Peers on the UR5's rows\n", _markdown(PEER_HEADS, peer_cells(bench))]
-    if bench.skipped:
-        parts += ["## Not made\n", *(f"- {name}: {reason}" for name, reason in bench.skipped.items()), ""]
-    return "\n".join(parts)

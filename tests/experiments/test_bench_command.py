@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from pickenv.arm import Pose, rotation_matrix
-from pickenv.base import InputError, write_text
+from pickenv.base import InputError, write_json
 from pickenv.commands.check import findings_of
 from pickenv.experiments import BenchSettings, check_experiment, robots, run_bench
 from pickenv.experiments.gains import MEASURED, NOMINAL
-from pickenv.experiments.robot_tables import bench_json, bench_page, blocked_json
+from pickenv.experiments.robot_tables import BLOCKED_FILE, bench_json, blocked_json
 from pickenv.experiments.robots import (
     BEFORE,
     GAINS,
@@ -119,7 +119,8 @@ def test_every_damage_to_a_folder_is_noticed(complete: bool, worked, tmp_path: P
     """Of a run that ended, by the folder's list; of one that was cut off, by the records of its experiments."""
     out = tmp_path / "out"
     with listed_files(out):
-        write_text(out / "bench.md", bench_page(worked[1](["gain_ur5_random", "peer_figaroh"])))
+        found = worked[1](["gain_ur5_random", "peer_figaroh"])
+        write_json(out / BLOCKED_FILE, blocked_json(found, "2026-01-01"))
 
     def faults() -> list[str]:
         if complete:
@@ -236,7 +237,6 @@ def test_the_quick_form_ends_and_two_processes_change_no_figure(data_folder: Pat
     gains = [row for row in content["rows"] if row["table"] == "gains"]
     assert len(gains) == 2 * len(BEFORE)
     assert content["agreement"]["gains"] == sum(gain["split"] == "blocks" for gain in gains) == len(gains) // 2
-    assert (tmp_path / "one/bench.md").is_file()
     assert len((tmp_path / "one/gains.csv").read_text(encoding="utf-8").splitlines()) == 1 + len(gains)
     found = run_bench(["gain_ur5_blocks"], BenchSettings.quick(), data_folder, tmp_path / "two", tmp_path, workers=2)
     again = bench_json(found)["rows"]
