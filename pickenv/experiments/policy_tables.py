@@ -197,18 +197,7 @@ def gain_words(line: Mapping[str, Any]) -> tuple[str, str, str]:
     )
 
 
-# Files: CSV, Parquet, run folders.
-
-
-def flat_rows(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows of an evaluation's table with intervals and seeds in columns of their own."""
-    flat: list[dict[str, Any]] = [{} for _ in rows]
-    for line, (key, value) in ((line, cell) for line, row in zip(flat, rows, strict=True) for cell in row.items()):
-        if key.endswith("ci95"):
-            line[f"{key}_low"], line[f"{key}_high"] = value or (None, None)
-        else:
-            line[key] = " ".join(map(str, value)) if key == "seeds" else value
-    return flat
+# The run folder.
 
 
 def write_evaluation(settings: PolicySettings, rows: Rows, folder: Path) -> list[Path]:
@@ -277,12 +266,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
 
 def drawings(run: Run) -> Drawings:
     """The figures of an evaluation's run folder."""
-    return evaluation_drawings(read_episodes(run))
-
-
-def evaluation_drawings(rows: Rows) -> Drawings:
-    """Every figure of an evaluation."""
-    figures: list[Drawing] = []
+    rows, figures = read_episodes(run), list[Drawing]()
 
     def add(name: str, caption: str, draw: Callable[..., Figure], *data: Any, **options: Any) -> None:
         figures.append(Drawing(name, caption, partial(draw, *data, **options)))
