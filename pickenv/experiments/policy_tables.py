@@ -262,7 +262,12 @@ def _labelled(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def drawings(run: Run) -> Drawings:
     """The figures of an evaluation's run folder."""
-    rows, figures = read_episodes(run), list[Drawing]()
+    return evaluation_drawings(read_episodes(run))
+
+
+def evaluation_drawings(rows: Rows) -> Drawings:
+    """Every figure of an evaluation."""
+    figures: list[Drawing] = []
 
     def add(name: str, caption: str, draw: Callable[..., Figure], *data: Any, **options: Any) -> None:
         figures.append(Drawing(name, caption, partial(draw, *data, **options)))
