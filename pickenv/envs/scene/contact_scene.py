@@ -1,4 +1,4 @@
-"""What stands in the scene of `pickenv/PickScene-v0`, as a MuJoCo model: the arm, a fruit on a branch, cameras.
+"""What stands in the scene of `pickenv/PickScene-v0`, as a MuJoCo model: the arm, fruit on a branch, leaves, cameras.
 
 The model's arm is the true one. Its joints are driven to where the plant has them once drives, gears and joints have
 erred, and its last link to where the plant has the tool, so that whatever touches the fruit is the true gripper. Arms
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import (
     Arm,
@@ -48,14 +48,19 @@ HULL, AS_DRAWN, UNSEEN = 48, 2, 5
 """Most corners of the hulls by which meshes of a maker touch, and as which they are drawn; and the group of those that
 only show what the arm looks like, which are ten times as slow to draw, and of those that are not drawn."""
 
-OTHER, GRIPPER_BIT, FRUIT_BIT = 0, 1, 2
+OTHER, GRIPPER_BIT, FRUIT_BIT, LEAF_BIT = 0, 1, 2, 4
 SMALLEST, LARGEST = 16, 1024
 """Bounds of the size of pictures."""
 
 GRIP, WIDE = (1.5, 0.02, 1e-3), 60.0
 """Friction of grippers and fruit (sliding, turning, rolling), and the wrist camera's angle of view."""
 
-METAL, WOOD, SKIN = (0.6, 0.6, 0.65, 1.0), (0.36, 0.25, 0.16, 1.0), (0.78, 0.12, 0.10, 1.0)
+METAL, WOOD, SKIN, LEAF = (
+    (0.6, 0.6, 0.65, 1.0),
+    (0.36, 0.25, 0.16, 1.0),
+    (0.78, 0.12, 0.10, 1.0),
+    (0.25, 0.50, 0.18, 1.0),
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,6 +69,8 @@ class Surroundings:
 
     Attributes:
         model: A maker's model of the arm (.xml), or None for one that is made of the arm file.
+        fruit: Number of fruit.
+        leaves: Number of leaves around the first one.
         scale: Lengths of fruit, branch and gripper, as a multiple of an apple tree's.
         size: Diameter and density of fruit.
         cup: Clearance of the cup.
@@ -76,6 +83,8 @@ class Surroundings:
     """
 
     model: str | None
+    fruit: int
+    leaves: int
     scale: float
     size: FruitSize
     cup: Gripper
@@ -117,9 +126,9 @@ class ContactScene:
     Attributes:
         model: `mujoco.MjModel`.
         data: `mujoco.MjData`.
-        held: Whether the fruit is on its stem.
+        held: Whether each fruit is on its stem ``(f,)``.
         suction: Whether the cup's suction is on.
-        strength: Pull that the stem bears, N.
+        strength: Pull that each stem bears ``(f,)``, N.
     """
 
     def __init__(self, arm: Arm, around: Surroundings) -> None:
@@ -141,12 +150,14 @@ class ContactScene:
         placed = arm_in_mujoco(robot, arm.nominal)
         last = spec.body(robot.body(int(placed.bodies[-1])).name)
         self._equip(spec, last, frame_within(placed.within[-1], frame_of(arm.nominal.tool)))
-        self._hang(spec)
+        for number in range(around.fruit):
+            self._hang(spec, number)
         self.model: Any = spec.compile()
         self.data: Any = self._mujoco.MjData(self.model)
         self._find()
         self._untouchable()
-        self.held, self.suction, self.strength = True, False, math.inf
+        self.held, self.suction = np.ones(around.fruit, dtype=np.bool_), False
+        self.strength = np.full(around.fruit, np.inf)
         self._plant: Plant | None = None
         self._pictures: dict[tuple[int, int], Any] = {}
         self._shown: Any = None
@@ -230,7 +241,7 @@ class ContactScene:
         radius, lip, deep = 3.0 * around.clearance, around.suction.lip * around.scale, around.suction.thickness
         shape = {
             "contype": GRIPPER_BIT,
-            "conaffinity": FRUIT_BIT,
+            "conaffinity": FRUIT_BIT | LEAF_BIT,
             "mass": 0.01,
             "rgba": [0.1, 0.1, 0.12, 1.0],
         }
@@ -260,17 +271,17 @@ class ContactScene:
             ends = [*np.asarray(start).tolist(), *np.asarray(end).tolist()]
             body.add_geom(type=self._mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=ends, size=[radius, 0.0, 0.0], **look)
 
-    def _hang(self, spec: Any) -> None:
-        """Add a branch with a fruit."""
+    def _hang(self, spec: Any, number: int) -> None:
+        """Add a branch with a fruit; leaves hang about the first one."""
         mujoco, around = self._mujoco, self.around
         scale, radius, stem = around.scale, around.radius, around.scale * around.detachment.stem
-        bearer = spec.worldbody.add_body(name="bearer", pos=[0.0, 0.0, 2.0])
+        bearer = spec.worldbody.add_body(name=f"bearer {number}", pos=[0.0, 0.0, 2.0])
         wood = around.branch.wood * scale**3
-        branch = bearer.add_body(name="branch", gravcomp=1.0)
+        branch = bearer.add_body(name=f"branch {number}", gravcomp=1.0)
         for axis, name in enumerate("xyz"):
             spring = scale * (around.branch.stiffness_upright if name == "z" else around.branch.stiffness_sideways)
             branch.add_joint(
-                name=f"branch {name}",
+                name=f"branch {number} {name}",
                 type=mujoco.mjtJoint.mjJNT_SLIDE,
                 axis=np.eye(3)[axis],
                 stiffness=spring,
@@ -278,10 +289,12 @@ class ContactScene:
             )
         rod = {"type": mujoco.mjtGeom.mjGEOM_CAPSULE, "contype": OTHER, "conaffinity": OTHER, "rgba": WOOD}
         branch.add_geom(fromto=[-0.2 * scale, 0, 0, 0.2 * scale, 0, 0], size=[0.006 * scale, 0, 0], mass=wood, **rod)
-        fruit = spec.worldbody.add_body(name="fruit", pos=[0.0, 0.0, 2.0 - stem - radius])
-        fruit.add_joint(name="fruit", type=mujoco.mjtJoint.mjJNT_FREE, damping=around.suction.turning * scale**4)
+        fruit = spec.worldbody.add_body(name=f"fruit {number}", pos=[0.0, 0.0, 2.0 - stem - radius])
+        fruit.add_joint(
+            name=f"fruit {number}", type=mujoco.mjtJoint.mjJNT_FREE, damping=around.suction.turning * scale**4
+        )
         fruit.add_geom(
-            name="fruit",
+            name=f"fruit {number}",
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
             size=[radius, 0, 0],
             mass=around.mass,
@@ -293,26 +306,38 @@ class ContactScene:
         )
         fruit.add_geom(fromto=[0, 0, radius, 0, 0, radius + stem], size=[0.0015 * scale, 0, 0], mass=1e-6, **rod)
         tie = spec.add_equality(
-            name="stem",
+            name=f"stem {number}",
             type=mujoco.mjtEq.mjEQ_CONNECT,
             objtype=mujoco.mjtObj.mjOBJ_BODY,
-            name1="fruit",
-            name2="branch",
+            name1=f"fruit {number}",
+            name2=f"branch {number}",
         )
         tie.data[:3], tie.solref[0] = [0.0, 0.0, radius + stem], 2.0 * TIMESTEP  # as stiff as steps allow
         hold = spec.add_equality(
-            name="hold",
+            name=f"hold {number}",
             type=mujoco.mjtEq.mjEQ_WELD,
             objtype=mujoco.mjtObj.mjOBJ_BODY,
             name1="pickenv hand",
-            name2="fruit",
+            name2=f"fruit {number}",
             active=False,
         )
         hold.data[:3], hold.data[10] = 0.0, 1.0
+        for leaf in range(around.leaves if number == 0 else 0):
+            blade = bearer.add_body(name=f"leaf {leaf}", gravcomp=0.0)
+            blade.add_joint(type=mujoco.mjtJoint.mjJNT_BALL, stiffness=1e-3 * scale**4, damping=1e-4 * scale**4)
+            blade.add_geom(
+                type=mujoco.mjtGeom.mjGEOM_BOX,
+                size=[0.022 * scale, 0.0005, 0.035 * scale],
+                mass=1e-3 * scale**3,
+                pos=[0.0, 0.0, -0.035 * scale],
+                rgba=LEAF,
+                contype=LEAF_BIT,
+                conaffinity=GRIPPER_BIT,
+            )
 
     def _find(self) -> None:
         """Keep the numbers of what is read and written at every step."""
-        model = self.model
+        model, around = self.model, self.around
         self.arm: ModelArm = arm_in_mujoco(model, self.nominal)
         joints = self.arm.joints.tolist()
         drive_of = {int(model.actuator_trnid[i, 0]): i for i in range(model.nu)}
@@ -321,11 +346,17 @@ class ContactScene:
         ]:
             raise InputError(f"the model has no drive for joint '{lost[0]}'; add a position actuator")
         self._drives = np.array([drive_of[joint] for joint in joints])
+        self._holds = np.array([model.equality(f"hold {i}").id for i in range(around.fruit)])
         self._hand, self._cup = model.body("pickenv hand").id, model.geom("cup").id
-        self._site, self._bearer = model.site("true tool").id, model.body("bearer").id
-        self._stem, self._hold = model.equality("stem").id, model.equality("hold").id
-        self._fruit, self._sphere = model.body("fruit").id, model.geom("fruit").id
-        self._loose, self._sunk = model.joint("fruit").qposadr[0], model.joint("branch z").qposadr[0]
+        self._site = model.site("true tool").id
+        bodies = range(around.fruit)
+        self._fruit = np.array([model.body(f"fruit {i}").id for i in bodies])
+        self._spheres = np.array([model.geom(f"fruit {i}").id for i in bodies])
+        self._stems = np.array([model.equality(f"stem {i}").id for i in bodies])
+        self._bearers = np.array([model.body(f"bearer {i}").id for i in bodies])
+        self._loose = np.array([model.joint(f"fruit {i}").qposadr[0] for i in bodies])
+        self._sunk = np.array([model.joint(f"branch {i} z").qposadr[0] for i in bodies])
+        self._blades = np.array([model.body(f"leaf {i}").id for i in range(around.leaves)], dtype=np.int64)
         self._cameras = {name: model.camera(f"pickenv {name}").id for name in CAMERAS}
         turned = {name: np.zeros(9) for name in CAMERAS}
         for name, i in self._cameras.items():
@@ -333,19 +364,19 @@ class ContactScene:
         self._said = {name: (model.cam_pos[i].copy(), turned[name].reshape(3, 3)) for name, i in self._cameras.items()}
 
     def _untouchable(self) -> None:
-        """Leave contacts to fruit and cup: the arm has hulls to be drawn, not to touch."""
+        """Leave contacts to fruit, leaves and the cup: the arm has hulls to be drawn, not to touch."""
         robot = (self.model.geom_contype == GRIPPER_BIT) & (np.arange(self.model.ngeom) != self._cup)
         self.model.geom_contype[robot] = self.model.geom_conaffinity[robot] = OTHER
 
     def begin(self, plant: Plant, joints: Sequence[float], tool: Frame, fruit: Array, rng: np.random.Generator) -> None:
-        """Begin an episode: the arm at rest, the fruit on its stem.
+        """Begin an episode: the arm at rest, fruit on its stems.
 
         Args:
             plant: The true arm.
             joints: Positions of its joints ``(n,)``.
             tool: Frame of its tool.
-            fruit: Where the fruit hangs at rest ``(3,)``, m.
-            rng: Draws the strength of the stem and errors of cameras.
+            fruit: Where fruit hangs at rest ``(f, 3)``, m.
+            rng: Draws strengths of stems, places of leaves and errors of cameras.
         """
         mujoco, model, data, around = self._mujoco, self.model, self.data, self.around
         mujoco.mj_resetData(model, data)
@@ -353,8 +384,9 @@ class ContactScene:
             self.arm.take(plant.geometry)
         self._plant = plant
         hangs = around.radius + around.scale * around.detachment.stem + around.sag
-        model.body_pos[self._bearer] = fruit + np.array([0.0, 0.0, hangs])
-        self.strength = float(sample_strength(around.detachment, 1, rng)[0][0]) * around.scale**2
+        model.body_pos[self._bearers] = fruit + np.array([0.0, 0.0, hangs])
+        self.strength = np.asarray(sample_strength(around.detachment, around.fruit, rng)[0]) * around.scale**2
+        model.body_pos[self._blades] = rng.uniform(-0.07, 0.07, (around.leaves, 3)) * around.scale
         for name, number in self._cameras.items():
             shift, turn = rng.normal(size=(2, 3))
             position, rotation = self._said[name]
@@ -362,10 +394,11 @@ class ContactScene:
             model.cam_pos[number] = position + around.camera_mm * 1e-3 * shift
             model.cam_quat[number] = quaternion(turned)
         data.qpos[self.arm.places] = joints
-        data.qpos[self._loose : self._loose + 3] = fruit
+        for place, spot in zip(self._loose, fruit, strict=True):
+            data.qpos[place : place + 3] = spot
         data.qpos[self._sunk] = -around.sag
-        data.eq_active[self._stem], data.eq_active[self._hold] = 1, 0
-        self.held = True
+        data.eq_active[self._stems], data.eq_active[self._holds] = 1, 0
+        self.held[:] = True
         data.ctrl[self._drives] = joints
         self.suction = False
         self._sent = data.ctrl.copy()
@@ -384,7 +417,7 @@ class ContactScene:
             passed += steps
             data.ctrl[:] = end if passed == count else start + (end - start) * (passed / count)
             self._mujoco.mj_step(self.model, data, steps)
-            self._grip()
+            self._hold()
             self._break()
         self._sent = end
         self._mujoco.mj_kinematics(self.model, data)
@@ -393,30 +426,31 @@ class ContactScene:
         if self._plant is not None and self._plant.effects:
             self.arm.put_tool(self._plant.chain, list(joints), tool)
 
-    def _grip(self) -> None:
+    def _hold(self) -> None:
         """Let a cup whose suction is on take the fruit that lies in it, and drop what it holds when suction is off."""
-        data, model = self.data, self.model
-        if self.taken:
-            data.eq_active[self._hold] = self.suction
-        elif self.suction and self.touched:
-            turned = data.xmat[self._hand].reshape(3, 3)
-            place = (data.xpos[self._fruit] - data.xpos[self._hand]) @ turned
-            if np.hypot(*place[:2]) <= self.around.clearance:
-                model.eq_data[self._hold, 3:6] = place
-                back, turn = np.zeros((2, 4))  # of one sign with MuJoCo's own, or the weld would push
-                self._mujoco.mju_negQuat(back, data.xquat[self._hand])
-                self._mujoco.mju_mulQuat(turn, back, data.xquat[self._fruit])
-                model.eq_data[self._hold, 6:10] = turn
-                data.eq_active[self._hold] = 1
+        data, model, touched = self.data, self.model, self.touched
+        for i, hold in enumerate(self._holds) if self.suction or self.taken.any() else ():
+            if data.eq_active[hold]:
+                data.eq_active[hold] = self.suction
+            elif self.suction and touched[i]:
+                turned = data.xmat[self._hand].reshape(3, 3)
+                place = (data.xpos[self._fruit[i]] - data.xpos[self._hand]) @ turned
+                if np.hypot(*place[:2]) <= self.around.clearance:
+                    model.eq_data[hold, 3:6] = place
+                    back, turn = np.zeros((2, 4))  # of one sign with MuJoCo's own, or the weld would push
+                    self._mujoco.mju_negQuat(back, data.xquat[self._hand])
+                    self._mujoco.mju_mulQuat(turn, back, data.xquat[self._fruit[i]])
+                    model.eq_data[hold, 6:10] = turn
+                    data.eq_active[hold] = 1
 
     def _break(self) -> None:
-        """Let a stem go that is pulled harder than it holds, and a fruit that the cup cannot hold."""
-        data, grip = self.data, self.around.suction.holds * self.around.detachment.pull_95 * self.around.scale**2
+        """Let stems go that are pulled harder than they hold, and fruit that the cup cannot hold."""
+        data, strength = self.data, self.around.suction.holds * self.around.detachment.pull_95 * self.around.scale**2
         rows, forces = data.efc_id[: data.ne], data.efc_force[: data.ne]
-        for tie, limit in ((self._stem, self.strength), (self._hold, grip)):
+        for tie, limit in [*zip(self._stems, self.strength, strict=True), *((hold, strength) for hold in self._holds)]:
             if data.eq_active[tie] and np.linalg.norm(forces[rows == tie][:3]) > limit:
                 data.eq_active[tie] = 0
-        self.held = bool(data.eq_active[self._stem])
+        self.held[:] = data.eq_active[self._stems]
 
     @property
     def joints(self) -> list[float]:
@@ -436,19 +470,21 @@ class ContactScene:
 
     @property
     def fruit(self) -> Array:
-        """Centre of the fruit ``(3,)``, m."""
+        """Centres of the fruit ``(f, 3)``, m."""
         return np.asarray(self.data.xpos[self._fruit])
 
     @property
-    def touched(self) -> bool:
-        """Whether the cup touches the fruit."""
+    def touched(self) -> NDArray[np.bool_]:
+        """Which fruit the cup touches ``(f,)``."""
+        if not self.data.ncon:
+            return np.zeros(self.around.fruit, dtype=np.bool_)
         pairs = self.data.contact.geom[: self.data.ncon]
-        return bool(((pairs == self._cup).any(axis=1) & (pairs == self._sphere).any(axis=1)).any())
+        return np.isin(self._spheres, pairs[(pairs == self._cup).any(axis=1)])
 
     @property
-    def taken(self) -> bool:
-        """Whether the cup holds the fruit."""
-        return bool(self.data.eq_active[self._hold])
+    def taken(self) -> NDArray[np.bool_]:
+        """Which fruit the cup holds ``(f,)``."""
+        return np.asarray(self.data.eq_active[self._holds] != 0)
 
     def picture(self, camera: str, size: tuple[int, int], dark: bool = False) -> Pixels:
         """What a camera sees ``(height, width, 3)``; ``size`` is width and height, px; a dark background is black.

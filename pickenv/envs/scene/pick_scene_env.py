@@ -126,6 +126,8 @@ class PickSceneEnv(ReachEnv):
     - `camera_mm`, `camera_deg` (default 0): standard deviations per axis of where the cameras truly are, drawn in every
       episode.
     - `model` (path, default None): a maker's MJCF file of the plant's arm, with the same joint names.
+    - `fruit` (default 1): number of fruit; the first one is wanted. `leaves` (default 0): leaves about it, which hide
+      and touch.
     - `scale` (default None): lengths of fruit, branch and cup as a multiple of an apple tree's; forces go with its
       square, masses with its cube. None is 1, or less for arms that reach less than 0.85 m.
     - `fruit_size` (default "li2016"): as in `pickenv/Pick-v0`.
@@ -151,6 +153,8 @@ class PickSceneEnv(ReachEnv):
         pixels: int = 64,
         cameras: Sequence[str] = CAMERAS,
         model: str | None = None,
+        fruit: int = 1,
+        leaves: int = 0,
         scale: float | None = None,
         fruit_size: str = "li2016",
         error_mm: float | None = None,
@@ -163,7 +167,8 @@ class PickSceneEnv(ReachEnv):
     ) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
         check_choice("obs_type", obs_type, OBSERVATIONS)
-        check_count("pixels", pixels, SMALLEST)
+        for name, count, least in (("fruit", fruit, 1), ("leaves", leaves, 0), ("pixels", pixels, SMALLEST)):
+            check_count(name, count, least)
         sizes = {"camera_mm": camera_mm, "camera_deg": camera_deg, "error_mm": error_mm, "within_mm": within_mm}
         for name, number in sizes.items():
             check_number(name, number or 0.0)
@@ -185,6 +190,8 @@ class PickSceneEnv(ReachEnv):
         check_number("scale", scale, positive=True)
         around = Surroundings(
             model=model,
+            fruit=int(fruit),
+            leaves=int(leaves),
             scale=float(scale),
             size=load_fruit_size(fruit_size),
             cup=load_gripper("li_cup"),
@@ -276,7 +283,7 @@ class PickSceneEnv(ReachEnv):
             raise InputError("step was called before reset; call reset first")
         self._state, self._grip, _, period = act_arm(self._x, self.task, self._state, values.tolist())
         self._step += 1
-        was_held = self.scene.held
+        was_held = bool(self.scene.held[0])
         observation, _, information = self._look(period)
         success = information["is_success"]
         reward = float(success) + BONUS * float(information["detached"] and was_held) - STEP_COST
@@ -303,30 +310,34 @@ class PickSceneEnv(ReachEnv):
             scene.carry(joints, tool, self._grip, dt)
         read = simulation.nominal_readings(x, plant, memory, state.target, command)
         read = [value + (at - sent) for value, at, sent in zip(read, scene.joints, joints, strict=True)]
-        goal = (*state.goal[:9], *scene.fruit.tolist())
+        goal = (*state.goal[:9], *scene.fruit[0].tolist())
         state = state._replace(plant=memory, goal=goal)
         return simulation.viewed(x, task, state, read, scene.tool, command, key, moment, dt)
 
     def _begin(self, plant: Plant, joints: Sequence[float], tool: Frame, goal: Frame) -> None:
-        rng = np.random.default_rng(int(self._key))
-        rng.random(3)  # not used any more; stems and cameras of a seed stay what they are
+        rng, around = np.random.default_rng(int(self._key)), self.scene.around
+        (phase, *_), _, heights = rng.uniform(size=(3, around.fruit))
+        angles = 2.0 * np.pi * (phase + np.arange(around.fruit) / max(around.fruit - 1, 1))
+        ring = 2.2 * around.radius * max(1.0, 0.5 / np.sin(np.pi / max(around.fruit - 1, 2)))  # so that none overlap
+        apart = np.stack([ring * np.cos(angles), ring * np.sin(angles), around.radius * (heights - 0.5)], axis=1)
+        apart[0] = 0.0
         self._grip, self._holding, self._closed = -1.0, 0, (0.0, 0.0)
-        self.scene.begin(plant, joints, tool, np.array(goal[9:]), rng)
+        self.scene.begin(plant, joints, tool, np.array(goal[9:]) + apart, rng)
 
     def _look(self, dt: Scalar) -> tuple[Any, float, Information]:
         observation, reward, information = super()._look(dt)
         scene = self.scene
         tool = np.array(scene.tool)
-        lateral, axial, _ = misalignment(scene.fruit - tool[9:], tool[6:9])
-        touched, closing = scene.touched, self._grip > 0.0
+        lateral, axial, _ = misalignment(scene.fruit[0] - tool[9:], tool[6:9])
+        touched, closing = bool(scene.touched[0]), self._grip > 0.0
         if closing and touched and self._closed == (0.0, 0.0):
             self._closed = 1e3 * float(lateral), 1e3 * float(axial)
-        taken = scene.taken
-        self._holding = self._holding + 1 if taken and not scene.held else 0
+        taken = bool(scene.taken[0])
+        self._holding = self._holding + 1 if taken and not scene.held[0] else 0
         information |= {
             "is_success": self._holding >= HELD_STEPS,
             "attached": taken,
-            "detached": not scene.held,
+            "detached": not bool(scene.held[0]),
             "grasp_lateral_mm": self._closed[0],
             "grasp_axial_mm": self._closed[1],
         }
@@ -334,7 +345,7 @@ class PickSceneEnv(ReachEnv):
 
     def _observe(self, scene: simulation.View) -> tuple[Any, float]:
         flat, reward = super()._observe(scene)
-        grip = np.array([self.scene.suction, self.scene.taken], dtype=np.float32)
+        grip = np.array([self.scene.suction, self.scene.taken[0]], dtype=np.float32)
         if self.obs_type == OBSERVATIONS[0]:
             return np.append(flat, grip), reward
         size = self.pixels, self.pixels
