@@ -34,7 +34,8 @@ class ScaledEnv(gym.Wrapper[Any, Any, Any, Any]):
 
     def __init__(self, env: gym.Env[Any, Any], scaling: Rescaling, shaping: float | None = None) -> None:
         gym.Wrapper.__init__(self, env)
-        self.scaling, self._shaping = scaling, shaping
+        inner: Any = env.unwrapped
+        self.scaling, self._most, self._shaping = scaling, inner.task.most_action, shaping
         self.observation_space = scaling.space
         self.action_space = scaling.answers or env.action_space
         self.raw: Any = np.zeros(scaling.inputs, dtype=np.float32)
@@ -48,7 +49,7 @@ class ScaledEnv(gym.Wrapper[Any, Any, Any, Any]):
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
         """Step with actions in the policy's scale, and return rescaled observations."""
         before = self.raw
-        self.raw, reward, terminated, truncated, info = self.env.step(self.scaling.act(before, action))
+        self.raw, reward, terminated, truncated, info = self.env.step(self.scaling.act(before, action, self._most))
         if self._shaping is not None:
             after = 0.0 if terminated else float(self.scaling.potential(self.raw))
             reward = float(reward) + self._shaping * after - float(self.scaling.potential(before))
@@ -60,7 +61,8 @@ class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
 
     def __init__(self, env: VectorEnv[Any, Any, Any], scaling: Rescaling, shaping: float | None = None) -> None:
         VectorWrapper.__init__(self, env)
-        self.scaling, self._shaping = scaling, shaping
+        inner: Any = env.unwrapped
+        self.scaling, self._most, self._shaping = scaling, inner.task.most_action, shaping
         self.single_observation_space = scaling.space
         self.observation_space = batch_space(scaling.space, self.num_envs)
         if scaling.answers is not None:
@@ -86,7 +88,7 @@ class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step with actions in the policy's scale, and return rescaled observations."""
         before = self.raw
-        commands = self.scaling.act(before, actions)
+        commands = self.scaling.act(before, actions, self._most)
         self.raw, rewards, terminations, truncations, infos = self.env.step(commands)
         last = self.raw
         if "final_obs" in infos:

@@ -112,17 +112,18 @@ class ToolSteps(Rescaling):
         shares = (both / xp.maximum(far, ARRIVED), both / (both * both + NEAR**2) ** 0.5, *decades)
         return xp.concatenate((values[..., :n], *shares, xp.clip(_length(turn) ** 2, 0.0, 1.0), others), -1)
 
-    def act(self, values: NDArray[Any], actions: Any) -> NDArray[Any]:
+    def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
         """Joint increments and gripper ``(..., n + 1)`` for steps of the tool and gripper ``(..., 3)``.
 
-        Actions of another shape, and numbers that are not finite, are handed on for the environment to refuse.
+        Actions of another shape, and numbers larger than ``most`` or not finite, are handed on for the environment to
+        refuse.
         """
         numbers = as_numbers("actions", actions)
         if numbers.shape != (*values.shape[:-1], self.outputs):
             return numbers
         commands = self.commands(values, np.clip(np.nan_to_num(numbers), -1.0, 1.0))
-        wrong = ~(np.abs(numbers) <= MOST_ACTION).all(axis=-1, keepdims=True)
-        return np.where(wrong, np.inf, commands).astype(np.float32)
+        wrong = ~(np.abs(numbers) <= most).all(axis=-1, keepdims=True)
+        return np.where(wrong, np.inf if most == MOST_ACTION["clip"] else 2.0, commands).astype(np.float32)
 
     def commands(self, values: NDArray[Any], actions: Any) -> Any:
         """Joint increments and gripper ``(..., n + 1)`` for a policy's ``actions``, which lie between -1 and 1."""

@@ -353,10 +353,10 @@ def test_the_guard_watches_every_pair_of_neighbours(slaves):
     assert alone.step(np.ones(6))[-1]["held"] == 0
 
 
-def test_the_spaces_have_room_for_joints_blades_and_fruit():
-    seen, acted = harvest_spaces(make_harvest_task(slaves=2, fruit=2))
-    assert seen.high.tolist() == [1.0] * 11 + [2.0, 2.0, 2.0, 1.0] * 2
-    assert seen.low.tolist() == [-1.0] * 9 + [0.0] * 2 + [-2.0, -2.0, -2.0, 0.0] * 2
+def test_the_spaces_have_room_for_joints_blades_fruit_and_what_else_is_asked():
+    seen, acted = harvest_spaces(make_harvest_task(slaves=2, fruit=2), extra=3)
+    assert seen.high.tolist() == [1.0] * 11 + [2.0, 2.0, 2.0, 1.0] * 2 + [1.0] * 3
+    assert seen.low.tolist() == [-1.0] * 9 + [0.0] * 2 + [-2.0, -2.0, -2.0, 0.0] * 2 + [0.0] * 3
     assert acted.high.tolist() == [1.0] * 9 and acted.low.tolist() == [-1.0] * 9
 
 

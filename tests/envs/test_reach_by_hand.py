@@ -254,3 +254,17 @@ def test_the_bounds_of_a_tasks_numbers_can_be_asked_for():
             make_task(**{name: True})
     for tilt in (180.0, 200.0, 1e5):
         assert make_task(max_tilt_deg=tilt).min_upright == -1.0
+
+
+@pytest.mark.parametrize(("size", "taken"), [(1.0, True), (1.0 + 0.9e-6, True), (1.0 + 1.1e-6, False), (1.5, False)])
+def test_actions_end_at_one_and_a_rounding(size, taken):
+    env = gym.make("pickenv/Reach-v0", out_of_range="refuse", disable_env_checker=True).unwrapped
+    env.reset(seed=0)
+    for sign in (-1.0, 1.0):
+        action = np.array([0.0, 0.0, sign * size, 0.0, 0.0, 0.0])
+        if taken:
+            env.step(action)
+        else:
+            with pytest.raises(InputError, match="finite numbers between -1 and 1"):
+                env.step(action)
+    env.close()

@@ -357,7 +357,10 @@ BAD = {
     "actions have shape": lambda: stepped(np.zeros((3, 6))),
     "action of environment 1": lambda: stepped(np.array([[0.0] * 6, [np.nan] * 6])),
     "environment 1 is": lambda: stepped(np.array([[0.0] * 6, [np.inf, -np.inf, 0, 0, 0, 0]])),
-    "the action of environment 0": lambda: stepped(np.full((2, 6), np.inf)),
+    "the action of environment 0": lambda: stepped(np.full((2, 6), 1.01), out_of_range="refuse"),
+    "environment 1 is [0.0, -1.01": lambda: stepped(
+        np.array([[0.0] * 6, [0.0, -1.01, 0, 0, 0, 0]]), executor="torch", compiled=False, out_of_range="refuse"
+    ),
     "environment 1 is [nan": lambda: stepped(
         np.array([[0.0] * 6, [np.nan, 0, 0, 0, 0, 0]]), executor="torch", compiled=False
     ),

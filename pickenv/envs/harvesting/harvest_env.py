@@ -105,6 +105,7 @@ class HarvestEnv(DrawnEnv):
       this canopy; "rendered" draws and reads a stereo pair of each zone (a tenth of a second, needs the extra
       `harvest`); "ideal" shows all fruit where it is. `detector`: "li2016" (default; R-G, Otsu, centroids) or
       "circles". `canopy`: "li2016" (default, leafy) or "li2016_bare". Detections of no fruit are left out.
+    - `out_of_range` ("clip" or "refuse"): whether actions beyond -1 to 1 are cut to it or are an error.
     - `executor` ("auto" or "numpy"): "auto" computes cups and distances between arms in machine code where llvmlite is
       installed, up to roundings (1e-12) as NumPy does.
     - `render_mode` (None, "human" or "rgb_array").
@@ -142,7 +143,7 @@ class HarvestEnv(DrawnEnv):
         Raises:
             InputError: If the action is not finite or has another shape, or before the first reset.
         """
-        values = checked_action(action, (self.task.machine.joints,))
+        values = checked_action(action, (self.task.machine.joints,), self.task.most_action)
         if self.state is None:
             raise InputError("step was called before reset; call reset first")
         (reward,) = batch.step(self.task, self.state, values[None], [self.np_random], self.compensator)
@@ -191,7 +192,7 @@ class HarvestVectorEnv(NativeVectorEnv):
         self.state: batch.HarvestState
 
     def _checked(self, actions: ArrayLike) -> NDArray[Any]:
-        return checked_action(actions, (self.num_envs, self.task.machine.joints))
+        return checked_action(actions, (self.num_envs, self.task.machine.joints), self.task.most_action)
 
     def _begin(self, rows: Rows, options: Information, seeded: Flags) -> None:
         zones = batch.given_zones(self.task, options, self.num_envs, rows)

@@ -16,7 +16,7 @@ from pickenv.arm import Array, leaves
 from pickenv.base import MM, NUMBER, InputError, is_there, read_toml, shown, toml_table
 from pickenv.envs.shared.backends import Flags
 from pickenv.envs.shared.situation import CONTROL_PERIOD
-from pickenv.envs.shared.task import Compensate, as_numbers, check_choice, check_number
+from pickenv.envs.shared.task import MOST_ACTION, Compensate, as_numbers, check_choice, check_number
 from pickenv.harvester.interference import arm_distances, pair_distances, pairs_of
 from pickenv.harvester.picking import attempt, draw_luck, pushes
 from pickenv.harvester.trees import SHIPPED, lab_zone, tree_leaves
@@ -131,6 +131,7 @@ class HarvestTask:
         orchard: Where fruit hangs and how big it is.
         eyes: How the cameras see fruit.
         fruit: Number of fruit in a zone.
+        most_action: Largest size of an action's numbers that is accepted.
         compiled: Whether cups and distances are computed by machine code.
     """
 
@@ -141,6 +142,7 @@ class HarvestTask:
     orchard: harvester.Orchard
     eyes: Eyes
     fruit: int
+    most_action: float
     compiled: bool
 
     @cached_property
@@ -168,6 +170,7 @@ def make_harvest_task(
     vision: str = "measured_errors",
     detector: str = "li2016",
     canopy: str | None = None,
+    out_of_range: str = "clip",
     executor: str = "auto",
 ) -> HarvestTask:
     """Check the arguments of an environment, read its files, and make its task.
@@ -175,6 +178,7 @@ def make_harvest_task(
     Raises:
         InputError: If an argument is impossible.
     """
+    check_choice("out_of_range", out_of_range, tuple(MOST_ACTION))
     check_choice("executor", executor, ("auto", "numpy"))
     if isinstance(fruit, bool) or not isinstance(fruit, int) or not 1 <= fruit <= 40:
         raise InputError(f"a zone of {fruit} fruit is impossible; give a whole number from 1 to 40")
@@ -186,15 +190,16 @@ def make_harvest_task(
         true = true.ideal()
     orchard = harvester.load_orchard(canopy=canopy)
     eyes = load_eyes(vision, orchard.canopy, detector)
+    most = MOST_ACTION[out_of_range]
     compiled = executor == "auto" and is_there("llvmlite")
-    return HarvestTask(machine, true, harvester.load_picking(), load_rules(), orchard, eyes, fruit, compiled)
+    return HarvestTask(machine, true, harvester.load_picking(), load_rules(), orchard, eyes, fruit, most, compiled)
 
 
-def harvest_spaces(task: HarvestTask) -> tuple[Box[np.float32], Box[np.float32]]:
-    """The observation space and the action space."""
+def harvest_spaces(task: HarvestTask, extra: int = 0) -> tuple[Box[np.float32], Box[np.float32]]:
+    """The observation space, with room for ``extra`` numbers from 0 to 1 at its end, and the action space."""
     joints, arms, most = task.machine.joints, task.machine.arms, task.rules.shown
-    high = [1.0] * (joints + arms) + [most, most, most, 1.0] * task.fruit
-    low = [-1.0] * joints + [0.0] * arms + [-most, -most, -most, 0.0] * task.fruit
+    high = [1.0] * (joints + arms) + [most, most, most, 1.0] * task.fruit + [1.0] * extra
+    low = [-1.0] * joints + [0.0] * arms + [-most, -most, -most, 0.0] * task.fruit + [0.0] * extra
     observations = Box(np.array(low, dtype=np.float32), np.array(high, dtype=np.float32), dtype=np.float32)
     return observations, Box(-1.0, 1.0, (joints,), np.float32)
 

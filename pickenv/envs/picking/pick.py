@@ -164,6 +164,7 @@ class PickEnv(ArmEnv):
       lies in it, with noise of `grip_noise_mm` per axis (default 1). A fruit that it missed tells nothing.
     - `arms` ("fixed", "per_env" or "per_episode"), `tolerances`, `population` and `population_seed`: the plant's own
       true arm, or one of a population, as in `pickenv/Reach-v0`.
+    - `out_of_range` ("clip" or "refuse"): as in `pickenv/Reach-v0`.
     - `control_period_s`, `latency` (of joint readings), `action_delay` (of the gripper too), `joint_noise`, `hours_on`
       and `start_spread`, numbers or ranges: as in `pickenv/Reach-v0`.
     - `difficulty` and `split`: as in `pickenv/Reach-v0`.
@@ -222,7 +223,7 @@ class PickEnv(ArmEnv):
         Raises:
             InputError: If the action has another shape or impossible numbers, or before the first reset.
         """
-        values, canopies = checked_action(action, (self.task.joints + 1,)), self.canopies
+        values, canopies = checked_action(action, (self.task.joints + 1,), self.task.most_action), self.canopies
         if canopies is None or self._state is None:
             raise InputError("step was called before reset; call reset first")
         numbers, before = self._numbers(values.tolist()), canopies.sight[TOOL][9:].T.copy()

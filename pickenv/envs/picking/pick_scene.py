@@ -413,6 +413,7 @@ def make_pick(
     tolerances: str = "medium",
     population: int = 256,
     population_seed: int = 0,
+    out_of_range: str = "clip",
     **situation: Any,
 ) -> tuple[Task, PickSetting]:
     """The arm's task and the setting of fruit for arguments that `pickenv/Pick-v0` explains, checked.
@@ -425,7 +426,7 @@ def make_pick(
     check_choice("feedback", feedback, PICK_FEEDBACK)
     check_number("grip_noise_mm", grip_noise_mm)
     arguments: dict[str, Any] = {"tolerances": tolerances, "population": population, "population_seed": population_seed}
-    task = make_task(plant, without, arms=arms, **arguments, **situation)
+    task = make_task(plant, without, arms=arms, out_of_range=out_of_range, **arguments, **situation)
     check_choice("order", order, tuple(ORDERS))
     if vision not in (PUBLISHED, *trees.VISIONS):
         raise InputError(f"unknown vision '{vision}'; give one of {', '.join((PUBLISHED, *trees.VISIONS))}")

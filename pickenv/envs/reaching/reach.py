@@ -191,6 +191,8 @@ class ReachEnv(ArmEnv):
       environment or anew in every episode. `tolerances` (class or file, default "medium"; a class that `plant` names
       goes before), `population` (int, default 256) and `population_seed` (int, default 0) say which; judge a policy on
       a population that it never saw.
+    - `out_of_range` ("clip" or "refuse"): whether actions beyond -1 to 1, as networks without bounds give them, are cut
+      to this range or are an error; numbers that are not finite are always an error.
     - `goal_region` (two corners [[x, y, z], [x, y, z]] of a box, m, base frame, default None): where goals are drawn.
     - `control_period_s` (s, 0.001 to 10, default 0.1): time between two actions, and with it the largest increment.
     - `latency` (whole periods, 0 to 20, default 0): how late readings of joints and camera arrive.
@@ -263,9 +265,10 @@ class ReachEnv(ArmEnv):
         """Move the joint target by `action` and see where the true tool goes.
 
         Raises:
-            InputError: If the action has another shape or numbers that are not finite, or before the first reset.
+            InputError: If the action has another shape or numbers that are not finite (or, with
+                `out_of_range="refuse"`, beyond -1 to 1), or before the first reset.
         """
-        values = checked_action(action, (self.task.moves,))
+        values = checked_action(action, (self.task.moves,), self.task.most_action)
         if self._state is None:
             raise InputError("step was called before reset; call reset first")
         self._state = simulation.act(self._x, self.task, self._state, self._numbers(values.tolist()))

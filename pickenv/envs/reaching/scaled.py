@@ -85,7 +85,7 @@ class ReachScaledEnv(ReachEnv):
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, Information]:
         """Act in the policy's scale; errors as in `pickenv/Reach-v0`."""
-        return super().step(self.scaling.act(self.raw, action))
+        return super().step(self.scaling.act(self.raw, action, self.task.most_action))
 
     def _observe(self, scene: View) -> tuple[Any, float]:
         self.raw, reward = super()._observe(scene)
@@ -114,7 +114,7 @@ class ReachScaledVectorEnv(ReachVectorEnv):
         self.raw = state["raw"].copy()
 
     def _checked(self, actions: ArrayLike) -> Any:
-        return super()._checked(self.scaling.act(self.raw, actions))
+        return super()._checked(self.scaling.act(self.raw, actions, self.task.most_action))
 
     def _observation(self) -> Any:
         self.raw = super()._observation()

@@ -278,7 +278,7 @@ class PickSceneEnv(ReachEnv):
         Raises:
             InputError: If the action has another shape or impossible numbers, or before the first reset.
         """
-        values = checked_action(action, (self.task.joints + 1,))
+        values = checked_action(action, (self.task.joints + 1,), self.task.most_action)
         if self._state is None:
             raise InputError("step was called before reset; call reset first")
         self._state, self._grip, _, period = act_arm(self._x, self.task, self._state, values.tolist())

@@ -14,7 +14,7 @@ from pickenv.base import InputError
 from pickenv.envs.shared.backends import NUMPY, Executor, Flags, Rows, Scalar
 from pickenv.envs.shared.simulation import ArmState
 from pickenv.envs.shared.situation import drawn_start
-from pickenv.envs.shared.task import MOST_ACTION, Compensate, Task, as_numbers, exact_plant
+from pickenv.envs.shared.task import Compensate, Task, as_numbers, bounds_of, exact_plant
 
 Words = NDArray[np.uint64]
 Columns = list[Scalar]
@@ -151,16 +151,19 @@ class ArmBatch:
         """Actions component by component ``(n, N)``, checked; on a device only their shape is checked.
 
         Raises:
-            InputError: If actions have another shape, or numbers that are not finite.
+            InputError: If actions have another shape, or numbers that are not finite, or numbers beyond -1 to 1 that
+                the task refuses.
         """
-        values, shape = self.given(actions), (self.count, self.actions)
+        values, shape, most = self.given(actions), (self.count, self.actions), self.task.most_action
         if tuple(values.shape) != shape:
             raise InputError(f"actions have shape {tuple(values.shape)}; give {shape}, numbers between -1 and 1")
         numbers, low, high = self.components(values)
-        if not (high <= MOST_ACTION and low >= -MOST_ACTION):
+        if not (high <= most and low >= -most):
             rows = self.host(values)
-            row = int(np.argmin((np.abs(rows) <= MOST_ACTION).all(axis=1)))
-            raise InputError(f"the action of environment {row} is {rows[row].tolist()}; give finite numbers")
+            row = int(np.argmin((np.abs(rows) <= most).all(axis=1)))
+            raise InputError(
+                f"the action of environment {row} is {rows[row].tolist()}; give finite numbers{bounds_of(most)}"
+            )
         return numbers
 
     def plant_of(self, where: Any) -> Plant:

@@ -67,7 +67,7 @@ class Rescaling(ABC):
         """The numbers ``(..., features)`` that the policy sees; ``xp`` is numpy or torch."""
 
     @abstractmethod
-    def act(self, values: NDArray[Any], actions: Any) -> NDArray[Any]:
+    def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
         """Commands to the environment for a policy's ``actions``.
 
         Actions that the environment refuses stay as they are, for the environment to refuse.
@@ -166,16 +166,17 @@ class Scaling(Rescaling):
         """The negative decimal logarithm of the gap's size; rewards of reaching are as dense already."""
         return -np.log10(self.size(values, np))[..., 0]
 
-    def act(self, values: NDArray[Any], actions: Any) -> NDArray[Any]:
+    def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
         """Commands to the environment for a policy's ``actions`` at the observations ``values``.
 
-        Actions of another shape, and numbers that are not finite, stay as they are, for the environment to refuse.
+        Actions of another shape, and numbers larger than ``most`` or not finite, stay as they are, for the environment
+        to refuse.
         """
         numbers = as_numbers("actions", actions)
         if numbers.shape != (*values.shape[:-1], self.outputs):
             return numbers
         scaled = self.commands(values, np.clip(numbers, -1.0, 1.0))
-        return np.where(np.abs(numbers) <= MOST_ACTION, scaled, numbers).astype(np.float32)
+        return np.where(np.abs(numbers) <= most, scaled, numbers).astype(np.float32)
 
 
 def scaling_of(task: Task, actions: bool = True) -> Scaling:

@@ -85,8 +85,9 @@ def inexact(frame: Frame) -> tuple[Scalar, ...]:
     return tuple([value.value if type(value) is Exact else value for value in frame])
 
 
-MOST_ACTION = float(np.finfo(np.float32).max)
-"""Largest size of an action's numbers that is accepted: any finite one; it is then cut to 1."""
+MOST_ACTION = {"clip": float(np.finfo(np.float32).max), "refuse": 1.0 + 1e-6}
+"""Largest size of an action's numbers that is accepted, by `out_of_range`: any finite size, which is then cut to 1; or
+1 with a margin for rounding to single precision."""
 
 MOST_CAMERA_NOISE_MM = 100.0
 """Largest camera noise: ten standard deviations stay within the metre that observation bounds leave for errors."""
@@ -132,6 +133,7 @@ class Task:
         end_on_success: Whether reaching the fruit ends the episode.
         min_upright: Smallest z component of the wanted tool axis.
         lost_axes: Links whose z axes span the plane in which the tool cannot be turned freely, or None.
+        most_action: Largest size of an action's numbers that is accepted.
         region: Two opposite corners of the box that goals are drawn from, m, or None for the arm's whole workspace.
         situation: Timing, sensing and start of episodes.
         box: Least and largest joints between which episodes start and goals are drawn, rad or m.
@@ -154,6 +156,7 @@ class Task:
     end_on_success: bool
     min_upright: float
     lost_axes: tuple[int, int] | None
+    most_action: float
     region: tuple[Components, Components] | None
     situation: Situation
     box: tuple[Components, Components]
@@ -258,6 +261,7 @@ def make_task(
     population: int = 256,
     population_seed: int = 0,
     fruit_noise_mm: float | None = None,
+    out_of_range: str = "clip",
     goal_region: Sequence[Sequence[float]] | None = None,
     **situation: Any,
 ) -> Task:
@@ -269,6 +273,7 @@ def make_task(
     setting = make_situation(**situation)
     check_choice("feedback", feedback, FEEDBACK)
     check_choice("reward", reward, REWARDS)
+    check_choice("out_of_range", out_of_range, tuple(MOST_ACTION))
     check_number("tolerance_mm", tolerance_mm, positive=True)
     check_number("angle_tolerance_deg", angle_tolerance_deg, positive=True)
     fruit_noise_mm = camera_noise_mm if fruit_noise_mm is None else fruit_noise_mm
@@ -306,6 +311,7 @@ def make_task(
         end_on_success=bool(end_on_success),
         min_upright=math.cos(math.radians(min(tilt, 180.0))),
         lost_axes=lost_axes(geometry),
+        most_action=MOST_ACTION[out_of_range],
         region=None if goal_region is None else checked_region(goal_region),
         situation=setting,
         box=limits,
@@ -392,22 +398,28 @@ def as_numbers(name: str, given: Any) -> Array:
         raise InputError(f"{name} is {shown(given)}; give numbers") from error
 
 
-def checked_action(action: Any, shape: tuple[int, ...]) -> Array:
+def checked_action(action: Any, shape: tuple[int, ...], most: float) -> Array:
     """The actions of one environment, or of several, checked and cut to -1 to 1.
 
     Args:
         action: The action, or actions, as the user gave them.
         shape: The shape that they must have.
+        most: Largest size of a number that is accepted, from `MOST_ACTION`.
 
     Raises:
-        InputError: If ``action`` has another shape, or numbers that are not finite.
+        InputError: If ``action`` has another shape, or numbers that are not finite or too large.
     """
     values = as_numbers("action", action)
     low, high = (values.min(), values.max()) if values.size else (0.0, 0.0)
-    if values.shape != shape or not (low >= -MOST_ACTION and high <= MOST_ACTION):
+    if values.shape != shape or not (-most <= low and high <= most):
         form = f"{shape[0]} finite numbers" if len(shape) == 1 else f"finite numbers of shape {shape}"
-        raise InputError(f"action {shown(values.tolist())} is not {form}")
+        raise InputError(f"action {shown(values.tolist())} is not {form}{bounds_of(most)}")
     return values if low >= -1.0 and high <= 1.0 else np.clip(values, -1.0, 1.0)
+
+
+def bounds_of(most: float) -> str:
+    """The range of actions in the words of an error message; empty if actions are cut to the range."""
+    return " between -1 and 1" if most == MOST_ACTION["refuse"] else ""
 
 
 def lost_axes(geometry: Geometry) -> tuple[int, int] | None:

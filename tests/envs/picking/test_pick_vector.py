@@ -36,7 +36,7 @@ VARIANTS = {
         "start_spread": 0.5,
     },
     "own eyes": {"difficulty": "own_eyes", "split": "test", "feedback": "gripper"},
-    "ideal": {"plant": "ideal", "vision": "ideal", "fruit_size": "apple"},
+    "ideal": {"plant": "ideal", "vision": "ideal", "fruit_size": "apple", "out_of_range": "refuse"},
 }
 CASES = list(zip(list(VARIANTS)[2:5], AutoresetMode, strict=True))
 MODES = list(AutoresetMode)
@@ -208,7 +208,8 @@ def test_the_tool_wrapper_keeps_the_rules_and_says_what_it_cannot_wrap():
         ToolStepping(gym.make("pickenv/Reach-v0"))
     with pytest.raises(InputError, match="shaping is 2"):
         ToolStepping(gym.make("pickenv/Pick-v0"), shaping=2.0)
-    env = ToolStepping(gym.make("pickenv/Pick-v0"))
-    env.reset(seed=0)
-    with pytest.raises(InputError, match="finite numbers"):
-        env.step(np.array([np.nan, 0.0, 0.0]))
+    for out_of_range, action in (("refuse", [2.0, 0.0, 0.0]), ("clip", [np.nan, 0.0, 0.0])):
+        env = ToolStepping(gym.make("pickenv/Pick-v0", out_of_range=out_of_range))
+        env.reset(seed=0)
+        with pytest.raises(InputError, match="finite numbers"):
+            env.step(np.array(action))
