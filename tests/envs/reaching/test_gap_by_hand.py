@@ -50,14 +50,14 @@ def test_the_gap_enters_as_direction_and_half_its_decimal_logarithm(joints, came
 def test_actions_are_cut_and_are_shares_of_the_size_below_one():
     values = np.array([flat(3, *gap, False) for gap in GAPS])
     actions = np.array([[0.5, -2.0, 1.0]] * 3)
-    cut = np.array([0.5, -1.0, 1.0])
-    scaled = Scaling(3).act(values, actions)
+    cut, limit = np.array([0.5, -1.0, 1.0]), 5.0
+    scaled = Scaling(3).act(values, actions, limit)
     np.testing.assert_allclose(scaled, [cut, 0.5 * cut, 1e-6 * cut], rtol=1e-6)
-    np.testing.assert_allclose(Scaling(3, actions=False).act(values, actions), [cut] * 3)
+    np.testing.assert_allclose(Scaling(3, actions=False).act(values, actions, limit), [cut] * 3)
     assert scaled.dtype == np.float32
-    assert Scaling(3).act(values[1], [1e30, 0.0, 0.0]).tolist() == [0.5, 0.0, 0.0]
-    assert Scaling(3).act(values[1], [np.inf, -6.0, 0.0]).tolist() == [np.inf, -0.5, 0.0]
-    assert Scaling(3).act(values[1], [1.0, 1.0]).tolist() == [1.0, 1.0]
+    assert Scaling(3).act(values[1], [limit, 0.0, 0.0], limit).tolist() == [0.5, 0.0, 0.0]
+    assert Scaling(3).act(values[1], [limit + 1.0, -6.0, 0.0], limit).tolist() == [6.0, -6.0, 0.0]
+    assert Scaling(3).act(values[1], [1.0, 1.0], limit).tolist() == [1.0, 1.0]
 
 
 def test_the_gap_of_a_goal_observation_is_that_of_its_two_goals():
