@@ -72,6 +72,7 @@ HEAVY = (
         "onnxruntime",
         "llvmlite",
         "tensorboard",
+        "pettingzoo",
         "rosbags",
     ),
     *("mujoco", "typer", "rich", "yaml", "tqdm", "pydantic"),

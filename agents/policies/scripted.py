@@ -497,7 +497,7 @@ class OraclePick(ScriptedPick):
 
 
 # A scripted policy for the harvester: plan the zone once, pick by the plan, plan anew for what was missed. It uses
-# the observation alone.
+# the observation alone, and works for the Gymnasium environment and for PettingZoo's.
 
 
 SLAVE_ARRIVED = 1e-3
@@ -520,7 +520,7 @@ class ScriptedHarvest:
     """A policy that drives every slave through its planned picks; an arm goes out only where it meets no other arm."""
 
     def __init__(self, env: Any) -> None:
-        """Read the machine from ``env``, a `pickenv/Harvest-v0`, wrapped or not."""
+        """Read the machine from ``env``, a `pickenv/Harvest-v0` of Gymnasium or PettingZoo, wrapped or not."""
         self.task = env.unwrapped.task
         self.machine = self.task.machine
         self.reset()
@@ -546,6 +546,11 @@ class ScriptedHarvest:
             both = slice(4 + 3 * i, 6 + 3 * i)
             share[both] /= max(1.0, float(np.abs(share[both]).max()))
         return np.asarray(share.clip(-1.0, 1.0), dtype=np.float32)
+
+    def act_together(self, observations: dict[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
+        """The next actions of PettingZoo's agents."""
+        shared = next(iter(observations.values()))[: len(self.task.bounds[0])]
+        return dict(zip(observations, self.act(shared).reshape(-1, 3), strict=True))
 
     def _decoded(self, values: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
         """Joints, time left of each blade, fruit in the base frame, and whether each fruit hangs in reach."""

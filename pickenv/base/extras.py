@@ -22,7 +22,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "camera": ("cv2",),
     "recordings": ("rosbags",),
     "study": ("pyarrow", "joblib", "pandas"),
-    "harvest": ("skimage", "ortools"),
+    "harvest": ("skimage", "ortools", "pettingzoo"),
     "export": ("onnx",),
     "data": ("minari",),
     "compiled": ("llvmlite",),

@@ -138,7 +138,7 @@ def study(
         device: Where batched computes.
         out: Results folder; a study that it holds already goes on.
         json_file: Write the summary to this file.
-        report: Figures and report.html in the results folder.
+        report: Figures, report.html and arms.rrd in the results folder.
         sobol: Sobol indices of the tolerances, which need further arms.
         samples: Rows of the Sobol sample: a power of two. Each takes an arm per group, and two.
         details: Print every setting, and where the differences between arms come from.
@@ -153,7 +153,7 @@ def study(
     full_study = pickenv.experiments.load_study(config)
     separate(
         {"CONFIG": [config, full_study.plant, *full_study.tolerances]},
-        {"--out": [out / name for name in ("summary.json", "report.html")], "--json": json_file},
+        {"--out": [out / name for name in ("summary.json", "report.html", "arms.rrd")], "--json": json_file},
     )
     settings, sobol_samples = full_study.quick() if quick else full_study, samples if sobol else 0
     settings = settings if seed is None else replace(settings, seed=seed)

@@ -84,6 +84,8 @@ def _record(run: pickenv.inspect.Run, policy: str | None) -> Path:
         return record_policies(load_part(run, pickenv.inspect.RecordedEpisodes), run.folder / "comparison.rrd")
     if run.kind == "demo":
         return pickenv.inspect.record_comparison(load_part(run, pickenv.inspect.Comparison), run.folder / "errors.rrd")
+    if run.kind == "study":
+        return pickenv.experiments.record_study(run.folder, 0, run.folder / "arms.rrd")
     raise InputError(f"a run of kind '{run.kind}' has no recording; see its figures with `pickenv report {run.folder}`")
 
 

@@ -9,7 +9,7 @@ A tolerance study draws, calibrates and sends to fruit a population of arms: wha
     study = load_study("scripts/tolerance_study.toml").quick()
     summary = run_study(study, Path("runs/study"), executor="batched")        # goes on where it was stopped
     table = yields_of(read_rows("runs/study"), study.share)                   # arms within specification, by setting
-    write_outputs("runs/study")                                               # figures, report.html
+    write_outputs("runs/study")                                               # figures, report.html, arms.rrd
 """
 
 from pickenv.base.faces import offered as _offered

@@ -33,7 +33,7 @@ from .study import (
     prepared_study as prepared_study,
 )
 from .study_findings import gather as gather
-from .study_report import write_outputs as write_outputs
+from .study_report import record_study as record_study, write_outputs as write_outputs
 from .study_rows import (
     check_folder as check_folder,
     quantiles_of as quantiles_of,

@@ -276,6 +276,8 @@ def evaluation_drawings(rows: Rows) -> Drawings:
     add("aggregates", caption, aggregate_figure, rows)
     for (plant,) in rows.levels("plant"):
         name, scripted = Path(plant).stem, rows.where(plant=plant, policy="scripted")
+        caption = f"Mean position error on {plant} if the pick were made after each step."
+        add(f"accuracy_against_cycle_time_{name}", caption, cycle_figure, rows, plant)
         if errors := {
             policy_label(behind): scripted.where(compensation=behind)["error_mm"]
             for (behind,) in scripted.levels("compensation")
@@ -311,6 +313,20 @@ def success_curves(rows: Rows, plant: str) -> Figure:
             place = (errors[key].value, (success.value, success.ci95))
             points.setdefault(policy_label(key[1]), {})[name] = place
     return plot_policies.success_against_misalignment(gripper_curves(grippers), points)
+
+
+def cycle_figure(rows: Rows, plant: str) -> Figure:
+    """Accuracy against cycle time: mean error if the pick were made after each step, and the Pareto front of all.
+
+    Policies with a camera are shown on raw arms only, for there all compensations look alike.
+    """
+    curves = {}
+    for key in rows.where(plant=plant).levels(*CELL):
+        policy, compensation, feedback, _ = key
+        if policy != "random" and (feedback != "camera" or compensation == "raw"):
+            way = cell_of(rows, key)["way_mm"].mean(axis=0)
+            curves[policy, policy_label(compensation)] = way[np.isfinite(way)]
+    return plot_policies.accuracy_against_cycle_time(curves, CONTROL_PERIOD, title=plant)
 
 
 # The leaderboard: every policy on every rung of the ladder, on arms that no two seeds share.

@@ -1,4 +1,4 @@
-"""The findings of a finished study: the verdict in words, and figures.
+"""The findings of a finished study: its worst, median and best arms, the verdict in words, and figures.
 
 Each figure takes rows of yields, quantiles or sensitivities; mm, degrees, percent. `study_drawings` says which of them
 a study allows, with their captions, and why others are left out.
@@ -14,6 +14,7 @@ from textwrap import wrap
 from typing import Any
 
 import numpy as np
+import pyarrow.compute as pc
 from matplotlib.figure import Figure
 from pyarrow.dataset import Dataset
 
@@ -22,12 +23,15 @@ from pickenv.base import InputError, share_interval
 from pickenv.experiments import study
 from pickenv.experiments.study_rows import Row, held, quantiles_of, read_rows, study_of, yields_of
 from pickenv.experiments.study_variance import sensitivities_of
-from pickenv.inspect.colours import GREEN, OTHERS, policy_colours
+from pickenv.inspect.colours import GREEN, OTHERS, RED, policy_colours
 from pickenv.inspect.figures import style
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.figures.style import alike, headline
 from pickenv.inspect.reports.report_page import PageVerdict
 from pickenv.inspect.runs.number_words import percent
+
+DENSE = tuple(float(p) for p in np.linspace(0.01, 0.99, 99))
+"""Probabilities of the distributions that are drawn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,6 +43,7 @@ class Findings:
         rows: Its rows, verified.
         yields: Rows of `yields_of`.
         quantiles: Rows of `quantiles_of`.
+        dense: Quantiles of the mean position error at `DENSE`.
         sensitivities: For one setting of each method, all else in the middle of what was varied, the rows of
             `sensitivities_of`, by number; or why there are none.
     """
@@ -47,6 +52,7 @@ class Findings:
     rows: Dataset
     yields: list[dict[str, Any]]
     quantiles: list[dict[str, Any]]
+    dense: list[dict[str, Any]]
     sensitivities: dict[int, list[dict[str, Any]] | str]
 
     def label(self, setting: int) -> str:
@@ -67,6 +73,7 @@ def gather(folder: str | Path) -> Findings:
         rows,
         yields,
         quantiles_of(rows).to_pylist(),
+        quantiles_of(rows, [study.ERROR], DENSE).to_pylist(),
         {row["setting"]: _sensitivities(rows, row["setting"]) for row in held(yields, ("method",))},
     )
 
@@ -76,6 +83,25 @@ def _sensitivities(rows: Dataset, setting: int) -> list[dict[str, Any]] | str:
         return list(sensitivities_of(rows, setting).to_pylist())
     except InputError as error:
         return str(error)
+
+
+# Single arms.
+
+
+def ranked(rows: Dataset, setting: int) -> dict[str, tuple[int, float]]:
+    """Number and mean error in mm of the worst, the median and the best arm of a setting.
+
+    Raises:
+        InputError: If no arm of the setting has a result.
+    """
+    selection = (pc.field("setting") == setting) & (pc.field("status") == study.OK)
+    table = rows.to_table(columns=["arm", study.ERROR], filter=selection, use_threads=False)
+    numbers, errors = table["arm"].to_numpy(), table[study.ERROR].to_numpy()
+    if not len(numbers):
+        raise InputError(f"no arm of setting {setting} has a result; give another setting")
+    order = np.lexsort((numbers, -errors))
+    places = {"worst": order[0], "median": order[len(order) // 2], "best": order[-1]}
+    return {name: (int(numbers[i]), float(errors[i])) for name, i in places.items()}
 
 
 # The verdict: which way of making and calibrating arms is enough, at which payload, and how surely.
@@ -186,7 +212,7 @@ def _share(row: Row) -> str:
     return percent(row["yield"], row["yield_low"], row["yield_high"], 1)
 
 
-# Figures: yields and errors against what was varied, and sensitivities.
+# Figures: yields and errors against what was varied, distributions, sensitivities, one arm among many.
 
 
 AXES: Mapping[str, tuple[str, str, str]] = {
@@ -201,8 +227,9 @@ NOTE = 7.5
 """Size of the line below a figure that says how to read it, points."""
 NOTE_LETTER, LEGEND = 0.062, 1.8
 """Widths of a letter of the note below a figure, and of a legend beside the panels, inches."""
-NEAREST = 0.015
-"""Largest distance of curves that are drawn as one, as a share of the range shown: about the width of a line."""
+NEAREST, ALIKE = 0.015, 0.015
+"""Largest distance of curves that are drawn as one, about the width of a line: as a share of the range shown, and on a
+logarithmic axis as a share of their values."""
 LONGEST = 16
 """Most parameters in a tornado figure; the rest are as good as zero."""
 
@@ -225,6 +252,9 @@ def study_drawings(findings: Findings) -> Drawings:
         if has_results:
             caption = f"Mean position error of the median arm against {words}; bands hold the middle 90 % of arms."
             add(f"error_by_{along}", caption, error_curves, findings.quantiles, along)
+    if has_results:
+        caption, radius_mm = "How the arms' mean position errors are distributed.", findings.protocol.config.radius_mm
+        add("error_distribution", caption, distributions, findings.dense, radius_mm)
     for setting, shares in findings.sensitivities.items():
         name, label = f"sensitivity_{rows[setting]['method'].replace('+', '_')}", findings.label(setting)
         if isinstance(shares, str):
@@ -270,6 +300,35 @@ def error_curves(quantiles: Sequence[Row], along: str) -> Figure:
     rows = list(merged.values())
     keys, note = ("q0.5", "q0.05", "q0.95"), f"lines: median arm; bands: the middle 90 % of {_arms(rows)}"
     return _curves(rows, along, keys, ERROR_LABEL, 1.0, min, note, (0.0, None))
+
+
+def distributions(quantiles: Sequence[Row], radius_mm: float) -> Figure:
+    """Cumulative distribution of the arms' errors, one curve per grade and method.
+
+    Args:
+        quantiles: Rows of `quantiles_of` with many probabilities, such as 0.01 to 0.99.
+        radius_mm: The specified radius, drawn as a line.
+    """
+    rows = held(_judged(quantiles), ("it_grade", "method"))
+    settings = {row["setting"]: row for row in rows}
+    with style.new_figure(style.WIDTH, 3.7) as figure:
+        axes = figure.add_subplot(xlabel=ERROR_LABEL, ylabel="arms at or below it (%)")
+        look, curves, row_of = _looks(rows, "it_grade"), dict[str, Array](), dict[str, Row]()
+        for setting, row in sorted(settings.items(), key=lambda item: item[1]["method"] != study.RAW):
+            label = f"{method_label(row['method'])}, {_valued('it_grade', row)}"
+            points = [(r["value"], 100.0 * r["probability"]) for r in rows if r["setting"] == setting]
+            curves[label], row_of[label] = np.array(sorted(points, key=lambda point: point[1])).T, row
+        for group in alike({name: np.log(curve[0]) for name, curve in curves.items()}, ALIKE):
+            axes.plot(*curves[group[0]], label=_together(group), **look(row_of[group[0]]) | {"marker": ""})
+        medians = {name: float(np.median(curve[0])) for name, curve in curves.items()}
+        least = min(medians, key=lambda name: medians[name])
+        headline(axes, f"Least: {least}, half of the arms below {style.short(medians[least])} mm", beside=LEGEND)
+        label = f"radius {radius_mm:g} mm, which\nsingle fruit must meet"
+        axes.axvline(radius_mm, color=style.rgb([RED])[0], linewidth=1.0, label=label)
+        axes.set(xscale="log", ylim=(0.0, 100.0), xlim=(0.8 * min(row["value"] for row in rows), None))
+        style.plain_decades(axes.xaxis)
+        figure.legend(loc="outside right upper", title=_held_words(rows, ("it_grade", "method")))
+    return figure
 
 
 def tornado(sensitivities: Sequence[Row], setting: str) -> Figure:

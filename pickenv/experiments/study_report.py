@@ -1,6 +1,8 @@
-"""Outputs in a study's folder: figures, and a report in one HTML file that needs no network.
+"""Outputs in a study's folder: a report in one HTML file that needs no network, figures, and a recording for Rerun.
 
-The page: verdict first, then yields, errors, what matters, origin.
+The page: verdict first, then yields, errors, what matters, origin. The recording: a setting's worst, median and best
+arm side by side, each calibrated at its own poses; all reach for the fruit of the worst one, so that they can be
+compared.
 """
 
 from __future__ import annotations
@@ -8,19 +10,24 @@ from __future__ import annotations
 import platform
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib.metadata import version
 from pathlib import Path
+from typing import Any
 
+import numpy as np
 import pyarrow.compute as pc
 
-from pickenv.base import command_line, write_text
+from pickenv.arm import forward, plant_at, pose_error
+from pickenv.base import InputError, command_line, write_text
 from pickenv.experiments import study_findings
-from pickenv.experiments.study import LS, OK, RAW, StudyConfig
-from pickenv.experiments.study_rows import Row, read_sobol, read_summary, write_sobol
-from pickenv.inspect import Run, write_drawings
+from pickenv.experiments.study import LS, OK, RAW, StudyConfig, arm_commands, carrying, prepared_study
+from pickenv.experiments.study_rows import Row, read_rows, read_sobol, read_summary, study_of, write_sobol
+from pickenv.inspect import Comparison, RecordedPolicy, Run, write_drawings
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.report_page import PageTable, Part, Section, html_of
 from pickenv.inspect.runs.number_words import between, estimated, named_values
+from pickenv.inspect.runs.recorded_episodes import ended, field_grid, reaches_of
 from pickenv.inspect.runs.run_folder import TakePicture
 
 COUNTS = ("within", "arms", "failed")
@@ -45,7 +52,7 @@ MATTERS = 8
 
 
 def write_outputs(folder: str | Path, sobol_samples: int = 0) -> list[Path]:
-    """Write a finished study's figures and report into its folder; returns what was written.
+    """Write a finished study's figures, report and recording into its folder; returns what was written.
 
     Args:
         folder: The study's results.
@@ -57,7 +64,11 @@ def write_outputs(folder: str | Path, sobol_samples: int = 0) -> list[Path]:
         settings = [number for number in findings.sensitivities if findings.yields[number]["method"] in (RAW, LS)]
         written.append(write_sobol(folder, settings, sobol_samples))
     written += write_drawings(study_findings.study_drawings(findings), folder / "figures")
-    return [*written, write_text(folder / "report.html", study_page(folder, findings))]
+    written.append(write_text(folder / "report.html", study_page(folder, findings)))
+    best = max(findings.yields, key=lambda row: row["yield_low"])
+    if best["failed"] < best["arms"]:
+        written.append(record_study(folder, best["setting"], folder / "arms.rrd"))
+    return written
 
 
 def drawings(run: Run) -> Drawings:
@@ -225,3 +236,63 @@ def _origin(folder: Path, config: StudyConfig, summary: Row) -> dict[str, str]:
         "Configuration, SHA-256": str(summary["config_sha256"]),
         "Rows, SHA-256": str(summary["table_sha256"]),
     }
+
+
+# The recording.
+
+GRID_STEP = 0.1
+"""Cell size of the error fields, m."""
+
+
+def record_study(folder: str | Path, setting: int, path: str | Path) -> Path:
+    """Write the recording of three arms of a setting (.rrd), whole or not at all.
+
+    Args:
+        folder: A study's results.
+        setting: Number of the setting.
+        path: The file to write, usually `arms.rrd`.
+
+    Raises:
+        InputError: If there is no such setting, or no arm of it has a result.
+    """
+    from pickenv.inspect import record_comparison
+
+    return record_comparison(arms_compared(folder, setting), path)
+
+
+def arms_compared(folder: str | Path, setting: int) -> Comparison:
+    """A comparison with a setting's worst, median and best arm in the place of policies; see `record_study`."""
+    protocol = prepared_study(study_of(folder))
+    config, nominal = protocol.config, protocol.nominal
+    if not 0 <= setting < len(protocol.settings):
+        raise InputError(f"there is no setting {setting}; give a number from 0 to {len(protocol.settings) - 1}")
+    cell, grid = protocol.settings[setting], field_grid(nominal, GRID_STEP, config.seed)
+    places = study_findings.ranked(read_rows(folder), setting)
+    arms = {name: plant_at(protocol.draw(cell, range(arm, arm + 1)), 0) for name, (arm, _) in places.items()}
+    fruit = protocol.circumstances(places["worst"][0]).fruit
+
+    def errors_of(name: str, number: int) -> RecordedPolicy:
+        """One arm's errors over the field and at the fruit, calibrated as the setting says."""
+        arm, around = arms[name], protocol.circumstances(number)
+        loaded = carrying(arm, cell.payload_kg)
+
+        def reached(targets: Any) -> tuple[Any, Any, Any]:
+            joints, *_ = arm_commands(protocol, cell, arm, replace(around, fruit=targets))
+            pose = loaded.tool_pose(joints)
+            return joints, pose.position, pose_error(forward(nominal, targets), pose)
+
+        _, _, field = reached(grid.joints)
+        joints, positions, errors = reached(fruit)
+        success = 1e3 * np.linalg.norm(errors[:, :3], axis=1) <= config.radius_mm
+        infos = {"pose_error": errors, "joint_command": joints, "tool_position": positions, "is_success": success}
+        infos["fruit_position"] = forward(nominal, fruit).position
+        reaches = reaches_of(arm.geometry, range(len(fruit)), infos)
+        return ended(f"{name} arm (number {number})", reaches, name).with_field(field)
+
+    return Comparison(
+        plant=arms["worst"],
+        grid=grid,
+        policies=tuple(errors_of(name, arm) for name, (arm, _) in places.items()),
+        seed=config.seed,
+        tolerance_mm=config.radius_mm,
+    )

@@ -27,6 +27,7 @@ from .figures.plot_harvest import (
     workspace_cloud as workspace_cloud,
 )
 from .figures.plot_policies import (
+    accuracy_against_cycle_time as accuracy_against_cycle_time,
     accuracy_by_pose as accuracy_by_pose,
     accuracy_drift as accuracy_drift,
     aggregates as aggregates,

@@ -44,5 +44,5 @@ def test_every_command_runs_in_order(tmp_path):
         alone = {"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg"}
         ended = subprocess.run(words, cwd=tmp_path, env=alone, text=True, capture_output=True)
         assert ended.returncode == 0, f"{line}\n{ended.stdout}\n{ended.stderr}"
-    for name in ("runs/study/report.html", "runs/grades/sobol.json", "grades.html"):
+    for name in ("runs/study/report.html", "runs/study/arms.rrd", "runs/grades/sobol.json", "grades.html"):
         assert (tmp_path / name).stat().st_size > 500

@@ -84,6 +84,15 @@ def test_classes_have_a_panel_each():
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["Tolerance class fine", "Tolerance class medium"]
 
 
+def test_distributions_rise_to_one_hundred_percent(rows):
+    quantiles = quantiles_of(rows, ["error_mean_mm"], np.linspace(0.02, 0.98, 25)).to_pylist()
+    figure = figures.distributions(quantiles, radius_mm=1.0)
+    curves = [points for points in drawn(figure).values() if len(points) == 25]
+    assert len(curves) == 6  # three grades, raw and calibrated
+    for points in curves:
+        assert (np.diff(points[:, 1]) > 0).all() and (np.diff(points[:, 0]) >= 0).all()
+
+
 def test_the_tornados_longest_bar_is_what_matters(rows):
     figure = figures.tornado(sensitivities_of(rows, 0).to_pylist(), "medium, IT6, raw")
     left, right = figure.axes

@@ -1,4 +1,4 @@
-"""The report says what the rows say, verdict first, and needs nothing from outside; figures go along."""
+"""The report says what the rows say, verdict first, and needs nothing from outside; figures and recording go along."""
 
 import json
 import re
@@ -10,18 +10,21 @@ import pyarrow as pa
 import pyarrow.dataset as ds
 import pytest
 
+from pickenv.arm import forward
 from pickenv.arm.plant.tolerances import random_columns
 from pickenv.base import InputError, share_interval
 from pickenv.experiments import (
     gather,
     load_study,
     prepared_study,
+    read_rows,
+    record_study,
     run_study,
     study_of,
     write_outputs,
 )
-from pickenv.experiments.study_findings import specified, study_drawings, study_verdict
-from pickenv.experiments.study_report import _failures, page, study_page
+from pickenv.experiments.study_findings import ranked, specified, study_drawings, study_verdict
+from pickenv.experiments.study_report import _failures, arms_compared, page, study_page
 from pickenv.experiments.study_rows import read_sobol, write_record, write_sobol
 from pickenv.experiments.study_variance import sobol_of, tolerance_groups
 from pickenv.inspect import read_run
@@ -181,7 +184,7 @@ def test_figures_that_the_study_does_not_allow_are_named(found):
         "yield_by_noise_mm": "the study does not vary the tracker's noise",
     }
     names = {d.name for d in drawings if d.draw is not None}
-    assert names >= {"yield_by_it_grade", "sensitivity_raw", "sensitivity_ls"}
+    assert names >= {"yield_by_it_grade", "error_distribution", "sensitivity_raw", "sensitivity_ls"}
 
 
 def test_the_sensitivities_of_the_raw_arm_are_those_of_its_geometry(found):
@@ -211,6 +214,20 @@ def test_arms_without_a_result_are_counted_by_reason(found):
     assert list(table.rows) == [("did not converge", "3"), ("too few poses", "2")]
     whole = _failures(replace(found, rows=ds.dataset(told.slice(0, 5))))
     assert whole == "Every arm has a result in every setting."
+
+
+def test_the_recorded_arms_reach_for_the_worst_arms_fruit(folder):
+    comparison = arms_compared(folder, 3)  # calibrated, and carrying half a kilogram
+    places, protocol = ranked(read_rows(folder), 3), prepared_study(study_of(folder))
+    assert [policy.key for policy in comparison.policies] == ["worst", "median", "best"]
+    for policy in comparison.policies:
+        assert policy.label == f"{policy.key} arm (number {places[policy.key][0]})"
+    arm, error = places["worst"]
+    assert comparison.policies[0].position_error_mm.mean() == pytest.approx(error, rel=1e-6)
+    assert comparison.policies[0].position_error_mm.mean() > comparison.policies[2].position_error_mm.mean()
+    wanted = forward(protocol.nominal, protocol.circumstances(arm).fruit).position
+    np.testing.assert_allclose(comparison.fruit, wanted)
+    assert len(comparison.grid.points) == len(comparison.policies[0].field_errors) > 100
 
 
 def test_sobol_indices_agree_with_the_regression_and_are_in_the_page(folder, found, tmp_path):
@@ -260,19 +277,21 @@ def test_a_damaged_edited_or_foreign_file_of_indices_is_named(folder, tmp_path):
 
 
 @pytest.mark.slow
-def test_figures_and_report_are_written(folder):
+def test_figures_report_and_recording_are_written(folder):
     written = {path.relative_to(folder).as_posix() for path in write_outputs(folder)}
-    assert written >= {"report.html", "figures/yield_by_it_grade.svg", "figures/sensitivity_raw.png"}
+    assert written >= {"report.html", "arms.rrd", "figures/yield_by_it_grade.svg", "figures/sensitivity_raw.png"}
     assert all((folder / name).stat().st_size > 1000 for name in written)
 
 
-def test_an_unfinished_study_is_refused(folder, tmp_path):
+def test_an_unfinished_study_and_an_unknown_setting_are_refused(folder, tmp_path):
     (tmp_path / "study.toml").write_bytes((folder / "study.toml").read_bytes())
     with pytest.raises(InputError, match=r"rows holds no results; run `pickenv study` first"):
         page(read_run(tmp_path))
     (tmp_path / "rows").symlink_to(folder / "rows")
     with pytest.raises(InputError, match=r"summary\.json is missing.*again to go on"):
         page(read_run(tmp_path))
+    with pytest.raises(InputError, match="no setting 99; give a number from 0 to 7"):
+        record_study(folder, 99, tmp_path / "arms.rrd")
 
 
 def test_too_few_arms_for_sensitivities_are_told_and_the_rest_is_drawn(folder, tmp_path):

@@ -1,4 +1,4 @@
-"""Harvest-v0 alone and as vector environment: one simulator, the same rules."""
+"""Harvest-v0 for Gymnasium, as vector environment and for PettingZoo: one simulator, the same rules."""
 
 import warnings
 
@@ -106,3 +106,31 @@ def test_impossible_actions_are_refused(action):
 def test_impossible_arguments_are_refused(arguments):
     with pytest.raises(InputError):
         HarvestEnv(**arguments)
+
+
+def test_pettingzoos_checkers_and_registry():
+    pettingzoo = pytest.importorskip("pettingzoo")
+    from pettingzoo.test import parallel_api_test, parallel_seed_test
+
+    from pickenv.envs.harvesting.harvest_parallel import HarvestParallelEnv
+
+    parallel_api_test(HarvestParallelEnv(max_cycles=40), num_cycles=100)
+    parallel_seed_test(lambda: HarvestParallelEnv(max_cycles=40), num_cycles=15)
+    env = pettingzoo.make("parallel", "pickenv/Harvest-v0")
+    observations, _ = env.reset(seed=0)
+    assert set(observations) == {"master", "slave_0", "slave_1", "slave_2"}
+    assert env.unwrapped.state().shape == (47,)
+
+
+def test_agents_together_do_what_the_single_policy_does():
+    pytest.importorskip("pettingzoo")
+    from pickenv.envs.harvesting.harvest_parallel import HarvestParallelEnv
+
+    env = HarvestParallelEnv(ideal=True, vision="ideal")
+    policy = ScriptedHarvest(env)
+    observations, _ = env.reset(seed=3)
+    infos = {}
+    while env.agents:
+        observations, rewards, _, _, infos = env.step(policy.act_together(observations))
+        assert len(set(rewards.values())) == 1
+    assert infos["master"]["collected"] >= infos["master"]["reachable"] - 1

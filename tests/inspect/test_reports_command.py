@@ -158,7 +158,8 @@ def test_the_documentation_names_every_figure_and_every_option(demo_run: Run, ha
         "aggregates",
         "corner_errors",  # of pictures
         "view_errors",
-        *(f"{name}_PLANT" for name in ("success_against_misalignment", "error_by_compensation", "error_cumulative")),
+        *(f"{name}_PLANT" for name in ("accuracy_against_cycle_time", "success_against_misalignment")),
+        *(f"{name}_PLANT" for name in ("error_by_compensation", "error_cumulative")),
     }
     lines = re.findall(r"^pickenv .*$", text, re.M) + re.findall(r"`(pickenv [^`]*)`", text)
     assert len(lines) > 8

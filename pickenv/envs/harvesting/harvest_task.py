@@ -204,7 +204,7 @@ def harvest_spaces(task: HarvestTask, extra: int = 0) -> tuple[Box[np.float32], 
     return observations, Box(-1.0, 1.0, (joints,), np.float32)
 
 
-# The harvester at work in one zone, many machines at once: what the environments stand on.
+# The harvester at work in one zone, many machines at once: what Gymnasium's and PettingZoo's environments stand on.
 # Leading axis: machines. Every machine draws from a generator of its own. Units: m, rad, s.
 
 

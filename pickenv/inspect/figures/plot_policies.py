@@ -1,4 +1,4 @@
-"""Figures of policies: aggregates with intervals, success against misalignment, accuracy of poses.
+"""Figures of policies: aggregates with intervals, success against misalignment, accuracy against cycle time.
 
 Each function takes plain arrays and returns a matplotlib figure.
 """
@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 from numpy.typing import ArrayLike
 
 from pickenv.base import Estimate, InputError
-from pickenv.inspect.colours import RED, as_sentence, in_words, policy_colours
+from pickenv.inspect.colours import GREY, RED, as_sentence, in_words, policy_colours
 from pickenv.inspect.figures import style
 from pickenv.inspect.figures.plot_estimates import estimates_figure
 from pickenv.inspect.runs import comparison_summary as summary
@@ -141,6 +141,49 @@ def success_against_misalignment(
         halved = [x[share <= 0.5 * share[0]][:1] for x, share in (map(np.asarray, curve) for curve in curves.values())]
         half = min((float(end[0]) for end in halved if len(end)), default=0.0)
         axes.set(ylim=(-3.0, 103.0), xlim=(0.0, 1.3 * max(half, farthest, 1.0)))
+    return figure
+
+
+def accuracy_against_cycle_time(
+    curves: Mapping[tuple[str, str], ArrayLike], period: float, *, title: str = ""
+) -> Figure:
+    """Mean error that a pick made after each step would have, and the least error of all curves so far.
+
+    Args:
+        curves: Mean error after each step ``(T,)``, mm, by the labels of policy and compensation; the policy gives the
+            line's pattern, the compensation its colour.
+        period: Time of a step, s.
+        title: Words added to the title, such as the plant's name.
+
+    Raises:
+        InputError: If there is no curve, or one is empty or not finite.
+    """
+    if not curves:
+        raise InputError("there is no curve to draw; give at least one")
+    series = style.finite_series({", ".join(labels): error for labels, error in curves.items()})
+    errors = [error.clip(SMALLEST) for error in series.values()]
+    patterns = dict(zip(dict.fromkeys(policy for policy, _ in curves), style.LINES * len(curves), strict=False))
+    colours = style.shades(dict.fromkeys(compensation for _, compensation in curves))
+    shortest = min(map(len, errors))
+    times = period * np.arange(1, 1 + max(map(len, errors)))
+    with style.new_panel(style.WIDTH, 3.2, "cycle time (s)", "mean position error (mm)") as (figure, axes):
+        axes.set_yscale("log")
+        first, ends = next(iter(patterns)), {}
+        for (policy, compensation), error in zip(curves, errors, strict=True):
+            axes.plot(times[: len(error)], error, linestyle=patterns[policy], color=colours[compensation])
+            if policy == first:
+                ends[compensation] = float(error[-1])
+        front = np.minimum.accumulate(np.min([error[:shortest] for error in errors], axis=0))
+        policy = f"{first} on {in_words(title)}" if title else first
+        style.headline(axes, f"{policy} after {period * len(errors[0]):.1f} s: {style.change(ends, 'mm')}", beside=1.2)
+        grey = style.rgb([GREY])[0]
+        axes.plot(times[:shortest], front, color=grey, linewidth=6, zorder=0, label="best so far")
+        for policy, pattern in patterns.items():
+            axes.plot([], [], linestyle=pattern, color=style.SOFT, label=in_words(policy))
+        for name, colour in colours.items():
+            axes.plot([], [], color=colour, linewidth=3.0, label=in_words(name))
+        style.plain_decades(axes.yaxis)
+        figure.legend(loc="outside right center")
     return figure
 
 

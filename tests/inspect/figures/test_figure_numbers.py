@@ -342,6 +342,26 @@ def test_success_points_are_the_policies_own(comparison: Comparison) -> None:
         np.testing.assert_allclose(points, wanted)
 
 
+def test_cycle_time() -> None:
+    curves = {
+        ("scripted", "raw"): np.geomspace(300, 2, 60),
+        ("ppo", "LS"): np.geomspace(200, 0.5, 50),
+        ("scripted", "LS"): np.geomspace(300, 1e-5, 60),
+    }
+    figure = plot_policies.accuracy_against_cycle_time(curves, 0.05)
+    (axes,) = figure.axes
+    colours = dict(zip(("raw", "LS"), [np.array(c) / 255 for c in policy_colours(["raw", "LS"])], strict=True))
+    lines = [line for line in axes.get_lines() if len(np.asarray(line.get_xdata()))]
+    for ((_, compensation), error), line in zip(curves.items(), lines, strict=False):
+        assert same(colour_of(line), colours[compensation])
+        np.testing.assert_allclose(line.get_xdata(), 0.05 * np.arange(1, len(error) + 1))
+        np.testing.assert_allclose(line.get_ydata(), np.maximum(error, 1e-3))
+    assert lines[0].get_linestyle() == lines[2].get_linestyle() != lines[1].get_linestyle()
+    best = [min(max(error[k], 1e-3) for error in curves.values()) for k in range(50)]
+    (front,) = [line for line in lines if line.get_label() == "best so far"]
+    np.testing.assert_allclose(front.get_ydata(), [min(best[: k + 1]) for k in range(50)])
+
+
 def test_iso9283_bars_and_drift() -> None:
     accuracy = {"raw": [1.0, 2.0, 3.0, 4.0, 5.25], "LS": [0.1, 0.2, 0.1, 0.2, 0.1]}
     repeated = {"raw": [0.05, 0.06, 0.07, 0.08, 0.09], "LS": [0.01, 0.02, 0.03, 0.01, 0.02]}

@@ -57,6 +57,7 @@ TREE = PickedTree(
 )
 CURVES = (X, {"master d2": X, "master theta1": X, "left d4": 0.5 * X}, ("master theta1",))
 AGGREGATES = {"plant": {"mean": {"scripted": {"raw": (2.0, (1.0, None)), "LS": (0.5, (0.4, 0.6)), "GP": (0.1, None)}}}}
+CYCLES = {("scripted", "raw"): np.geomspace(300, 2, 60), ("ppo", "LS"): np.geomspace(300, 0.5, 50)}
 
 PLOTS: dict[str, tuple[Callable[[], Figure], tuple[str, ...]]] = {
     "per pose": (lambda: plot_errors.error_per_pose(ERRORS), ("(number)", "(mm)")),
@@ -100,6 +101,7 @@ PLOTS: dict[str, tuple[Callable[[], Figure], tuple[str, ...]]] = {
         lambda: plot_policies.success_against_misalignment(gripper_curves(), {"raw": {"li_cup": (2.0, (1.0, None))}}),
         ("(mm)", "(%)"),
     ),
+    "cycle time": (lambda: plot_policies.accuracy_against_cycle_time(CYCLES, 0.05), ("(s)", "(mm)")),
     "ISO 9283": (lambda: plot_policies.accuracy_by_pose({"raw": [1, 2, 3, 4, 5]}, {"raw": [1, 1, 1, 1, 1]}), ("(mm)",)),
     "drift": (lambda: plot_policies.accuracy_drift([0, 1, 2], {"raw": [1.0, 2.0, 2.5]}), ("(h)", "(mm)")),
 }
@@ -385,7 +387,12 @@ def test_a_harvesters_titles_say_how_wide_how_far_and_how_many() -> None:
     assert places[1][0] > places[0][0]
 
 
-def test_titles_say_where_an_arm_drifts_and_is_worst() -> None:
+def test_a_policys_titles_say_where_it_ends_drifts_and_is_worst() -> None:
+    curves = {("scripted", "raw"): np.geomspace(300, 2, 60), ("ppo", "LS"): np.full(50, 7.0),
+              ("scripted", "LS"): np.geomspace(300, 0.25, 60)}  # fmt: skip
+    for said, wanted in (("", "scripted after 3.0 s"), ("field", "scripted on field (rough arm) after 3.0 s")):
+        (axes,) = plot_policies.accuracy_against_cycle_time(curves, 0.05, title=said).axes
+        assert title(axes) == f"{wanted}: raw 2.0, least squares 0.25 mm"
     (axes,) = plot_policies.accuracy_drift([0.0, 1.0, 2.0], {"raw": [1.0, 2.5, 2.0], "LS": [0.5, 0.25, 0.4]}).axes
     assert title(axes) == "Drift of AP at P1: raw 1.5, least squares 0.25 mm" and axes.get_ylim()[0] == 0.0
     figure = plot_policies.accuracy_by_pose({"raw": [1.0, 5.0]}, {"raw": [0.25, 0.125]})

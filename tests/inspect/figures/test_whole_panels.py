@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from textwrap import wrap
 from typing import Any
 
 import numpy as np
@@ -299,6 +300,39 @@ def test_success_against_misalignment() -> None:
     ):  # fmt: skip
         assert [(p, m) for p, m, _ in drawn].count((points_, mark)) == 1
     assert sum(len(p) == 2 for p, _, _ in drawn) == 2
+
+
+def test_cycle_time() -> None:
+    curves = {
+        ("ppo", "raw"): np.geomspace(300, 2, 60), ("scripted", "LS"): np.geomspace(200, 1e-5, 50),
+        ("ppo", "LS"): np.geomspace(100, 0.5, 60),
+    }  # fmt: skip
+    figure = plot_policies.accuracy_against_cycle_time(curves, 0.05, title="field")
+    (axes,) = figure.axes
+    assert sized(figure) == pytest.approx([7.2, 3.2]) and axes.get_yscale() == "log"
+    assert (axes.get_xlabel(), axes.get_ylabel()) == ("cycle time (s)", "mean position error (mm)")
+    said = "ppo on field (rough arm) after 3.0 s: raw 2.0, least squares 0.50\u00a0mm"
+    assert axes.get_title("left").split("\n") == wrap(said, int((7.2 - 1.2 - 0.75) / 0.083))
+    assert legend(figure) == ["best so far", "ppo", "scripted", "raw", "least squares"]
+    for line, error, pattern, colour in zip(
+        axes.get_lines(), curves.values(), ("-", "--", "-"), (ORANGE, BLUE, BLUE), strict=False
+    ):
+        count = len(error)
+        wanted = np.stack([0.05 * np.arange(1, count + 1), np.maximum(error, 1e-3)], axis=1)
+        np.testing.assert_allclose(xy(line), wanted)
+        assert (line.get_linestyle(), to_rgb(line.get_color())) == (pattern, share(colour))
+    front = axes.get_lines()[3]
+    least = np.min([np.maximum(error[:50], 1e-3) for error in curves.values()], axis=0)
+    best = [least[: k + 1].min() for k in range(50)]
+    np.testing.assert_allclose(xy(front), np.stack([0.05 * np.arange(1, 51), best], axis=1))
+    assert (to_rgb(front.get_color()), front.get_linewidth(), front.get_zorder()) == (share(GREY), 6, 0)
+    with pytest.raises(InputError, match="no curve to draw"):
+        plot_policies.accuracy_against_cycle_time({}, 0.1)
+    long = "a policy with a rather long name that"
+    ends = {(long, name): curves["ppo", name] for name in ("raw", "LS")}
+    (axes,) = plot_policies.accuracy_against_cycle_time(ends, 0.05).axes
+    words = f"{long} after 3.0 s: raw 2.0, least squares 0.50\u00a0mm"
+    assert axes.get_title("left").split("\n") == wrap(words, 63)
 
 
 @pytest.mark.parametrize("count", [1, 2])

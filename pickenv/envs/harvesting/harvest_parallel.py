@@ -1,0 +1,112 @@
+"""`pickenv/Harvest-v0` for PettingZoo: the master and each slave arm are agents of their own (extra ``marl``).
+
+The simulator is that of the Gymnasium environment. An agent moves its three joints, gets the whole machine's
+observation and its own place among the agents, and shares the team's reward.
+"""
+
+from __future__ import annotations
+
+from copy import deepcopy
+from typing import Any, cast
+
+import gymnasium as gym
+import numpy as np
+import pettingzoo  # type: ignore[import-untyped,import-not-found,unused-ignore]
+from numpy.typing import ArrayLike, NDArray
+
+from pickenv.base import InputError
+from pickenv.envs.harvesting.harvest_env import LONGEST, HarvestEnv
+from pickenv.envs.harvesting.harvest_task import HarvestTask, harvest_spaces
+from pickenv.envs.shared.arm_env import checked_render_mode
+from pickenv.envs.shared.task import Compensate, checked_action
+
+ID = "pickenv/Harvest-v0"
+Observations = dict[str, NDArray[np.float32]]
+
+
+class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArray[np.float32]]):  # type: ignore[misc]
+    """`pickenv/Harvest-v0` with several agents: ``master``, and ``slave_0`` to ``slave_5`` from left to right.
+
+    Each agent's action space is a `Box(-1, 1, (3,))` of joint increments.
+
+    Args:
+        max_cycles: Periods after which an episode is truncated.
+        render_mode: None or "rgb_array".
+        arguments: Arguments of `pickenv.envs.harvesting.harvest_env.HarvestEnv`.
+    """
+
+    metadata = {"name": "harvest_v0", "render_modes": ["rgb_array"], "is_parallelizable": True}  # noqa: RUF012
+
+    def __init__(self, *, max_cycles: int = LONGEST, render_mode: str | None = None, **arguments: Any) -> None:
+        """See the class."""
+        self._env = HarvestEnv(render_mode=checked_render_mode(render_mode, ("rgb_array",)), **arguments)
+        self.task: HarvestTask = self._env.task
+        self.max_cycles, self.render_mode = max_cycles, render_mode
+        self.possible_agents = ["master", *(f"slave_{i}" for i in range(self.task.machine.arms))]
+        self.agents: list[str] = []
+        self.compensator: Compensate | None = None
+        observations = harvest_spaces(self.task, extra=len(self.possible_agents))[0]
+        self._observations = {name: deepcopy(observations) for name in self.possible_agents}
+        self._actions = {name: gym.spaces.Box(-1.0, 1.0, (3,), np.float32) for name in self.possible_agents}
+        self._shared: NDArray[np.float32] | None = None
+
+    def observation_space(self, agent: str) -> gym.spaces.Box:
+        """The observation space of an agent, the same object in each call."""
+        return self._observations[agent]
+
+    def action_space(self, agent: str) -> gym.spaces.Box:
+        """The action space of an agent, the same object in each call."""
+        return self._actions[agent]
+
+    def reset(
+        self, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observations, dict[str, dict[str, Any]]]:
+        """Start with another zone."""
+        self.agents = list(self.possible_agents)
+        self._shared, info = self._env.reset(seed=seed)
+        return self._seen(), self._told(info)
+
+    def step(
+        self, actions: dict[str, Any]
+    ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+        """Move all agents' joints; agents without an action stand still.
+
+        Raises:
+            InputError: If an action is not three finite numbers, or before the first reset.
+        """
+        if self._shared is None:
+            raise InputError("step was called before reset; call reset first")
+        if not self.agents:
+            return {}, {}, {}, {}, {}
+        still: ArrayLike = np.zeros(3)
+        parts = [checked_action(actions.get(name, still), (3,), self.task.most_action) for name in self.possible_agents]
+        self._env.compensator = self.compensator
+        self._shared, reward, over, _, info = self._env.step(np.concatenate(parts))
+        assert self._env.state is not None
+        late, names = bool(self._env.state.periods[0] >= self.max_cycles), self.agents
+        if over or late:
+            self.agents = []
+        ends = (dict.fromkeys(names, over), dict.fromkeys(names, late))
+        return self._seen(), dict.fromkeys(names, reward), *ends, self._told(info)
+
+    def state(self) -> NDArray[np.float32]:
+        """The observation that all agents share, for centralised training."""
+        if self._shared is None:
+            raise InputError("state was called before reset; call reset first")
+        return self._shared.copy()
+
+    def render(self) -> NDArray[np.uint8] | None:
+        """A picture of the whole machine, as in `pickenv/Harvest-v0`; None without a render mode."""
+        self._env.compensator = self.compensator
+        return None if self.render_mode is None else cast(NDArray[np.uint8], self._env.render())
+
+    def _seen(self) -> Observations:
+        shared = self.state()
+        mine = np.eye(len(self.possible_agents), dtype=np.float32)
+        return {name: np.append(shared, mine[i]).astype(np.float32) for i, name in enumerate(self.possible_agents)}
+
+    def _told(self, info: dict[str, Any]) -> dict[str, dict[str, Any]]:
+        return {name: dict(info) for name in self.possible_agents}
+
+
+pettingzoo.register("parallel", ID, entry_point=HarvestParallelEnv, max_cycles=LONGEST)
