@@ -23,11 +23,10 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from measuring import JsonFile, NoPeers, figure, machine, machine_words, markdown_table
+from measuring import JsonFile, NoPeers, figure, last_words, machine, machine_words, markdown_table
 
 from pickenv.base import write_json, write_text
 from pickenv.experiments import load_study, run_study
-from pickenv.experiments.robots import last_words
 
 SCRIPTS = Path(__file__).parent
 POSES, FRUIT = 30, 100

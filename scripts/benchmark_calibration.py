@@ -11,24 +11,158 @@ Run: python scripts/benchmark_calibration.py [--json FILE] [--no-peers] [--data 
 
 from __future__ import annotations
 
+import json
+import os
+import subprocess
 import sys
+import tempfile
+from dataclasses import replace
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, NamedTuple
 
 import numpy as np
 import typer
-from measuring import DATA, ROOT, DataFolder, JsonFile, figure, machine, machine_words, refuse, timed
+from measuring import (
+    DATA,
+    ROOT,
+    DataFolder,
+    JsonFile,
+    figure,
+    last_words,
+    machine,
+    machine_words,
+    python_with,
+    refuse,
+    timed,
+)
 from scipy.optimize import least_squares
 
-from pickenv.arm import Array, Geometry
+from pickenv.arm import Array, Geometry, Pose
+from pickenv.arm.files.urdf import urdf_text
 from pickenv.base import InputError, single_threaded, write_json
-from pickenv.calibration import Identification, align, complete_model, frames_model, identify
+from pickenv.calibration import Identification, Measurements, align, complete_model, frames_model, identify
+from pickenv.calibration.model.observations import random_split, same_poses
 from pickenv.commands.showing import print_table
-from pickenv.experiments.robots import HELD_OUT, LIMIT, PEERS, PeerTask, accuracy_on, read_peer_task, run_peer
+from pickenv.experiments import SETS
 
 FEW = 100
 """Poses for systems that need minutes; pickenv is run on the same ones for their ratio."""
+WORKERS = ROOT / "scripts" / "peers"
+HELD_OUT = 200
+"""Rows held out of the fit."""
+LIMIT = 900.0
+"""Seconds that one peer may take."""
+
+
+class Peer(NamedTuple):
+    """A package from PyPI that is compared with pickenv.
+
+    Attributes:
+        name: Its name on PyPI.
+        version: The pinned version.
+        method: Its method in words, for the table.
+        poses: Poses that it is given, or None for all of the training rows.
+        runs: How often it is repeated.
+    """
+
+    name: str
+    version: str
+    method: str
+    poses: int | None = None
+    runs: int = 3
+
+
+PEERS = (
+    Peer("figaroh", "1.0.2", "base parameters by QR, closed-form frames, MINPACK LM, one pose at a time"),
+    Peer("robotkinecal", "0.1.0", "product of exponentials, Gauss-Newton, one pose at a time"),
+    Peer("pybotics", "3.1.2", "modified DH, SciPy on norms of errors, 2-point Jacobian", poses=FEW, runs=1),
+)
+
+
+class PeerTask(NamedTuple):
+    """The data that peers are compared on.
+
+    Attributes:
+        nominal: The arm as its maker describes it.
+        train: Rows for the fit.
+        held_out: Rows held out.
+        random: The data set's random poses.
+    """
+
+    nominal: Geometry
+    train: Measurements
+    held_out: Measurements
+    random: Measurements
+
+    def first(self, poses: int | None) -> PeerTask:
+        """The task with only the first ``poses`` training rows; all of them for None."""
+        return self if poses is None else self._replace(train=self.train.select(np.arange(poses)))
+
+
+def read_peer_task(data: Path, seed: int) -> PeerTask:
+    """Read the UR5 set and split it."""
+    arm, grid, random = SETS["ur5"].load(data)
+    assert isinstance(grid, Measurements) and isinstance(random, Measurements)
+    train, held_out = random_split(same_poses(grid.joints), HELD_OUT, np.random.default_rng(seed))
+    return PeerTask(arm.nominal, grid.select(train), grid.select(held_out), random)
+
+
+def accuracy_on(geometry: Geometry, task: PeerTask) -> dict[str, float]:
+    """Errors on the rows that the fit has not seen, mm."""
+    held_out, random = (
+        np.linalg.norm(rows.difference(geometry), axis=1) * 1e3 for rows in (task.held_out, task.random)
+    )
+    return {"held_out_rms_mm": float(np.sqrt(np.mean(held_out**2))), "random_poses_mean_mm": float(np.mean(random))}
+
+
+def peer_problem(task: PeerTask, start: Geometry, runs: int) -> dict[str, Any]:
+    """The problem that a peer's worker process reads; see scripts/peers/problem.py."""
+    names = tuple(f"joint_{i + 1}" for i in range(start.joints))
+    descriptions = [urdf_text(replace(arm, joint_names=names), "arm") for arm in (start, task.nominal)]
+    rows = {"": task.train, "held_out_": task.held_out, "random_": task.random}
+    problem: dict[str, Any] = {name: getattr(start, name).tolist() for name in ("alpha", "a", "theta", "d")}
+    problem |= {"base": homogeneous(start.base), "tool": homogeneous(start.tool), "runs": runs}
+    problem |= dict(zip(("urdf", "nominal_urdf"), descriptions, strict=True))
+    for prefix, part in rows.items():
+        problem |= {f"{prefix}joints": part.joints.tolist(), f"{prefix}position": part.position.tolist()}
+    return problem
+
+
+def homogeneous(pose: Pose) -> list[list[float]]:
+    """A pose as a homogeneous matrix."""
+    upper = np.concatenate([pose.rotation, pose.position[:, None]], axis=1)
+    return [*upper.tolist(), [0.0, 0.0, 0.0, 1.0]]
+
+
+def run_peer(peer: Peer, task: PeerTask, start: Geometry, folder: Path, limit: float = LIMIT) -> dict[str, Any]:
+    """Run a peer in its own process and Python environment, where it is installed if it is not there yet.
+
+    Args:
+        peer: The peer.
+        task: The data; the peer is given as many rows as it can take.
+        start: The arm with base and tool fitted.
+        folder: Where the peers' environments are kept.
+        limit: Seconds that it may take.
+
+    Raises:
+        InputError: If it cannot be installed, fails, or takes longer than ``limit`` seconds.
+    """
+    python = python_with(folder / f"{peer.name}-{peer.version}", f"{peer.name}=={peer.version}")
+    with tempfile.TemporaryDirectory() as scratch:
+        problem, answer = Path(scratch) / "problem.json", Path(scratch) / "result.json"
+        problem.write_text(json.dumps(peer_problem(task, start, peer.runs)), encoding="utf-8")
+        command = [python, WORKERS / f"run_{peer.name}.py", problem, answer]
+        clean = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
+        try:
+            ended = subprocess.run(command, capture_output=True, text=True, timeout=limit, cwd=scratch, env=clean)
+        except subprocess.TimeoutExpired:
+            raise InputError(f"not done after {limit:g} s") from None
+        if ended.returncode or not answer.is_file():
+            raise InputError(f"failed: {last_words(ended.stderr)}")
+        result: dict[str, Any] = json.loads(answer.read_text(encoding="utf-8"))
+    remark = result.pop("remark")
+    return result | {"version": peer.version, "note": peer.method + (f"; {remark}" if remark else "")}
 
 
 def times(seconds: Array) -> dict[str, float]:
@@ -170,9 +304,7 @@ def main(
         print(f"{peer.name} {peer.version} …", file=sys.stderr)
         start = aligned if peer.poses is None else few_aligned
         try:
-            systems[peer.name] = run_peer(
-                peer, task.first(peer.poses), start.geometry, folder, limit=limit, install=True
-            )
+            systems[peer.name] = run_peer(peer, task.first(peer.poses), start.geometry, folder, limit)
         except InputError as error:
             missing = dict.fromkeys(("seconds", "held_out_rms_mm"))
             systems[peer.name] = {**missing, "version": peer.version, "note": f"no figures, {error}"}

@@ -22,7 +22,7 @@ from typing import Annotated, Any
 import gymnasium as gym
 import numpy as np
 import typer
-from measuring import EnvironmentPeers, JsonFile, NoPeers, fastest, figure, rate
+from measuring import EnvironmentPeers, JsonFile, NoPeers, fastest, figure, python_with, rate
 from peers.run_envs import stepper
 
 import pickenv  # noqa: F401
@@ -217,19 +217,14 @@ def training(count: int, seconds: float) -> tuple[float, float]:
 
 def peers(folder: Path, seconds: float, *words: str) -> dict[str, dict[str, Any]]:
     """FetchReach and PandaReach in an environment of packages of their own, made on demand; words go to `run_envs`."""
-    python, done = folder / "bin" / "python", folder / "installed"
     try:
-        if not done.exists():
-            subprocess.run([sys.executable, "-m", "venv", "--clear", folder], check=True, capture_output=True)
-            install = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *PEER_PACKAGES]
-            subprocess.run(install, check=True, capture_output=True)
-            done.touch()
+        python = python_with(folder, *PEER_PACKAGES)
         worker = Path(__file__).parent / "peers" / "run_envs.py"
         ended = subprocess.run(
             [python, worker, str(seconds), *words], check=True, capture_output=True, text=True, timeout=600
         )
         return dict(json.loads(ended.stdout.strip().splitlines()[-1]))
-    except (subprocess.SubprocessError, OSError) as error:
+    except (subprocess.SubprocessError, OSError, InputError) as error:
         return {
             name: {"steps_per_s": None, "frames_per_s": None, "note": f"cannot be run: {error}"}
             for name in WHAT

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import platform
+import subprocess
 import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -15,6 +16,7 @@ import scipy
 import typer
 
 from pickenv.arm import Array
+from pickenv.base import InputError
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT / "../shared/data"
@@ -108,3 +110,27 @@ def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]], words: C
     """A table in Markdown; columns other than ``words`` are set to the right."""
     rule = [":--" if head in words else "--:" for head in heads]
     return "\n".join(f"| {' | '.join(cells)} |" for cells in (heads, rule, *rows))
+
+
+def python_with(home: Path, *packages: str) -> Path:
+    """The Python of an environment that has these packages from PyPI; it is made if it is missing.
+
+    Raises:
+        InputError: If it cannot be made, with the installer's last words.
+    """
+    home = home.resolve()
+    python, done = home / ("Scripts/python.exe" if os.name == "nt" else "bin/python"), home / "installed"
+    install = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *packages]
+    for command in [] if done.is_file() else ([sys.executable, "-m", "venv", "--clear", home], install):
+        ended = subprocess.run(command, capture_output=True, text=True)
+        if ended.returncode:
+            raise InputError(f"cannot be installed: {last_words(ended.stderr or ended.stdout)}")
+    done.touch()
+    return python
+
+
+def last_words(text: str) -> str:
+    """The last line of a text that mentions an error, or else its last line that is not blank."""
+    lines = [line.strip() for line in text.splitlines() if line.strip()]
+    errors = [line for line in lines if "error" in line.lower()]
+    return (errors or lines or ["without a word"])[-1]

@@ -42,7 +42,7 @@ OVERWRITING = {
     "iso9283 --out": "iso9283 --out run --json run/run.json",
     "train --compensate": "train --compensate policy.npz --out .",
     "evaluate --policy": "evaluate --policy policy.npz --json policy.npz",
-    "evaluate --table": "evaluate --json new.csv --table run/../new.csv",
+    "experiment --table": "experiment new.toml --json new.csv --table run/../new.csv",
     "evaluate --out": "evaluate --out new --json new/rows.json",
     "study --json": "study study.toml --json study.toml",
     "study, its plant": "study study.toml --json plant.toml",

@@ -6,7 +6,7 @@ A comparison of policies is written as a run folder: every episode, the table, o
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +15,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pickenv  # noqa: F401  (registers the environments)
-from pickenv.agents.evaluation.contenders import Contender, Given, check_labels, contenders_of
+from pickenv.agents.evaluation.contenders import Contender, Given, contenders_of
 from pickenv.agents.evaluation.reaches import Moment, episode_seeds, run_episodes
 from pickenv.agents.policies.policy import attitude_after
 from pickenv.arm import Array, Plant, Pose
 from pickenv.base import InputError, check_limit, command_line, seed_words, stream, write_json, write_text
 from pickenv.calibration import Calibration
-from pickenv.inspect import Comparison, RecordedEpisodes, RecordedPolicy, read_run
-from pickenv.inspect.colours import policy_key, policy_rank
+from pickenv.inspect import Comparison, RecordedEpisodes, RecordedPolicy
+from pickenv.inspect.colours import policy_key
 from pickenv.inspect.runs.comparison_summary import content_of_comparison
-from pickenv.inspect.runs.recorded_episodes import MOMENTS, FieldGrid, field_grid, missing_positions
-from pickenv.inspect.runs.run_folder import RECORD, REPORT, load_part, recorded_run, save_part
+from pickenv.inspect.runs.recorded_episodes import FieldGrid, field_grid, missing_positions
+from pickenv.inspect.runs.run_folder import REPORT, recorded_run, save_part
 from pickenv.orchard import Gripper, capture_probability, load_gripper, misalignment
 from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
 
@@ -51,7 +51,7 @@ class PolicyComparison:
 
 
 def write_comparison(result: PolicyComparison, folder: Path) -> list[Path]:
-    """Write the run folder, for `pickenv inspect`, `report`, `figures` and for further comparisons.
+    """Write the run folder, for `pickenv inspect`, `report` and `figures`.
 
     Raises:
         InputError: If it cannot be written.
@@ -88,12 +88,11 @@ def compare(
     """Run policies for the same seeded fruit.
 
     Args:
-        policies: Kinds, shipped ones, files, objects with ``act`` and ``reset``, or folders of comparisons, of which
-            every policy takes part as it was recorded.
+        policies: Kinds, shipped ones, files, or objects with ``act`` and ``reset``.
         env: Id of the environment; `info` must give tool and fruit positions (docs/recordings.md).
         compensate: A calibration for each policy: "none", a file, or a file and "#ls" for its least squares alone.
         labels: Names for people, one for each policy; made from policies and calibrations when left out.
-        episodes: Number of episodes; recorded runs have as many as were recorded.
+        episodes: Number of episodes.
         seed: Seed of fruit and of policies that draw.
         gripper: Name or file of the gripper that says whether a reach picks.
         grid_step: Cell size of the error fields, m.
@@ -114,84 +113,79 @@ def compare(
     if not policies:
         raise InputError("there is nothing to compare; give at least one policy")
     report = progress or (lambda stage, done, total: None)
-    runs: list[RecordedEpisodes] = []
-    others: list[Given] = []
-    for policy in policies:
-        if not (isinstance(policy, str | Path) and (Path(policy) / RECORD).is_file()):
-            others.append(policy)
-            continue
-        run = read_run(Path(policy))
-        if run.kind != "comparison":
-            raise InputError(f"{policy} is a run of kind '{run.kind}'; give a folder that `pickenv compare` wrote")
-        runs.append(load_part(run, RecordedEpisodes))
-    if others:
-        runs.append(_run(others, env, compensate, labels, episodes, seed, gripper, grid_step, allow, report, arguments))
+    plant, period = _arm_and_period(env, arguments)
+    noise = float(np.hypot(arguments.get("camera_noise_mm", 0.0), arguments.get("fruit_noise_mm") or 0.0))
+    arm = None if plant is None else plant.arm
+    contenders = contenders_of(policies, compensate, labels, arm=arm, camera_noise_mm=noise, allow=allow)
+    judge, seeds = load_gripper(gripper), episode_seeds(seed, episodes)
+    chance = np.random.default_rng(stream(seed, "grasps")).random(episodes)
+    runs = []
+    for number, contender in enumerate(contenders):
+
+        def ran(done: int, stage: str = f"{contender.label}, episodes") -> None:
+            report(stage, done, episodes)
+
+        own_seed = seed_words(stream(seed, "policy", number), 1)[0]
+        runs.append(_episodes(contender, env, arguments, seeds, own_seed, allow, ran))
+    longest = max(len(episode) for run in runs for episode in run)
+    recorded = [
+        _recorded_policy(contender.label, run, longest, plant, judge, chance)
+        for contender, run in zip(contenders, runs, strict=True)
+    ]
+    facts: dict[str, Any] = {
+        "plant": plant,
+        "tolerance_mm": round(1e3 * judge.tolerance, 6),
+        "seed": seed,
+        "seeds": seeds,
+        "env_id": env,
+        "gripper": judge.name,
+        "period": period,
+    }
     options: dict[str, Any] = {"env": env, "episodes": episodes, "seed": seed, "gripper": gripper}
     options |= {"compensate": compensate, "grid_step": None if grid_step == GRID_STEP else grid_step}
-    return PolicyComparison(_joined(runs), _command(policies, options, labels, arguments))
+    command = _command(policies, options, labels, arguments)
+    if plant is None or "pose_error" not in runs[-1][0][0].info:
+        return PolicyComparison(RecordedEpisodes(policies=tuple(recorded), **facts), command)
+    grid = field_grid(plant.arm.nominal, grid_step, seed)
+    for number, contender in enumerate(contenders):
+        recorded[number] = recorded[number].with_field(_field(contender, env, arguments, grid, seed, number))
+        report("error fields", number + 1, len(contenders))
+    return PolicyComparison(Comparison(policies=tuple(recorded), grid=grid, **facts), command)
 
 
-def _run(
-    policies: Sequence[Given],
-    env_id: str,
-    compensate: Sequence[str | Path | Calibration | None],
-    labels: Sequence[str],
-    count: int,
-    seed: int,
-    gripper: str,
-    grid_step: float,
-    allow: Collection[str],
-    report: Progress,
-    arguments: Mapping[str, Any],
-) -> RecordedEpisodes:
+def _arm_and_period(env_id: str, arguments: Mapping[str, Any]) -> tuple[Plant | None, float]:
+    """The true arm of an environment, if it has one, and the time of its steps, s."""
     env = _made(env_id, arguments)
     inner: Any = env.unwrapped
-    plant: Plant | None = getattr(inner, "plant", None)
     task = getattr(inner, "task", None)
     if getattr(task, "arms", "fixed") != "fixed":
         raise InputError("a comparison is of one arm; for a population of arms use `pickenv evaluate`")
     situation = getattr(task, "situation", None)
     if situation is not None and situation.period.varies:
         raise InputError("a comparison has one time line; give one control_period_s, not a range")
-    noise = float(np.hypot(arguments.get("camera_noise_mm", 0.0), arguments.get("fruit_noise_mm") or 0.0))
-    arm = None if plant is None else plant.arm
-    contenders = contenders_of(policies, compensate, labels, arm=arm, camera_noise_mm=noise, allow=allow)
-    judge, seeds = load_gripper(gripper), episode_seeds(seed, count)
-    chance = np.random.default_rng(stream(seed, "grasps")).random(count)
     env.close()
-    recorded, reaching = [], False
-    for number, contender in enumerate(contenders):
-        env = _made(env_id, arguments)
-        if contender.compensator is not None:
-            env = CompensationWrapper(env, contender.compensator, allow)
-        policy = contender.make(env, seed_words(stream(seed, "policy", number), 1)[0])
+    return getattr(inner, "plant", None), 1.0 / inner.metadata.get("render_fps", 10)
 
-        def ran(done: int, stage: str = f"{contender.label}, episodes") -> None:
-            report(stage, done, count)
 
-        episodes = run_episodes(env, policy, seeds, ran)
-        for episode in episodes:
-            if missing := missing_positions(episode[0].info):
-                raise InputError(f"{env_id} cannot be compared: {missing}")
-        reaching = "pose_error" in episodes[0][0].info
-        recorded.append(_recorded_policy(contender.label, episodes, plant, judge, chance))
-        env.close()
-    facts: dict[str, Any] = {
-        "plant": plant,
-        "tolerance_mm": round(1e3 * judge.tolerance, 6),
-        "seed": seed,
-        "seeds": seeds,
-        "env_id": env_id,
-        "gripper": judge.name,
-        "period": 1.0 / inner.metadata.get("render_fps", 10),
-    }
-    if plant is None or not reaching:
-        return RecordedEpisodes(policies=tuple(recorded), **facts)
-    grid = field_grid(plant.arm.nominal, grid_step, seed)
-    for number, contender in enumerate(contenders):
-        recorded[number] = recorded[number].with_field(_field(contender, env_id, arguments, grid, seed, number))
-        report("error fields", number + 1, len(contenders))
-    return Comparison(policies=tuple(recorded), grid=grid, **facts)
+def _episodes(
+    contender: Contender,
+    env_id: str,
+    arguments: Mapping[str, Any],
+    seeds: Sequence[int],
+    own_seed: int,
+    allow: Collection[str],
+    ran: Callable[[int], None],
+) -> list[list[Moment]]:
+    """Every moment of a contender's episodes; ``own_seed`` is of what it draws itself."""
+    env = _made(env_id, arguments)
+    if contender.compensator is not None:
+        env = CompensationWrapper(env, contender.compensator, allow)
+    episodes = run_episodes(env, contender.make(env, own_seed), seeds, ran)
+    for episode in episodes:
+        if missing := missing_positions(episode[0].info):
+            raise InputError(f"{env_id} cannot be compared: {missing}")
+    env.close()
+    return episodes
 
 
 def _made(env_id: str, arguments: Mapping[str, Any]) -> gym.Env[Any, Any]:
@@ -202,10 +196,10 @@ def _made(env_id: str, arguments: Mapping[str, Any]) -> gym.Env[Any, Any]:
 
 
 def _recorded_policy(
-    label: str, episodes: Sequence[Sequence[Moment]], plant: Plant | None, judge: Gripper, chance: Array
+    label: str, episodes: Sequence[Sequence[Moment]], longest: int, plant: Plant | None, judge: Gripper, chance: Array
 ) -> RecordedPolicy:
-    """One policy's episodes as arrays; see `RecordedPolicy`."""
-    longest, info = max(map(len, episodes)), episodes[0][0].info
+    """One policy's episodes as arrays; each stays at its last moment up to the ``longest``, and earns nothing more."""
+    info = episodes[0][0].info
     padded = [[*episode, *[episode[-1]._replace(reward=0.0)] * (longest - len(episode))] for episode in episodes]
 
     def column(name: str, absent: Any) -> NDArray[Any]:
@@ -287,45 +281,6 @@ def _field(
     errors = np.array(infos["pose_error"], dtype=float)
     envs.close()
     return errors
-
-
-SAME = ("env_id", "plant_name", "gripper", "seed", "seeds")
-"""Attributes that comparisons must share to be put together."""
-
-
-def _joined(runs: Sequence[RecordedEpisodes]) -> RecordedEpisodes:
-    """Several comparisons for the same fruit, joined into one."""
-    first = runs[0]
-    for run in runs[1:]:
-        for name in SAME:
-            values = getattr(first, name), getattr(run, name)
-            if values[0] != values[1]:
-                raise InputError(
-                    f"the runs differ in {name.removesuffix('_name')}: {values[0]} and {values[1]}; compare policies "
-                    "for the same fruit"
-                )
-        if isinstance(first, Comparison) and not (
-            isinstance(run, Comparison) and np.array_equal(run.grid.points, first.grid.points)
-        ):
-            raise InputError("the runs have error fields over different goals; make them with the same `grid_step`")
-    policies = sorted((policy for run in runs for policy in run.policies), key=lambda policy: policy_rank(policy.label))
-    check_labels([policy.label for policy in policies])
-    longest = max(policy.position_error_mm.shape[1] for policy in policies)
-    return replace(first, policies=tuple(_lengthened(policy, longest) for policy in policies))
-
-
-def _lengthened(policy: RecordedPolicy, moments: int) -> RecordedPolicy:
-    """A policy's episodes lengthened to ``moments``: each stays at its last moment, and earns nothing more."""
-    more = moments - policy.position_error_mm.shape[1]
-    if not more:
-        return policy
-    parts: dict[str, Any] = {}
-    for name in MOMENTS:
-        values = getattr(policy, name)
-        last = np.repeat(values[:, -1:], more, axis=1)
-        fill: Any = {"reward": 0.0, "miss_mm": np.nan}.get(name)
-        parts[name] = np.concatenate([values, last if fill is None else np.full_like(last, fill)], axis=1)
-    return replace(policy, **parts)
 
 
 def _command(

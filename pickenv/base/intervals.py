@@ -421,12 +421,6 @@ class Estimate:
         """The interval's two ends as a list, for JSON; None without an interval."""
         return None if self.ci95 is None else list(self.ci95)
 
-    @property
-    def exponential(self) -> Estimate:
-        """The exponential of a logarithm, with the interval's ends."""
-        ends = [None if end is None else float(np.exp(end)) for end in self.ci95 or ()]
-        return Estimate(float(np.exp(self.value)), (ends[0], ends[1]) if ends else None, self.missing)
-
     def verdict(self, margin: float = MARGIN_MM) -> str:
         """What a difference says: "carries over" inside the margin, "differs" beyond zero, else "not settled"."""
         low, high = self.ci95 or (None, None)

@@ -1,4 +1,4 @@
-"""`pickenv bench`: measured robots, beside what was predicted and what others reach; policies, by their errors."""
+"""`pickenv bench`: measured robots, beside what was predicted; policies, by their errors."""
 
 from __future__ import annotations
 
@@ -24,11 +24,10 @@ def calibration(
     only: list[str] | None = None,
     quick: Annotated[bool, Option("--quick")] = False,
     data: Annotated[Path, Option(envvar="PICKENV_DATA")] = Path("../shared/data"),
-    peers: Path = Path("runs/peers"),
     seed: Annotated[int, Option(min=0)] = 0,
     workers: Annotated[int, Option(min=1)] = 1,
 ) -> None:
-    """What calibrations leave of every measured robot, what twins of other rows predicted, and what peers leave.
+    """What calibrations leave of every measured robot, and what twins of other rows predicted.
 
     Args:
         json_file: Write the rows to this file.
@@ -36,7 +35,6 @@ def calibration(
         only: Only these rows; a wrong name lists them all.
         quick: The UR5 alone, on few rows: a minute.
         data: Folder of the measured data sets.
-        peers: Folder of the peers' environments.
         seed: Seed of everything random.
         workers: Processes; they do not change the figures.
     """
@@ -46,9 +44,9 @@ def calibration(
     from pickenv.experiments.robots import QUICK, ROWS, BenchSettings, run_bench
     from pickenv.inspect.runs.run_folder import listed_files
 
-    page, blocked = out / "bench.md", out / "measured_gains.json"
+    blocked = out / tables.BLOCKED_FILE
     shown = [out / name for name in (tables.GAINS_FILE, tables.ROBOTS_FILE)]
-    separate({}, {"--out": [page, blocked, *shown], "--json": json_file})
+    separate({}, {"--out": [blocked, *shown], "--json": json_file})
     require("torch", "pyarrow", *(["joblib"] if workers > 1 else []))
     settings = replace(BenchSettings.quick() if quick else BenchSettings(), seed=seed)
     names = list(dict.fromkeys(only or (QUICK if quick else ROWS)))
@@ -59,26 +57,17 @@ def calibration(
             print_table("Gains predicted and measured", tables.GAIN_HEADS, tables.gain_cells(result), words=words)
             print(tables.agreement_words(result))
         if len(result.models):
-            print(tables.spread_table(result.models))
-        for name, held_out, poses, _ in tables.peer_cells(result):
-            print(f"{name}: {held_out} mm RMS on 200 rows of the UR5, {poses} mm on its 20 random poses")
+            cells, heads = tables.spread_cells(result.models), tables.SPREAD_HEADS
+            print_table("Geometry and the best model", heads, cells, words=heads, caption=tables.NOTE)
         for name, reason in result.skipped.items():
             print(f"not made: {name}: {reason}")
 
     with locked(out), listed_files(out):
         with progress_bars() as report:
-            result = run_bench(names, settings, data, out, peers, workers=workers, progress=report)
+            result = run_bench(names, settings, data, out, workers=workers, progress=report)
         measured_gains = tables.blocked_json(result, date.today().isoformat())
         files = [(out / name, text) for name, text in tables.csv_files(result).items()]
-        deliver(
-            [
-                (page, tables.bench_page(result)),
-                *files,
-                (blocked, measured_gains),
-                (json_file, tables.bench_json(result)),
-            ],
-            show,
-        )
+        deliver([*files, (blocked, measured_gains), (json_file, tables.bench_json(result))], show)
 
 
 @bench.command(cls=CommandOfNames)

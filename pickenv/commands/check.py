@@ -21,7 +21,7 @@ REFUSED = 3
 """Exit code where something is damaged or foreign."""
 
 REMAKE = "make it anew with the command that made it"
-BENCH_PAGES = ("bench.md", "leaderboard.md")
+BENCH_FILES = ("measured_gains.json", "leaderboard.md")
 """What `pickenv bench` writes before the list of its folder's files."""
 
 SEALED = (".npz", ".pt", ".parquet")
@@ -117,9 +117,9 @@ def folder_findings(folder: Path) -> list[Finding]:
         return listed_findings(folder)
     if (folder / EXPERIMENT).exists():
         return _faults("file of an experiment", pickenv.experiments.check_experiment(folder))
-    pages = [name for name in BENCH_PAGES if (folder / name).exists()]
-    if pages:
-        return [Finding(str(folder / LIST), "list of files", reason=f"is missing beside {pages[0]}; {REMAKE}")]
+    files = [name for name in BENCH_FILES if (folder / name).exists()]
+    if files:
+        return [Finding(str(folder / LIST), "list of files", reason=f"is missing beside {files[0]}; {REMAKE}")]
     if (folder / STUDY).exists():
         return _faults("file of a study", pickenv.experiments.check_folder(folder))
     runs = {record.parent for name in (RECORD, LIST, EXPERIMENT) for record in folder.rglob(name)}

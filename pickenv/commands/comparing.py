@@ -54,8 +54,7 @@ def compare(
 
     Args:
         policies: {policy}, a shipped baseline, a policy file (.npz), a model of Stable-Baselines3 (.zip), a Python file
-            with make_policy(env, seed), a calibration (the scripted policy behind it), or the folder of a training or
-            of a comparison.
+            with make_policy(env, seed), a calibration (the scripted policy behind it), or the folder of a training.
         compensate: A calibration for each policy, in the same order: none, a file, or a file and #ls for its least
             squares alone; one policy is taken with each of several.
         label: A name for each policy.

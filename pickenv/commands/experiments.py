@@ -22,7 +22,6 @@ def experiment(
     file: Path,
     quick: Annotated[bool, Option("--quick")] = False,
     seed: Annotated[int | None, Option(min=0)] = None,
-    seeds: Annotated[int, Option(min=1)] = 1,
     change: Annotated[list[str] | None, Option("--set")] = None,
     executor: Literal["serial", "loky"] = "loky",
     workers: Annotated[int | None, Option(min=1)] = None,
@@ -37,7 +36,6 @@ def experiment(
         file: Experiment (.toml); the Python code that it names is executed.
         quick: The file's own small sizes: minutes.
         seed: Seed of everything random; the file's if left out.
-        seeds: Seeds to run at; how often intervals of one hold the numbers of another is said.
         change: A unit, factor or setting: arm=20, method=["raw"]; may be repeated.
         executor: What computes; no number changes.
         workers: Processes; one per core if left out.
@@ -52,23 +50,17 @@ def experiment(
     More: experiments.md
     """
     from pickenv.experiments.engine import RECORD, write_rows
-    from pickenv.experiments.experiment_file import held_by_seeds, load_experiment, number_table, plain_estimates
+    from pickenv.experiments.experiment_file import load_experiment, number_table, plain_estimates
 
     folder = out or Path("runs") / file.stem
     separate({"FILE": file}, {"--out": folder / RECORD, "--json": json_file, "--table": table})
     changes = dict(map(_change, change or []))
     definition = load_experiment(file, quick=quick, seed=seed, changes=changes)
-    first = definition.experiment.seed
-    run = partial(pickenv.experiments.run, folder=folder, backend=executor, workers=workers)
-    others: list[list[dict[str, Any]]] = []
     with showing.progress_bars() as report:
-        for further in range(first + seeds - 1, first, -1):  # the first comes last, so that the folder's rows are its
-            repeat = load_experiment(file, quick=quick, seed=further, changes=changes)
-            others.insert(0, repeat.estimates(run(repeat.experiment)))
-            report("seeds", len(others), seeds)
-        rows = run(definition.experiment, progress=report)
+        rows = pickenv.experiments.run(
+            definition.experiment, folder, backend=executor, workers=workers, progress=report
+        )
     tables = definition.estimates(rows)
-    counts = held_by_seeds([tables, *others])
     content = {
         "title": definition.title,
         "experiment": file.stem,
@@ -76,8 +68,6 @@ def experiment(
         "quick": quick,
         "rows": len(rows),
         "tables": plain_estimates(tables),
-        "other_seeds": [plain_estimates(repeat) for repeat in others],
-        "held": [{"title": title, "held": count, "of": of} for title, count, of in counts if of],
     }
 
     def show() -> None:
@@ -94,9 +84,6 @@ def experiment(
             if runs > 1:
                 hidden = f"a failure of fewer than {100.0 * unseen_share(runs):.0f} % of them may be unseen"
                 print(f"runs: the least, the median and the largest of {runs}; {hidden}")
-        for title, count, of in counts:
-            if of:
-                print(f"{title}: {count} of {of} intervals hold another seed's number; about 83 % are due")
 
     def draw(place: Path) -> list[Path]:
         from pickenv.inspect.figures.plot_estimates import estimates_figure

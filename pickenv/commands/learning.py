@@ -142,8 +142,6 @@ def evaluate(
     epochs: Annotated[int, Option(min=1)] = 100,
     seed: Annotated[int, Option(min=0)] = 0,
     json_file: Annotated[Path | None, Option("--json")] = None,
-    table: Path | None = None,
-    figures: Path | None = None,
     cache: Path | None = None,
     workers: Annotated[int | None, Option(min=1)] = None,
     details: Annotated[bool, Option("--details")] = False,
@@ -169,8 +167,6 @@ def evaluate(
         epochs: Epochs of each arm's network.
         seed: Seed of arms, fruit, pictures and calibrations.
         json_file: Write the rows to this file.
-        table: Write the rows as .csv or .parquet as well.
-        figures: Folder for the figures.
         cache: Folder that keeps the arms' calibrations.
         workers: Processes; one per core if left out.
         details: Print medians, success by gripper, cycle times, and what each compensation is worth as well.
@@ -184,14 +180,13 @@ def evaluate(
     typed = dict(locals())
     from pickenv.agents.evaluation.contenders import kind_of
     from pickenv.experiments import policy_tables as tables
-    from pickenv.experiments.engine import write_rows
     from pickenv.experiments.methods import residual_of
     from pickenv.inspect.runs.run_folder import RECORD
 
     written = [] if out is None else [out / name for name in (RECORD, tables.EPISODES, tables.ROWS)]
     separate(
         {"--policy": policy, "--plant": plant, "--gripper": gripper, "--tolerances": tolerances},
-        {"--out": written, "--json": json_file, "--table": table},
+        {"--out": written, "--json": json_file},
     )
     given = fields_among(pickenv.experiments.PolicySettings, typed)
     lists = {name: tuple(value) for name, value in given.items() if isinstance(value, list)}
@@ -212,9 +207,7 @@ def evaluate(
     deliver(
         [
             (json_file, content),
-            (table, lambda path: write_rows(path, tables.flat_rows(content["rows"]))),
             (out, lambda folder: tables.write_evaluation(settings, rows, folder)),
-            (figures, lambda folder: pickenv.inspect.write_drawings(tables.evaluation_drawings(rows), folder)),
         ],
         lambda: _print(**content, details=details),
         "see the arms one by one: the same command with --out RUN, then pickenv report RUN"

@@ -464,8 +464,8 @@ def _array_of(column: Any) -> NDArray[Any]:
     return np.asarray(column.to_numpy(zero_copy_only=False))
 
 
-def write_rows(path: Path, rows: Rows | Sequence[Mapping[str, Any]]) -> Path:
-    """Write rows as .csv or .parquet, whole or not at all; None is an empty cell.
+def write_rows(path: Path, rows: Rows) -> Path:
+    """Write rows as .csv or .parquet, whole or not at all.
 
     Raises:
         InputError: If the file has any other suffix.
@@ -473,9 +473,7 @@ def write_rows(path: Path, rows: Rows | Sequence[Mapping[str, Any]]) -> Path:
     if path.suffix not in (".csv", ".parquet"):
         raise InputError(f"cannot write {path}: give a file name that ends in .csv or .parquet")
     require("pandas", *(["pyarrow"] if path.suffix == ".parquet" else []))
-    import pandas as pd
-
-    table = rows.pandas() if isinstance(rows, Rows) else pd.DataFrame(list(rows), dtype=object)
+    table = rows.pandas()
     write = partial(table.to_csv, index=False) if path.suffix == ".csv" else partial(table.to_parquet, index=False)
     return write_whole(path, write)
 

@@ -21,14 +21,12 @@ over = ["arm"]
 from __future__ import annotations
 
 import inspect
-import math
 import os
 import sys
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass
 from functools import partial
 from importlib import import_module, invalidate_caches, metadata
-from itertools import permutations
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -96,7 +94,6 @@ class Number:
         spread: Whether the standard deviation and the range of the units' means are shown beside each number.
         digits: Digits after the point.
         scale: Factor on what is shown, such as 100 for percent.
-        exp: Whether what is shown is the exponential, of a function that gives a logarithm.
         figure: Name of the table's figure; no figure when left out.
         x: The column of ``by`` that lines are drawn along in the figure; whiskers when left out.
         panels: The column of ``by`` whose levels have a panel each.
@@ -119,7 +116,6 @@ class Number:
     margin: Annotated[float, Unit().positive] | None = None
     digits: Annotated[int, WHOLE.within(0, 9)] = 2
     scale: float = 1.0
-    exp: bool = False
     figure: Annotated[str, WORD] | None = None
     x: Annotated[str, WORD] | None = None
     panels: Annotated[str, WORD] | None = None
@@ -186,9 +182,6 @@ class ExperimentFile:
                 raise InputError(f"{self.path}: no column {error} for '{number.title}'; there are {columns}") from error
             except ValueError as error:
                 raise InputError(f"{self.path}: '{number.title}': {error}") from error
-            if number.exp:
-                shown = ("estimate", "sampled")
-                made_of = [row | {key: row[key].exponential for key in shown if key in row} for row in made_of]
             tables.append({"title": number.title, "rows": made_of})
         return tables
 
@@ -345,31 +338,6 @@ def plain_estimates(tables: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]
         return levels
 
     return [{"title": table["title"], "rows": [plain(row) for row in table["rows"]]} for table in tables]
-
-
-def held_by_seeds(by_seed: Sequence[Sequence[Mapping[str, Any]]]) -> list[tuple[str, int, int]]:
-    """How often an interval from one seed contains the number from another seed, over all pairs of seeds.
-
-    Two estimates differ by sqrt(2) of what one varies by, so that about 83 % of 95 % intervals are due.
-
-    Args:
-        by_seed: The tables of `ExperimentFile.estimates` at each seed.
-
-    Returns:
-        For each table its title, how many intervals hold, and of how many.
-    """
-    counts = []
-    for tables in zip(*by_seed, strict=True):
-        holding = tried = 0
-        for first, second in permutations(tables, 2):
-            numbers = {_levels_of(row): row["estimate"].value for row in second["rows"]}
-            for row in first["rows"]:
-                ends, value = row.get("sampled", row["estimate"]).ci95, numbers.get(_levels_of(row))
-                if ends is not None and value is not None:
-                    low, high = (-math.inf if ends[0] is None else ends[0], math.inf if ends[1] is None else ends[1])
-                    holding, tried = holding + (low <= value <= high), tried + 1
-        counts.append((tables[0]["title"], holding, tried))
-    return counts
 
 
 def _levels_of(row: Mapping[str, Any]) -> tuple[Any, ...]:

@@ -197,18 +197,7 @@ def gain_words(line: Mapping[str, Any]) -> tuple[str, str, str]:
     )
 
 
-# Files: CSV, Parquet, run folders.
-
-
-def flat_rows(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The rows of an evaluation's table with intervals and seeds in columns of their own."""
-    flat: list[dict[str, Any]] = [{} for _ in rows]
-    for line, (key, value) in ((line, cell) for line, row in zip(flat, rows, strict=True) for cell in row.items()):
-        if key.endswith("ci95"):
-            line[f"{key}_low"], line[f"{key}_high"] = value or (None, None)
-        else:
-            line[key] = " ".join(map(str, value)) if key == "seeds" else value
-    return flat
+# The run folder.
 
 
 def write_evaluation(settings: PolicySettings, rows: Rows, folder: Path) -> list[Path]:
@@ -237,42 +226,38 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     path = unedited(run, ROWS)
     with refusing_damage(path, "an evaluation's table", f"`{run.made_by}` makes it anew"):
         content = json.loads(path.read_text(encoding="utf-8"))
-        rows, worth = content["rows"], content["comparisons"]
-    first, best = rows[0], min(rows, key=lambda row: row["mean_mm"])
-    raw = [line for line in worth if line["from"] == "raw"]
-    helped = [line for line in raw if line["significant"] and line["difference_mm"] < 0.0]
-    behind, evidence = policy_label(best["compensation"]), f"no interval: {best['no_interval']}"
-    if best["ci95"]:
-        evidence = f"95 % interval over {best['interval_over']}: {_interval(best)}"
-    verdict = PageVerdict(
-        "note",
-        f"Best: {best['policy']} with {behind}, {best['mean_mm']:.2f} mm",
-        f"{best['policy']} with {best['feedback']} and {behind} on {best['plant']} ends {best['mean_mm']:.3f} mm from "
-        f"the fruit in the mean ({evidence}). Of {len(raw)} comparisons of a calibration with the raw arm, "
-        f"{len(helped)} show a gain that is significant.",
-    )
+        rows, worth = _labelled(content["rows"]), _labelled(content["comparisons"])
+    nearest, *others = nearest_words(rows, worth)
+    first, text = rows[0], [f"{sentence}." for sentence in others]
+    over = f"Intervals are at 95 % over {first['interval_over']}."
+    text.append(over if first["ci95"] else f"No intervals: {first['no_interval']}.")
+    verdict = PageVerdict("note", nearest, " ".join(text))
+    names = ("policy", "feedback", "plant")
     tables = (
         PageTable(
             f"Final position errors; {first['episodes'] // (first['trainings'] or 1)} reaches on {first['arms']} arms, "
             "the same for all. Mean, median and 95th percentile are over arms, in brackets and beside the mean 95 % "
             "intervals; those of one training say nothing of another one",
             ("policy", "calibration", *KEYS[2:], *HEADS),
-            [cells_of(row | {"compensation": policy_label(row["compensation"])}) for row in rows],
+            [cells_of(row) for row in rows],
         ),
         PageTable(
             "What each calibration changes on the same arms and fruit, pair by pair; 95 % intervals over arms, and "
             "over trainings where there are several",
-            (*(names := ("policy", "feedback", "plant")), "from", "to", "difference (mm)", "95 % (mm)", "significant"),
-            [
-                (*(line[n] for n in names), policy_label(line["from"]), policy_label(line["to"]), *gain_words(line))
-                for line in worth
-            ],
+            (*names, "from", "to", "difference (mm)", "95 % (mm)", "significant"),
+            [(*(line[name] for name in (*names, "from", "to")), *gain_words(line)) for line in worth],
         ),
     )
     arms = f"arms of tolerance class {first['tolerances']} that no policy was trained on"
     return plain_report(
         run, "Comparison of policies", f"Simulated; {arms}, seed {run.seed}", verdict, tables, drawings(run)
     )
+
+
+def _labelled(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Rows whose compensations have their names for people."""
+    keys = ("compensation", "from", "to")
+    return [row | {key: policy_label(row[key]) for key in keys if key in row} for row in rows]
 
 
 def drawings(run: Run) -> Drawings:

@@ -1,9 +1,9 @@
-"""The output of `pickenv bench calibration`: rows for programs (JSON), and tables for people (Markdown)."""
+"""The output of `pickenv bench calibration`: rows for programs (JSON), and tables for people."""
 
 from __future__ import annotations
 
 import csv
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from io import StringIO
 from typing import Any
@@ -13,11 +13,11 @@ import numpy as np
 from pickenv.base import listed
 from pickenv.experiments.engine import Rows
 from pickenv.experiments.gains import LEARNT, LS
-from pickenv.experiments.robots import OURS, PEER_ROWS, PEER_SET, SETS, SPREAD, Bench, bench_row
+from pickenv.experiments.robots import SETS, SPREAD, Bench
 from pickenv.inspect.runs.number_words import said
 
 GAIN_HEADS = ("robot", "held out", "calibration", "before (mm)", "left (mm)", "predicted", "measured", "points apart")
-GAINS_FILE, ROBOTS_FILE = "gains.csv", "measured-robots.csv"
+GAINS_FILE, ROBOTS_FILE, BLOCKED_FILE = "gains.csv", "measured-robots.csv", "measured_gains.json"
 HELD = {"random": "random fifths", "blocks": "blocks", "poses": "its 20 random poses"}
 
 SPREAD_HEADS = ("robot and rows judged", "nominal (mm)", "geometry (mm)", "best model (mm)", "published (mm)")
@@ -26,21 +26,19 @@ NOTE = (
     "with the 95 % interval between blocks. Other poses: 95 % interval over poses. None where one "
     "block outweighs the others."
 )
-PEER_HEADS = ("calibration of the UR5", "200 of its rows, RMS (mm)", "its 20 random poses, mean (mm)", "what it does")
 
 
 def bench_json(bench: Bench) -> dict[str, Any]:
     """Every row in one format; reductions are fractions, None where there is no such figure.
 
-    Keys of a row: "table" ("gains" or "peers"), "robot", "split" ("random", "blocks" or "poses"), "model",
-    "nominal_mm" (base and tool fitted), "held_out_mm", "published_mm" (a mean that others report), "measured_reduction"
-    (of the error of the model that "before" names), its "ci95", "predicted_reduction" (by twins of other rows) and
-    "predicted_ci95" (where one more arm would lie), "statistic" ("rms" or "mean") and "rows" judged. "models" are the
-    table of measured robots, a row for each number: "value_mm" with its ends "low_mm" and "high_mm", and what is "used"
-    by it.
+    Keys of a row: "robot", "split" ("random" or "blocks"), "model", "nominal_mm" (base and tool fitted), "held_out_mm",
+    "measured_reduction" (of the error of the model that "before" names), its "ci95", "predicted_reduction" (by twins of
+    other rows) and "predicted_ci95" (where one more arm would lie), "statistic" ("rms") and "rows" judged. "models" are
+    the table of measured robots, a row for each number: "value_mm" with its ends "low_mm" and "high_mm", and what is
+    "used" by it.
     """
     return {
-        "rows": [*bench.gains, *_peer_rows(bench.peers)],
+        "rows": bench.gains,
         "models": [json for row in bench.models.dicts() if (json := _model_json(row))],
         "agreement": agreement(bench.gains),
         "settings": asdict(bench.settings),
@@ -68,11 +66,6 @@ def blocked_json(bench: Bench, made: str) -> dict[str, Any]:
     return {"made_by": "pickenv bench calibration", "made": made, "folds": folds, "arms": list(arms.values())}
 
 
-def _by_row(rows: Rows) -> Iterable[tuple[Any, ...]]:
-    """Groups of rows: the name of each row of the table, with its measured values."""
-    return ((name, *rows.where(row=name).dicts()) for (name,) in rows.levels("row"))
-
-
 def _model_json(row: dict[str, Any]) -> dict[str, Any]:
     """One number of the table of measured robots as a JSON row; its ends are None where there is no interval.
 
@@ -90,18 +83,6 @@ def _model_json(row: dict[str, Any]) -> dict[str, Any]:
 
 def _ends(model: dict[str, Any]) -> list[float | None]:
     return [None if np.isnan(model[end]) else model[end] for end in ("low_mm", "high_mm")]
-
-
-def _peer_rows(peers: Rows) -> list[dict[str, Any]]:
-    """JSON rows of each peer, for the held-out rows and for the other poses."""
-    real, rows = SETS[PEER_SET], []
-    for row in peers.dicts():
-        name = PEER_ROWS[row["row"]]
-        label, held_out = f"{OURS}: LS" if name == OURS else name, row["split"] == "random"
-        others = {"statistic": "rms"} if held_out else {"published_mm": real.published, "statistic": "mean"}
-        values = (row["nominal_mm"], row["nominal_mm"], row["held_out_mm"])
-        rows.append(bench_row("peers", real.robot, row["split"], label, *values) | others | {"note": row["note"]})
-    return rows
 
 
 def agreement(gains: Sequence[dict[str, Any]]) -> dict[str, Any]:
@@ -214,7 +195,8 @@ def csv_files(bench: Bench) -> dict[str, str]:
 def spread_cells(models: Rows) -> list[tuple[str, ...]]:
     """The cells of the table of measured robots, for the rows that were judged."""
     table: list[tuple[str, ...]] = []
-    for name, nominal, ls, best in _by_row(models):
+    for (name,) in models.levels("row"):
+        nominal, ls, best = models.where(row=name).dicts()
         row = SPREAD[name]
         label = f"{row.real.robot}, {HELD[row.how]}, {'RMS' if row.statistic == 'rms' else 'mean'}"
         remark = f"; {row.remark}" if row.remark else ""
@@ -224,41 +206,7 @@ def spread_cells(models: Rows) -> list[tuple[str, ...]]:
     return table
 
 
-def spread_table(models: Rows) -> str:
-    """`spread_cells` as a Markdown table."""
-    return _markdown(SPREAD_HEADS, spread_cells(models))
-
-
 def _millimetres(model: dict[str, Any]) -> str:
     """A value with its spread in brackets, three digits after the point below 1 mm."""
     value = model["value_mm"]
     return said(value, None if np.isnan(model["low_mm"]) else _ends(model), 3 if value < 1.0 else 2)
-
-
-def peer_cells(bench: Bench) -> list[tuple[str, ...]]:
-    """The cells of the table of errors that peers leave on the UR5's rows."""
-    return [
-        (PEER_ROWS[name], f"{held_out['held_out_mm']:.4f}", f"{poses['held_out_mm']:.4f}", poses["note"])
-        for name, held_out, poses in _by_row(bench.peers)
-    ]
-
-
-def _markdown(heads: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    lines = [f"| {' | '.join(heads)} |", "|" + "---|" * len(heads)]
-    lines += ["".join(f"| {text} " if text else "| " for text in cells) + "|" for cells in rows]
-    return "\n".join(lines) + "\n"
-
-
-def bench_page(bench: Bench) -> str:
-    """All tables as one Markdown page."""
-    parts = ["# Calibrations of measured robots\n"]
-    if bench.gains:
-        parts += ["## Gains predicted by twins, and measured\n", _markdown(GAIN_HEADS, gain_cells(bench))]
-        parts.append(agreement_words(bench) + "\n")
-    if len(bench.models):
-        parts += ["## Geometry and the best model\n", spread_table(bench.models), NOTE + "\n"]
-    if len(bench.peers):
-        parts += ["## Peers on the UR5's rows\n", _markdown(PEER_HEADS, peer_cells(bench))]
-    if bench.skipped:
-        parts += ["## Not made\n", *(f"- {name}: {reason}" for name, reason in bench.skipped.items()), ""]
-    return "\n".join(parts)

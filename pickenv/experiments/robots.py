@@ -1,19 +1,13 @@
-"""Errors that calibrations leave on measured robots: beside twins' predictions, in the table of results, beside peers.
+"""Errors that calibrations leave on measured robots: beside twins' predictions, and in the table of results.
 
-Three experiments, each in a folder of its own. "gains" are of folds of a robot's rows: squared errors of the rows held
+Two experiments, each in a folder of its own. "gains" are of folds of a robot's rows: squared errors of the rows held
 out, measured, and on arms drawn from the twin of the other rows. "models" are rows of the table of measured robots,
-each model with its spread. "peers" are errors of other people's packages on the UR5's rows. Every piece has a random
-stream of its own, so that figures are the same whatever is run beside it. SI units; mm where names say so.
+each model with its spread. Every piece has a random stream of its own, so that figures are the same whatever is run
+beside it. SI units; mm where names say so.
 """
 
 from __future__ import annotations
 
-import json
-import os
-import shlex
-import subprocess
-import sys
-import tempfile
 import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -23,29 +17,15 @@ from typing import Any, Literal
 
 import numpy as np
 
-import pickenv
-from pickenv.arm import Arm, Array, Geometry, Pose, draw_plants, load_arm, load_tolerances, plant_at
-from pickenv.arm.files.urdf import urdf_text
-from pickenv.base import Ends, InputError, command_line, file_sha256, statistic_interval
-from pickenv.calibration import (
-    Choices,
-    Measurements,
-    Observations,
-    Result,
-    align,
-    calibrate,
-    complete_model,
-    frames_model,
-    identify,
-    read_observations,
-)
+from pickenv.arm import Arm, Array, draw_plants, load_arm, load_tolerances, plant_at
+from pickenv.base import Ends, InputError, file_sha256, statistic_interval
+from pickenv.calibration import Choices, Measurements, Observations, Result, calibrate, read_observations
 from pickenv.calibration.identification.diagnosis import checked_rows
 from pickenv.calibration.model.observations import (
     BLOCKS,
     Rows as RowNumbers,
     contiguous_folds,
     equally_spaced,
-    random_split,
     same_poses,
 )
 from pickenv.calibration.pipeline.fitting import GEOMETRIC
@@ -287,196 +267,9 @@ def _stated(statistic: str, result: Result) -> Array:
     )
 
 
-# Other people's calibrations of the UR5 on the same rows, each in its own process and Python environment: 800 positions
-# of a seeded shuffle for the fit, 200 held out, and the data set's own 20 random poses (Jacobi 2025). Base and tool are
-# fitted already for those that cannot do it. What drives each package lies in scripts/peers of a checkout.
-
-OURS, PEER_SET = "pickenv", "ur5"
-"""Name of this package among the peers, and the set that they are judged on."""
-
-WORKERS = Path(pickenv.__file__).parents[1] / "scripts" / "peers"
-HELD_OUT = 200
-LIMIT = 900.0
-"""Seconds that one peer may take."""
-
-
-@dataclass(frozen=True)
-class Peer:
-    """A package from PyPI that is compared with pickenv.
-
-    Attributes:
-        name: Its name on PyPI.
-        version: The pinned version.
-        method: Its method in words, for the table.
-        poses: Poses that it is given, or None for all of the training rows.
-        runs: How often it is repeated.
-    """
-
-    name: str
-    version: str
-    method: str
-    poses: int | None = None
-    runs: int = 3
-
-
-PEERS = tuple(Peer(**entry) for entry in TABLES["peers"])
-
-
-@dataclass(frozen=True, eq=False)
-class PeerTask:
-    """The data that peers are compared on.
-
-    Attributes:
-        nominal: The arm as its maker describes it.
-        train: Rows for the fit.
-        held_out: Rows held out.
-        random: The data set's random poses.
-    """
-
-    nominal: Geometry
-    train: Measurements
-    held_out: Measurements
-    random: Measurements
-
-    def first(self, poses: int | None) -> PeerTask:
-        """The task with only the first ``poses`` training rows; all of them for None."""
-        return self if poses is None else replace(self, train=self.train.select(np.arange(poses)))
-
-
-def read_peer_task(data: Path, seed: int) -> PeerTask:
-    """Read the UR5 set and split it."""
-    arm, grid, random = SETS[PEER_SET].load(data)
-    assert isinstance(grid, Measurements) and isinstance(random, Measurements)
-    train, held_out = random_split(same_poses(grid.joints), HELD_OUT, np.random.default_rng(seed))
-    return PeerTask(arm.nominal, grid.select(train), grid.select(held_out), random)
-
-
-def accuracy_on(geometry: Geometry, task: PeerTask) -> dict[str, float]:
-    """Errors on the rows that the fit has not seen, mm."""
-    held_out, random = (
-        np.linalg.norm(rows.difference(geometry), axis=1) * 1e3 for rows in (task.held_out, task.random)
-    )
-    return {"held_out_rms_mm": float(np.sqrt(np.mean(held_out**2))), "random_poses_mean_mm": float(np.mean(random))}
-
-
-def peer_problem(task: PeerTask, start: Geometry, runs: int) -> dict[str, Any]:
-    """The problem that a peer's worker process reads; see scripts/peers/problem.py."""
-    names = tuple(f"joint_{i + 1}" for i in range(start.joints))
-    descriptions = [urdf_text(replace(arm, joint_names=names), "arm") for arm in (start, task.nominal)]
-    rows = {"": task.train, "held_out_": task.held_out, "random_": task.random}
-    problem: dict[str, Any] = {name: getattr(start, name).tolist() for name in ("alpha", "a", "theta", "d")}
-    problem |= {"base": homogeneous(start.base), "tool": homogeneous(start.tool), "runs": runs}
-    problem |= dict(zip(("urdf", "nominal_urdf"), descriptions, strict=True))
-    for prefix, part in rows.items():
-        problem |= {f"{prefix}joints": part.joints.tolist(), f"{prefix}position": part.position.tolist()}
-    return problem
-
-
-def homogeneous(pose: Pose) -> list[list[float]]:
-    """A pose as a homogeneous matrix."""
-    upper = np.concatenate([pose.rotation, pose.position[:, None]], axis=1)
-    return [*upper.tolist(), [0.0, 0.0, 0.0, 1.0]]
-
-
-def peer_python(peer: Peer, folder: Path, install: bool) -> Path:
-    """The Python of the peer's own environment, which is made if it is missing and ``install`` is true.
-
-    Raises:
-        InputError: If the environment is missing, or cannot be made; then with the installer's last words.
-    """
-    home = folder.resolve() / f"{peer.name}-{peer.version}"
-    python = home / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
-    done = home / "installed"
-    if done.is_file():
-        return python
-    if not install:
-        how = "python scripts/benchmark_calibration.py installs it there"
-        raise InputError(f"{peer.name} {peer.version} is not installed in {folder}; {how}")
-    install_line = command_line(
-        python, "-m", "pip", "install", f"{peer.name}=={peer.version}", quiet=True, disable_pip_version_check=True
-    )
-    for command in (command_line(sys.executable, "-m", "venv", home, clear=True), install_line):
-        ended = subprocess.run(shlex.split(command), capture_output=True, text=True)
-        if ended.returncode:
-            raise InputError(f"cannot be installed: {last_words(ended.stderr or ended.stdout)}")
-    done.touch()
-    return python
-
-
-def run_peer(
-    peer: Peer, task: PeerTask, start: Geometry, folder: Path, *, limit: float = LIMIT, install: bool = False
-) -> dict[str, Any]:
-    """Run a peer in its own process.
-
-    Args:
-        peer: The peer.
-        task: The data; the peer is given as many rows as it can take.
-        start: The arm with base and tool fitted.
-        folder: Where the peers' environments are kept.
-        limit: Seconds that it may take.
-        install: Whether to install the peer there if it is not installed yet.
-
-    Raises:
-        InputError: If it cannot be installed, fails, or takes longer than ``limit`` seconds.
-    """
-    python = peer_python(peer, folder, install)
-    with tempfile.TemporaryDirectory() as scratch:
-        problem, answer = Path(scratch) / "problem.json", Path(scratch) / "result.json"
-        problem.write_text(json.dumps(peer_problem(task, start, peer.runs)), encoding="utf-8")
-        command = [python, WORKERS / f"run_{peer.name}.py", problem, answer]
-        clean = {key: value for key, value in os.environ.items() if not key.startswith("PYTHON")}
-        try:
-            ended = subprocess.run(command, capture_output=True, text=True, timeout=limit, cwd=scratch, env=clean)
-        except subprocess.TimeoutExpired:
-            raise InputError(f"not done after {limit:g} s") from None
-        if ended.returncode or not answer.is_file():
-            raise InputError(f"failed: {last_words(ended.stderr)}")
-        result: dict[str, Any] = json.loads(answer.read_text(encoding="utf-8"))
-    remark = result.pop("remark")
-    return result | {"version": peer.version, "note": peer.method + (f"; {remark}" if remark else "")}
-
-
-def last_words(text: str) -> str:
-    """The last line of a text that mentions an error, or else its last line that is not blank."""
-    lines = [line.strip() for line in text.splitlines() if line.strip()]
-    errors = [line for line in lines if "error" in line.lower()]
-    return (errors or lines or ["without a word"])[-1]
-
-
-def judged_peer(peer: Peer | None, data: Path, folder: Path) -> dict[str, Any]:
-    """Errors of a peer, or of our own least squares where it is None, on the same rows, mm.
-
-    "nominal" names the errors with only base and tool fitted.
-
-    Raises:
-        InputError: If the data are missing, or the peer is not installed, fails, or takes too long.
-    """
-    task = read_peer_task(data, 0).first(None if peer is None else peer.poses)
-    start = align(task.nominal, task.train, frames_model(task.nominal)).geometry
-    if peer is None:
-        fitted = identify(complete_model(task.nominal), start, task.train).geometry
-        errors: dict[str, Any] = {**accuracy_on(fitted, task), "note": "least squares"}
-    else:
-        errors = run_peer(peer, task, start, folder)
-    return {**errors, "nominal": accuracy_on(start, task)}
-
-
-PEER_ROWS = {f"peer_{name}": name for name in (OURS, *(peer.name for peer in PEERS))}
-
-
-def peer_errors(rng: np.random.Generator, row: str, data: Path, peers: Path) -> list[dict[str, Any]]:
-    """Errors of a peer, or of our least squares, on the held-out rows (RMS) and on the other poses (mean), mm."""
-    errors = judged_peer(next((peer for peer in PEERS if peer.name == PEER_ROWS[row]), None), data, peers)
-    keys = {"random": "held_out_rms_mm", "poses": "random_poses_mean_mm"}
-    return [
-        {"split": split, "nominal_mm": errors["nominal"][key], "held_out_mm": errors[key], "note": errors["note"]}
-        for split, key in keys.items()
-    ]
-
-
 # All of them.
 
-ROWS = (*GAINS, *SPREAD, *PEER_ROWS)
+ROWS = (*GAINS, *SPREAD)
 """Every row that can be asked for."""
 
 QUICK = ("gain_ur5_random", "gain_ur5_blocks", "ur5_random")
@@ -490,14 +283,12 @@ class Bench:
         settings: How much was computed.
         gains: Predicted beside measured gains, as rows of the JSON file.
         models: Rows of measured robots: row, model, value and ends of each.
-        peers: Errors of peers on the UR5's rows: row, split, and errors before (nominal) and after (left).
         skipped: Rows that were not made, and why.
     """
 
     settings: BenchSettings
     gains: list[dict[str, Any]]
     models: Rows
-    peers: Rows
     skipped: Mapping[str, str]
 
 
@@ -506,7 +297,6 @@ def run_bench(
     settings: BenchSettings,
     data: Path,
     out: Path,
-    peers: Path,
     *,
     workers: int = 1,
     progress: Progress | None = None,
@@ -518,7 +308,6 @@ def run_bench(
         settings: How much is computed.
         data: Folder of the data sets.
         out: Folder for results.
-        peers: Folder of the peers' environments.
         workers: Processes.
         progress: Called with (experiment, pieces done, pieces in all).
 
@@ -551,12 +340,11 @@ def run_bench(
     folds = made("gains", GAINS, partial(fold_errors, settings=settings, data=data), fold=range(settings.folds))
     gains = [gain for (row,) in folds.levels("row") if row not in skipped for gain in gains_of(folds.where(row=row))]
     models = made("models", SPREAD, partial(model_errors, settings=settings, data=data))
-    others = made("peers", PEER_ROWS, partial(peer_errors, data=data, peers=peers))
-    return Bench(settings, gains, models, others, skipped)
+    return Bench(settings, gains, models, skipped)
 
 
 def _set_of(row: str) -> RealSet:
-    return SETS[SPREAD[row].name if row in SPREAD else GAINS[row][0] if row in GAINS else PEER_SET]
+    return SETS[SPREAD[row].name if row in SPREAD else GAINS[row][0]]
 
 
 def _inputs(row: str, settings: BenchSettings, data: Path, **_: int) -> tuple[Any, ...]:
@@ -591,20 +379,12 @@ def gains_of(folds: Rows) -> list[dict[str, Any]]:
         predicted, ends = predicted_gain(sums[model], sums[before])
         predicted_mm = float(1e3 * np.sqrt(sums[model].sum() / len(arm_numbers) / len(order)))
         gains.append(
-            bench_row("gains", SETS[name].robot, split, model, rms[NOMINAL], rms[before], rms[model])
-            | {"before": before, "ci95": _interval(pairs, split), "statistic": "rms", **counts}
+            {"robot": SETS[name].robot, "split": split, "model": model, "before": before, "statistic": "rms", **counts}
+            | {"nominal_mm": rms[NOMINAL], "before_mm": rms[before], "held_out_mm": rms[model]}
+            | {"measured_reduction": 1.0 - rms[model] / rms[before], "ci95": _interval(pairs, split)}
             | {"predicted_reduction": predicted, "predicted_ci95": ends, "predicted_mm": predicted_mm}
         )
     return gains
-
-
-def bench_row(
-    table: str, robot: str, split: str, model: str, nominal: float, before: float, left: float
-) -> dict[str, Any]:
-    """The keys that every row of the JSON file has; errors in mm, of the nominal arm, the step before and the model."""
-    names = {"table": table, "robot": robot, "split": split, "model": model, "before": NOMINAL}
-    sizes = {"nominal_mm": nominal, "before_mm": before, "held_out_mm": left, "measured_reduction": 1.0 - left / before}
-    return names | sizes | dict.fromkeys(("published_mm", "predicted_reduction", "ci95"))
 
 
 def _interval(pairs: Array, split: str) -> Ends | None:

@@ -45,8 +45,7 @@ COMPONENTS = (
 SHARES = (
     "The squared error of each arm over its own fruit is regressed on what was drawn for the arm and on the squares of "
     "that; what chance alone would explain is taken off, so that a tolerance without effect has a share of zero on "
-    "average. The mean square error is what a tolerance adds to it; what R² leaves is interaction, the arm's own fruit "
-    "and poses, and tracker noise."
+    "average. What R² leaves is interaction, the arm's own fruit and poses, and tracker noise."
 )
 MATTERS = 8
 """Number of parameters listed for each setting; the figure shows more."""
@@ -199,7 +198,7 @@ def _index_table(caption: str, heads: Sequence[str], rows: Sequence[Row]) -> Pag
 
 def _sensitivity_tables(findings: study_findings.Findings) -> list[Part]:
     parts: list[Part] = []
-    heads = ("tolerance", "share of variance (%)", "95 % interval", "mean square error (mm²)", "95 % interval")
+    heads = ("tolerance", "share of variance (%)", "95 % interval")
     for setting, shares in findings.sensitivities.items():
         label = findings.label(setting)
         if isinstance(shares, str):
@@ -207,15 +206,7 @@ def _sensitivity_tables(findings: study_findings.Findings) -> list[Part]:
             continue
         kinds = [(f"all {row['parameter']}", row) for row in shares if row["level"] == "kind"]
         parameters = [(row["parameter"], row) for row in shares if row["level"] == "parameter"][:MATTERS]
-        rows = [
-            (
-                name,
-                *_percents(row, "share"),
-                f"{row['mean_square_mm2']:.4f}",
-                between(row["mean_square_low_mm2"], row["mean_square_high_mm2"], 4),
-            )
-            for name, row in kinds + parameters
-        ]
+        rows = [(name, *_percents(row, "share")) for name, row in kinds + parameters]
         first = shares[0]
         caption = f"{label}: {first['arms']} arms, R² {first['r2']:.2f} (adjusted {first['r2_adjusted']:.2f})"
         parts.append(PageTable(caption, heads, rows))

@@ -10,10 +10,10 @@ and poses of its own, the same for all arms that are compared in it: the indices
 
 Sensitivities: the squared error of an arm is a quadratic form of its deviations, so it is regressed on each deviation x
 and on x^2 (standardised; the arm's RMS error over its own fruit, squared, in mm^2). For independent deviations the
-variance of b x + c x^2 is the parameter's first-order share, c is what its spread adds to the mean square error, and
-what R^2 leaves is interaction, the arm's own fruit and poses, the tracker, and what no column holds. A regression finds
-a share even where there is none: what scatter alone would give is taken off, so that a tolerance without effect has a
-share of zero on average. Intervals come from the jackknife over groups of arms (`_interval`).
+variance of b x + c x^2 is the parameter's first-order share, and what R^2 leaves is interaction, the arm's own fruit
+and poses, the tracker, and what no column holds. A regression finds a share even where there is none: what scatter
+alone would give is taken off, so that a tolerance without effect has a share of zero on average. Intervals come from
+the jackknife over groups of arms (`_interval`).
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ import pyarrow as pa
 import pyarrow.compute as pc
 from numpy.typing import NDArray
 from pyarrow.dataset import Dataset
-from scipy.special import chndtr, chndtrinc, ndtri, stdtrit
+from scipy.special import chndtr, chndtrinc, ndtri
 from scipy.stats import qmc
 
 from pickenv.arm import Array, Plant
@@ -285,9 +285,7 @@ def sensitivities_of(rows: Dataset, setting: int = 0) -> pa.Table:
     Returns:
         One row per parameter and per kind, largest share first: ``parameter`` (or the kind's name), ``kind``, ``level``
         (parameter or kind), ``share`` of the variance (by chance also below zero, where there is none) with its 95 %
-        interval ``share_low``, ``share_high``, ``mean_square_mm2`` (what its spread adds to the mean of the squared
-        error) with its interval, ``linear`` (standardised regression coefficient of the deviation; NaN for several),
-        and the whole regression's ``r2``, ``r2_adjusted`` and ``arms``.
+        interval ``share_low``, ``share_high``, and the whole regression's ``r2``, ``r2_adjusted`` and ``arms``.
 
     Raises:
         InputError: If nothing varies, or there are too few arms for the number of deviations.
@@ -320,9 +318,6 @@ def sensitivities_of(rows: Dataset, setting: int = 0) -> pa.Table:
             chance = float(_explained(scatter, covariance[:1], group).sum() / variance[0])
             roots = np.sqrt(np.maximum(share, 0.0))
             low, high = _interval(float(share[0]), chance, blocks * roots[0] - (blocks - 1) * roots[1:])
-            square, *squares = slopes[:, [len(names) + i for i in group]].sum(axis=1)
-            half = float(stdtrit(blocks - 1, TAILS[0]) * np.sqrt((blocks - 1) * np.var(squares)))  # the jackknife's
-            of_one = slopes[0, group[0]] * np.sqrt(covariance[0, group[0], group[0]] / variance[0])
             table.append(
                 {
                     "parameter": name,
@@ -331,10 +326,6 @@ def sensitivities_of(rows: Dataset, setting: int = 0) -> pa.Table:
                     "share": float(share[0] - chance),
                     "share_low": low,
                     "share_high": high,
-                    "mean_square_mm2": float(square),
-                    "mean_square_low_mm2": float(square - half),
-                    "mean_square_high_mm2": float(square + half),
-                    "linear": float(of_one) if level == "parameter" and len(group) == 1 else float("nan"),
                     **about,
                 }
             )

@@ -9,11 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from pickenv.agents.evaluation.compare import _capture, _joined, _lengthened, _recorded_policy
+from pickenv.agents.evaluation.compare import _capture, _recorded_policy
 from pickenv.agents.evaluation.reaches import Moment
 from pickenv.arm import Pose, load_plant
-from pickenv.base import InputError
-from pickenv.inspect import RecordedEpisodes, RecordedPolicy
 from pickenv.orchard import capture_probability, load_gripper
 
 CUP, HAND = load_gripper("li_cup"), load_gripper("compliant_hand")
@@ -38,7 +36,7 @@ def test_fruit_after_fruit_is_missed_where_an_attempt_is_told_and_picked_as_told
         told([away(9) | plain, away(8) | grasp, away(7) | grasp, away(6) | late]),
         told([away(5) | grasp, away(4) | grasp]),  # it begins with what an earlier episode attempted
     ]
-    found = _recorded_policy("LS", ways, None, CUP, np.zeros(2))
+    found = _recorded_policy("LS", ways, 4, None, CUP, np.zeros(2))
     assert (found.label, found.key) == ("LS", "ls")
     np.testing.assert_array_equal(found.moments, [4, 2])
     np.testing.assert_allclose(found.position_error_mm, [[9, 8, 7, 6], [5, 4, 4, 4]])
@@ -51,12 +49,12 @@ def test_fruit_after_fruit_is_missed_where_an_attempt_is_told_and_picked_as_told
 
 def test_a_reach_closes_at_its_last_moment_and_takes_what_success_or_tolerance_says():
     judged = [told([away(9) | {"is_success": s} for s in some]) for some in ([True, False, True], [True, False])]
-    found = _recorded_policy("raw", judged, None, CUP, np.zeros(2))
+    found = _recorded_policy("raw", judged, 3, None, CUP, np.zeros(2))
     np.testing.assert_array_equal(found.success, [[True, False, True], [True, False, False]])
     np.testing.assert_array_equal(found.picked, [[0, 0, 1], [0, 0, 0]])
     np.testing.assert_allclose(found.miss_mm, [[np.nan, np.nan, 9.0], [np.nan, 9.0, np.nan]])
     near = [told([away(1), away(mm)]) for mm in (4.99, 5.01)] + [told([away(1)] * 3)]
-    found = _recorded_policy("raw", near, None, CUP, np.zeros(3))
+    found = _recorded_policy("raw", near, 3, None, CUP, np.zeros(3))
     np.testing.assert_array_equal(found.picked, [[0, 1, 1], [0, 0, 0], [0, 0, 1]])
     assert not found.success.any()
 
@@ -75,7 +73,7 @@ def test_a_reach_of_an_arm_is_judged_by_the_gripper_and_a_drawn_number(millimetr
         "attitude_error_deg": 3.0,
     }
     ways = [[Moment(0.0, info, joints + 0.1), Moment(-1.0, info)]]
-    found = _recorded_policy("raw", ways, plant, CUP, np.array([chance]))
+    found = _recorded_policy("raw", ways, 2, plant, CUP, np.array([chance]))
     np.testing.assert_array_equal(found.picked, [[0, taken]])
     np.testing.assert_allclose(found.tool_rotation, np.broadcast_to(pose.rotation, (1, 2, 3, 3)))
     np.testing.assert_allclose(found.joint_target, [[joints + 0.1, joints]])
@@ -99,40 +97,12 @@ def test_a_gripper_takes_by_offsets_along_and_across_the_tool_and_by_the_angle_t
     np.testing.assert_allclose(found, capture_probability(gripper, lateral, axial, angle), atol=1e-9)
 
 
-def recorded(label: str, moments: int) -> RecordedPolicy:
-    ways = [told([away(mm) | {"is_success": mm < 2} for mm in range(moments, 0, -1)])]
-    return _recorded_policy(label, ways, None, CUP, np.zeros(1))
-
-
-def run_of(*policies: RecordedPolicy, **changed: Any) -> RecordedEpisodes:
-    facts = {"env_id": "x/Reach", "plant": None, "gripper": "li_cup", "seed": 0, "seeds": (0,)} | changed
-    return RecordedEpisodes(policies=policies, tolerance_mm=5.0, period=0.1, **facts)
-
-
-def test_shorter_episodes_stay_at_their_last_moment_and_earn_and_miss_nothing_more():
-    short = recorded("raw", 2)
-    longer = _lengthened(short, 5)
-    assert _lengthened(short, 2) is short
+def test_shorter_episodes_stay_at_their_last_moment_and_earn_and_miss_nothing_more() -> None:
+    ways = [told([away(mm) | {"is_success": mm < 2} for mm in (2, 1)])]
+    longer = _recorded_policy("raw", ways, 5, None, CUP, np.zeros(1))
     np.testing.assert_allclose(longer.position_error_mm, [[2, 1, 1, 1, 1]])
     np.testing.assert_array_equal(longer.picked, [[0, 1, 1, 1, 1]])
     np.testing.assert_array_equal(longer.reward, [[0, 1, 0, 0, 0]])
     np.testing.assert_allclose(longer.miss_mm, [[np.nan, 1, np.nan, np.nan, np.nan]])
-    np.testing.assert_allclose(longer.tool_position[0, 1:], [short.tool_position[0, 1]] * 4)
+    np.testing.assert_allclose(longer.tool_position[0, 1:], [longer.tool_position[0, 1]] * 4)
     np.testing.assert_array_equal(longer.moments, [2])
-
-
-def test_runs_for_the_same_fruit_are_put_together_in_the_order_of_their_labels():
-    whole = _joined([run_of(recorded("LS", 3)), run_of(recorded("raw", 5))])
-    assert [policy.label for policy in whole.policies] == ["raw", "LS"]
-    assert {policy.position_error_mm.shape for policy in whole.policies} == {(1, 5)}
-    for name, other in {
-        "env_id": "y",
-        "plant": load_plant("field"),
-        "gripper": "compliant_hand",
-        "seed": 1,
-        "seeds": (1,),
-    }.items():
-        with pytest.raises(InputError, match=f"the runs differ in {name}: "):
-            _joined([run_of(recorded("LS", 3)), run_of(recorded("raw", 5), **{name: other})])
-    with pytest.raises(InputError, match="LS"):
-        _joined([run_of(recorded("LS", 3)), run_of(recorded("LS", 3))])

@@ -49,12 +49,11 @@ DRAWN = {
     ),
     "pickenv/ReachTool-v0": (CAMERA, lambda seen, info, env: {"seen": seen, "fruit": info["fruit_position"]}),
     "pickenv/PickScene-v0": (
-        {"leaves": 2, "camera_mm": 1.0},
+        {"camera_mm": 1.0},
         lambda seen, info, env: {
             "seen": seen[9:18],
             "fruit": info["fruit_position"],
-            "pull": env.scene.strength,
-            "leaves": env.scene.model.body("leaf 1").pos.copy(),
+            "pull": np.array([env.scene.strength]),
             "cameras": env.scene.model.cam_pos.flatten(),
         },
     ),

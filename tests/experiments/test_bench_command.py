@@ -1,7 +1,6 @@
-"""`pickenv bench calibration`: its rows, what it says where data or peers are missing, and that it goes on."""
+"""`pickenv bench calibration`: its rows, what it says where data are missing, and that it goes on."""
 
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
@@ -9,28 +8,21 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pickenv.arm import Pose, rotation_matrix
-from pickenv.base import InputError, write_text
+from pickenv.base import InputError, write_json
 from pickenv.commands.check import findings_of
 from pickenv.experiments import BenchSettings, check_experiment, robots, run_bench
 from pickenv.experiments.gains import MEASURED, NOMINAL
-from pickenv.experiments.robot_tables import bench_json, bench_page, blocked_json
+from pickenv.experiments.robot_tables import BLOCKED_FILE, bench_json, blocked_json
 from pickenv.experiments.robots import (
     BEFORE,
     GAINS,
-    PEERS,
     QUICK,
     ROWS,
-    Peer,
-    homogeneous,
-    judged_peer,
-    last_words,
-    peer_python,
 )
 from pickenv.inspect.runs.run_folder import listed_files
 
 KEYS = {
-    *("robot", "split", "model", "nominal_mm", "held_out_mm", "published_mm"),
+    *("robot", "split", "model", "nominal_mm", "held_out_mm"),
     *("measured_reduction", "predicted_reduction", "ci95"),
 }
 
@@ -42,13 +34,13 @@ def command(*words: object) -> subprocess.CompletedProcess[str]:
 
 def test_without_the_data_one_sentence_says_what_to_give(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="name the folder of the data sets in PICKENV_DATA"):
-        run_bench(QUICK, BenchSettings.quick(), tmp_path, tmp_path / "bench", tmp_path)
+        run_bench(QUICK, BenchSettings.quick(), tmp_path, tmp_path / "bench")
     assert not (tmp_path / "bench").exists()
 
 
 def test_an_unknown_row_is_answered_with_all_of_them(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="unknown row 'ur6'; give some of gain_ur5_random, ") as found:
-        run_bench(["ur6"], BenchSettings(), tmp_path, tmp_path, tmp_path)
+        run_bench(["ur6"], BenchSettings(), tmp_path, tmp_path)
     assert all(name in str(found.value) for name in ROWS)
 
 
@@ -74,18 +66,18 @@ def worked(monkeypatch, tmp_path):
         seen.append((row, fold))
         return made_fold(fold)
 
-    def peer_errors(rng, row, data, peers):
+    def model_errors(rng, row, settings, data):
         seen.append((row, 0))
-        raise InputError("it is not installed")
+        raise InputError("it cannot be calibrated")
 
     monkeypatch.setattr(robots, "fold_errors", fold_errors)
-    monkeypatch.setattr(robots, "peer_errors", peer_errors)
+    monkeypatch.setattr(robots, "model_errors", model_errors)
     for kind in ("grid", "random"):
         file = tmp_path / f"data/ur5_wam_jacobi2025/UR5/3D_UR5_uncalibrated_{kind}_cleaned.csv"
         file.parent.mkdir(parents=True, exist_ok=True)
         file.write_text(kind)
     return seen, lambda rows, settings=None: run_bench(
-        rows, settings or BenchSettings(), tmp_path / "data", tmp_path / "out", tmp_path
+        rows, settings or BenchSettings(), tmp_path / "data", tmp_path / "out"
     )
 
 
@@ -107,11 +99,11 @@ def test_what_is_done_is_kept_until_settings_or_data_change(worked, tmp_path: Pa
 def test_what_cannot_be_made_is_said_and_tried_again(worked) -> None:
     seen, run = worked
     for _ in range(2):
-        bench = run(["gain_ur5_random", "peer_figaroh", "gain_wam_random"])
-        assert bench.skipped["peer_figaroh"] == "it is not installed"
+        bench = run(["gain_ur5_random", "ur5_random", "gain_wam_random"])
+        assert bench.skipped["ur5_random"] == "it cannot be calibrated"
         assert "name the folder of the data sets" in bench.skipped["gain_wam_random"]
         assert {(gain["robot"], gain["split"]) for gain in bench.gains} == {("UR5", "random")}
-    assert [row for row, _ in seen].count("peer_figaroh") == 2
+    assert [row for row, _ in seen].count("ur5_random") == 2
 
 
 @pytest.mark.parametrize("complete", [True, False])
@@ -119,12 +111,13 @@ def test_every_damage_to_a_folder_is_noticed(complete: bool, worked, tmp_path: P
     """Of a run that ended, by the folder's list; of one that was cut off, by the records of its experiments."""
     out = tmp_path / "out"
     with listed_files(out):
-        write_text(out / "bench.md", bench_page(worked[1](["gain_ur5_random", "peer_figaroh"])))
+        found = worked[1](["gain_ur5_random", "ur5_random"])
+        write_json(out / BLOCKED_FILE, blocked_json(found, "2026-01-01"))
 
     def faults() -> list[str]:
         if complete:
             return [finding.reason for finding in findings_of(out) if finding.reason is not None]
-        kept = [check_experiment(out / name) for name in ("gains", "peers")]
+        kept = [check_experiment(out / name) for name in ("gains", "models")]
         return [reason for checked in kept for _, reason in checked if reason is not None]
 
     assert faults() == []
@@ -171,59 +164,6 @@ def test_the_demonstrations_file_is_what_the_command_writes_of_blocks(worked) ->
         assert [removed, low, high] == pytest.approx([told["measured_reduction"], *told["ci95"]], abs=5e-4)
 
 
-def test_a_peer_that_is_not_installed_is_named_with_the_way_to_install_it(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match=r"figaroh 1.0.2 is not installed in .*benchmark_calibration.py installs it"):
-        peer_python(PEERS[0], tmp_path, install=False)
-    home = tmp_path / "figaroh-1.0.2"
-    home.mkdir()
-    (home / "installed").touch()
-    expected = home / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
-    assert peer_python(PEERS[0], tmp_path, install=False) == expected
-
-
-def test_a_peer_is_given_poses_as_homogeneous_matrices() -> None:
-    pose = Pose(np.array([0.1, -0.2, 0.3]), rotation_matrix([0.4, 0.5, -0.6]))
-    found = np.array(homogeneous(pose))
-    point = np.array([0.7, -0.8, 0.9])
-    np.testing.assert_allclose(found @ [*point, 1.0], [*(pose.position + pose.rotation @ point), 1.0])
-    np.testing.assert_array_equal(found[3], [0.0, 0.0, 0.0, 1.0])
-
-
-def test_a_peer_that_cannot_be_installed_is_named(tmp_path: Path, monkeypatch) -> None:
-    """No installer is run: the environment's Python is replaced by one that fails."""
-    monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
-    (tmp_path / "python").write_text("#!/bin/sh\necho 'ERROR: no such release' >&2\nexit 1\n")
-    (tmp_path / "python").chmod(0o755)
-    with pytest.raises(InputError, match=r"cannot be installed: ERROR: no such release"):
-        peer_python(PEERS[0], tmp_path / "peers", install=True)
-    assert last_words("one\nan Error of it\nlast\n") == "an Error of it"
-
-
-def test_a_peer_is_given_the_rows_and_answers_for_those_held_out(
-    data_folder: Path, tmp_path: Path, monkeypatch
-) -> None:
-    """A peer of ours that predicts the nominal tool: its errors are those of the base and tool fit alone."""
-    if not (data_folder / "ur5_wam_jacobi2025").is_dir():
-        pytest.skip(f"no data set ur5_wam_jacobi2025 in {data_folder}")
-    workers = tmp_path / "workers"
-    workers.mkdir()
-    (workers / "run_none.py").write_text(
-        "import json, os, sys\n"
-        "content = json.load(open(sys.argv[1]))\n"
-        "n = {name: len(content[name]) for name in ('joints', 'held_out_joints', 'random_joints')}\n"
-        "answer = {'held_out_rms_mm': 0.5, 'random_poses_mean_mm': 0.4, 'remark': 'nor more', 'n': n}\n"
-        "answer['at_home'] = os.path.samefile('.', os.path.dirname(sys.argv[1]))\n"
-        "answer['ours'] = [name for name in os.environ if name.startswith('PYTHON')]\n"
-        "json.dump(answer, open(sys.argv[2], 'w'))\n"
-    )
-    monkeypatch.setattr(robots, "WORKERS", workers)
-    monkeypatch.setattr(robots, "peer_python", lambda peer, folder, install: Path(sys.executable))
-    found = judged_peer(Peer("none", "1", "it does nothing", poses=50), data_folder, tmp_path)
-    assert found["n"] == {"joints": 50, "held_out_joints": 200, "random_joints": 20}
-    assert found["at_home"] and found["ours"] == [] and found["note"] == "it does nothing; nor more"
-    assert found["nominal"]["held_out_rms_mm"] > found["held_out_rms_mm"]
-
-
 @pytest.mark.slow
 def test_the_quick_form_ends_and_two_processes_change_no_figure(data_folder: Path, tmp_path: Path) -> None:
     if not (data_folder / "ur5_wam_jacobi2025").is_dir():
@@ -233,12 +173,11 @@ def test_the_quick_form_ends_and_two_processes_change_no_figure(data_folder: Pat
     assert ended.returncode == 0, ended.stderr
     content = json.loads(file.read_text(encoding="utf-8"))
     assert {row["robot"] for row in content["rows"]} == {"UR5"} and content["skipped"] == {}
-    gains = [row for row in content["rows"] if row["table"] == "gains"]
+    gains = content["rows"]
     assert len(gains) == 2 * len(BEFORE)
     assert content["agreement"]["gains"] == sum(gain["split"] == "blocks" for gain in gains) == len(gains) // 2
-    assert (tmp_path / "one/bench.md").is_file()
     assert len((tmp_path / "one/gains.csv").read_text(encoding="utf-8").splitlines()) == 1 + len(gains)
-    found = run_bench(["gain_ur5_blocks"], BenchSettings.quick(), data_folder, tmp_path / "two", tmp_path, workers=2)
+    found = run_bench(["gain_ur5_blocks"], BenchSettings.quick(), data_folder, tmp_path / "two", workers=2)
     again = bench_json(found)["rows"]
     assert json.loads(json.dumps(again)) == [row for row in gains if row["split"] == "blocks"]
 

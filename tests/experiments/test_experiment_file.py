@@ -177,27 +177,6 @@ def test_the_command_prints_writes_and_goes_on(file, tmp_path, capsys):
     assert len(list((tmp_path / "out").glob("*.parquet"))) == len(stamps) + 2
 
 
-def test_other_seeds_are_run_and_their_agreement_is_counted(file, tmp_path, capsys):
-    words = ["experiment", str(file), "--out", str(tmp_path / "out"), "--json", str(tmp_path / "found.json")]
-    app([*words, "--executor", "serial", "--seeds", "4"], standalone_mode=False)
-    found = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))
-    values = [[row["value"] for row in seed[0]["rows"]] for seed in (found["tables"], *found["other_seeds"])]
-    assert len({tuple(each) for each in values}) == 4
-    ends = [[row["ci95"] for row in seed[0]["rows"]] for seed in (found["tables"], *found["other_seeds"])]
-    held = sum(
-        low <= values[j][k] <= high
-        for i in range(4)
-        for j in range(4)
-        if i != j
-        for k, (low, high) in enumerate(ends[i])
-    )
-    assert found["held"][0] == {"title": "Mean error (mm)", "held": held, "of": 24}
-    assert f"Mean error (mm): {held} of 24 intervals" in capsys.readouterr().out
-    alone = tmp_path / "alone.json"
-    app([*words[:-1], str(alone), "--executor", "serial"], standalone_mode=False)
-    assert json.loads(alone.read_text(encoding="utf-8"))["tables"] == found["tables"]
-
-
 SLIPS = {
     ('value = "error_mm"', 'value = "eror_mm"'): "no column 'eror_mm' for 'Mean error",
     ("arm = 12", 'arm = "12"'): "units",

@@ -15,8 +15,9 @@ def made_gains(rng, robot, split, refused, rows=(90, 200)):
     for model, step in robots.BEFORE.items():
         before, measured, predicted = rng.uniform(0.2, 3.0), *rng.uniform(-0.1, 0.9, 2)
         gains.append(
-            robots.bench_row("gains", robot, split, model, 2.0 * before, before, before * (1.0 - measured))
-            | {"before": step, "ci95": (measured - 0.0512, measured + 0.0398), "predicted_reduction": predicted}
+            {"robot": robot, "split": split, "model": model, "before": step, "nominal_mm": 2.0 * before}
+            | {"before_mm": before, "held_out_mm": before * (1.0 - measured), "measured_reduction": measured}
+            | {"ci95": (measured - 0.0512, measured + 0.0398), "predicted_reduction": predicted}
             | {"predicted_ci95": None if model == "LS" else (predicted - 0.25, predicted + 0.125)}
             | {"refused_draws": refused, "rows": rows[0], "rows_in_file": rows[1]}
         )
@@ -34,25 +35,19 @@ def found():
         for row, used, rows in (("ur5_random", "nothing added", 321), ("wam_poses", "gravity; gravity, bpnn", 20))
         for model, (value, low, high) in models.items()
     ]
-    peers = [
-        {"row": f"peer_{name}", "split": split, "nominal_mm": nominal, "held_out_mm": size * k, "note": f"way {k}"}
-        for k, name in enumerate(("pickenv", "figaroh"), start=1)
-        for split, nominal, size in (("random", 2.0, 0.25), ("poses", 1.5, 0.125))
-    ]
     return robots.Bench(
         settings=BenchSettings(rows=90, folds=3, draws=4),
         gains=gains,
         models=Rows.of(measured),
-        peers=Rows.of(peers),
-        skipped={"peer_robotics": "it is not installed"},
+        skipped={"wam_poses": "no data"},
     )
 
 
 def test_a_gains_row_holds_what_blocks_remove_for_the_demonstration(found):
-    rows = [row for row in robot_tables.bench_json(found)["rows"] if row["table"] == "gains"]
+    rows = robot_tables.bench_json(found)["rows"]
     assert rows == found.gains and len(rows) == 12
     assert robot_tables.bench_json(found)["settings"]["folds"] == 3
-    assert robot_tables.bench_json(found)["skipped"] == {"peer_robotics": "it is not installed"}
+    assert robot_tables.bench_json(found)["skipped"] == {"wam_poses": "no data"}
     arms = robot_tables.blocked_json(found, "2026-01-01")["arms"]
     assert [(arm["arm"], arm["rows"], arm["rows_in_file"]) for arm in arms] == [
         ("UR5", 90, 200),
@@ -66,37 +61,17 @@ def test_a_gains_row_holds_what_blocks_remove_for_the_demonstration(found):
             assert arm["removed"][row["model"]] == pytest.approx([row["measured_reduction"], *row["ci95"]], abs=5e-4)
 
 
-def test_a_peer_is_judged_on_rows_and_on_poses_of_the_ur5(found):
-    rows = [row for row in robot_tables.bench_json(found)["rows"] if row["table"] == "peers"]
-    assert [row["model"] for row in rows] == ["pickenv: LS"] * 2 + ["figaroh"] * 2
-    for k, (held, poses) in enumerate((rows[:2], rows[2:]), start=1):
-        for row, split, statistic, before, left, others in (
-            (held, "random", "rms", 2.0, 0.25 * k, None),
-            (poses, "poses", "mean", 1.5, 0.125 * k, 0.1549),
-        ):
-            assert (row["robot"], row["split"], row["statistic"], row["before"]) == ("UR5", split, statistic, "nominal")
-            assert row["nominal_mm"] == row["before_mm"] == before and row["held_out_mm"] == left
-            assert row["measured_reduction"] == 1.0 - left / before
-            assert (row["published_mm"], row["note"]) == (others, f"way {k}")
-
-
-def test_every_cell_of_the_page_is_its_figure(found):
-    page = robot_tables.bench_page(found)
-    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in page.splitlines() if line[:2] == "| "]
+def test_every_cell_is_its_figure(found):
     split = {"random": "random fifths", "blocks": "blocks"}
-    told = [row for row in cells if row[1] in split.values()]
-    for row, gain in zip(told, found.gains, strict=True):
-        assert row[:3] == [gain["robot"], split[gain["split"]], gain["model"]]
-        assert row[3:5] == [f"{gain['before_mm']:.3f}", f"{gain['held_out_mm']:.3f}"]
+    for row, gain in zip(robot_tables.gain_cells(found), found.gains, strict=True):
+        assert list(row[:3]) == [gain["robot"], split[gain["split"]], gain["model"]]
+        assert list(row[3:5]) == [f"{gain['before_mm']:.3f}", f"{gain['held_out_mm']:.3f}"]
         predicted, measured = gain["predicted_reduction"], gain["measured_reduction"]
         for cell, value, ends in ((row[5], predicted, gain["predicted_ci95"]), (row[6], measured, gain["ci95"])):
             shown = [float(number) for number in re.findall(r"-?[\d.]+", cell)]
             assert shown == pytest.approx([100 * value, *(100 * end for end in ends or ())], abs=0.0501)
             assert re.fullmatch(r"\S+ %( \(\S+ to \S+\))?", cell)
         assert float(row[7]) == pytest.approx(100 * (predicted - measured), abs=0.0501) and row[7][0] in "+-"
-    assert ["pickenv", "0.2500", "0.1250", "way 1"] in cells and ["figaroh", "0.5000", "0.2500", "way 2"] in cells
-    assert "- peer_robotics: it is not installed" in page and robot_tables.NOTE in page
-    assert len(re.findall("^## ", page, re.M)) == 4
 
 
 def test_the_sentence_under_the_gains_counts_them(found):
@@ -111,9 +86,9 @@ def test_the_sentence_under_the_gains_counts_them(found):
     assert "3 folds, 4 arms drawn for each (7 could not be calibrated" in said
     assert said.endswith("equally spaced in the file: UR5 90 of 200, UR10, series A 80.")
     alone = made_gains(np.random.default_rng(0), "UR5", "random", 0, (90, 90))
-    one = robots.Bench(found.settings, alone, Rows({}), Rows({}), {})
+    one = robots.Bench(found.settings, alone, Rows({}), {})
     assert robot_tables.agreement_words(one).startswith("3 folds, 4 arms")
-    assert robot_tables.agreement_words(robots.Bench(found.settings, [], Rows({}), Rows({}), {})) == ""
+    assert robot_tables.agreement_words(robots.Bench(found.settings, [], Rows({}), {})) == ""
 
 
 def gained(robot, predicted, measured, model="LS + GP", split="blocks"):

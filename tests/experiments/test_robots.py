@@ -56,7 +56,7 @@ def test_progress_counts_what_was_done_before_and_what_is_done_now(monkeypatch, 
     for begun in (0, 2):
         told: list[tuple[str, int, int]] = []
         robots.run_bench(
-            ["ur5_random", "ur5_blocks"], BenchSettings(), tmp_path, tmp_path / "out", tmp_path,
+            ["ur5_random", "ur5_blocks"], BenchSettings(), tmp_path, tmp_path / "out",
             progress=lambda *step, told=told: told.append(step),
         )  # fmt: skip
         assert told == [("models", done, 2) for done in range(begun, 3)]
@@ -106,13 +106,6 @@ def test_an_arm_is_seen_at_the_joints_of_the_rows_with_attitudes_where_they_have
         np.testing.assert_array_equal(seen.rotation, -rotation)
 
 
-def test_a_peers_errors_are_the_rms_on_rows_held_out_and_the_mean_on_other_poses():
-    rows = [SimpleNamespace(difference=lambda geometry, e=e: 1e-3 * np.array(e)) for e in
-            ([[3.0, 0.0, 4.0], [0.0, 0.0, 1.0]], [[0.0, 2.0, 0.0], [6.0, 0.0, 8.0]])]  # fmt: skip
-    found = robots.accuracy_on("geometry", robots.PeerTask("nominal", "train", *rows))
-    assert found == pytest.approx({"held_out_rms_mm": np.sqrt((25 + 1) / 2), "random_poses_mean_mm": 6.0})
-
-
 @pytest.mark.parametrize(
     ("values", "shown"),
     [
@@ -125,7 +118,7 @@ def test_below_a_millimetre_micrometres_are_shown_and_else_hundredths(values, sh
     low, high = (np.nan if end is None else end for end in values[1:])
     columns = {"value_mm": values[0], "low_mm": low, "high_mm": high, "used": "none", "model": "any"}
     rows = robots.Rows({name: np.full(3, value) for name, value in ({"row": "ur5_random"} | columns).items()})
-    assert robot_tables.spread_table(rows).splitlines()[2].split(" | ")[1] == shown
+    assert robot_tables.spread_cells(rows)[0][1] == shown
 
 
 def test_without_gains_nothing_agrees_or_differs():

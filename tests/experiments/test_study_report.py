@@ -203,8 +203,7 @@ def test_each_share_of_the_page_is_named_for_what_it_is_of(folder, found):
         for level, before in (("kind", "all "), ("parameter", "")):
             row = next(row for row in every if row["level"] == level)
             ends = f"{100 * row['share_low']:.1f} to {100 * row['share_high']:.1f}"
-            square = f"{row['mean_square_mm2']:.4f}"
-            said = f"{before}{row['parameter']} {100 * row['share']:.1f} {ends} {square}"
+            said = f"{before}{row['parameter']} {100 * row['share']:.1f} {ends}"
             assert f" {said} " in words, said
 
 

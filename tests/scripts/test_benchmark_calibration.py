@@ -5,8 +5,13 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
+
+from pickenv.arm import Pose, rotation_matrix
+from pickenv.base import InputError
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "benchmark_calibration.py"
 
@@ -83,3 +88,51 @@ def test_a_failed_peer_has_no_ratio(script):
     assert found == pytest.approx(
         {"quick_vs_pickenv": 100.0, "quick_vs_pickenv_cpu": 50.0, "quick_solve_vs_pickenv": 75.0}
     )
+
+
+def test_a_peer_is_given_poses_as_homogeneous_matrices(script):
+    pose = Pose(np.array([0.1, -0.2, 0.3]), rotation_matrix([0.4, 0.5, -0.6]))
+    found = np.array(script.homogeneous(pose))
+    point = np.array([0.7, -0.8, 0.9])
+    np.testing.assert_allclose(found @ [*point, 1.0], [*(pose.position + pose.rotation @ point), 1.0])
+    np.testing.assert_array_equal(found[3], [0.0, 0.0, 0.0, 1.0])
+
+
+def test_a_peer_that_cannot_be_installed_is_named(script, tmp_path, monkeypatch):
+    """No installer is run: the environment's Python is replaced by one that fails."""
+    monkeypatch.setattr(sys, "executable", str(tmp_path / "python"))
+    (tmp_path / "python").write_text("#!/bin/sh\necho 'ERROR: no such release' >&2\nexit 1\n")
+    (tmp_path / "python").chmod(0o755)
+    with pytest.raises(InputError, match=r"cannot be installed: ERROR: no such release"):
+        script.python_with(tmp_path / "peers", "figaroh")
+    assert script.last_words("one\nan Error of it\nlast\n") == "an Error of it"
+
+
+def test_a_peer_is_given_the_rows_and_answers_for_those_held_out(script, data_folder, tmp_path, monkeypatch):
+    """A peer of ours that predicts the nominal tool: its errors are those of the base and tool fit alone."""
+    if not (data_folder / "ur5_wam_jacobi2025").is_dir():
+        pytest.skip(f"no data set ur5_wam_jacobi2025 in {data_folder}")
+    workers = tmp_path / "workers"
+    workers.mkdir()
+    (workers / "run_none.py").write_text(
+        "import json, os, sys\n"
+        "content = json.load(open(sys.argv[1]))\n"
+        "n = {name: len(content[name]) for name in ('joints', 'held_out_joints', 'random_joints')}\n"
+        "answer = {'held_out_rms_mm': 0.5, 'random_poses_mean_mm': 0.4, 'remark': 'nor more', 'n': n}\n"
+        "answer['at_home'] = os.path.samefile('.', os.path.dirname(sys.argv[1]))\n"
+        "answer['ours'] = [name for name in os.environ if name.startswith('PYTHON')]\n"
+        "json.dump(answer, open(sys.argv[2], 'w'))\n"
+    )
+    monkeypatch.setattr(script, "WORKERS", workers)
+    monkeypatch.setattr(script, "python_with", lambda home, *packages: Path(sys.executable))
+    task = script.read_peer_task(data_folder, 0).first(50)
+    found = script.run_peer(script.Peer("none", "1", "it does nothing", poses=50), task, task.nominal, tmp_path)
+    assert found["n"] == {"joints": 50, "held_out_joints": 200, "random_joints": 20}
+    assert found["at_home"] and found["ours"] == [] and found["note"] == "it does nothing; nor more"
+
+
+def test_a_peers_errors_are_the_rms_on_rows_held_out_and_the_mean_on_other_poses(script):
+    rows = [SimpleNamespace(difference=lambda geometry, e=e: 1e-3 * np.array(e)) for e in
+            ([[3.0, 0.0, 4.0], [0.0, 0.0, 1.0]], [[0.0, 2.0, 0.0], [6.0, 0.0, 8.0]])]  # fmt: skip
+    found = script.accuracy_on("geometry", script.PeerTask("nominal", "train", *rows))
+    assert found == pytest.approx({"held_out_rms_mm": np.sqrt((25 + 1) / 2), "random_poses_mean_mm": 6.0})

@@ -254,7 +254,6 @@ def test_a_makers_file_that_cannot_be_driven_is_refused_in_one_sentence(tmp_path
         ({"pixels": 5000}, "at most 1024"),
         ({"cameras": ["head"]}, "give a list of world, wrist"),
         ({"cameras": "wrist"}, "give a list of world, wrist"),
-        ({"fruit": 0}, "fruit is 0"),
         ({"error_mm": -1.0}, "error_mm is -1.0"),
         ({"error_mm": 1.0}, "no error of its parts"),
         ({"scale": 0.0}, "scale is 0"),
