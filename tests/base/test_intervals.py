@@ -212,7 +212,8 @@ def test_quantile_levels_by_the_binomial(count: int, probability: float) -> None
         assert inner >= tail - 1e-7 or rank < 1.0 + 1e-9
         assert outer <= tail + 1e-7 or rank > count - 1e-9
 
-    assume(not np.isclose(reached[[0, count - 1]], [0.975, 0.025], rtol=0, atol=1e-12).any())  # either answer is right there
+    ends = reached[[0, count - 1]]
+    assume(not np.isclose(ends, [0.975, 0.025], rtol=0, atol=1e-12).any())  # where either answer is right
     low, high = quantile_levels(count, probability)
     assert (low is None) == (reached[0] < 0.975)
     assert (high is None) == (reached[count - 1] > 0.025)

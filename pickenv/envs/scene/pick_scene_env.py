@@ -232,8 +232,7 @@ class PickSceneEnv(ReachEnv):
             turn = Rotation.from_rotvec(self.turned * rng.normal(size=3)).as_matrix()
             start = Pose(fruit.position + attitude @ off * self.scene.around.scale, attitude @ turn)
             goal = inverse(geometry, fruit, self._favoured, **how)
-            begin = inverse(geometry, start, goal.joints, **how)
-            if goal.reached and begin.reached:
+            if goal.reached and (begin := inverse(geometry, start, goal.joints, **how)).reached:
                 return goal.joints, begin.joints
         raise InputError(f"within_mm is {1e3 * within:g}; the arm reaches too little of that, give less")
 
