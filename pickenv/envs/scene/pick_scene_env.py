@@ -34,8 +34,11 @@ PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25
 HELD_STEPS, REACH_OF_APPLES = 5, 0.85
 """Steps for which a fruit must be held to count, and the reach of an arm before a tree of apple's size."""
 
-SPREAD, ATTEMPTS, TRIES = 64, 2000, 50
+SPREAD, ATTEMPTS = 64, 2000
 """Number of poses over which the mean of `error_mm` is taken, and of poses tried to see where fruit may hang."""
+
+TRIES = 1, 3, 12, 34
+"""Numbers of fruit with a start before them that are drawn together, until the arm reaches both of one."""
 
 
 class PickSceneEnv(ReachEnv):
@@ -225,15 +228,18 @@ class PickSceneEnv(ReachEnv):
         rng, geometry = np.random.default_rng([int(self._key), 1]), self.task.plant.arm.nominal
         place, attitude = forward(geometry, self._favoured)
         how: dict[str, Any] = {"restarts": 0, "position_only": geometry.joints < 6}
-        for _ in range(TRIES):
-            fruit = Pose(place + rng.uniform(-within, within, 3), attitude)
-            ahead = rng.uniform(*self.before)
-            off = np.append((self.beside[0] + self.beside[1] * ahead) * rng.uniform(-1.0, 1.0, 2), -ahead)
-            turn = Rotation.from_rotvec(self.turned * rng.normal(size=3)).as_matrix()
-            start = Pose(fruit.position + attitude @ off * self.scene.around.scale, attitude @ turn)
-            goal = inverse(geometry, fruit, self._favoured, **how)
-            if goal.reached and (begin := inverse(geometry, start, goal.joints, **how)).reached:
-                return goal.joints, begin.joints
+        for count in TRIES:
+            fruit, starts = [], []
+            for _ in range(count):
+                fruit.append(place + rng.uniform(-within, within, 3))
+                ahead = rng.uniform(*self.before)
+                off = np.append((self.beside[0] + self.beside[1] * ahead) * rng.uniform(-1.0, 1.0, 2), -ahead)
+                turn = Rotation.from_rotvec(self.turned * rng.normal(size=3)).as_matrix()
+                starts.append(Pose(fruit[-1] + attitude @ off * self.scene.around.scale, attitude @ turn))
+            goal = inverse(geometry, Pose(np.array(fruit), attitude), self._favoured, **how)
+            begin = inverse(geometry, Pose(*map(np.array, zip(*starts, strict=True))), goal.joints, **how)
+            if (reached := np.flatnonzero(goal.reached & begin.reached)).size:
+                return goal.joints[reached[0]], begin.joints[reached[0]]
         raise InputError(f"within_mm is {1e3 * within:g}; the arm reaches too little of that, give less")
 
     def _start(self, joints: Any) -> Sequence[Scalar]:
