@@ -121,7 +121,9 @@ def python_with(home: Path, *packages: str) -> Path:
     home = home.resolve()
     python, done = home / ("Scripts/python.exe" if os.name == "nt" else "bin/python"), home / "installed"
     install = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *packages]
-    for command in [] if done.is_file() else ([sys.executable, "-m", "venv", "--clear", home], install):
+    if done.is_file():
+        return python
+    for command in ([sys.executable, "-m", "venv", "--clear", home], install):
         ended = subprocess.run(command, capture_output=True, text=True)
         if ended.returncode:
             raise InputError(f"cannot be installed: {last_words(ended.stderr or ended.stdout)}")

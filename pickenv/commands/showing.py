@@ -123,7 +123,7 @@ PARAMETERS = {
 def with_options(text: str) -> str:
     """A text of the library for a person at the command line: parameters in backticks become the command's options.
 
-    ``give `refit` with `test='b.csv'` `` reads "give --refit with --test b.csv"; a list repeats its option. What the
+    ``give `terms` or `test='b.csv'`` `` reads "give --terms or --test b.csv"; a list repeats its option. What the
     running command has no option for, nor `pickenv calibrate`, loses its backticks.
     """
     return re.sub(r"`([A-Za-z_]\w*)(?:=([^`]*))?`", _option, text)

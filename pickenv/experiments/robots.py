@@ -26,6 +26,7 @@ from pickenv.calibration.model.observations import (
     Rows as RowNumbers,
     contiguous_folds,
     equally_spaced,
+    origins_of,
     same_poses,
 )
 from pickenv.calibration.pipeline.fitting import GEOMETRIC
@@ -68,7 +69,7 @@ class RealSet:
         return both[0], both[1]
 
     def load(self, data: Path) -> tuple[Arm, Observations, Observations | None]:
-        """The arm, the rows and the other poses.
+        """The arm, the rows and the other poses; no twin knows what a file says of its repeats, as most say nothing.
 
         Raises:
             InputError: If there are no such files, or they cannot be read.
@@ -78,7 +79,7 @@ class RealSet:
             read_observations(files, arm.nominal, self.columns) if files else None for files in self.paths(data)
         )
         assert rows is not None
-        return arm, rows, poses
+        return arm, replace(rows, origins=replace(origins_of(rows), repeat=None)), poses  # type: ignore[type-var]
 
 
 TABLES: dict[str, Any] = tomllib.loads(Path(__file__).with_name("robots.toml").read_text(encoding="utf-8"))
