@@ -98,10 +98,10 @@ def test_one_flipped_bit_anywhere_in_a_run_is_refused_by_file(folder: Path, name
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["calibration.npz", "calibration_trace.npz", "policy.npz"])
-def test_one_flipped_bit_anywhere_in_a_file_is_refused_500_times(folder: Path, name: str) -> None:
+def test_one_flipped_bit_anywhere_in_a_file_is_refused_200_times(folder: Path, name: str) -> None:
     path = folder / name
     whole = path.read_bytes() if path.exists() else (BASELINES / "ppo_camera.npz").read_bytes()
-    for number in range(500):
+    for number in range(200):
         path.write_bytes(whole)
         flip(path, np.random.default_rng([6, number]))
         code, lines = checked(path)
@@ -239,7 +239,7 @@ def test_an_edited_study_is_refused(study: Path) -> None:
     assert "study.toml" in refused_lines(study)
 
 
-@pytest.mark.parametrize("count", [5, pytest.param(500, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [5, pytest.param(200, marks=pytest.mark.slow)])
 def test_one_flipped_bit_anywhere_in_a_chunk_is_refused(study: Path, count: int) -> None:
     chunk = min((study / "rows").glob("*.parquet"))
     whole = chunk.read_bytes()
