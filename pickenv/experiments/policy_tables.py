@@ -348,8 +348,8 @@ learns to reach on the ideal arm, the others on the smooth arm or, those that re
 delay."""
 
 LEADERBOARD = PolicySettings(
-    policies=("scripted", "servo", "adaptive", "oracle"), compensations=("raw", "ls", "best"), arms=9, episodes=10,
-    plants=tuple(f"{RUNG}{name}" for name in LADDER)[1:], seeds=tuple(range(LEAST_SEEDS)), canopies=4,
+    policies=("scripted", "servo", "adaptive", "oracle"), compensations=("raw", "ls", "best"), arms=12, episodes=10,
+    plants=tuple(f"{RUNG}{name}" for name in LADDER)[1:], seeds=tuple(range(LEAST_SEEDS)), canopies=5,
 )  # fmt: skip
 QUICK = replace(
     LEADERBOARD, policies=("scripted", "servo", "ppo_encoders"), plants=(f"{RUNG}orchard",), arms=1, episodes=4,

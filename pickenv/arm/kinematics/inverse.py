@@ -170,9 +170,9 @@ def _near(geometry: Geometry, position: Array, rotation: Array, count: int) -> A
 def _descend_damped(geometry: Geometry, goals: Pose, q: Array, parts: slice) -> Array:
     """Descend by damped steps within the joint limits; a step that comes no nearer is dropped and damped more."""
     damping = np.full(len(q), 1e-3)
-    error = pose_error(forward(geometry, q), goals)[:, parts]
+    pose, jacobian = task_space.pose_and_jacobian(geometry, q)
+    error, jacobian = pose_error(pose, goals)[:, parts], jacobian[:, parts]
     for _ in range(DAMPED_STEPS):
-        jacobian = task_space.joint_jacobian(geometry, q)[:, parts]
         downhill = np.einsum("kij,ki->kj", jacobian, error)
         locked = ((q <= geometry.lower) & (downhill < 0)) | ((q >= geometry.upper) & (downhill > 0))
         free = jacobian * ~locked[:, None, :]
@@ -181,9 +181,11 @@ def _descend_damped(geometry: Geometry, goals: Pose, q: Array, parts: slice) -> 
         normal = normal + weights[:, :, None] * np.eye(q.shape[-1])
         step = np.linalg.solve(normal, (downhill * ~locked)[..., None])[..., 0]
         trial = (q + step).clip(geometry.lower, geometry.upper)
-        trial_error = pose_error(forward(geometry, trial), goals)[:, parts]
+        pose, moved = task_space.pose_and_jacobian(geometry, trial)
+        trial_error = pose_error(pose, goals)[:, parts]
         nearer = np.sum(trial_error**2, axis=-1) < np.sum(error**2, axis=-1)
         q, error = np.where(nearer[:, None], trial, q), np.where(nearer[:, None], trial_error, error)
+        jacobian = np.where(nearer[:, None, None], moved[:, parts], jacobian)
         damping = np.where(nearer, 0.2 * damping, 5.0 * damping).clip(1e-12, 1e6)
     return q
 
@@ -197,8 +199,8 @@ def _descend(
     active = np.arange(len(q))
     for _ in range(max_iterations):
         joints, some = q[active], Pose(goals.position[active], goals.rotation[active])
-        error = pose_error(forward(geometry, joints), some)[:, parts]
-        jacobian = task_space.joint_jacobian(geometry, joints)[:, parts]
+        pose, jacobian = task_space.pose_and_jacobian(geometry, joints)
+        error, jacobian = pose_error(pose, some)[:, parts], jacobian[:, parts]
         step = _step(jacobian, error, (middle - joints) / half**2, half, rank_tolerance)
         # A joint at its limit that would be pushed outwards is locked, and the others take over its share.
         outward = ((joints <= geometry.lower) & (step < 0)) | ((joints >= geometry.upper) & (step > 0))

@@ -15,14 +15,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dgelss
 
-from pickenv.arm.kinematics.forward import Frame, Scalar, attach, chain_of, frames, split_joints
-from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry
+from pickenv.arm.kinematics.backend import ONE
+from pickenv.arm.kinematics.forward import Frame, Scalar, attach, chain_of, frames, pose_of, split_joints
+from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry, Pose
 
 # Joint and parameter Jacobians of the tool pose, analytic: in components, with a NumPy face for batches of poses.
 # Rows are position (m) and rotation vector (rad) in world axes. The parameter Jacobian is Qiao 2026 eq (8) read as
 # the horizontal concatenation [J_1^6 V_1 ... J_6^6 V_6] (the paper prints a sum), turned from tool into world axes,
 # and extended by Hayati's beta, the base and the tool.
 
+
+FEW = 8
+"""Most poses that are quicker to compute one by one than as arrays."""
 
 Column = tuple[Scalar, ...]
 """One column of a Jacobian, six components: position (m) and rotation vector (rad) in world axes."""
@@ -78,11 +82,33 @@ def joint_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
         Array ``(..., 6, n)``: rows position (m) and rotation vector (rad) in world axes, per rad or m (eq (13)).
     """
     links, tool, shape = _frames(geometry, q)
-    jacobian = np.empty((6, geometry.joints, *shape))
-    for i, column in enumerate(jacobian_columns(geometry, links, tool)):
+    return _stacked(jacobian_columns(geometry, links, tool), shape)
+
+
+def _stacked(columns: Sequence[Column], shape: tuple[int, ...]) -> Array:
+    """Columns of components ``shape`` as one Jacobian ``(..., 6, n)``."""
+    jacobian = np.empty((6, len(columns), *shape))
+    for i, column in enumerate(columns):
         for row, value in enumerate(column):
             jacobian[row, i] = value
     return np.moveaxis(jacobian, (0, 1), (-2, -1))
+
+
+def pose_and_jacobian(geometry: Geometry, q: Array) -> tuple[Pose, Array]:
+    """What `forward` and `joint_jacobian` give for joints ``(K, n)`` of a single geometry, from one walk of the arm.
+
+    Few rows are walked one by one in floats, which costs less than arrays and gives the same bits.
+    """
+    if len(q) > FEW:
+        links, tool, shape = _frames(geometry, q)
+        return pose_of(tool), _stacked(jacobian_columns(geometry, links, tool), shape)
+    chain, tools, jacobian = chain_of(geometry), [], np.empty((len(q), geometry.joints, 6))
+    for row, joints in enumerate(q.tolist()):
+        links = frames(ONE, chain, joints)
+        tools.append(attach(chain.hand(links), chain.tool))
+        jacobian[row] = jacobian_columns(geometry, links, tools[-1])
+    parts = np.array(tools).reshape(-1, 12)
+    return Pose(parts[:, 9:], parts[:, :9].reshape(-1, 3, 3).swapaxes(-1, -2)), jacobian.swapaxes(-1, -2)
 
 
 def parameter_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
