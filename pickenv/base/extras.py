@@ -18,7 +18,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "rl": ("stable_baselines3", "sb3_contrib", "tensorboard"),
     "inspect": ("rerun", "plotly", "matplotlib", "jinja2", "PIL"),
     "scene": ("mujoco",),
-    "render": ("mujoco", "imageio_ffmpeg"),
+    "render": ("mujoco", "imageio_ffmpeg", "moviepy"),
     "camera": ("cv2",),
     "recordings": ("rosbags",),
     "study": ("pyarrow", "joblib", "pandas"),

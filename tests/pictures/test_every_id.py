@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import subprocess
 import sys
-import types
 
 import gymnasium as gym
 import numpy as np
@@ -135,40 +134,10 @@ def test_words_of_a_canopy_and_of_a_zone_say_what_info_says():
         assert words(env)[0] == f"picked {info['collected']} of {info['reachable']}"
 
 
-STUB = """
-def write_videofile(self, path, logger=None):
-    import imageio_ffmpeg
-    height, width = self.frames[0].shape[:2]
-    writer = imageio_ffmpeg.write_frames(path, (width, height), fps=self.fps, macro_block_size=2)
-    writer.send(None)
-    for frame in self.frames:
-        writer.send(frame)
-    writer.close()
-"""
-
-
-@pytest.fixture
-def moviepy(monkeypatch):
-    """RecordVideo's writer; where moviepy is not installed, one with its interface that writes with the same ffmpeg."""
-    try:
-        import moviepy  # noqa: F401
-    except ModuleNotFoundError:
-        namespace = {}
-        exec(STUB, namespace)
-
-        def begin(self, frames, fps):
-            self.frames, self.fps = frames, fps
-
-        clip = type("ImageSequenceClip", (), {"__init__": begin, "write_videofile": namespace["write_videofile"]})
-        for name in ("moviepy", "moviepy.video", "moviepy.video.io", "moviepy.video.io.ImageSequenceClip"):
-            module = types.ModuleType(name)
-            module.ImageSequenceClip = clip
-            monkeypatch.setitem(sys.modules, name, module)
-
-
 @pytest.mark.slow
 @pytest.mark.parametrize("name", IDS)
-def test_record_video_films_every_id(name, moviepy, tmp_path):
+def test_record_video_films_every_id(name, tmp_path):
+    pytest.importorskip("moviepy")
     imageio_ffmpeg = pytest.importorskip("imageio_ffmpeg")
     env = RecordVideo(gym.make(name, render_mode="rgb_array"), str(tmp_path / "films"), episode_trigger=lambda _: True)
     env.reset(seed=0)
