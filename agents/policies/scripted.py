@@ -13,6 +13,7 @@ from pickenv.arm import Array, Plant, Pose, forward, inverse, joint_jacobian, pl
 from pickenv.base import InputError, register
 from pickenv.envs import CONTROL_PERIOD
 from pickenv.harvester import Work, assign, zone_work
+from pickenv.orchard import fruit_regions, load_stereo_camera
 
 
 class ScriptedReach(policy.ReachController):
@@ -173,22 +174,24 @@ class ScriptedScene(ScriptedReach):
 class SeeingScene(ScriptedScene):
     """`ScriptedScene` that looks at the fruit in the wrist camera's pictures while it stands, and corrects by them.
 
-    It takes "pixels_environment_state_agent_pos", finds the red fruit's middle, and takes the camera to be where it is
-    said to be: an error of the camera's place becomes one of the grasp.
+    It takes "pixels_environment_state_agent_pos", finds the largest region of fruit by Li's detector (extra `harvest`),
+    and takes the camera to be where it is said to be: an error of the camera's place becomes one of the grasp.
     """
 
     def __init__(self, env: Any) -> None:
         """Read the arm, the scale and the camera's place on the tool from ``env``."""
         super().__init__(env)
         self._eye, self._eye_axes, self._slope = env.unwrapped.scene.wrist_eye
+        self._detector = load_stereo_camera("li2016")
 
     def _gap(self, observation: Any, reading: policy.ObservationParts) -> Array | None:
-        picture = observation["pixels"]["wrist"].astype(float)
-        rows, columns = np.nonzero(picture[..., 0] > RED * picture[..., 1:].max(axis=-1))
-        if len(rows) < FEWEST:
+        picture = observation["pixels"]["wrist"]
+        centroids, boxes = fruit_regions(self._detector, picture)
+        if not len(boxes):
             return None
+        column, row = centroids[np.prod(boxes[:, 2:] - boxes[:, :2], axis=-1).argmax()]
         half = len(picture) / 2
-        across = np.array([columns.mean() + 0.5 - half, half - 0.5 - rows.mean()]) / half * self._slope
+        across = np.array([column + 0.5 - half, half - 0.5 - row]) / half * self._slope
         ray = self._eye_axes @ [*across, -1.0]
         pose = forward(self.geometry, reading.joints)
         depth = reading.offset @ pose.rotation[:, 2]
@@ -251,9 +254,6 @@ class ServoScene(policy.ReachController):
 
 SETTLED = 16
 """Steps after which an arm that stands is looked at."""
-
-RED, FEWEST = 1.8, 3
-"""How much redder than green or blue a fruit's pixels are, and how many it takes to believe them."""
 
 STRAY = 0.01
 """Share of a shift that may be lost to keep the tool's attitude."""
