@@ -66,6 +66,24 @@ def test_with_a_perfect_arm_states_are_those_of_the_plain_model_to_the_bit():
         assert_array_equal(data.qvel, scene.data.qvel)
 
 
+@pytest.mark.slow
+def test_mjx_moves_the_true_arm_as_mujoco_does():
+    mjx = pytest.importorskip("mujoco.mjx", reason="MJX is not installed; pip install mujoco-mjx")
+    jax = pytest.importorskip("jax")
+    env = made(plant="coarse:ur5e")
+    env.reset(seed=0)
+    model, data, rng = env.scene.model, env.scene.data, np.random.default_rng(0)
+    jax.config.update("jax_enable_x64", True)
+    on_device, step = mjx.put_model(model), jax.jit(mjx.step)
+    moved, start = mjx.put_data(model, data), data.qpos.copy()
+    for _ in range(50):
+        data.ctrl[:6] += rng.uniform(-0.02, 0.02, 6)
+        moved = step(on_device, moved.replace(ctrl=np.array(data.ctrl)))
+        mujoco.mj_step(model, data)
+    assert np.abs(data.qpos - start).max() > 0.02
+    assert_allclose(np.asarray(moved.qpos), data.qpos, rtol=0, atol=1e-10)
+
+
 def rest_gaps(name, plant, poses, **arguments):
     """How far the tool of an arm at rest is from where the plant has it, at drawn poses, m."""
     env = made(plant=plant, **arguments)
