@@ -80,6 +80,8 @@ def policies(
     arms: Annotated[int | None, Option(min=1)] = None,
     episodes: Annotated[int | None, Option(min=1)] = None,
     canopies: Annotated[int | None, Option(min=0)] = None,
+    split: Literal["test", "train"] = "test",
+    seed: Annotated[int, Option(min=0)] = 0,
     seeds: int = 5,
     trainings: Annotated[int | None, Option(min=0)] = None,
     quick: Annotated[bool, Option("--quick")] = False,
@@ -97,7 +99,9 @@ def policies(
         arms: Arms drawn for each seed.
         episodes: Fruits per arm.
         canopies: Canopies for each arm of the picking task; 0 leaves it out.
-        seeds: How many seeds, from 0; at least 5.
+        split: Arms of a rung to be judged on; those of train are for tuning, and to check these figures.
+        seed: The first seed.
+        seeds: How many seeds; at least 5.
         trainings: Trainings of each learned policy, made first; 5 if left out.
         quick: Three policies on one arm a seed: a minute.
         executor: What computes; it does not change the figures.
@@ -115,7 +119,8 @@ def policies(
         usual,
         policies=(*usual.policies, *dict.fromkeys(policy or [])),
         plants=(*(plant or ()), *policy_tables.rungs(rung or ())) or usual.plants,
-        seeds=tuple(range(seeds)),
+        seeds=tuple(range(seed, seed + seeds)),
+        split=split,
         arms=arms or usual.arms,
         episodes=episodes or usual.episodes,
         canopies=usual.canopies if canopies is None else canopies,

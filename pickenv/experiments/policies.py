@@ -84,6 +84,7 @@ class PolicySettings:
         fruit_noise_mm: Standard deviation per axis of the fruit's position as seen.
         plan: How arms are calibrated; its seed is the comparison's.
         canopies: Canopies that each picking policy clears with each arm and gripper, one after the other.
+        split: Arms of a rung: "test", on which policies are judged, or "train".
     """
 
     policies: tuple[str, ...] = ("scripted", "oracle", "servo", "adaptive")
@@ -99,6 +100,7 @@ class PolicySettings:
     fruit_noise_mm: float = 0.0
     plan: methods.CalibrationPlan = field(default_factory=methods.CalibrationPlan)
     canopies: int = 0
+    split: str = "test"
 
     def __post_init__(self) -> None:
         for compensation in self.compensations:
@@ -125,7 +127,7 @@ class PolicySettings:
         own = {**sight, "fruit_noise_mm": self.fruit_noise_mm} if task == "Reach" else {}
         if not plant.startswith(RUNG):
             return own | {"plant": plant, "tolerances": self.tolerances, "population_seed": population_seed(seed)}
-        fixed = on_ladder(task, difficulty=plant.removeprefix(RUNG), split="test")
+        fixed = on_ladder(task, difficulty=plant.removeprefix(RUNG), split=self.split)
         if (asked := self.arms * len(self.levels("seeds"))) > (most := fixed.get("population", 1)):
             raise InputError(f"{plant} has {most} arms to be judged on; {asked} were asked for")
         arms = {name: value for name, value in fixed.items() if name not in ("arms", "population")}

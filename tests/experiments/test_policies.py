@@ -431,6 +431,10 @@ def test_on_a_rung_every_seed_takes_other_arms_and_what_the_rung_fixes_is_fixed(
         env.reset(seed=5, options={"arm": RUNGS.first_arm("rung:orchard", seed) + 3})
         own, drawn = env.unwrapped.plant, plant_at(RUNGS.population("rung:orchard", seed), 3)
         np.testing.assert_allclose(own.geometry.d, drawn.geometry.d, rtol=1e-6)
+    one, other = (
+        settings.population("rung:orchard", 0).geometry.d for settings in (RUNGS, replace(RUNGS, split="train"))
+    )
+    assert (one != other).any(axis=-1).all(), "no arm to train on is one to be judged on"
 
 
 def test_on_a_rung_every_seed_s_arms_are_behind_their_own_calibrations() -> None:
