@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from functools import cached_property, lru_cache
 from typing import Any, Protocol
 
 import numpy as np
@@ -110,7 +111,7 @@ class ArmModel:
             return geometry
         return ArmModel(geometry, terms, np.zeros(sum(len(term.names(geometry)) for term in terms)))
 
-    @property
+    @cached_property
     def parameter_names(self) -> tuple[str, ...]:
         """The geometry's 5n + 12 names, then the terms' coefficients."""
         return self.geometry.parameter_names + tuple(name for term in self.terms for name in term.names(self.geometry))
@@ -345,19 +346,9 @@ class GravityTerm(JointTerm):
     up: tuple[float, float, float]
     payload: bool = False
 
-    def moments(self, geometry: Geometry) -> list[tuple[int, int, str]]:
+    def moments(self, geometry: Geometry) -> tuple[tuple[int, int, str], ...]:
         """(joint, link, moment) of each coefficient; "m" mass at the link's origin, "p" payload at the tool."""
-        moments = []
-        for i in self.joints:
-            driven = [link for link, _ in geometry.links_of(i)]
-            if all(geometry.slides[link] for link in driven):
-                moments += [(i, link, "m") for link in driven]
-            else:
-                links = [j for j, ratio in enumerate(geometry.ratios) if ratio and geometry.carries(driven[0], j)]
-                moments += [(i, j, moment) for j in links for moment in "mxyz" if (j, moment) != (driven[0], "m")]
-            if self.payload:
-                moments.append((i, geometry.links, "p"))
-        return moments
+        return _moments(self, geometry)
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
         """Names made of joint, link and moment: gravity2_3x."""
@@ -389,9 +380,13 @@ class GravityTerm(JointTerm):
         # Axes and origin ``(4, 3, N)`` of each link, and of the tool: of what is carried. About an axis z a lever's
         # weight turns by z . (lever x up) = lever . (up x z).
         driven = (*links[1:], attach(chain.hand(links), chain.tool))
-        placed = [np.stack([np.broadcast_to(a, len(joints)) for a in frame]).reshape(4, 3, -1) for frame in driven]
+        components = np.empty((len(driven), 12, len(joints)))
+        for frame, numbers in zip(driven, components, strict=True):
+            for component, number in enumerate(frame):
+                numbers[component] = number
+        placed = components.reshape(-1, 4, 3, len(joints))
         up = geometry.base.rotation @ np.array(self.up)
-        about = [np.cross(up, frame[2], axisb=0, axisc=0) for frame in placed]
+        about = np.cross(up, placed[:, 2], axisb=1, axisc=1)
         torques = []
         for i, j, moment in self.moments(geometry):
             torque = np.zeros(len(joints))
@@ -418,6 +413,21 @@ class GravityTerm(JointTerm):
         for i in self.joints:
             moments[owners == i] = np.linalg.lstsq(columns[:, owners == i], conditions.torque[:, i], rcond=SHOWN)[0]
         return ComplianceTerm(self.joints, self, tuple(moments.tolist()))
+
+
+@lru_cache(maxsize=16)  # asked for at every step of a corrected arm
+def _moments(term: GravityTerm, geometry: Geometry) -> tuple[tuple[int, int, str], ...]:
+    moments: list[tuple[int, int, str]] = []
+    for i in term.joints:
+        driven = [link for link, _ in geometry.links_of(i)]
+        if all(geometry.slides[link] for link in driven):
+            moments += [(i, link, "m") for link in driven]
+        else:
+            links = [j for j, ratio in enumerate(geometry.ratios) if ratio and geometry.carries(driven[0], j)]
+            moments += [(i, j, moment) for j in links for moment in "mxyz" if (j, moment) != (driven[0], "m")]
+        if term.payload:
+            moments.append((i, geometry.links, "p"))
+    return tuple(moments)
 
 
 KINDS: dict[str, type] = {
