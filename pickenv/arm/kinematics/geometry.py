@@ -178,8 +178,15 @@ class Geometry:
 
     def links_of(self, joint: int) -> list[tuple[int, float]]:
         """Index and ratio of each link that a joint moves (see `Coupling`)."""
-        pairs = enumerate(zip(self.owners, self.ratios, strict=True))
-        return [(link, ratio) for link, (owner, ratio) in pairs if owner == joint and ratio]
+        return self._moved[joint]
+
+    @cached_property
+    def _moved(self) -> list[list[tuple[int, float]]]:
+        moved: list[list[tuple[int, float]]] = [[] for _ in self.prismatic]
+        for link, (owner, ratio) in enumerate(zip(self.owners, self.ratios, strict=True)):
+            if ratio:
+                moved[owner].append((link, ratio))
+        return moved
 
     @property
     def hand(self) -> int:
