@@ -571,7 +571,7 @@ class ScriptedHarvest:
         return dict(zip(observations, self.act(shared).reshape(-1, 3), strict=True))
 
     def _decoded(self, values: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """Return joints, each blade's remaining time, fruit in the base frame, and flags of fruit that hang in reach."""
+        """Return joints, each blade's remaining time, fruit in the base frame, and flags of fruit hanging in reach."""
         machine, n = self.machine, self.machine.joints
         joints = machine.lower + (values[:n] + 1) / 2 * (machine.upper - machine.lower)
         slots = values[n + machine.arms :].reshape(-1, 4)
