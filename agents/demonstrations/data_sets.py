@@ -54,7 +54,7 @@ POLICIES = {
     ("sight", "medium"): "ServoScene with an arm that errs; it sees the fruit exactly",
     ("sight", "random"): "actions drawn evenly",
 }
-"""The policy of each data set."""
+"""Description of the policy of each data set, by task and quality."""
 
 SIGHT: Mapping[str, Any] = {
     "obs_type": "pixels_environment_state_agent_pos",
@@ -102,12 +102,12 @@ def datasets(
         progress: Called with (name, episodes done, total).
 
     Returns:
-        One card per data set: name, environment, policy, seeds, steps, mean return and error, licence, versions, the
-        link parameters of the believed and the true arm, and the SHA-256 of its files.
+        One card per data set. It holds name, environment, policy, seeds, steps, mean return and error, licence and
+        versions. It also holds the link parameters of the believed and the true arm, and the SHA-256 of the files.
 
     Raises:
-        InputError: If a task or quality is unknown, an existing data set was changed or made with other settings, or
-            another process is at work in the folder.
+        InputError: If a task or quality is unknown, or an existing data set was changed or made with other settings.
+            Also if another process is at work in the folder.
         MissingExtra: If Minari is not installed.
     """
     for name in tasks:
@@ -155,7 +155,7 @@ def _kept_or_made(
 
 
 def _reaches(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
-    """Record reaches in the vector environment, all at once."""
+    """Record reaches in the vector environment, all at once, and yield the columns of each."""
     envs: Any = gym.make_vec(TASKS["reach"], num_envs=len(seeds), autoreset_mode="Disabled", executor="numpy")
     policy = load_policy("ppo_encoders", envs.unwrapped.task.plant.arm)
     observations, _ = envs.reset(seed=list(seeds))
@@ -175,7 +175,7 @@ def _reaches(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> It
 
 
 def _episodes(task: str, quality: str, seeds: Sequence[int], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
-    """Record canopies or scenes, one after the other."""
+    """Record canopies or scenes, one after the other, and yield the columns of each."""
     env = gym.make(TASKS[task], **ARMS.get((task, quality), {}))
     if quality == "random":
         policy: Any = RandomReach(env, rng)

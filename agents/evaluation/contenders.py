@@ -38,7 +38,7 @@ class Kind:
     Attributes:
         feedback: Feedback that the policy can use: "encoders", "camera".
         sequential: Whether the policy learns from episode to episode.
-        raw_only: Whether the policy is evaluated without a compensator only, because a compensator would disturb it.
+        raw_only: Whether the policy is evaluated only without a compensator, which would disturb it.
         files: Policy files, one per training seed; empty for a registered policy.
         moves_tool: Whether the policy acts in `pickenv/ReachTool-v0`, where fruit lie elsewhere than for other
             policies.
@@ -212,8 +212,8 @@ def contenders_of(
         allow: Names of the calibrations' reservations to accept (`pickenv.base.obey`).
 
     Raises:
-        InputError: If the numbers of policies, calibrations and labels do not match, a name is unknown, two labels are
-            alike, or a calibration has a reservation that ``allow`` does not name.
+        InputError: If the numbers of policies, calibrations and labels do not match, a name is unknown, or two labels
+            are alike. Also if a calibration has a reservation that ``allow`` does not name.
     """
     pairs = [_pair(policy) for policy in policies]
     calibrations = [None if calibration in (None, NONE) else calibration for calibration in compensate]

@@ -76,8 +76,8 @@ def foreign_policy(path: str | Path, env: Any, seed: int) -> Policy:
         seed: Seed of the policy's own random draws.
 
     Raises:
-        InputError: If the file is missing or damaged, its algorithm is unknown, it defines no ``make_policy``, its code
-            fails, or its model was trained on other observations or actions.
+        InputError: If the file is missing or damaged, its algorithm is unknown, it defines no ``make_policy``, or its
+            code fails. Also if its model was trained on other observations or actions.
     """
     path = Path(path)
     if not path.is_file():

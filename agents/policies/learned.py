@@ -184,7 +184,7 @@ class LearnedPolicy(Actor):
 class LearnedReach(ReachController):
     """Trained actor whose observations are corrected for the delays of readings and actions.
 
-    Joints and gaps are predicted from the actions that are still on their way; see `ReachController`.
+    Joints and gaps are predicted from the actions already sent; see `ReachController`.
     """
 
     def __init__(self, env: Any, policy: LearnedPolicy) -> None:

@@ -42,7 +42,7 @@ def with_traits(
         feedback: Feedback that the policy can use: "encoders", "camera".
         sequential: Whether the policy learns from episode to episode. The function then also takes the keywords
             ``camera_noise_mm``, mm per axis, and ``compensation``, the compensation between policy and arm.
-        raw_only: Whether the policy is compared without a compensator only, because a compensator would disturb it.
+        raw_only: Whether the policy is compared only without a compensator, which would disturb it.
     """
 
     def keep(maker: Maker) -> Maker:

@@ -1,9 +1,9 @@
 """Policies with a memory of past picks: they learn in training how to correct an arm's errors while picking.
 
-They are trained on `pickenv.wrappers.SameArm`. Before each pick they choose how far beside the fruit the arm aims. A
-recurrent policy (LSTM) observes the last pick and keeps a state. A policy with a window observes the last picks and
-weighs them by attention, depending on how near they were. Both are stored as a few matrices in one verified file and
-run by NumPy. Nothing in the file is executed.
+They are trained on `pickenv.wrappers.SameArm`. Before each pick they choose the offset to the fruit at which the arm
+aims. A recurrent policy (LSTM) observes the last pick and keeps a state. A policy with a window observes the last picks
+and weighs them by attention, depending on how near they were. Both are stored as a few matrices in one verified file
+and run by NumPy. Nothing in the file is executed.
 """
 
 from __future__ import annotations
@@ -49,8 +49,9 @@ def attended(xp: Any, given: Mapping[str, Any], memory: PickMemory, seen: Any) -
         seen: Observations ``(N, inputs)``.
 
     Returns:
-        Features ``(N, features)``: the scaled joints of the next pick, each head's weighted mean of the picks' errors
-        and learnt features, and the share of the window that is filled.
+        Features ``(N, features)``, which join three parts. First are the scaled joints of the next pick. Then follow
+        each head's weighted means of the picks' errors and learnt features. Last is the share of the window that is
+        filled.
     """
     n, window = memory.joints, memory.window
     goal = seen[:, :n]
@@ -109,7 +110,7 @@ class RememberingPolicy(Actor):
         return np.zeros((rows, units)), np.zeros((rows, units))
 
     def aim(self, seen: NDArray[Any], state: State) -> tuple[NDArray[np.float32], State]:
-        """Return how far beside the fruit to aim, as actions of `pickenv.wrappers.SameArmVector`, and the next state.
+        """Return the aim's offsets to the fruit, as actions of `pickenv.wrappers.SameArmVector`, and the next state.
 
         Args:
             seen: Observations ``(N, inputs)`` of that wrapper.
@@ -153,7 +154,7 @@ def remembers(name: str | Path) -> bool:
 
 
 class RememberingReach(LookingReach):
-    """Reach policy that aims the nominal arm beside the fruit, as a policy with a memory of past picks decides.
+    """Reach policy that aims the nominal arm at an offset to the fruit, which a policy with a memory chooses.
 
     With a compensator it observes the errors that remain after compensation. It was not trained on those.
     """
@@ -171,7 +172,7 @@ class RememberingReach(LookingReach):
             self._tokens, self._state = self.policy.memory.empty(arms), self.policy.begin(arms)
 
     def corrected(self, rows: NDArray[np.intp], joints: Array) -> Array:
-        """Return joint targets as in `LookingReach`, shifted beside the fruit as the policy decides."""
+        """Return joint targets as in `LookingReach`, shifted by the offsets that the policy chooses."""
         observations = self.policy.memory.shown(scaled_joints(self.geometry, joints), self._tokens[rows])
         actions, state = self.policy.aim(observations, (self._state[0][rows], self._state[1][rows]))
         self._state[0][rows], self._state[1][rows] = state

@@ -93,8 +93,8 @@ class ScriptedScene(ScriptedReach):
     """
 
     FAR, BEFORE, PRESS, AWAY = -0.2, -0.08, 0.003, -0.4
-    """Positions of the tool along its axis relative to the fruit, m at full scale: start of the approach, stop before
-    the fruit, end of the advance, and end of the retreat."""
+    """Positions of the tool along its axis relative to the fruit, m at full scale. They are the start, the stop before
+    the fruit, the end of the advance, and the end of the retreat."""
     STAND, GRIP = 40, 10
     """Number of steps for which the arm stands before the fruit, and for which it grips."""
     _PATIENCE = (0, STAND, 0, GRIP, np.inf)
@@ -225,8 +225,8 @@ class ServoScene(policy.ReachController):
     step."""
     PRESS, BACK, FUNNEL = 0.01, -0.012, (0.004, 0.25)
     """Distance of the aim beyond the fruit, and retreat per step, m at full scale. `FUNNEL` gives the lateral distance
-    to the axis at which the advance slows to 1/e: the larger of its first number, m, and its second number times the
-    remaining gap."""
+    to the axis at which the advance slows to 1/e. The distance is its first number, m, or its second number times the
+    remaining gap, if that is larger."""
 
     def __init__(self, env: Any) -> None:
         """Read the arm and the scene's scale from ``env``."""

@@ -105,8 +105,8 @@ def train(
         progress: Whether to draw a progress bar.
 
     Raises:
-        InputError: If an argument is impossible, there is no intact checkpoint to resume from, an input file has
-            changed since the training began, or another process is at work in the folder.
+        InputError: If an argument is impossible, there is no intact checkpoint to resume from, or an input file has
+            changed since the training began. Also if another process is at work in the folder.
     """
     out = Path(out)
     path = out / CHECKPOINT

@@ -283,7 +283,10 @@ class AccelerationTable:
 
 @toml_table
 class TrueTable:
-    """Table [true] of a machine file; see `pickenv.harvester.true_machine.TrueMachine`."""
+    """Table [true] of a machine file: plants of master and slaves, and errors of each slave's seat on the frame.
+
+    See `pickenv.harvester.true_machine.TrueMachine`.
+    """
 
     master: Annotated[str, PLANT]
     slave: Annotated[str, PLANT]
@@ -388,12 +391,12 @@ def shifted(slave: Geometry, offset: float) -> Geometry:
 
 
 def _wrapped(angle: Array) -> Array:
-    """Angles moved into [-pi, pi)."""
+    """Return angles wrapped to [-pi, pi)."""
     return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
 def travel_time(distance: ArrayLike, speed: ArrayLike, acceleration: ArrayLike) -> Array:
-    """Time of a move from rest to rest, s: 2 sqrt(s/a) while the speed is not reached, else s/v + v/a.
+    """Time of a move from rest to rest, s: 2 sqrt(s/a) if the largest speed is not reached, else s/v + v/a.
 
     Args:
         distance: Lengths s of the moves, m or rad; the sign does not matter. Shapes broadcast.
@@ -427,7 +430,7 @@ def profile(time: ArrayLike, distance: ArrayLike, speed: ArrayLike, acceleration
 
 
 def master_time(machine: Machine, start: ArrayLike, end: ArrayLike) -> Array:
-    """Time of a move of the master, s, (...): all joints start together, and the slowest ends the move.
+    """Time of a move of the master, s, (...). All joints start together, and the slowest joint ends the move.
 
     Args:
         machine: The machine.

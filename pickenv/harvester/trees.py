@@ -22,7 +22,7 @@ SHIPPED = Path(__file__).parent / "picking.toml"
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """One side of a tree as the machine meets it.
+    """One side of a tree, as it stands before the machine.
 
     Attributes:
         fruit: Fruit centres in the base frame, m, (n, 3).

@@ -95,6 +95,8 @@ class TrueMachine:
 class Controller:
     """Converter of nominal joints of the whole machine into commands, with a belief about each arm.
 
+    A belief is a model that predicts the pose of an arm from its commands; see `Belief`.
+
     Attributes:
         machine: The machine as designed.
         master: Belief about the master, or None for its nominal geometry.
@@ -120,7 +122,10 @@ class Controller:
         return np.concatenate([master, *slaves], axis=-1)
 
     def master_command(self, master: ArrayLike) -> Array:
-        """Commands (..., 3) at which the believed frame 3 is at the nominal one of nominal master joints (..., 3)."""
+        """Return the master's commands (..., 3) for nominal joints (..., 3), corrected by the belief about the master.
+
+        At the commands, the believed frame 3 has its origin where the nominal joints put the nominal frame 3.
+        """
         machine, nominal = self.machine, np.asarray(master, dtype=float)
         if self.master is None:
             return nominal
