@@ -4,7 +4,7 @@
     trained = train(Training("ppo", compensate="arm.npz"), "runs/train")                  # a policy of one's own
     policy = load_policy("runs/train/policy.npz")
 
-torch and stable-baselines3 are loaded when training is first asked for.
+torch and stable-baselines3 are imported only when a name that needs them is first used.
 """
 
 from pickenv.base.faces import offered as _offered

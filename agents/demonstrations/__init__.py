@@ -1,1 +1,1 @@
-"""Recorded episodes, and networks that learn from them alone."""
+"""Recorded episodes, and networks that learn from recorded episodes alone."""

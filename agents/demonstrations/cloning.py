@@ -1,8 +1,8 @@
-"""Behaviour cloning: a small network that takes the fruit of `pickenv/PickScene-v0` by what its wrist camera shows.
+"""Behaviour cloning: a small network that picks fruit in `pickenv/PickScene-v0` from the wrist camera's images.
 
-It learns from demonstrations of any policy, without the environment: pictures, joints and gripper in, the tool's step
-out. Between pictures and steps stand points in the picture (the spatial softmax of Levine et al. 2016), and steps are
-those of the tool in its own frame, which look the same wherever the arm stands. Needs torch.
+It learns from recorded demonstrations of any policy. Inputs are image, joints and gripper, and the output is a step of
+the tool. The network reduces an image to feature points (the spatial softmax of Levine et al. 2016). Steps are given in
+the tool's own frame, where they look the same at any joint values. Needs torch.
 """
 
 from __future__ import annotations
@@ -35,24 +35,24 @@ KIND, REMAKE = "clone", "clone the demonstrations anew"
 CAMERA = "wrist"
 
 POINTS, HIDDEN = 16, 256
-"""Points in the picture that it finds, and width of the layers behind them."""
+"""Number of feature points in the image, and width of the hidden layers."""
 
 BATCH, RATE, DECAY, PASSES = 64, 2e-3, 1e-4, 12
-"""Steps in a batch, largest rate of learning and decay of weights (AdamW, one cycle), and passes through the steps."""
+"""Batch size, largest learning rate and weight decay (AdamW with one cycle), and number of epochs."""
 
 
 class Clone(nn.Module):
-    """What was learnt: the tool's next step from a picture, joints and gripper.
+    """Network that predicts the tool's next step from an image, joints and gripper.
 
     Args:
-        numbers: Joints and gripper, n + 1.
-        task: Hash of the nominal arm, its increments in a period and the scale of the scene that it is of.
-        pixels: Width and height of the pictures that it saw.
+        numbers: Number of values for joints and gripper, n + 1.
+        task: Hash of the nominal arm, its increments in a period and the scale of the scene.
+        pixels: Width and height of the images, px.
 
     Attributes:
-        middle: Means of joints and gripper.
-        spread: Their standard deviations.
-        unit: Mean sizes of the steps, m, rad.
+        middle: Means of joints and gripper in the demonstrations.
+        spread: Standard deviations of joints and gripper in the demonstrations.
+        unit: Mean absolute values of the steps, m and rad.
     """
 
     middle: th.Tensor
@@ -72,10 +72,10 @@ class Clone(nn.Module):
             self.register_buffer(name, th.ones(size))
 
     def forward(self, pictures: th.Tensor, numbers: th.Tensor) -> th.Tensor:
-        """Steps ``(b, 7)`` of the tool in its frame and the gripper, in units of their mean sizes.
+        """Return steps ``(b, 7)`` of the tool in its own frame and of the gripper, in units of their mean sizes.
 
         Args:
-            pictures: uint8 ``(b, 3, h, w)``.
+            pictures: Images, uint8 ``(b, 3, h, w)``.
             numbers: Joints and gripper ``(b, n + 1)``.
         """
         seen = self.see(pictures.float() / 255.0 - 0.5)
@@ -87,13 +87,13 @@ class Clone(nn.Module):
         return cast(th.Tensor, self.think(th.cat([mean, 5.0 * (square - mean**2), scaled], dim=1)))
 
     def save(self, path: str | Path) -> Path:
-        """Write one verified file, whole or not at all; ``.npz`` is appended if missing."""
+        """Write the network to one verified file, completely or not at all; ``.npz`` is appended if missing."""
         arrays = {name: value.numpy() for name, value in self.state_dict().items()}
         return write_container(npz_path(path), KIND, {"task": self.task, "pixels": self.pixels}, arrays)
 
     @classmethod
     def load(cls, path: str | Path) -> Clone:
-        """Read what `save` wrote; nothing in it is executed.
+        """Read a file that `save` wrote; nothing in it is executed.
 
         Raises:
             InputError: If the file is missing, damaged or of another kind.
@@ -116,18 +116,18 @@ def clone(
     passes: int = PASSES,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Clone:
-    """Learn to act as demonstrated.
+    """Train a network to imitate demonstrations.
 
     Args:
-        demonstrations: Observations and actions ``(steps, n + 1)`` of each episode; an observation more than actions is
-            the last one. Of the observations, ``["pixels"]["wrist"]`` and ``["agent_pos"]`` are used.
-        env: The `pickenv/PickScene-v0` whose nominal arm they are of.
-        seed: Of first weights and order; same seed, same clone.
-        passes: How often it goes through all steps.
-        progress: Called with (name, passes done, in all).
+        demonstrations: Observations and actions ``(steps, n + 1)`` of each episode. A last observation without an
+            action is ignored. The entries ``["pixels"]["wrist"]`` and ``["agent_pos"]`` of the observations are used.
+        env: A `pickenv/PickScene-v0` with the nominal arm of the demonstrations.
+        seed: Seed of initial weights and of the order of batches; the same seed gives the same network.
+        passes: Number of epochs.
+        progress: Called with (name, epochs done, total).
 
     Raises:
-        InputError: If there are no demonstrations, or they hold no pictures of the wrist camera, or do not fit the arm.
+        InputError: If there are no demonstrations, they hold no images of the wrist camera, or they do not fit the arm.
     """
     check_count("passes", passes)
     check_limit("seed", seed, "seed")
@@ -171,7 +171,7 @@ def _fit(
     passes: int,
     progress: Callable[[str, int, int], None] | None,
 ) -> None:
-    """Train a network to give what is wanted, by the mean absolute error."""
+    """Train a network with the mean absolute error as its loss."""
     batches = -(-len(wanted) // BATCH)
     optimiser = th.optim.AdamW(network.parameters(), RATE, weight_decay=DECAY)
     rates = th.optim.lr_scheduler.OneCycleLR(optimiser, RATE, passes * batches)
@@ -187,11 +187,14 @@ def _fit(
 
 
 class ClonedScene(ReachController):
-    """A clone that drives an arm, by the nominal arm's Jacobian.
+    """Policy that runs a `Clone` and converts its tool steps to joint steps by the nominal arm's Jacobian.
 
     Args:
-        env: The `pickenv/PickScene-v0`, with the wrist's pictures and "agent_pos".
-        network: What it learnt.
+        env: A `pickenv/PickScene-v0` with the wrist camera's images and "agent_pos".
+        network: Trained network.
+
+    Raises:
+        InputError: If the network was trained for another arm, control period or scale.
     """
 
     def __init__(self, env: Any, network: Clone) -> None:
@@ -202,13 +205,13 @@ class ClonedScene(ReachController):
         self.network = network
 
     def reset(self) -> None:
-        """Nothing to forget."""
+        """Do nothing: the policy keeps no state of an episode."""
 
     def act(self, observation: Any) -> NDArray[np.float32]:
-        """The next action ``(n + 1,)``.
+        """Return the next action ``(n + 1,)``.
 
         Raises:
-            InputError: If there is no picture, or of another size than those that it learnt from.
+            InputError: If the observation has no image, or one of another size than those of the training.
         """
         shown, numbers = _looked(observation)
         if len(shown) != self.network.pixels:
@@ -224,7 +227,7 @@ class ClonedScene(ReachController):
 
 
 def _looked(observation: Any) -> tuple[NDArray[Any], Array]:
-    """The wrist's picture, and joints and gripper, of an observation, or those of many."""
+    """Return the wrist camera's image, and joints with gripper, of one observation or of many."""
     try:
         return np.asarray(observation["pixels"][CAMERA]), np.asarray(observation["agent_pos"], dtype=float)
     except (KeyError, TypeError, IndexError) as error:
@@ -234,13 +237,13 @@ def _looked(observation: Any) -> tuple[NDArray[Any], Array]:
 
 
 def _task_of(env: Any) -> str:
-    """A hash of what gives a step its meaning: the nominal arm, its increments and the scale of the scene."""
+    """Return a hash of all that gives a step its meaning: nominal arm, joint increments and scale of the scene."""
     inner = env.unwrapped
     return content_sha256(inner.plant.arm.fingerprint(), np.array(inner.increment).tolist(), inner.scene.around.scale)
 
 
 def _tool_steps(geometry: Geometry, joints: Array, moves: Array) -> Array:
-    """Steps of the tool in its own frame ``(k, 7)``, m, rad, and the gripper's, of steps of joints ``(k, n + 1)``."""
+    """Return steps ``(k, 7)`` of tool, in its own frame, m and rad, and gripper for joint steps ``(k, n + 1)``."""
     steps = np.einsum("kij,kj->ki", joint_jacobian(geometry, joints), moves[:, :-1]).reshape(-1, 2, 3)
     within = np.einsum("kji,kpj->kpi", forward(geometry, joints).rotation, steps).reshape(-1, 6)
     return np.concatenate([within, moves[:, -1:]], axis=1)

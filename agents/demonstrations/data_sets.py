@@ -1,9 +1,11 @@
-"""Recorded episodes to learn from without an environment: Minari data sets of good, middling and random policies.
+"""Minari data sets for learning without an environment, recorded with expert, medium and random policies.
 
-Reach is recorded on `pickenv/ReachScaled-v0`, since a network that reads a gap in metres is blind to millimetres, Pick
-on `pickenv/Pick-v0`, the scene on `pickenv/PickScene-v0`, and sight there too, with pictures. Each data set stands in
-its folder whole or not at all, with a card that says what it is and the hashes of its files; those that are there are
-kept, so that a run that was cut off goes on.
+Task "reach" is recorded on `pickenv/ReachScaled-v0`, because a network that reads a gap in metres is blind to
+millimetres. Task "pick" is recorded on `pickenv/Pick-v0`. Tasks "scene" and "sight" are recorded on
+`pickenv/PickScene-v0`, "sight" with images.
+
+Each data set is written to its folder completely or not at all. A card describes it and holds the hashes of its files.
+Data sets that exist are kept, so that an interrupted run can continue.
 """
 
 from __future__ import annotations
@@ -31,12 +33,12 @@ from pickenv.envs import check_choice, check_count
 
 SCENE = "pickenv/PickScene-v0"
 TASKS = {"reach": "pickenv/ReachScaled-v0", "pick": "pickenv/Pick-v0", "scene": SCENE, "sight": SCENE}
-"""Tasks and the environments that they are recorded on, with default arguments."""
+"""Tasks and the environments on which they are recorded; `ARMS` gives arguments other than the defaults."""
 
 QUALITIES = ("expert", "medium", "random")
 
 EPISODES = {"reach": 256, "pick": 32, "scene": 64, "sight": 150}
-"""Episodes of a data set, where no number is given."""
+"""Default number of episodes of a data set, by task."""
 
 POLICIES = {
     ("reach", "expert"): "the shipped baseline ppo_encoders, without noise",
@@ -52,7 +54,7 @@ POLICIES = {
     ("sight", "medium"): "ServoScene with an arm that errs; it sees the fruit exactly",
     ("sight", "random"): "actions drawn evenly",
 }
-"""The policy of each data set."""
+"""Description of the policy of each data set, by task and quality."""
 
 SIGHT: Mapping[str, Any] = {
     "obs_type": "pixels_environment_state_agent_pos",
@@ -60,7 +62,7 @@ SIGHT: Mapping[str, Any] = {
     "within_mm": 60.0,
     "feedback": "camera",
 }
-"""Arguments of the environment of demonstrations to see: what the demonstrator's camera measures is in its numbers."""
+"""Arguments of the environment of task "sight": images, and in the state the gap that a camera measures."""
 
 ARMS: Mapping[tuple[str, str], dict[str, Any]] = {
     ("scene", "expert"): {"plant": "ideal:so101"},
@@ -70,14 +72,14 @@ ARMS: Mapping[tuple[str, str], dict[str, Any]] = {
     ("sight", "medium"): {"plant": "coarse:ur5e", "error_mm": 5.0, **SIGHT},
     ("sight", "random"): {"plant": "ideal:ur5e", **SIGHT},
 }
-"""Arguments that say which arm a data set is of, where that is not the environment's own."""
+"""Arguments that choose the arm of a data set, where it is not the environment's default arm."""
 
 COLUMNS = ("observations", "actions", "rewards", "terminations", "truncations")
 
 LICENCE = "MIT"
 CARD = "card.json"
 FORMAT = 1
-"""Version of the recorded content; a data set of another version is refused."""
+"""Version of the data sets' format; a data set of another version is refused."""
 
 
 def datasets(
@@ -92,20 +94,20 @@ def datasets(
     """Record Minari data sets: `minari.MinariDataset(FOLDER / "pickenv/reach/expert-v0/data")` reads one.
 
     Args:
-        out: Folder of data sets; Minari finds them by name where MINARI_DATASETS_PATH names it.
+        out: Folder of data sets; Minari finds them by name if MINARI_DATASETS_PATH is this folder.
         tasks: Any of "reach", "pick", "scene" and "sight".
         qualities: Any of "expert", "medium" and "random".
-        episodes: Episodes of each data set; 256 reaches, 32 canopies, 64 scenes or 150 sights if left out.
-        seed: Seed of the episodes and of all that is drawn; no two seeds, tasks or qualities share any.
-        progress: Called with (name, done, in all).
+        episodes: Number of episodes in each data set; by default 256 reaches, 32 canopies, 64 scenes or 150 sights.
+        seed: Seed of episodes and of random actions. Different seeds, tasks or qualities share no random numbers.
+        progress: Called with (name, episodes done, total).
 
     Returns:
-        One card per data set: name, environment, policy, seeds, steps, mean return and error, licence, versions, the
-        links of the believed and the true arm, and the SHA-256 of its files.
+        One card per data set. It holds name, environment, policy, seeds, steps, mean return and error, licence and
+        versions. It also holds the link parameters of the believed and the true arm, and the SHA-256 of the files.
 
     Raises:
-        InputError: If a task or quality is unknown, one that is there was changed or made otherwise, or another process
-            is at work in the folder.
+        InputError: If a task or quality is unknown, or an existing data set was changed or made with other settings.
+            Also if another process is at work in the folder.
         MissingExtra: If Minari is not installed.
     """
     for name in tasks:
@@ -153,7 +155,7 @@ def _kept_or_made(
 
 
 def _reaches(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
-    """Record reaches in the vector environment, all at once."""
+    """Record reaches in the vector environment, all at once, and yield the columns of each."""
     envs: Any = gym.make_vec(TASKS["reach"], num_envs=len(seeds), autoreset_mode="Disabled", executor="numpy")
     policy = load_policy("ppo_encoders", envs.unwrapped.task.plant.arm)
     observations, _ = envs.reset(seed=list(seeds))
@@ -173,7 +175,7 @@ def _reaches(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> It
 
 
 def _episodes(task: str, quality: str, seeds: Sequence[int], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
-    """Record canopies or scenes, one after the other."""
+    """Record canopies or scenes, one after the other, and yield the columns of each."""
     env = gym.make(TASKS[task], **ARMS.get((task, quality), {}))
     if quality == "random":
         policy: Any = RandomReach(env, rng)
@@ -188,16 +190,16 @@ def _episodes(task: str, quality: str, seeds: Sequence[int], rng: np.random.Gene
 
 
 def recorded_episode(env: Any, policy: Policy, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
-    """One episode of a policy: the columns of a data set, and the last `info`.
+    """Run one episode of a policy, and return its columns of a data set and the last `info`.
 
     Args:
-        env: The environment; its episodes end.
-        policy: What acts; its actions are clipped to the environment's -1 to 1.
+        env: Environment with a time limit or an end of its episodes.
+        policy: Policy to run; its actions are clipped to -1 to 1.
         seed: Seed of the episode.
 
     Returns:
-        "observations" (one more than the others; a dictionary where they are), "actions", "rewards", "terminations"
-        and "truncations"; and `info`.
+        The columns by name, and the last `info`. "observations" has one entry more than "actions", "rewards",
+        "terminations" and "truncations". Observations that are dictionaries become a dictionary of arrays.
     """
     observation, info = env.reset(seed=seed)
     policy.reset()
@@ -213,26 +215,29 @@ def recorded_episode(env: Any, policy: Policy, seed: int) -> tuple[dict[str, Any
 
 
 def arms_of(env: Any) -> dict[str, dict[str, list[float]]]:
-    """The present arm of an environment, for the card of a data set: links as "believed" and "true", m and rad."""
+    """Return the link parameters of an environment's nominal arm ("believed") and true arm ("true"), m and rad.
+
+    They go into the card of a data set.
+    """
     plant = env.unwrapped.plant
     arms = {"believed": plant.arm.nominal, "true": plant.geometry}
     return {name: {key: getattr(arm, key).tolist() for key in LINK_PARAMETERS} for name, arm in arms.items()}
 
 
 def _stacked(values: Sequence[Any]) -> Any:
-    """Numbers over time as one array; of dictionaries, a dictionary of arrays."""
+    """Stack values over time into one array, or dictionaries of values into a dictionary of arrays."""
     if isinstance(values[0], Mapping):
         return {name: _stacked([value[name] for value in values]) for name in values[0]}
     return np.array(values)
 
 
 def _numbers(column: Any) -> bytes:
-    """All numbers of a column."""
+    """Return the bytes of all numbers of a column."""
     return b"".join(map(_numbers, column.values())) if isinstance(column, Mapping) else column.tobytes()
 
 
 def _write(folder: Path, name: str, episodes: Sequence[dict[str, Any]], card: dict[str, Any]) -> dict[str, Any]:
-    """Write a data set and its card, and move them into place once both are whole."""
+    """Write a data set and its card, and move them into place once both are complete."""
     from unittest.mock import patch  # late: it brings asyncio
 
     import minari
@@ -277,10 +282,10 @@ def _hashes(folder: Path) -> dict[str, str]:
 
 
 def _kept(folder: Path, asked: dict[str, Any]) -> dict[str, Any]:
-    """The card of a data set that is in its folder, after checking that it is the one asked for, and unchanged.
+    """Return the card of an existing data set, after checking its settings and its files.
 
     Raises:
-        InputError: If it is another one, or was changed.
+        InputError: If it has no card, its settings are not those of ``asked``, or its files were changed.
     """
     otherwise = f"{folder} %s; take it away to have it made anew, or give another `out`"
     try:

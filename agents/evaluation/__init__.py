@@ -1,1 +1,1 @@
-"""Policies on seeded fruit, compared over arms and seeds."""
+"""Evaluation of policies on seeded fruit, compared over arms and seeds."""

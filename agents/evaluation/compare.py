@@ -1,6 +1,6 @@
-"""Compare policies on the same seeded fruit: which ends nearer, where, by how much, and whether it picks more.
+"""Comparison of policies on the same seeded fruit: final errors, error fields, and fruit picked.
 
-A comparison of policies is written as a run folder: every episode, the table, one recording, one page, its figures.
+`write_comparison` writes a run folder: every episode, a summary, a recording, a report and its drawings.
 """
 
 from __future__ import annotations
@@ -38,12 +38,12 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True, eq=False)
 class PolicyComparison:
-    """The result of a comparison.
+    """Result of `compare`.
 
     Attributes:
-        episodes: Every episode of every policy, step by step; a `Comparison`, which has their errors over a field of
-            goals as well, where the environment has an arm that reaches for one fruit.
-        command: Command line that makes the same numbers again.
+        episodes: Every episode of every policy, step by step. It is a `Comparison`, which also holds error fields over
+            a grid of goals, where the environment has an arm that reaches for one fruit.
+        command: Command line that reproduces the numbers.
     """
 
     episodes: RecordedEpisodes
@@ -51,10 +51,14 @@ class PolicyComparison:
 
 
 def write_comparison(result: PolicyComparison, folder: Path) -> list[Path]:
-    """Write the run folder, for `pickenv inspect`, `report` and `figures`.
+    """Write the run folder that `pickenv inspect`, `report` and `figures` read, and return the paths of its files.
+
+    Args:
+        result: Result of `compare`.
+        folder: Folder to write.
 
     Raises:
-        InputError: If it cannot be written.
+        InputError: If the folder cannot be written.
     """
     from pickenv.inspect import write_drawings
     from pickenv.inspect.recordings.policy_recording import record_policies
@@ -85,23 +89,23 @@ def compare(
     progress: Progress | None = None,
     **arguments: Any,
 ) -> PolicyComparison:
-    """Run policies for the same seeded fruit.
+    """Run several policies on the same seeded fruit and compare them.
 
     Args:
-        policies: Kinds, shipped ones, files, or objects with ``act`` and ``reset``.
-        env: Id of the environment; `info` must give tool and fruit positions (docs/recordings.md).
-        compensate: A calibration for each policy: "none", a file, or a file and "#ls" for its least squares alone.
-        labels: Names for people, one for each policy; made from policies and calibrations when left out.
-        episodes: Number of episodes.
-        seed: Seed of fruit and of policies that draw.
-        gripper: Name or file of the gripper that says whether a reach picks.
+        policies: Each policy is a registered name, a shipped baseline, a file, or an object with ``act`` and ``reset``.
+        env: Id of the environment; its `info` must give tool and fruit positions (docs/recordings.md).
+        compensate: Calibration of each policy: "none", a file, or a file and "#ls" for its least-squares part alone.
+        labels: Display names, one for each policy; made from policies and calibrations by default.
+        episodes: Number of episodes of each policy.
+        seed: Seed of the fruit and of the policies' own random draws.
+        gripper: Name or file of the gripper model that decides whether a reach picks its fruit.
         grid_step: Cell size of the error fields, m.
-        allow: Reservations of calibrations to accept, by name.
-        progress: Called with (stage, done, in all).
-        arguments: Further arguments of the environment.
+        allow: Names of the calibrations' reservations to accept (`pickenv.base.obey`).
+        progress: Called with (stage, number done, total).
+        arguments: Further keyword arguments of the environment.
 
     Raises:
-        InputError: If something cannot be compared; one sentence says why.
+        InputError: If a policy, calibration or environment cannot be compared; the message gives the reason.
 
     Example:
         >>> import pickenv
@@ -154,7 +158,7 @@ def compare(
 
 
 def _arm_and_period(env_id: str, arguments: Mapping[str, Any]) -> tuple[Plant | None, float]:
-    """The true arm of an environment, if it has one, and the time of its steps, s."""
+    """Return the plant (the true arm) of an environment, or None without one, and its control period, s."""
     env = _made(env_id, arguments)
     inner: Any = env.unwrapped
     task = getattr(inner, "task", None)
@@ -176,7 +180,7 @@ def _episodes(
     allow: Collection[str],
     ran: Callable[[int], None],
 ) -> list[list[Moment]]:
-    """Every moment of a contender's episodes; ``own_seed`` is of what it draws itself."""
+    """Run a contender's episodes and return all their moments; ``own_seed`` seeds the policy's own random draws."""
     env = _made(env_id, arguments)
     if contender.compensator is not None:
         env = CompensationWrapper(env, contender.compensator, allow)
@@ -198,7 +202,7 @@ def _made(env_id: str, arguments: Mapping[str, Any]) -> gym.Env[Any, Any]:
 def _recorded_policy(
     label: str, episodes: Sequence[Sequence[Moment]], longest: int, plant: Plant | None, judge: Gripper, chance: Array
 ) -> RecordedPolicy:
-    """One policy's episodes as arrays; each stays at its last moment up to the ``longest``, and earns nothing more."""
+    """Return one policy's episodes as arrays, padded to ``longest`` moments with the last moment and reward 0."""
     info = episodes[0][0].info
     padded = [[*episode, *[episode[-1]._replace(reward=0.0)] * (longest - len(episode))] for episode in episodes]
 
@@ -256,7 +260,7 @@ def _recorded_policy(
 
 
 def _capture(judge: Gripper, tool: Pose, fruit: Array, error: Array) -> Array:
-    """Probability ``(E,)`` that the gripper takes each fruit, given the error of the true pose ``(E, 6)``."""
+    """Probability ``(E,)`` that the gripper captures each fruit, given the pose error ``(E, 6)`` of the true tool."""
     aim = attitude_after(tool, -error[:, 3:])[..., 2]
     return capture_probability(judge, *misalignment(fruit - tool.position, tool.rotation[..., 2], aim))
 
@@ -264,7 +268,7 @@ def _capture(judge: Gripper, tool: Pose, fruit: Array, error: Array) -> Array:
 def _field(
     contender: Contender, env_id: str, arguments: Mapping[str, Any], grid: FieldGrid, seed: int, number: int
 ) -> Array:
-    """Final pose errors of a policy over a grid of goals ``(F, 6)``, m and rad: all goals at once, one arm for each."""
+    """Return a policy's final pose errors ``(F, 6)``, m and rad, at the F goals of a grid, one environment each."""
     steps = gym.spec(env_id).max_episode_steps or 60
     envs: gym.vector.VectorEnv[Any, Any, Any] = gym.make_vec(
         env_id, num_envs=len(grid.joints), autoreset_mode="Disabled", **arguments
@@ -286,7 +290,7 @@ def _field(
 def _command(
     policies: Sequence[Given], options: Mapping[str, Any], labels: Sequence[str], arguments: Mapping[str, Any]
 ) -> str:
-    """The command line that makes the same numbers; an object that no command line can give is named by its kind."""
+    """Return the command line that reproduces a comparison; a policy object appears by the name of its type."""
 
     def word(value: Any) -> str:
         return str(value) if isinstance(value, str | Path | int | float) else f"<{type(value).__name__}>"

@@ -1,6 +1,6 @@
-"""The contenders of a comparison: policies and the compensators between them and the arm, by names that people give.
+"""Contenders of a comparison: policies, each with the compensator between it and the arm.
 
-A name on the command line stands for a kind of policy, a shipped one, a file, or a folder of trainings.
+A name on the command line is a registered policy, a shipped baseline, a policy file, or a folder of trainings.
 """
 
 from __future__ import annotations
@@ -28,20 +28,21 @@ from pickenv.inspect.runs.comparison_summary import stage_label
 from pickenv.wrappers import Compensate, ToolSteps
 
 SEQUENTIAL_STEPS = 30
-"""Steps of an episode of a policy that learns from pick to pick: the longest way takes 20."""
+"""Number of steps in an episode of a policy that learns from pick to pick; the longest move takes 20 steps."""
 
 
 @dataclass(frozen=True)
 class Kind:
-    """A kind of policy.
+    """Properties of a policy that an evaluation needs to know.
 
     Attributes:
-        feedback: Feedback that it can use: "encoders", "camera".
-        sequential: Whether it learns from episode to episode.
-        raw_only: Whether a compensator would only stand in its way.
-        files: Files of a learned policy, one per training seed; else empty.
-        moves_tool: Whether it acts in `pickenv/ReachTool-v0`, where fruit lie elsewhere than for other policies.
-        picks: Whether it acts in `pickenv/Pick-v0`, and cannot reach.
+        feedback: Feedback that the policy can use: "encoders", "camera".
+        sequential: Whether the policy learns from episode to episode.
+        raw_only: Whether the policy is evaluated only without a compensator, which would disturb it.
+        files: Policy files, one per training seed; empty for a registered policy.
+        moves_tool: Whether the policy acts in `pickenv/ReachTool-v0`, where fruit lie elsewhere than for other
+            policies.
+        picks: Whether the policy acts in `pickenv/Pick-v0`, and cannot reach.
     """
 
     feedback: tuple[str, ...] = FEEDBACK
@@ -53,16 +54,18 @@ class Kind:
 
     @property
     def steps(self) -> int:
-        """Steps of an episode."""
+        """Number of steps in an episode."""
         return SEQUENTIAL_STEPS if self.sequential else 60
 
 
 def kind_of(name: str) -> Kind:
-    """The kind of policy that a name stands for.
+    """Return the properties of a policy.
+
+    Args:
+        name: Registered policy, shipped baseline, policy file, or folder that holds one training with several seeds.
 
     Raises:
-        InputError: If it is no kind, no shipped policy, no policy file and no folder of one training with several
-            seeds.
+        InputError: If ``name`` is none of these.
     """
     if name in names("policy"):
         maker, plain = get("policy", name), Kind()
@@ -86,20 +89,20 @@ def kind_of(name: str) -> Kind:
 
 
 def load_any(name: str, arm: Arm | None = None) -> LearnedPolicy | RememberingPolicy:
-    """A shipped policy or a policy file, with or without a memory; errors as for `load_policy`."""
+    """Load a shipped baseline or a policy file, with or without a memory; errors as for `load_policy`."""
     return load_remembering(name, arm) if remembers(name) else load_policy(name, arm)
 
 
 def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw") -> PolicyMaker:
-    """A maker of a policy for an environment, from a seed.
+    """Return a function ``(env, seed)`` that makes a policy for an environment.
 
     Args:
         name: Name of a registered or shipped policy, or a policy file (.npz, or as `foreign_policy` takes it).
-        camera_noise_mm: Noise that an adaptive policy expects, per axis.
-        compensation: Compensation that the policy stands behind.
+        camera_noise_mm: Standard deviation of the camera noise that an adaptive policy assumes, mm per axis.
+        compensation: Compensation between the policy and the arm; "raw" for none.
 
     Raises:
-        InputError: If the policy cannot reach, or as for `kind_of`.
+        InputError: If the policy acts in `pickenv/Pick-v0` and cannot reach, or for the reasons that `kind_of` gives.
     """
 
     def make(env: Any, seed: int) -> Policy:
@@ -119,7 +122,7 @@ def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw")
 
 
 def policy_name(name: str) -> str:
-    """Name of a policy in tables: files and folders by the end of their path."""
+    """Return a policy's name for tables; a file or folder is named by the end of its path."""
     path = Path(name)
     if path.suffix in foreign.SUFFIXES:
         return path.stem
@@ -129,7 +132,7 @@ def policy_name(name: str) -> str:
 
 
 def _kind_of_files(folder: str, files: tuple[str, ...]) -> Kind:
-    """The kind of a folder's trainings; they must differ in their seeds alone."""
+    """Return the properties of the trainings in a folder, which must differ in their seeds alone."""
     if not files:
         raise InputError(f"{folder} holds no trainings; give a folder whose folders hold a policy.npz each, one a seed")
     policies = [load_any(file) for file in files]
@@ -152,7 +155,7 @@ def _kind_of_policy(policy: LearnedPolicy | RememberingPolicy) -> Kind:
 
 
 def _envs_of(name: str) -> Callable[..., ReachVectorEnv]:
-    """What makes the environments that a policy is judged in, where `pickenv.agents.roll_out` makes them."""
+    """Return the constructor of the environments in which `pickenv.agents.roll_out` evaluates a policy."""
     kind = kind_of(name)
     if kind.picks:
         raise InputError(f"{policy_name(name)} picks, and cannot be compared on reaches; judge it in pickenv/Pick-v0")
@@ -165,10 +168,10 @@ def _envs_of(name: str) -> Callable[..., ReachVectorEnv]:
 
 NONE = "none"
 LEAST_SQUARES = "ls"
-"""Word after a calibration's name and ``#`` that asks for its least squares alone, without its learnt residual."""
+"""Suffix of a calibration's name, after ``#``, that selects its least-squares part without its learnt residual."""
 
 Given: TypeAlias = str | Path | Policy
-"""A policy: a kind, a shipped one, a file, or an object with ``act`` and ``reset``."""
+"""A policy: a registered name, a shipped baseline, a file, or an object with ``act`` and ``reset``."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -176,8 +179,8 @@ class Contender:
     """One policy of a comparison.
 
     Attributes:
-        label: Name for people.
-        make: Makes the policy for an environment, from a seed.
+        label: Display name.
+        make: Function ``(env, seed)`` that makes the policy for an environment.
         compensator: Compensator between the policy and the arm; None for a raw arm.
     """
 
@@ -195,20 +198,22 @@ def contenders_of(
     camera_noise_mm: float = 0.0,
     allow: Collection[str] = (),
 ) -> list[Contender]:
-    """Policies with their calibrations and names, raw, LS and LS+BPNN first.
+    """Return the contenders of a comparison, those labelled raw, LS and LS+BPNN first.
 
     Args:
-        policies: One or more; a calibration file among them stands for the scripted policy behind it.
-        compensate: A calibration for each policy, in the same order: "none", a file, a file and "#ls" for its least
-            squares alone, or a `Calibration`. One policy is taken with each of several, several with one.
-        labels: Names for people, one for each policy; made from policies and calibrations when left out.
-        arm: The arm that calibrations must be of; None where the environment has none.
-        camera_noise_mm: Noise that an adaptive policy expects, per axis.
-        allow: Reservations of calibrations to accept, by name.
+        policies: One or more policies. A calibration file among them stands for the scripted policy with this
+            calibration.
+        compensate: Calibration of each policy, in the same order: "none", a file, a file and "#ls" for its
+            least-squares part alone, or a `Calibration`. One policy is combined with each of several calibrations, and
+            one calibration with each of several policies.
+        labels: Display names, one for each policy; made from policies and calibrations by default.
+        arm: Arm to which the calibrations must belong; None where the environment has none.
+        camera_noise_mm: Standard deviation of the camera noise that an adaptive policy assumes, mm per axis.
+        allow: Names of the calibrations' reservations to accept (`pickenv.base.obey`).
 
     Raises:
-        InputError: If their numbers do not fit, a name is unknown, two have one name, or something stands against a
-            calibration.
+        InputError: If the numbers of policies, calibrations and labels do not match, a name is unknown, or two labels
+            are alike. Also if a calibration has a reservation that ``allow`` does not name.
     """
     pairs = [_pair(policy) for policy in policies]
     calibrations = [None if calibration in (None, NONE) else calibration for calibration in compensate]
@@ -240,11 +245,18 @@ def contenders_of(
 
 
 def load_compensator(path: str | Path, arm: Arm, allow: Collection[str] = ()) -> Compensate:
-    """The compensator of a calibration file, for environments whose fruit stand in the arm's own base frame.
+    """Load a calibration file and return its compensator.
+
+    It is meant for environments whose fruit positions are given in the arm's own base frame.
+
+    Args:
+        path: Calibration file.
+        arm: Arm to which the calibration must belong.
+        allow: Names of the calibration's reservations to accept (`pickenv.base.obey`).
 
     Raises:
-        InputError: If the file is missing, damaged or of another arm, or if something stands against its calibration
-            that ``allow`` does not name (`pickenv.base.obey`).
+        InputError: If the file is missing, damaged or of another arm, or has a reservation that ``allow`` does not
+            name.
     """
     calibration = Calibration.load(path, arm)
     obey(calibration.reservations(), allow)
@@ -252,10 +264,10 @@ def load_compensator(path: str | Path, arm: Arm, allow: Collection[str] = ()) ->
 
 
 def check_labels(labels: Sequence[str]) -> None:
-    """Refuse names that a viewer cannot tell apart, or that it cannot say.
+    """Raise an error for labels that give viewers an empty key, or the same key twice.
 
     Raises:
-        InputError: If a label has no letter or digit, or two are alike but for signs and capitals.
+        InputError: If a label has no letter or digit, or two labels differ in punctuation and capitals only.
     """
     keys = [policy_key(label) for label in labels]
     for key, label in zip(keys, labels, strict=True):
@@ -270,7 +282,7 @@ def _ready(policy: Policy) -> PolicyMaker:
 
 
 def _pair(policy: Given) -> tuple[Given, str | Path | Calibration | None]:
-    """A policy, and the calibration that its name stands for if it is one's."""
+    """Return a policy and its calibration; a calibration file gives the scripted policy with this calibration."""
     if not isinstance(policy, str | Path):
         return policy, None
     path, training = Path(str(policy).partition("#")[0]), Path(policy) / "policy.npz"
@@ -283,7 +295,7 @@ def _pair(policy: Given) -> tuple[Given, str | Path | Calibration | None]:
 def _calibrated(
     given: str | Path | Calibration | None, arm: Any, allow: Collection[str]
 ) -> tuple[str, Compensate | None]:
-    """A calibration's name among policies, and its compensator."""
+    """Return a calibration's name for labels, "raw" without a calibration, and its compensator."""
     if given is None:
         return "raw", None
     calibration, part = given, ""
@@ -303,7 +315,7 @@ def _name(policy: Given) -> str:
 
 
 def _labels(policies: Sequence[str], stages: Sequence[str]) -> list[str]:
-    """Labels of contenders that say what differs between them: the stage, the policy, or both."""
+    """Return labels that name what differs between the contenders: the calibration, the policy, or both."""
     if len(policies) == 1:
         return [policies[0] if stages[0] == "raw" else stages[0]]
     if len(set(policies)) == 1:

@@ -1,4 +1,4 @@
-"""Running policies on seeded fruit and collecting how far the true tool ends from each."""
+"""Runs of policies on seeded fruit, and the final distance between true tool and fruit of each episode."""
 
 from __future__ import annotations
 
@@ -16,23 +16,24 @@ from pickenv.envs import PickVectorEnv
 from pickenv.inspect.runs.recorded_episodes import Reaches as Reaches, believed_joints, reaches_of
 
 FRUIT = ("collected", "damaged", "attempted", "reachable")
-"""Counts of each canopy's fruit."""
+"""Names of the counts of fruit that `pick_canopies` returns for each canopy."""
 
 
 def pick_canopies(
     policy: Any, envs: PickVectorEnv, seed: int | Sequence[int], options: dict[str, Any] | None = None
 ) -> dict[str, Array]:
-    """Let a policy pick one canopy in each environment.
+    """Run a policy on one canopy in each of N environments, and sum up the outcomes.
 
     Args:
-        policy: Acts on observations ``(N, k)``.
-        envs: The environments, which begin anew by themselves.
-        seed: As `reset` takes it.
-        options: As `reset` takes them.
+        policy: Policy that acts on observations ``(N, k)``.
+        envs: The environments, which reset themselves after an episode.
+        seed: Seed or seeds, passed to `reset`.
+        options: Options, passed to `reset`.
 
     Returns:
-        Arrays ``(N,)``: `FRUIT`, "duration_s" and "steps" of the canopy; "reward", the sum over these steps; and sums
-        over grasps, "error_sum_mm" of the distance between fruit and true tool, and "tilt_sum_deg".
+        Arrays ``(N,)`` by name: the counts `FRUIT`, "duration_s" and "steps" of the canopy, and "reward", the sum over
+        these steps. Two more are sums over grasps: "error_sum_mm" of the distance between fruit and true tool, and
+        "tilt_sum_deg" of the angle between true tool axis and the vertical.
     """
     policy.reset()
     observation, _ = envs.reset(seed=seed, options=options)
@@ -62,17 +63,18 @@ LONGEST_EPISODE = 10_000
 
 
 def episode_seeds(seed: int, count: int) -> tuple[int, ...]:
-    """Seeds of ``count`` evaluation episodes; they differ from those of any other ``seed`` and of any training."""
+    """Return seeds for ``count`` evaluation episodes, none of which another ``seed`` or any training uses."""
     return tuple(seed_words(stream(seed, "fruit"), count))
 
 
 class Moment(NamedTuple):
-    """The state of an episode after a reset or a step.
+    """Reward and info of an episode after its reset or after one of its steps.
 
     Attributes:
         reward: Reward of the step; 0 after the reset.
         info: The environment's info.
-        target: Joints at which the controller believes the arm to be ``(n,)``; None where it does not tell.
+        target: Joint values ``(n,)`` at which the controller believes the arm to be, rad or m; None if the environment
+            does not report them.
     """
 
     reward: float
@@ -81,10 +83,10 @@ class Moment(NamedTuple):
 
 
 def moments_of(env: gym.Env[Any, Any], policy: Policy, seed: int) -> Iterator[Moment]:
-    """Run one episode, moment by moment from the reset on, in an environment with a time limit.
+    """Run one episode and yield a `Moment` after the reset and after each step.
 
     Raises:
-        InputError: If the episode does not end.
+        InputError: If the episode does not end within `LONGEST_EPISODE` steps.
     """
     observation, info = env.reset(seed=seed)
     policy.reset()
@@ -100,7 +102,7 @@ def moments_of(env: gym.Env[Any, Any], policy: Policy, seed: int) -> Iterator[Mo
 def run_episodes(
     env: gym.Env[Any, Any], policy: Policy, seeds: Sequence[int], progress: Callable[[int], None] | None = None
 ) -> list[list[Moment]]:
-    """Run one episode per seed and keep every moment; arguments and errors as for `run_reaches`."""
+    """Run one episode per seed and return the moments of each; arguments and errors as for `run_reaches`."""
     if not seeds:
         raise InputError("there are no episodes to run; give at least one seed")
     episodes = []
@@ -114,13 +116,13 @@ def run_episodes(
 def run_reaches(
     env: gym.Env[Any, Any], policy: Policy, seeds: Sequence[int], progress: Callable[[int], None] | None = None
 ) -> Reaches:
-    """Run one episode per seed and keep the last step of each.
+    """Run one episode per seed and return the last step of each.
 
     Args:
-        env: A reach environment with its time limit.
-        policy: The policy.
+        env: A reach environment with a time limit.
+        policy: Policy to run.
         seeds: One seed per episode; the same seeds give the same fruit to every policy.
-        progress: Called after each episode with the number done.
+        progress: Called after each episode with the number of episodes done.
 
     Raises:
         InputError: If there are no seeds, or an episode does not end.

@@ -1,4 +1,4 @@
-"""Many reaches at once through the native vector environment: one row per arm and fruit, the same for every policy."""
+"""Reaches of many arms at once in pickenv's vector environment, with one row per pair of arm and fruit."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from pickenv.orchard import Gripper, capture_probability, misalignment
 from pickenv.wrappers import Compensate
 
 MOST_ROWS = 2048
-"""Rows that a vector environment hands to a compensator in one piece (`pickenv.envs.reaching.batch.BLOCK`)."""
+"""Most rows that a vector environment passes to a compensator in one call (`pickenv.envs.reaching.batch.BLOCK`)."""
 
 PolicyMaker = Callable[[Any, int], Policy]
-"""Makes a policy for an environment, from a seed."""
+"""Function ``(env, seed)`` that makes a policy for an environment."""
 
 
 @dataclass(frozen=True, eq=False)
 class Rollout:
-    """The ends of episodes on many arms, and the way there.
+    """Final steps of R episodes on many arms, and the position error after each step.
 
     Attributes:
-        reaches: Last steps of R episodes.
-        arm: Number of each episode's arm ``(R,)``.
-        wanted_rotation: Wanted attitudes ``(R, 3, 3)``.
+        reaches: Last step of each episode.
+        arm: Index of each episode's arm ``(R,)``.
+        wanted_rotation: Wanted tool attitudes ``(R, 3, 3)``.
         error_mm: Distance between true tool and fruit after each step ``(steps, R)``.
     """
 
@@ -42,20 +42,25 @@ class Rollout:
     error_mm: Array
 
     def capture(self, gripper: Gripper) -> Array:
-        """Probability ``(R,)`` that the gripper takes each fruit."""
+        """Probability ``(R,)`` that the gripper captures the fruit at the end of each episode."""
         target = Pose(np.zeros((len(self.arm), 3)), self.wanted_rotation)
         axis = displace_pose(target, self.reaches.pose_error).rotation[..., 2]
         offset = self.reaches.fruit_position - self.reaches.tool_position
         return capture_probability(gripper, *misalignment(offset, axis, self.wanted_rotation[..., 2]))
 
     def cycle_steps(self, tolerance_mm: float) -> Array:
-        """Steps until the tool is within ``tolerance_mm`` to stay ``(R,)``; NaN where it never is."""
+        """Number of steps ``(R,)`` until the error stays within ``tolerance_mm`` to the end; NaN if it never does."""
         inside = np.flip(np.logical_and.accumulate(np.flip(self.error_mm <= tolerance_mm, axis=0), axis=0), axis=0)
         return np.where(inside.any(axis=0), inside.argmax(axis=0) + 1.0, np.nan)
 
 
 def per_arm(compensators: Sequence[Compensate], arm: ArrayLike) -> Compensate:
-    """A compensator for a vector environment whose rows are the arms ``arm (R,)``; each arm has its own compensator."""
+    """Return a compensator that corrects each row of a vector environment by its own arm's compensator.
+
+    Args:
+        compensators: One compensator per arm.
+        arm: Index of the arm of each row ``(R,)``.
+    """
     rows = np.asarray(arm)
 
     def corrected(joints: Array) -> Array:
@@ -82,19 +87,21 @@ def roll_out(
     first: int = 0,
     **arguments: Any,
 ) -> Rollout:
-    """Let a policy reach for ``episodes`` fruits on each of ``arms`` arms.
+    """Run a policy on ``episodes`` fruit with each of ``arms`` arms.
 
     Args:
-        make: Makes the policy; its attribute ``envs``, where it has one, makes the environments.
+        make: Function ``(env, seed)`` that makes the policy; its attribute ``envs``, if it has one, makes the
+            environments.
         arms: Number of arms of the population.
-        episodes: Fruits per arm. Fruit, arms and camera noise depend on ``seed`` alone, so that runs can be paired.
-        seed: Seed of the episodes and of the policy's own draws.
+        episodes: Number of fruit per arm. Fruit, arms and camera noise depend on ``seed`` alone, so that runs can be
+            paired.
+        seed: Seed of the episodes and of the policy's own random draws.
         compensators: One compensator per arm, or None for raw arms.
-        sequential: Whether each arm meets its fruit one after the other, for policies that learn from episode to
+        sequential: Whether each arm reaches for its fruit one after the other, for policies that learn from episode to
             episode.
-        steps: Steps of an episode.
-        first: Number of the first arm in its population; the others follow.
-        arguments: Further arguments of `pickenv/Reach-v0`.
+        steps: Number of steps in an episode.
+        first: Index of the first arm in its population; the others follow it.
+        arguments: Further keyword arguments of `pickenv/Reach-v0`.
 
     Raises:
         InputError: If there are no arms or no episodes.

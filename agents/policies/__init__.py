@@ -1,1 +1,1 @@
-"""Policies: scripted, servoed, adaptive, learned."""
+"""Scripted, visual-servoing, adaptive and learned policies."""

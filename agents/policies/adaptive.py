@@ -1,8 +1,9 @@
-"""Policies that go on calibrating while they pick: a Kalman filter learns from what was seen or felt of past picks.
+"""Policies that calibrate the arm while they pick: a Kalman filter per arm learns from each pick.
 
-In Reach such a policy drives open loop, corrected by its own estimate of the arm. Once it stands still before a fruit,
-it averages the camera's view; when the next episode begins, each arm's filter takes that as one observation of the
-tool's position. In Pick every fruit that the gripper took is one observation.
+In `pickenv/Reach-v0` such a policy drives open loop to joint targets that its own estimate of the arm corrects. Once
+the arm stands still at a fruit, the policy averages the camera's measurements. When the next episode begins, each arm's
+filter takes this average as one measurement of the tool's position. In `pickenv/Pick-v0` every fruit that the gripper
+took gives one measurement.
 """
 
 from __future__ import annotations
@@ -20,28 +21,30 @@ from pickenv.calibration import aimed, link_model, random_joints
 from pickenv.calibration.identification import extended_kalman_filter
 
 CALIBRATED_PRIOR = 0.2
-"""Share of the parameters' tolerances that an adaptive policy expects to be left behind a calibration."""
+"""Prior standard deviation of the parameters' errors after a calibration, as a share of their tolerances."""
 
 ARRIVED = 0.02
-"""Share of an increment; an arm whose largest action is below it counts as standing."""
+"""Share of a joint increment; an arm whose largest action is below it counts as standing still."""
 
 
 class LookingReach(ScriptedReach):
-    """Reach where a correction says, look while standing there, and learn from the pictures as the next episode begins.
+    """Base class of reach policies that learn each arm's errors from the camera at past fruit.
 
-    Rows of a batch are arms. Subclasses say what is believed of the arms, and how to correct and learn.
+    The policy drives to corrected joint targets, and averages the camera's measurements while the arm stands there. It
+    learns from the average when the next episode begins. Each row of a batch is one arm. Subclasses define how the arms
+    are modelled, corrected and learnt: `meet`, `corrected` and `learn`.
     """
 
     called = "remembering"
-    """Its name in sentences."""
+    """Name of the policy in error messages."""
 
     def __init__(self, env: Any) -> None:
-        """``env`` gives the nominal arm."""
+        """Read the nominal arm from ``env``."""
         super().__init__(env)
         self._count: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
 
     def reset(self) -> None:
-        """Learn from the last episode."""
+        """Learn from the last episode and prepare for the next."""
         super().reset()
         rows = np.flatnonzero(self._count)
         if len(rows):
@@ -49,10 +52,10 @@ class LookingReach(ScriptedReach):
         self._count = np.zeros(len(self._count), dtype=np.int64)
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The next action.
+        """Return the next action ``(n,)``, or actions ``(N, n)`` for N observations.
 
         Raises:
-            InputError: If the observation holds no camera.
+            InputError: If the observation holds no camera measurement.
         """
         reading = read_observation(self.geometry, np.atleast_2d(observation))
         camera = camera_of(reading, self.called)
@@ -69,35 +72,40 @@ class LookingReach(ScriptedReach):
         return action[0] if np.ndim(observation) == 1 else action
 
     def meet(self, arms: int) -> None:
-        """Begin anew with so many arms, unless there are as many already."""
+        """Start with ``arms`` arms that have not picked yet, unless the policy already has that many."""
         raise NotImplementedError
 
     def corrected(self, rows: NDArray[np.intp], joints: Array) -> Array:
-        """Joint targets that bring the arms ``rows``, as believed, to the place of the nominal arm at ``joints``."""
+        """Return joint targets at which the arms, as modelled so far, reach the nominal arm's tool positions.
+
+        Args:
+            rows: Indices of the arms ``(r,)``.
+            joints: Joint values of the nominal arm ``(r, n)``, rad or m.
+        """
         raise NotImplementedError
 
     def learn(self, rows: NDArray[np.intp], joints: Array, seen: Array, looks: NDArray[Any]) -> None:
-        """Learn where arms' tools were.
+        """Update the models of arms with measured tool positions.
 
         Args:
-            rows: Numbers of the arms.
-            joints: Joints at which they stood ``(rows, n)``, rad or m.
-            seen: Mean position at which each tool was seen ``(rows, 3)``, m.
-            looks: Number of pictures behind each mean ``(rows,)``.
+            rows: Indices of the arms ``(r,)``.
+            joints: Joint values at which the arms stood ``(r, n)``, rad or m.
+            seen: Mean measured position of each tool ``(r, 3)``, m.
+            looks: Number of measurements averaged in each mean ``(r,)``.
         """
         raise NotImplementedError
 
     def _note(self, reading: ObservationParts, camera: Array, arrived: NDArray[np.bool_]) -> None:
-        """Add one picture to the averages of the arms that stand."""
+        """Add one camera measurement to the averages of the arms that stand still."""
         self._joints = np.where(arrived[:, None], reading.joints, self._joints)
         self._sum += np.where(arrived[:, None], reading.seen - camera, 0.0)
         self._count += arrived
 
 
 class AdaptiveReach(LookingReach):
-    """Reach with an arm model that every pick improves; rows of a batch are arms, each with its own filter.
+    """Reach policy that updates a Kalman filter of each arm's parameters after every pick.
 
-    Behind a compensator it learns what the compensator leaves: the arm that it sees is the compensated one.
+    Each row of a batch is one arm. With a compensator, the filter models the errors that remain after compensation.
     """
 
     called = "adaptive"
@@ -108,11 +116,11 @@ class AdaptiveReach(LookingReach):
         """Start the filters from the nominal arm.
 
         Args:
-            env: The environment, which gives the nominal arm.
-            camera_std: Standard deviation per axis of what the camera sees, m.
-            unmodelled_std: What the geometry cannot explain, m.
-            prior: Standard deviation of a parameter before the first pick, in its tolerances; small for a calibrated
-                arm.
+            env: Environment, which gives the nominal arm.
+            camera_std: Standard deviation of the camera's noise per axis, m.
+            unmodelled_std: Standard deviation per axis of the position errors that the geometry cannot explain, m.
+            prior: Standard deviation of each parameter before the first pick, in units of its tolerance; small for a
+                calibrated arm.
         """
         super().__init__(env)
         self.camera_std, self.unmodelled_std, self.prior = camera_std, unmodelled_std, prior
@@ -123,16 +131,16 @@ class AdaptiveReach(LookingReach):
         self.filters: list[extended_kalman_filter.FilterState] = []
 
     def meet(self, arms: int) -> None:
-        """Begin with the nominal arm, unless there are as many arms already."""
+        """Start ``arms`` filters from the nominal arm, unless there are that many already."""
         if len(self.filters) != arms:
             self.filters = [self.start] * arms
 
     def corrected(self, rows: NDArray[np.intp], joints: Array) -> Array:
-        """As in `LookingReach`: by the arms that the filters believe in."""
+        """Return joint targets as in `LookingReach`, corrected by the filters' arm models."""
         return aimed(self.geometry, [self.filters[row] for row in rows], joints)
 
     def learn(self, rows: NDArray[np.intp], joints: Array, seen: Array, looks: NDArray[Any]) -> None:
-        """As in `LookingReach`: each filter takes one observation."""
+        """Update each arm's filter with one measurement; arguments as in `LookingReach`."""
         for i, at, tool, count in zip(rows, joints, seen, looks, strict=True):
             # The fruit is seen once per episode, the gap in every picture.
             std = float(np.sqrt(self.camera_std**2 * (1.0 + 1.0 / int(count)) + self.unmodelled_std**2))
@@ -140,22 +148,23 @@ class AdaptiveReach(LookingReach):
 
 
 class FeelingPick(ScriptedPick):
-    """Pick as scripted, aimed beside each fruit by what the gripper felt of the fruit that the same arm took before.
+    """`ScriptedPick` whose aim is corrected by what the gripper measured at earlier fruit of the same arm.
 
-    Several canopies follow each other with `reset` in between; another arm wants another policy. Fruit that the gripper
-    missed teaches nothing.
+    Call `reset` between canopies, and make a new policy for another arm. The policy learns nothing from fruit that the
+    gripper missed.
     """
 
     def __init__(self, env: Any, memory: LookingReach, **how: Any) -> None:
-        """Pick in ``env``, a `pickenv/Pick-v0` with `feedback="gripper"`.
+        """Make the policy for ``env``, a `pickenv/Pick-v0` with `feedback="gripper"`.
 
         Args:
-            env: The environment, single or native vector.
-            memory: What learns the arms and corrects by them; its arms are the environment's.
-            how: Arguments of `ScriptedPick`, but for `patience`: what is learnt is of arms that have arrived.
+            env: Environment, single or native vector.
+            memory: Policy that models the arms and corrects joint targets; its arms are those of ``env``.
+            how: Keyword arguments of `ScriptedPick` except `patience`, because the policy learns from arms that have
+                arrived.
 
         Raises:
-            InputError: If the gripper of ``env`` feels nothing.
+            InputError: If the gripper of ``env`` measures nothing.
         """
         if env.unwrapped.orchard.felt is None:
             raise InputError("this policy learns from the gripper; make the environment with feedback='gripper'")
@@ -163,12 +172,12 @@ class FeelingPick(ScriptedPick):
         self.memory = memory
 
     def reset(self) -> None:
-        """Forget the last canopy, but not the arm."""
+        """Forget the last canopy, but keep what was learnt about the arm."""
         super().reset()
         self._held: NDArray[np.bool_] = np.zeros(0, dtype=np.bool_)
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The next action; what the gripper has just taken is learnt from first."""
+        """Return the next action, after learning from fruit that the gripper has just taken."""
         values = np.atleast_2d(np.asarray(observation, dtype=float))
         held = values[:, -6] + values[:, -5] > 0.5
         if len(self._held) == len(held):
@@ -186,6 +195,13 @@ class FeelingPick(ScriptedPick):
 @register("policy", "adaptive")
 @with_traits(("camera",), sequential=True)
 def adaptive(env: Any, seed: int, *, camera_noise_mm: float = 0.0, compensation: str = "raw") -> Policy:
-    """An adaptive policy that expects this camera noise, and smaller arm errors behind a compensation."""
+    """Make an `AdaptiveReach` for a level of camera noise; with a compensation it assumes smaller arm errors.
+
+    Args:
+        env: Environment, which gives the nominal arm.
+        seed: Not used.
+        camera_noise_mm: Standard deviation of the camera's noise, mm per axis.
+        compensation: Compensation between the policy and the arm; "raw" for none.
+    """
     prior = 1.0 if compensation == "raw" else CALIBRATED_PRIOR
     return AdaptiveReach(env, camera_std=camera_noise_mm * 1e-3, prior=prior)

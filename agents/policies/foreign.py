@@ -1,6 +1,7 @@
-"""Policies that others trained or wrote: registered ones, a zip of Stable-Baselines3, a file with `make_policy`.
+"""Policies that others trained or wrote: registered policies, Stable-Baselines3 zip files, files with `make_policy`.
 
-All execute what they hold, so load only what you trust; a policy file (.npz) of `pickenv train` executes nothing.
+All of them execute the code that they hold, so load only what you trust. A policy file (.npz) of `pickenv train`
+executes nothing.
 """
 
 from __future__ import annotations
@@ -33,20 +34,20 @@ TELLING: Mapping[str, tuple[str, str]] = {
     "clip_range": ("stable_baselines3", "PPO"),
     "gae_lambda": ("stable_baselines3", "A2C"),
 }
-"""For each setting by which a zip's algorithm is recognised, tried in this order: the algorithm's module and name."""
+"""Module and name of the algorithm for each setting that identifies it in a zip file; tried in this order."""
 
 RECURRENT = ("sb3_contrib", "RecurrentPPO")
-"""Module and name of the algorithm of a zip whose policy class is recurrent; its other settings are PPO's."""
+"""Module and name of the algorithm for a zip file whose policy class is recurrent; its other settings are PPO's."""
 
 
 class Sb3Policy:
-    """A model of Stable-Baselines3, acting without noise, on one observation or a batch.
+    """Policy that runs a Stable-Baselines3 model deterministically, on one observation or a batch.
 
-    A recurrent model remembers within an episode.
+    A recurrent model keeps its state within an episode.
 
     Attributes:
-        model: The model.
-        scaling: For a model trained on `pickenv/ReachScaled-v0`, the scaling of its observations and actions.
+        model: The Stable-Baselines3 model.
+        scaling: Scaling of observations and actions for a model trained on `pickenv/ReachScaled-v0`; None for others.
     """
 
     def __init__(self, model: Any, scaling: Scaling | None = None) -> None:
@@ -58,7 +59,7 @@ class Sb3Policy:
         self._state: Any = None
 
     def act(self, observation: Any) -> NDArray[np.float32]:
-        """The next action, or actions."""
+        """Return the next action, or one action per observation of a batch."""
         inputs = observation if self.scaling is None else self.scaling.shown(observation)
         begins = np.full(len(inputs) if np.ndim(inputs) == 2 else 1, self._state is None)
         action, self._state = self.model.predict(inputs, self._state, begins, deterministic=True)
@@ -66,17 +67,17 @@ class Sb3Policy:
 
 
 def foreign_policy(path: str | Path, env: Any, seed: int) -> Policy:
-    """Load a policy for an environment.
+    """Load a policy for an environment from a Stable-Baselines3 zip file or a Python file.
 
     Args:
-        path: A zip that a model's ``save`` wrote, or a Python file with ``make_policy(env, seed)``; what that returns
-            has ``act(observation)`` and ``reset()``.
-        env: The environment, single or vector.
-        seed: Of the policy's own draws.
+        path: Zip file that a model's ``save`` wrote, or Python file that defines ``make_policy(env, seed)``. The object
+            that this function returns must have ``act(observation)`` and ``reset()``.
+        env: Environment, single or vector.
+        seed: Seed of the policy's own random draws.
 
     Raises:
-        InputError: If there is no such file, it is damaged, of an algorithm that is not known, defines no
-            ``make_policy``, its own lines fail, or it was trained on other observations or actions.
+        InputError: If the file is missing or damaged, its algorithm is unknown, it defines no ``make_policy``, or its
+            code fails. Also if its model was trained on other observations or actions.
     """
     path = Path(path)
     if not path.is_file():
@@ -96,13 +97,13 @@ def registered_policy(name: str, env: Any, seed: int, known: Mapping[str, Any]) 
     """Make a registered policy for an environment.
 
     Args:
-        name: Its name.
-        env: The environment, single or vector.
-        seed: Of the policy's own draws.
-        known: Keywords that a policy takes which learns from episode to episode.
+        name: Registered name of the policy.
+        env: Environment, single or vector.
+        seed: Seed of the policy's own random draws.
+        known: Keyword arguments for a policy that learns from episode to episode.
 
     Raises:
-        InputError: If the lines of another package fail, or what they return is no policy.
+        InputError: If the registered function fails, or returns an object without ``act`` or ``reset``.
     """
     maker = get("policy", name)
     with faults_in(Path(getattr(sys.modules[maker.__module__], "__file__", name)), "policy"):
@@ -118,11 +119,11 @@ def _checked(policy: Any, maker: str) -> Policy:
 
 @contextmanager
 def faults_in(path: Path, what: str) -> Iterator[None]:
-    """Report an error that somebody else's code raises with its file and line.
+    """Turn errors that foreign code raises within the context into an `InputError` with file and line.
 
     Args:
-        path: The file that holds the code.
-        what: What there is to mend.
+        path: File that holds the code.
+        what: Noun for what the user should mend, such as "policy".
 
     Raises:
         InputError: In place of any error that the code raises.

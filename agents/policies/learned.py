@@ -1,4 +1,4 @@
-"""Learned policies as files: the actor's weights in one verified file, run by NumPy, loaded without executing code."""
+"""Learned policies: an actor's weights in one verified file, loaded without executing code and run by NumPy."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from pickenv.wrappers import Scaling, ToolSteps, joined_observation
 
 KIND = "policy"
 FORMAT = 2
-"""Version of the file's content."""
+"""Version of the policy file's format."""
 
 REMAKE = "run `pickenv train` to make one anew"
 
@@ -28,15 +28,15 @@ BASELINES = Path(__file__).parent / "baselines"
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Actor:
-    """The layers of a trained policy, and what it was trained for.
+    """Network layers of a trained policy, with the algorithm and the arm of its training.
 
     Attributes:
-        algorithm: Algorithm that it was trained with.
-        arm: Name of the arm it was trained for.
+        algorithm: Algorithm that trained the policy.
+        arm: Name of the arm for which the policy was trained.
         arm_fingerprint: Hash of that arm's nominal geometry.
-        weights: One matrix ``(inputs, outputs)`` per layer.
-        biases: One vector per layer.
-        record: How it was trained: settings, seeds, versions.
+        weights: Weight matrix ``(inputs, outputs)`` of each layer.
+        biases: Bias vector ``(outputs,)`` of each layer.
+        record: Record of the training: settings, seeds, versions.
     """
 
     algorithm: str
@@ -47,7 +47,7 @@ class Actor:
     record: Mapping[str, Any]
 
     def through_layers(self, values: Array, activation: str) -> Array:
-        """The last layer's output for inputs ``(..., inputs)``; ``activation`` follows every earlier layer."""
+        """Return the last layer's output for inputs ``(..., inputs)``; ``activation`` follows every other layer."""
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             values = values @ weight + bias
             if i + 1 < len(self.weights):
@@ -57,7 +57,18 @@ class Actor:
     def write(
         self, path: str | Path, kind: str, version: int, header: Mapping[str, Any], arrays: Mapping[str, Array]
     ) -> Path:
-        """Write one verified file (`pickenv.base.container`), whole or not at all; ``.npz`` is appended if missing."""
+        """Write the policy to one verified file (`pickenv.base.container`), completely or not at all.
+
+        Args:
+            path: File; ``.npz`` is appended if missing.
+            kind: Kind of the container.
+            version: Version of the file's format.
+            header: Further entries of the header.
+            arrays: Further arrays, stored in single precision.
+
+        Returns:
+            Path of the file.
+        """
         texts = {"algorithm": self.algorithm, "arm": self.arm, "arm_fingerprint": self.arm_fingerprint}
         layers = {"weight": self.weights, "bias": self.biases}
         layered = {f"{name}{i}": part for name, parts in layers.items() for i, part in enumerate(parts)}
@@ -70,14 +81,17 @@ class Actor:
 def actor_parts(
     header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]], inputs: int, outputs: int, others: int = 0
 ) -> dict[str, Any]:
-    """The attributes of an `Actor` that a file holds; raises an error of any kind where it holds none.
+    """Return the attributes of an `Actor` from the content of a policy file.
 
     Args:
-        header: The file's header.
-        arrays: Its arrays.
-        inputs: Numbers that the first layer takes.
-        outputs: Numbers that the last one gives.
+        header: Header of the file.
+        arrays: Arrays of the file by name.
+        inputs: Number of inputs of the first layer.
+        outputs: Number of outputs of the last layer.
         others: Number of arrays that belong to no layer.
+
+    Raises:
+        Exception: Of any type, if the content is not that of an `Actor`.
     """
     layers = (len(arrays) - others) // 2
     weights, biases = (tuple(arrays[f"{name}{i}"].astype(float) for i in range(layers)) for name in ("weight", "bias"))
@@ -95,11 +109,22 @@ def actor_parts(
 
 AnyActor = TypeVar("AnyActor", bound=Actor)
 Parts = Callable[[Mapping[str, Any], Mapping[str, NDArray[Any]]], AnyActor]
-"""A function that makes a policy from a file's header and arrays; raises an error of any kind where it cannot."""
+"""Function that makes a policy from a file's header and arrays; raises an exception of any type if it cannot."""
 
 
 def read_actor(name: str | Path, arm: Arm | None, kind: str, version: int, make: Parts[AnyActor]) -> AnyActor:
-    """Read a policy of a kind; arguments and errors as for `load_policy`."""
+    """Read a policy file of one kind.
+
+    Args:
+        name: Name of a shipped baseline, or path of a policy file.
+        arm: Arm for which the policy must have been trained; None to skip this check.
+        kind: Kind of the container.
+        version: Version of the file's format.
+        make: Function that makes the policy from the file's header and arrays.
+
+    Raises:
+        InputError: As for `load_policy`.
+    """
     path = policy_path(name)
     container = read_container(path, kind, remake=REMAKE, version=version)
     with refusing_damage(path, f"a {kind}{' file' * (kind == KIND)}", REMAKE):
@@ -111,12 +136,12 @@ def read_actor(name: str | Path, arm: Arm | None, kind: str, version: int, make:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class LearnedPolicy(Actor):
-    """A trained actor, acting without noise.
+    """Trained feed-forward actor that acts deterministically.
 
     Attributes:
-        scaling: Scaling of its observations, and of its actions.
+        scaling: Scaling of observations and actions.
         activation: Activation of the hidden layers, one of `ACTIVATIONS`.
-        squashed: Whether the last layer ends in a hyperbolic tangent; else actions are clipped.
+        squashed: Whether the output passes through a hyperbolic tangent; otherwise it is clipped to -1 to 1.
     """
 
     scaling: Scaling | ToolSteps
@@ -125,19 +150,19 @@ class LearnedPolicy(Actor):
 
     @property
     def moves_tool(self) -> bool:
-        """Whether it was trained on `pickenv/ReachTool-v0`."""
+        """Whether the policy was trained on `pickenv/ReachTool-v0`."""
         return isinstance(self.scaling, Scaling) and self.scaling.tool > 0
 
     def reset(self) -> None:
-        """Nothing to forget."""
+        """Do nothing: the policy keeps no state."""
 
     def act(self, observation: Any) -> NDArray[np.float32]:
-        """Actions ``(..., n)`` for observations ``(..., k)``, or for goal observations.
+        """Return actions ``(..., n)`` for observations ``(..., k)``, or for goal observations (dictionaries).
 
-        `pickenv/ReachTool-v0`, whose actions move the tool, shows observations and takes actions as they are scaled.
+        In `pickenv/ReachTool-v0`, whose actions move the tool, observations and actions are already scaled.
 
         Raises:
-            InputError: If the observation is not of the kind that it was trained on.
+            InputError: If the observation is of another kind than those of the training.
         """
         values, scaling = joined_observation(observation), self.scaling
         if isinstance(scaling, Scaling) and not isinstance(observation, dict):
@@ -150,17 +175,20 @@ class LearnedPolicy(Actor):
         return np.asarray(action if scaled else scaling.commands(values, action), dtype=np.float32)
 
     def save(self, path: str | Path) -> Path:
-        """Write one verified file; ``.npz`` is appended if missing."""
+        """Write the policy to one verified file; ``.npz`` is appended if missing."""
         scaling = asdict(self.scaling) if isinstance(self.scaling, Scaling) else self.scaling.header
         header = {"scaling": scaling, "activation": self.activation, "squashed": self.squashed}
         return self.write(path, KIND, FORMAT, header, {})
 
 
 class LearnedReach(ReachController):
-    """A trained actor that is shown the present: where readings or actions are late, what is on its way is added."""
+    """Trained actor whose observations are corrected for the delays of readings and actions.
+
+    Joints and gaps are predicted from the actions already sent; see `ReachController`.
+    """
 
     def __init__(self, env: Any, policy: LearnedPolicy) -> None:
-        """``env`` gives the nominal arm and its delays."""
+        """Read the nominal arm and the delays from ``env``."""
         super().__init__(env)
         self.policy = policy
 
@@ -169,7 +197,7 @@ class LearnedReach(ReachController):
         self.forget()
 
     def act(self, observation: Any) -> NDArray[np.float32]:
-        """Actions as `LearnedPolicy.act` gives them; goal observations are taken as they are."""
+        """Return actions as `LearnedPolicy.act` does; goal observations are used without correction."""
         if not self.lag or isinstance(observation, dict):
             return self.policy.act(observation)
         shares = self.policy.act(joined_parts(self.geometry, self.present(observation)))
@@ -178,28 +206,28 @@ class LearnedReach(ReachController):
 
 
 def shipped_baselines() -> list[str]:
-    """Names of the policies that come with pickenv."""
+    """Return the names of the policies that come with pickenv."""
     return sorted(path.stem for path in BASELINES.glob("*.npz"))
 
 
 def load_policy(name: str | Path, arm: Arm | None = None) -> LearnedPolicy:
-    """Read a policy by the name of a shipped baseline or from a path; nothing in it is executed.
+    """Load a shipped baseline or a policy file; nothing in it is executed.
 
     Args:
-        name: Name or path.
-        arm: If given, the arm that it must have been trained for.
+        name: Name of a shipped baseline, or path of a policy file (.npz).
+        arm: Arm for which the policy must have been trained; None to skip this check.
 
     Raises:
-        InputError: If it is missing, damaged, newer than this program, or of another arm.
+        InputError: If the file is missing, damaged, newer than this program, or of another arm.
     """
     return read_actor(name, arm, KIND, FORMAT, _from_parts)
 
 
 def policy_path(name: str | Path) -> Path:
-    """File of a shipped baseline, or the path that was given.
+    """Return the path of a shipped baseline, or the given path of a policy file.
 
     Raises:
-        InputError: If there is neither.
+        InputError: If there is no such baseline or file.
     """
     path = Path(name) if Path(name).suffix == ".npz" else BASELINES / f"{name}.npz"
     if path.is_file():
@@ -209,7 +237,7 @@ def policy_path(name: str | Path) -> Path:
 
 
 def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> LearnedPolicy:
-    """The policy that a file's parts make; raises an error of any kind where they make none."""
+    """Make the policy that a file's header and arrays describe; raise any type of exception if there is none."""
     scaling: Scaling | ToolSteps
     if "increment" in header["scaling"]:  # a picking policy moves the tool of an arm that has a name
         scaling = ToolSteps(load_arm(header["arm"]).nominal, np.array(header["scaling"]["increment"], dtype=float))

@@ -1,7 +1,7 @@
-"""The interface of a policy, and the parts of the flat observation of `pickenv/Reach-v0`. SI units.
+"""Interface of a policy, and the parts of the flat observation of `pickenv/Reach-v0`. SI units.
 
-Policies take one observation ``(k,)`` or a batch ``(N, k)`` and answer in kind, so that the same policy drives a single
-environment and a native vector environment.
+Policies take one observation ``(k,)`` or a batch ``(N, k)``, and return one action or a batch of actions. The same
+policy therefore drives a single environment or a native vector environment.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from pickenv.envs import FEEDBACK
 
 
 class Policy(Protocol):
-    """The interface that the evaluation asks of a policy."""
+    """Interface that evaluations need from a policy."""
 
     def reset(self) -> None:
-        """Called at the start of every episode."""
+        """Prepare for a new episode; called at the start of every episode."""
 
     def act(self, observation: NDArray[np.float32], /) -> NDArray[np.float32]:
-        """The next action, or actions."""
+        """Return the next action for one observation, or one action for each observation of a batch."""
 
 
 Maker = TypeVar("Maker", bound=Callable[..., Policy])
@@ -34,13 +34,15 @@ Maker = TypeVar("Maker", bound=Callable[..., Policy])
 def with_traits(
     feedback: tuple[str, ...] = FEEDBACK, *, sequential: bool = False, raw_only: bool = False
 ) -> Callable[[Maker], Maker]:
-    """Say of a function ``(env, seed)`` that makes a policy what comparisons must know; a class has the attributes.
+    """Return a decorator that attaches properties of a policy to the function ``(env, seed)`` that makes it.
+
+    Comparisons read these attributes. A class that is registered as a policy defines them itself.
 
     Args:
-        feedback: What the policy can use: "encoders", "camera".
-        sequential: Whether it learns from episode to episode; the function then takes the keywords ``camera_noise_mm``,
-            per axis, and ``compensation``, what it stands behind, too.
-        raw_only: Whether a compensator would only stand in its way.
+        feedback: Feedback that the policy can use: "encoders", "camera".
+        sequential: Whether the policy learns from episode to episode. The function then also takes the keywords
+            ``camera_noise_mm``, mm per axis, and ``compensation``, the compensation between policy and arm.
+        raw_only: Whether the policy is compared only without a compensator, which would disturb it.
     """
 
     def keep(maker: Maker) -> Maker:
@@ -52,12 +54,12 @@ def with_traits(
 
 @dataclass(frozen=True, eq=False)
 class ObservationParts:
-    """A flat observation by its parts.
+    """Parts of a flat observation of `pickenv/Reach-v0`.
 
     Attributes:
         joints: Joint readings ``(..., n)``, rad or m.
         believed: Believed tool position ``(..., 3)``, m.
-        seen: Fruit position as the camera saw it ``(..., 3)``, m.
+        seen: Fruit position as the camera measured it ``(..., 3)``, m.
         offset: Fruit minus believed tool ``(..., 3)``, m.
         turn: Rotation vector from believed to wanted attitude ``(..., 3)``, rad.
         camera: Fruit minus true tool as the camera measures it ``(..., 3)``, m, or None without camera feedback.
@@ -72,10 +74,14 @@ class ObservationParts:
 
 
 def read_observation(geometry: Geometry, observation: ArrayLike) -> ObservationParts:
-    """The parts of an observation ``(..., k)`` of an arm that its controller believes to be ``geometry``.
+    """Split a flat observation of `pickenv/Reach-v0` into its parts.
+
+    Args:
+        geometry: Nominal geometry of the arm.
+        observation: Observation ``(..., k)``.
 
     Raises:
-        InputError: If it has another length than `pickenv/Reach-v0` gives for such an arm.
+        InputError: If the observation has another length than `pickenv/Reach-v0` gives for such an arm.
     """
     values, n = np.asarray(observation, dtype=float), geometry.joints
     if values.shape[-1] not in (n + 12, n + 15):
@@ -94,22 +100,26 @@ def read_observation(geometry: Geometry, observation: ArrayLike) -> ObservationP
 
 
 def joined_parts(geometry: Geometry, parts: ObservationParts) -> Array:
-    """The flat observation ``(..., k)`` of parts, in the order of `read_observation`."""
+    """Return the flat observation ``(..., k)`` of the given parts, as the inverse of `read_observation`."""
     scaled = 2.0 * (parts.joints - geometry.lower) / (geometry.upper - geometry.lower) - 1.0
     gaps = [parts.offset, parts.turn, *([] if parts.camera is None else [parts.camera])]
     return np.concatenate([scaled, parts.believed, parts.seen, *gaps], axis=-1)
 
 
 def attitude_after(pose: Pose, turn: Array) -> Array:
-    """Attitudes ``(..., 3, 3)`` of poses after rotation vectors ``turn (..., 3)``, rad, in the base frame."""
+    """Return the attitudes ``(..., 3, 3)`` of poses turned by rotation vectors ``turn (..., 3)``, rad, base frame."""
     return displace_pose(pose, np.concatenate([np.zeros_like(turn), turn], axis=-1)).rotation
 
 
 def camera_of(reading: ObservationParts, policy: str) -> Array:
-    """The camera's offset.
+    """Return the gap from true tool to fruit that the camera measured ``(..., 3)``, m.
+
+    Args:
+        reading: Parts of an observation.
+        policy: Name of the policy in the error message.
 
     Raises:
-        InputError: If the environment gives none.
+        InputError: If the environment gives no camera measurement.
     """
     if reading.camera is None:
         raise InputError(f"the {policy} policy needs a camera; make the environment with feedback='camera'")
@@ -117,12 +127,12 @@ def camera_of(reading: ObservationParts, policy: str) -> Array:
 
 
 class ReachController:
-    """The common part of policies that know the nominal arm: its geometry, and joint steps turned into actions.
+    """Base class of policies that know the nominal arm and turn joint steps into actions.
 
-    Where readings or actions are delayed, a reading shows the past, and a policy that commands the whole gap from it
-    makes the arm swing. The controller then takes the joints to be where it has sent them: at the first reading plus
-    its own increments since. It reads again when the arm has stood still for longer than the delays. What is seen is
-    moved along, as in the predictor of Smith (1957).
+    Where readings or actions are delayed, a reading shows past joints. A policy that commands the whole remaining step
+    from it makes the arm oscillate. The controller then predicts the joints as the first reading plus its own
+    increments since. It reads again when the arm has stood still for longer than the delays. Measured gaps are shifted
+    to the predicted joints, as in the predictor of Smith (1957).
     """
 
     def __init__(self, env: Any) -> None:
@@ -136,12 +146,12 @@ class ReachController:
         self.forget()
 
     def forget(self) -> None:
-        """Begin again with the next reading."""
+        """Drop the predicted joints and start again from the next reading."""
         self._sent: Array | None = None
         self._still: Any = 0
 
     def commanded(self, readings: Array) -> Array:
-        """Joints that the arm has been sent to ``(..., n)``, rad or m; the readings where nothing is delayed."""
+        """Return the joints ``(..., n)`` that the arm has been sent to, rad or m; without delays, the readings."""
         if not self.lag:
             return readings
         if self._sent is None or self._sent.shape != readings.shape:
@@ -153,7 +163,9 @@ class ReachController:
         return self._sent
 
     def present(self, observation: ArrayLike) -> ObservationParts:
-        """An observation's parts as they will be where the arm has been sent; as observed where nothing is delayed.
+        """Return the parts of an observation, predicted for the joints that the arm has been sent to.
+
+        Without delays these are the parts as observed.
 
         Raises:
             InputError: As `read_observation` does.
@@ -170,17 +182,17 @@ class ReachController:
 
     @property
     def settled(self) -> Any:
-        """Whether the present reading was taken after the arm had stopped ``(...)``; True where nothing is delayed."""
+        """Whether the latest reading was taken after the arm had stopped, per row ``(...)``; True without delays."""
         return self._still > self.lag if self.lag else True
 
     def action(self, step: Array) -> NDArray[np.float32]:
-        """Actions for wanted joint steps ``(..., n)``, rad or m."""
+        """Return actions for wanted joint steps ``(..., n)``, rad or m, and record them as sent."""
         shares = np.asarray((step / self.increment).clip(-1.0, 1.0), dtype=np.float32)
         self.sent(shares)
         return shares
 
     def sent(self, shares: NDArray[Any]) -> None:
-        """Take note of shares of the increments ``(..., n)`` that are about to be sent."""
+        """Record actions ``(..., n)``, as shares of the joint increments, that are about to be sent."""
         if self._sent is not None:
             moved = self._sent + shares * self.increment
             self._sent = np.clip(moved, self.geometry.lower, self.geometry.upper)
@@ -188,7 +200,7 @@ class ReachController:
 
 
 COUNTS = 2e-5
-"""Half an encoder count, rad or m: a settled arm whose reading is farther from its command is elsewhere."""
+"""Half an encoder count, rad or m. A settled arm whose reading differs by more from its command is not there."""
 
 STANDING = 1e-3
 """Share of an increment below which a joint step counts as standing still."""

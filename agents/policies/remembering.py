@@ -1,8 +1,9 @@
-"""Policies that remember what the camera saw at past picks, and aim by it: learned calibration while picking.
+"""Policies with a memory of past picks: they learn in training how to correct an arm's errors while picking.
 
-They are trained on `pickenv.wrappers.SameArm`: before each pick they say how far to aim beside the fruit. A recurrent
-policy (LSTM) sees the last pick and keeps a state; a policy with a window sees the last picks and weighs them by how
-near they were (attention). Both are a few matrices in one verified file, run by NumPy; nothing in it is executed.
+They are trained on `pickenv.wrappers.SameArm`. Before each pick they choose the offset to the fruit at which the arm
+aims. A recurrent policy (LSTM) observes the last pick and keeps a state. A policy with a window observes the last picks
+and weighs them by attention, depending on how near they were. Both are stored as a few matrices in one verified file
+and run by NumPy. Nothing in the file is executed.
 """
 
 from __future__ import annotations
@@ -25,31 +26,32 @@ from pickenv.wrappers.same_arm import scaled_joints
 REMEMBERING, REMEMBERING_FORMAT = "policy with a memory", 1
 
 HEADS = 4
-"""Number of attention heads: ways in which a window's picks are weighed."""
+"""Number of attention heads; each weighs the picks of a window in its own way."""
 
 STEEPEST = 20.0
-"""Largest size of a weight's logarithm."""
+"""Largest absolute value of an attention logit, the logarithm of an unnormalised weight."""
 
 LSTM = ("input", "input_bias", "state", "state_bias")
 WINDOW = ("near", "near_bias", "query", "key", "value", "value_bias")
-"""Arrays of the two kinds of memory, inputs first."""
+"""Names of the arrays of the two kinds of memory, `LSTM` and `WINDOW`, inputs first."""
 
 State = tuple[Array, Array]
-"""State of a recurrent policy: its output and its cell, ``(N, units)`` each."""
+"""State of a recurrent policy: its hidden output and its cell state, ``(N, units)`` each."""
 
 
 def attended(xp: Any, given: Mapping[str, Any], memory: PickMemory, seen: Any) -> Any:
-    """Features of a window's picks for the next one, on NumPy or torch.
+    """Compute the attention features of a window of past picks for the next pick, on NumPy or torch.
 
     Args:
-        xp: numpy or torch.
-        given: Arrays by their names in `WINDOW`.
-        memory: How observations are laid out.
+        xp: The module numpy or torch.
+        given: Weight arrays, named as in `WINDOW`.
+        memory: Layout of the observations.
         seen: Observations ``(N, inputs)``.
 
     Returns:
-        Joints to go to, the picks' errors and what was made of them, weighed by each head, and the share of the window
-        that is filled ``(N, features)``.
+        Features ``(N, features)``, which join three parts. First are the scaled joints of the next pick. Then follow
+        each head's weighted means of the picks' errors and learnt features. Last is the share of the window that is
+        filled.
     """
     n, window = memory.joints, memory.window
     goal = seen[:, :n]
@@ -68,7 +70,15 @@ def attended(xp: Any, given: Mapping[str, Any], memory: PickMemory, seen: Any) -
 
 
 def stepped(given: Mapping[str, Array], seen: Array, state: State) -> State:
-    """An LSTM's next state, gates in torch's order: input, forget, cell, output (Hochreiter and Schmidhuber 1997)."""
+    """Return an LSTM's next state (Hochreiter and Schmidhuber 1997).
+
+    The gates are in torch's order: input, forget, cell, output.
+
+    Args:
+        given: Weight arrays, named as in `LSTM`.
+        seen: Observations ``(N, inputs)``.
+        state: Present state.
+    """
     out, cell = state
     gates = seen @ given["input"] + given["input_bias"] + out @ given["state"] + given["state_bias"]
     take, keep, new, give = np.split(gates, 4, axis=-1)
@@ -79,11 +89,11 @@ def stepped(given: Mapping[str, Array], seen: Array, state: State) -> State:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RememberingPolicy(Actor):
-    """A trained actor with a memory, acting without noise; its layers come after the memory.
+    """Trained actor with a memory that acts deterministically; its layers come after the memory.
 
     Attributes:
-        memory: How its observations are laid out.
-        arrays: Arrays of `LSTM` or of `WINDOW`, by name.
+        memory: Layout of the observations.
+        arrays: Weight arrays of the memory, named as in `LSTM` or `WINDOW`.
     """
 
     memory: PickMemory
@@ -95,16 +105,16 @@ class RememberingPolicy(Actor):
         return set(self.arrays) == set(LSTM)
 
     def begin(self, rows: int) -> State:
-        """The state of ``rows`` arms that have not picked yet; an empty one for a policy with a window."""
+        """Return the state of ``rows`` arms that have not picked yet; it is empty for a policy with a window."""
         units = len(self.arrays["state"]) if self.recurrent else 0
         return np.zeros((rows, units)), np.zeros((rows, units))
 
     def aim(self, seen: NDArray[Any], state: State) -> tuple[NDArray[np.float32], State]:
-        """Shifts beside the fruit to aim by, as `pickenv.wrappers.SameArmVector` takes it, and the next state.
+        """Return the aim's offsets to the fruit, as actions of `pickenv.wrappers.SameArmVector`, and the next state.
 
         Args:
             seen: Observations ``(N, inputs)`` of that wrapper.
-            state: State from `begin`, or after the pick before.
+            state: State from `begin`, or the one returned at the last pick.
 
         Raises:
             InputError: If the observations have another length.
@@ -121,19 +131,19 @@ class RememberingPolicy(Actor):
         return self.through_layers(layer, "tanh").clip(-1.0, 1.0).astype(np.float32), state
 
     def save(self, path: str | Path) -> Path:
-        """Write one verified file; ``.npz`` is appended if missing."""
+        """Write the policy to one verified file; ``.npz`` is appended if missing."""
         return self.write(path, REMEMBERING, REMEMBERING_FORMAT, {"memory": asdict(self.memory)}, self.arrays)
 
 
 def load_remembering(name: str | Path, arm: Arm | None = None) -> RememberingPolicy:
-    """Read a policy with a memory by the name of a shipped baseline or from a path; nothing in it is executed.
+    """Load a shipped baseline or a policy file with a memory; nothing in it is executed.
 
     Args:
-        name: Name or path.
-        arm: If given, the arm that it must have been trained for.
+        name: Name of a shipped baseline, or path of a policy file (.npz).
+        arm: Arm for which the policy must have been trained; None to skip this check.
 
     Raises:
-        InputError: If it is missing, damaged, newer than this program, or of another arm.
+        InputError: If the file is missing, damaged, newer than this program, or of another arm.
     """
     return read_actor(name, arm, REMEMBERING, REMEMBERING_FORMAT, _policy_of)
 
@@ -144,39 +154,39 @@ def remembers(name: str | Path) -> bool:
 
 
 class RememberingReach(LookingReach):
-    """Reach with the nominal arm, aimed beside the fruit by what a policy with a memory made of past picks.
+    """Reach policy that aims the nominal arm at an offset to the fruit, which a policy with a memory chooses.
 
-    Behind a compensator it sees what the compensator leaves, which is not what it was trained on.
+    With a compensator it observes the errors that remain after compensation. It was not trained on those.
     """
 
     def __init__(self, env: Any, policy: RememberingPolicy) -> None:
-        """``env`` gives the nominal arm."""
+        """Read the nominal arm from ``env``."""
         super().__init__(env)
         self.policy = policy
         self._tokens: NDArray[np.float32] = policy.memory.empty(0)
         self._state = policy.begin(0)
 
     def meet(self, arms: int) -> None:
-        """Begin with arms that have not picked yet, unless there are as many already."""
+        """Start with ``arms`` arms that have not picked yet, unless there are that many already."""
         if len(self._tokens) != arms:
             self._tokens, self._state = self.policy.memory.empty(arms), self.policy.begin(arms)
 
     def corrected(self, rows: NDArray[np.intp], joints: Array) -> Array:
-        """As in `LookingReach`: beside the fruit by what the policy says."""
+        """Return joint targets as in `LookingReach`, shifted by the offsets that the policy chooses."""
         observations = self.policy.memory.shown(scaled_joints(self.geometry, joints), self._tokens[rows])
         actions, state = self.policy.aim(observations, (self._state[0][rows], self._state[1][rows]))
         self._state[0][rows], self._state[1][rows] = state
         return self.policy.memory.aim(self.geometry, joints, actions)
 
     def learn(self, rows: NDArray[np.intp], joints: Array, seen: Array, looks: NDArray[Any]) -> None:
-        """As in `LookingReach`: one more pick to remember."""
+        """Store one more pick of each arm; arguments as in `LookingReach`."""
         error = seen - forward(self.geometry, joints).position
         self._tokens = self._tokens.copy()
         self._tokens[rows] = self.policy.memory.after(self._tokens[rows], scaled_joints(self.geometry, joints), error)
 
 
 def _policy_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> RememberingPolicy:
-    """The policy that a file's parts make; raises an error of any kind where they make none."""
+    """Make the policy that a file's header and arrays describe; raise any type of exception if there is none."""
     kind = LSTM if "state" in arrays else WINDOW
     if not all(np.isfinite(arrays[name]).all() for name in kind):
         raise InputError("its memory holds numbers that are not finite")

@@ -1,4 +1,4 @@
-"""Scripted policies: what a controller with a perfect nominal model would do, and one that knows nothing."""
+"""Policies without learning: scripted ones for the nominal arm, an oracle, visual servoing, and random actions."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from pickenv.orchard import fruit_regions, load_stereo_camera
 
 
 class ScriptedReach(policy.ReachController):
-    """Solve the nominal inverse kinematics for the fruit once per episode, then drive straight to those joints.
+    """Reach policy that solves the nominal inverse kinematics once per episode and drives straight to the solution.
 
-    It uses the observation alone: joint readings, and the offset and attitude between believed tool and fruit.
+    It uses the observation only: joint readings, the measured fruit position and the rotation to the wanted attitude.
     """
 
     def __init__(self, env: Any) -> None:
@@ -33,10 +33,10 @@ class ScriptedReach(policy.ReachController):
         self.forget()
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The next action.
+        """Return the next action ``(n,)``, or actions ``(N, n)`` for N observations.
 
         Raises:
-            InputError: If the fruit cannot be reached by the nominal arm.
+            InputError: If the nominal arm cannot reach the fruit.
         """
         reading = self.present(observation)
         if self._wanted is None:
@@ -44,11 +44,15 @@ class ScriptedReach(policy.ReachController):
         return self.action(self._wanted - reading.joints)
 
     def wanted_pose(self, reading: policy.ObservationParts) -> Pose:
-        """The pose that the tool shall have: the fruit with its attitude."""
+        """Return the tool's target pose: the measured fruit position with the wanted attitude."""
         return Pose(reading.seen, policy.attitude_after(forward(self.geometry, reading.joints), reading.turn))
 
     def wanted_joints(self, reading: policy.ObservationParts) -> Array:
-        """Joints that bring the nominal arm's tool to the fruit."""
+        """Return joint values ``(..., n)`` at which the nominal arm's tool has its target pose, rad or m.
+
+        Raises:
+            InputError: If the nominal arm cannot reach the fruit.
+        """
         target = self.wanted_pose(reading)
         solution = inverse(self.geometry, target, attitude_tolerance=1e-4)
         # A camera's error may put the fruit out of reach by as much; the closest joints are the answer then.
@@ -64,37 +68,38 @@ class ScriptedReach(policy.ReachController):
 
 
 class RandomReach:
-    """Uniformly random actions: the result of knowing nothing."""
+    """Policy of uniformly random actions, the baseline that uses no information."""
 
     def __init__(self, env: Any, rng: np.random.Generator) -> None:
-        """``env``, single or vector, gives the actions' bounds, ``rng`` every draw."""
+        """Read the bounds of actions from ``env``, single or vector, and draw all random numbers from ``rng``."""
         self.space = getattr(env, "single_action_space", env.action_space)
         self.rng = rng
 
     def reset(self) -> None:
-        """Nothing to forget."""
+        """Do nothing: the policy keeps no state of an episode."""
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The next action."""
+        """Return uniformly random actions, one for each observation."""
         low, high = np.float64(self.space.low), np.float64(self.space.high)
         return np.asarray(self.rng.uniform(low, high, (*np.shape(observation)[:-1], *low.shape)), dtype=np.float32)
 
 
 class ScriptedScene(ScriptedReach):
-    """Take the fruit of `pickenv/PickScene-v0`: come from behind it, stand, go to it, grip, and draw it away.
+    """Scripted policy for `pickenv/PickScene-v0`: approach along the tool axis, stop, advance, grip, and draw back.
 
-    It uses the state observation and the nominal arm. With `feedback="camera"` it looks while it stands, and corrects
-    by what the camera's gap to the fruit differs from the believed one.
+    It uses the state observation and the nominal arm. With `feedback="camera"` it measures, while it stands before the
+    fruit, how far the camera's gap to the fruit differs from the believed gap. It then corrects its target by the mean
+    difference.
     """
 
     FAR, BEFORE, PRESS, AWAY = -0.2, -0.08, 0.003, -0.4
-    """Where the tool comes to along its axis, where it stands and looks, how far it presses, and how far it draws
-    back, m at full scale."""
+    """Positions of the tool along its axis relative to the fruit, m at full scale. They are the start, the stop before
+    the fruit, the end of the advance, and the end of the retreat."""
     STAND, GRIP = 40, 10
-    """Steps for which it stands and looks, and for which it grips."""
+    """Number of steps for which the arm stands before the fruit, and for which it grips."""
     _PATIENCE = (0, STAND, 0, GRIP, np.inf)
     SLOW, NEAR = 0.003, 2e-3
-    """Distance that it goes in a step near fruit, m at full scale, and when joints have arrived, rad or m."""
+    """Distance per step near the fruit, m at full scale, and joint error below which joints have arrived, rad or m."""
 
     def __init__(self, env: Any) -> None:
         """Read the arm and the scene's scale from ``env``."""
@@ -110,7 +115,7 @@ class ScriptedScene(ScriptedReach):
         self._gaps: list[Array] = []
 
     def act(self, observation: Any) -> NDArray[np.float32]:
-        """The next action: increments of the joints, and the gripper, which is open below 0."""
+        """Return the next action ``(n + 1,)``: increments of the joints, and the gripper, which is open below 0."""
         reading = self.present(np.asarray(_state_of(observation))[:-2])
         if self._wanted is None:
             self._wanted = self.wanted_joints(reading)
@@ -135,17 +140,17 @@ class ScriptedScene(ScriptedReach):
         return np.append(self.action(away), 1.0 if closed else -1.0).astype(np.float32)
 
     def _gap(self, observation: Any, reading: policy.ObservationParts) -> Array | None:
-        """How far the true tool is from where it is believed to be, as far as it can be seen ``(3,)``, m."""
+        """Return the measured minus the believed gap to the fruit ``(3,)``, m; None without a measurement."""
         return None if reading.camera is None else reading.camera - reading.offset
 
     def _along(self, joints: Array, distance: float) -> Array:
-        """Joints whose tool is moved along its own axis, m."""
+        """Return joints whose tool is moved by ``distance`` along its own axis, m."""
         for _ in range(3):
             joints = self._moved(joints, forward(self.geometry, joints).rotation[:, 2] * distance / 3.0)
         return joints
 
     def _drawn(self, joints: Array, distance: float) -> Array:
-        """Joints whose tool is that far behind the fruit, m, in whatever attitude joints within limits allow."""
+        """Return joints whose tool is ``distance`` along its axis from the fruit, m; its attitude may change."""
         assert self._wanted is not None
         goal, g = forward(self.geometry, self._wanted), self.geometry
         target, free = goal.position + goal.rotation[:, 2] * distance, np.ones(g.joints, dtype=bool)
@@ -161,7 +166,7 @@ class ScriptedScene(ScriptedReach):
         return np.asarray(joints)
 
     def _moved(self, joints: Array, shift: Array) -> Array:
-        """Joints whose tool is moved by ``shift (3,)``, m, and keeps its attitude as far as it can."""
+        """Return joints whose tool is moved by ``shift (3,)``, m, with its attitude kept as far as possible."""
         jacobian = joint_jacobian(self.geometry, joints)
         step = truncated_inverse(jacobian) @ np.concatenate([shift, np.zeros(3)])
         if np.linalg.norm(jacobian[:3] @ step - shift) > STRAY * np.linalg.norm(shift):  # the attitude gives way
@@ -172,14 +177,15 @@ class ScriptedScene(ScriptedReach):
 
 
 class SeeingScene(ScriptedScene):
-    """`ScriptedScene` that looks at the fruit in the wrist camera's pictures while it stands, and corrects by them.
+    """`ScriptedScene` that locates the fruit in the wrist camera's images while it stands, and corrects its target.
 
-    It takes "pixels_environment_state_agent_pos", finds the largest region of fruit by Li's detector (extra `harvest`),
-    and takes the camera to be where it is said to be: an error of the camera's place becomes one of the grasp.
+    It needs observations "pixels_environment_state_agent_pos". Li's detector (extra `harvest`) segments the fruit, and
+    the policy takes the largest region. It relies on the stated pose of the camera on the tool, so an error of that
+    pose becomes an error of the grasp.
     """
 
     def __init__(self, env: Any) -> None:
-        """Read the arm, the scale and the camera's place on the tool from ``env``."""
+        """Read the arm, the scale and the stated pose of the camera on the tool from ``env``."""
         super().__init__(env)
         self._eye, self._eye_axes, self._slope = env.unwrapped.scene.wrist_eye
         self._detector = load_stereo_camera("li2016")
@@ -200,25 +206,27 @@ class SeeingScene(ScriptedScene):
 
 
 def _state_of(observation: Any) -> Any:
-    """The numbers of the state in an observation of the scene, or the observation itself."""
+    """Return the state vector of a scene's observation, which may be the observation itself."""
     if isinstance(observation, dict) and "environment_state" not in observation:
         raise InputError("the observation holds no state; make the environment with obs_type='state'")
     return observation["environment_state"] if isinstance(observation, dict) else observation
 
 
 class ServoScene(policy.ReachController):
-    """Take the fruit of `pickenv/PickScene-v0` as somebody does who looks on: no plan, one step after the other.
+    """Visual-servoing policy for `pickenv/PickScene-v0`, which has no plan.
 
-    Each step takes away a share of what the camera sees between true tool and fruit (`feedback="camera"`). The tool
-    goes to the fruit's axis first and then along it, and back once the cup holds. What it does depends on what it sees
-    now alone, so that a network can learn it (`clone`).
+    Each step removes a share of the gap between true tool and fruit that the camera measures (`feedback="camera"`). The
+    tool first moves to the fruit's axis, then along it, and retreats once the cup holds the fruit. Without delays the
+    action depends on the present observation only, so that a network can learn it (`clone`).
     """
 
     SHARE, MOST, TURNS = 0.25, 0.015, 0.03
-    """Of what is left, in a step; and the most that it moves, m at full scale, and turns, rad."""
+    """Share of the remaining gap that a step removes, and the largest move, m at full scale, and turn, rad, of a
+    step."""
     PRESS, BACK, FUNNEL = 0.01, -0.012, (0.004, 0.25)
-    """How far beyond the fruit it aims, and its steps back, m; and how far beside the axis it may be to go on, m, and
-    per metre that is left."""
+    """Distance of the aim beyond the fruit, and retreat per step, m at full scale. `FUNNEL` gives the lateral distance
+    to the axis at which the advance slows to 1/e. The distance is its first number, m, or its second number times the
+    remaining gap, if that is larger."""
 
     def __init__(self, env: Any) -> None:
         """Read the arm and the scene's scale from ``env``."""
@@ -230,10 +238,10 @@ class ServoScene(policy.ReachController):
         self.forget()
 
     def act(self, observation: Any) -> NDArray[np.float32]:
-        """The next action, with suction.
+        """Return the next action ``(n + 1,)``, with suction on.
 
         Raises:
-            InputError: If the observation holds no camera, or no state.
+            InputError: If the observation holds no camera measurement, or no state.
         """
         numbers = np.asarray(_state_of(observation))
         reading = self.present(numbers[:-2])
@@ -253,39 +261,40 @@ class ServoScene(policy.ReachController):
 
 
 SETTLED = 16
-"""Steps after which an arm that stands is looked at."""
+"""Number of steps that the arm stands before the policy measures the gap to the fruit."""
 
 STRAY = 0.01
-"""Share of a shift that may be lost to keep the tool's attitude."""
+"""Relative position error of a shift that is accepted to keep the tool's attitude."""
 
 MOST_WAITED = 60
-"""Steps after which an arm that comes no nearer goes on."""
+"""Number of steps after which the policy goes on although the joints have not arrived."""
 
 # The oracle: a policy that knows the true arm. What remains with it, no calibration can remove.
 
 
 ITERATIONS = 6
-"""Newton steps from the nominal solution; millimetres shrink to nothing in three."""
+"""Number of Newton steps from the nominal solution; three remove errors of millimetres."""
 
 
 class OracleReach(ScriptedReach):
-    """Solve the inverse kinematics of the true arm at rest, effects included, then drive there.
+    """Reach policy that solves the inverse kinematics of the true arm at rest, effects included, and drives there.
 
-    It knows neither how gaps lie nor how warm the arm is, so effects with a state keep their share of the error.
+    It knows neither the state of backlash and friction nor the arm's temperature. Errors that depend on these states
+    remain.
     """
 
     def __init__(self, env: Any) -> None:
-        """``env`` holds the true arm; its plant is read anew in every episode, for populations of arms."""
+        """Keep ``env``, whose plant (the true arm) is read again in every episode, for populations of arms."""
         super().__init__(env)
         self._env = env.unwrapped
 
     def wanted_joints(self, reading: policy.ObservationParts) -> Array:
-        """Joints that bring the true arm's tool to the fruit."""
+        """Return joint values ``(..., n)`` at which the true arm's tool has its target pose, rad or m."""
         return _of_true_arm(self._env.plant, super().wanted_joints(reading), self.wanted_pose(reading))
 
 
 def _of_true_arm(plant: Plant, joints: Array, pose: Pose) -> Array:
-    """Joints near ``joints`` at which the tool of the true arm at rest has a pose."""
+    """Return joints near ``joints`` at which the tool of the true arm at rest has the pose ``pose``."""
     nominal = plant.arm.nominal
     for _ in range(ITERATIONS):
         back = truncated_inverse(joint_jacobian(plant.geometry, joints))
@@ -302,19 +311,20 @@ def _of_true_arm(plant: Plant, joints: Array, pose: Pose) -> Array:
 
 
 class ServoReach(ScriptedReach):
-    """Drive to the fruit as it was first seen, and correct by the camera through the nominal Jacobian.
+    """Reach policy that drives to the first measured fruit position and corrects its target by visual servoing.
 
-    The Jacobian is truncated to the task's rank, and taken at the nominal solution, where the arm arrives.
+    The pseudoinverse of the nominal Jacobian, truncated to the task's rank, maps the camera's corrections to joints. It
+    is taken at the nominal solution, near which the arm arrives.
 
     Attributes:
-        gain: Share of the newest picture in the correction, above 0 and at most 1.
+        gain: Weight of the newest measurement in the filtered correction, above 0 and at most 1.
     """
 
     def __init__(self, env: Any, *, gain: float = 0.1) -> None:
-        """``env`` gives the nominal geometry and the increments.
+        """Read the nominal geometry and the joint increments from ``env``.
 
         Raises:
-            InputError: If a setting is impossible.
+            InputError: If ``gain`` is not above 0 and at most 1.
         """
         super().__init__(env)
         if not 0 < gain <= 1:
@@ -323,15 +333,15 @@ class ServoReach(ScriptedReach):
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last episode's pictures."""
+        """Forget the last episode's fruit and measurements."""
         super().reset()
         self._correction: Array | None = None
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The next action.
+        """Return the next action ``(n,)``, or actions ``(N, n)`` for N observations.
 
         Raises:
-            InputError: If the observation holds no camera, or the fruit cannot be reached by the nominal arm.
+            InputError: If the observation holds no camera measurement, or the nominal arm cannot reach the fruit.
         """
         reading = self.present(observation)
         picture, before = policy.camera_of(reading, "servo") - reading.offset, self._correction
@@ -351,25 +361,25 @@ class ServoReach(ScriptedReach):
 
 
 PICK_ARRIVED = 2e-4
-"""A joint within this of its goal is there, m or rad."""
+"""Joint error below which a joint counts as arrived, m or rad."""
 
 PASSED = 10.0
-"""Factor on the arrival distance within which places on the way count as reached."""
+"""Factor on the arrival tolerance, for waypoints before the fruit."""
 
 GENTLE = 0.75
-"""Tool speed as a share of the speed that bruises fruit; the rest is room for swing and following error."""
+"""Tool speed as a share of the speed that bruises fruit; the rest is a margin for swing and following error."""
 
 HASTY: dict[str, Any] = {"settle": 0.0, "tool_speed": np.inf}
 """Arguments of `ScriptedPick` for full speed without waiting."""
 
 OUT, BELOW, AT = range(3)
-"""Places on the way to a fruit: below the last fruit, below this fruit, and at it."""
+"""Indices of the waypoints to a fruit: below the last fruit, below this fruit, and at it."""
 
 
 class ScriptedPick(policy.ReachController):
-    """A policy that comes to each fruit from below, and stands still for `settle` seconds before it grasps.
+    """Scripted policy for `pickenv/Pick-v0`: approach each fruit from below, stand still for `settle` s, and grasp.
 
-    Each argument is one number, or one for each environment of a vector.
+    Each argument but ``iterations`` has one value, or one value for each environment of a vector.
     """
 
     def __init__(
@@ -390,13 +400,15 @@ class ScriptedPick(policy.ReachController):
         Args:
             env: The environment.
             settle: Time without motion before the grasp, s; at most 1.
-            approach: Length of the straight way from below, m.
-            tool_speed: Largest speed of the believed tool, m/s, gentle when left out; joint speeds hold in any case.
-            gain: Share of what is left of a way that one action commands; less than 1 where readings are late.
-            arrived: A joint within this of its goal is there, m or rad.
-            aim: How far beside the fruit as seen the tool goes ``(..., 3)``, base frame, m.
+            approach: Length of the straight path from below up to the fruit, m.
+            tool_speed: Largest speed of the believed tool, m/s; `GENTLE` times the bruising speed by default. Limits of
+                joint speeds hold in any case.
+            gain: Share of the remaining joint step that one action commands; less than 1 where readings are delayed.
+            arrived: Joint error below which a joint counts as arrived, m or rad.
+            aim: Offset from the measured fruit position to the aim ``(..., 3)``, base frame, m.
             patience: Time for one fruit after which the gripper closes as soon as it can, s.
-            iterations: Steps of the inverse; fewer leave joints less near to mid-range, and are sooner done.
+            iterations: Most iterations of the inverse kinematics. Fewer are faster, but leave joints farther from
+                mid-range.
         """
         super().__init__(env)
         gentle = GENTLE * env.unwrapped.orchard.station.bruise_speed
@@ -417,7 +429,7 @@ class ScriptedPick(policy.ReachController):
         self._place, self._spent = np.full(count, BELOW), np.zeros(count)
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The next action ``(n + 1,)``, or actions ``(N, n + 1)`` for observations of as many environments."""
+        """Return the next action ``(n + 1,)``, or actions ``(N, n + 1)`` for observations of N environments."""
         values = np.asarray(observation, dtype=float)
         single, values = values.ndim == 1, np.atleast_2d(values)
         if len(self._fruit) != len(values):
@@ -450,7 +462,7 @@ class ScriptedPick(policy.ReachController):
         return actions[0] if single else actions
 
     def _plan(self, rows: Any, joints: Array, seen: Array, turn: Array) -> None:
-        """Waypoints: down from the last fruit, below the next one, and up to it."""
+        """Plan the waypoints: below the last fruit, below the next one, and at it."""
         upright = policy.attitude_after(forward(self.geometry, joints), turn)
         aim = np.broadcast_to(self.aim, self._fruit.shape)[rows]
         down = np.broadcast_to(self.approach, len(self._fruit))[rows][..., None] * np.array([0.0, 0.0, 1.0])
@@ -462,7 +474,7 @@ class ScriptedPick(policy.ReachController):
         self._fruit[rows], self._spent[rows] = seen, 0.0
 
     def _corrected(self, rows: Any, at: Array) -> Array:
-        """Joints to grasp at in the environments ``rows`` for nominal joints ``at``; those, where nothing is learnt."""
+        """Return the joints at which to grasp in the environments ``rows``; here the nominal joints ``at``."""
         return at
 
     def _solve(self, position: Array, rotation: Array, start: Array) -> Array:
@@ -475,7 +487,7 @@ class ScriptedPick(policy.ReachController):
         return np.asarray(np.abs(goals - joints).max(axis=-1))
 
     def _shares(self, joints: Array, away: Array) -> Array:
-        """Shares of the joints' increments, in step with each other, so that the tool's way is nearly straight."""
+        """Return shares of the joint increments, scaled together so that the tool's path is nearly straight."""
         step = self.gain[..., None] * away
         share = step / self.increment
         way = np.linalg.norm((joint_jacobian(self.geometry, joints)[..., :3, :] @ step[..., None])[..., 0], axis=-1)
@@ -484,10 +496,13 @@ class ScriptedPick(policy.ReachController):
 
 
 class OraclePick(ScriptedPick):
-    """Pick as scripted, aimed by the true arm at rest, as `OracleReach` does; fruit is where the camera saw it."""
+    """`ScriptedPick` that solves the inverse kinematics of the true arm at rest, as `OracleReach` does.
+
+    It aims at the fruit position that the camera measured.
+    """
 
     def __init__(self, env: Any, **how: Any) -> None:
-        """``env`` holds the true arms, which are read anew for every fruit; ``how`` is as for `ScriptedPick`."""
+        """Keep ``env``, whose true arms are read again for every fruit; ``how`` are arguments of `ScriptedPick`."""
         super().__init__(env, **how)
         self._env = env.unwrapped
 
@@ -501,9 +516,9 @@ class OraclePick(ScriptedPick):
 
 
 SLAVE_ARRIVED = 1e-3
-"""A joint within this of its goal is there, m or rad."""
+"""Joint error below which a slave's joint counts as arrived, m or rad."""
 PATIENCE = 3
-"""Periods that a risen cup waits for its sensor before it gives up."""
+"""Number of control periods that a raised cup waits for its sensor before it gives up."""
 
 
 @dataclass(eq=False)
@@ -517,7 +532,10 @@ class _Arm:
 
 
 class ScriptedHarvest:
-    """A policy that drives every slave through its planned picks; an arm goes out only where it meets no other arm."""
+    """Scripted policy for `pickenv/Harvest-v0` that drives every slave arm through its planned picks.
+
+    An arm goes out to a fruit only if it cannot meet another arm that is out.
+    """
 
     def __init__(self, env: Any) -> None:
         """Read the machine from ``env``, a `pickenv/Harvest-v0` of Gymnasium or PettingZoo, wrapped or not."""
@@ -531,7 +549,7 @@ class ScriptedHarvest:
         self._work: Work | None = None
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """The next joint action of the whole machine."""
+        """Return the next action of all joints of the machine ``(3 + 3 arms,)``."""
         machine = self.machine
         joints, busy, fruit, hangs = self._decoded(np.asarray(observation, dtype=float))
         idle = all(arm.fruit is None and not arm.queue for arm in self._arms)
@@ -548,12 +566,12 @@ class ScriptedHarvest:
         return np.asarray(share.clip(-1.0, 1.0), dtype=np.float32)
 
     def act_together(self, observations: dict[str, NDArray[np.float32]]) -> dict[str, NDArray[np.float32]]:
-        """The next actions of PettingZoo's agents."""
+        """Return the next action of each PettingZoo agent, by the agents' names."""
         shared = next(iter(observations.values()))[: len(self.task.bounds[0])]
         return dict(zip(observations, self.act(shared).reshape(-1, 3), strict=True))
 
     def _decoded(self, values: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """Joints, time left of each blade, fruit in the base frame, and whether each fruit hangs in reach."""
+        """Return joints, each blade's remaining time, fruit in the base frame, and flags of fruit hanging in reach."""
         machine, n = self.machine, self.machine.joints
         joints = machine.lower + (values[:n] + 1) / 2 * (machine.upper - machine.lower)
         slots = values[n + machine.arms :].reshape(-1, 4)
@@ -570,7 +588,7 @@ class ScriptedHarvest:
             arm.queue, arm.fruit = list(queue), None
 
     def _goal(self, i: int, arm: _Arm, here: Array, cutting: bool, hangs: NDArray[np.bool_]) -> Array:
-        """The next goal of slave ``i``; also advances its phase."""
+        """Return the next joint goal of slave ``i``, and advance its phase."""
         home, work = self.machine.slave_home, self._work
         if arm.fruit is None:
             if not arm.queue or work is None:
@@ -597,7 +615,7 @@ class ScriptedHarvest:
         return {"travel": below, "out": out, "rise": np.asarray(at)}[arm.phase]
 
     def _clear(self, i: int, fruit: int) -> bool:
-        """Whether the way of slave ``i`` to ``fruit`` is clear of all arms that are out."""
+        """Whether slave ``i`` can go to ``fruit`` without meeting an arm that is out."""
         assert self._work is not None
         return not any(
             arm.fruit is not None and arm.phase != "travel" and self._work.conflict[i, fruit, k, arm.fruit]
@@ -612,17 +630,17 @@ class ScriptedHarvest:
 @register("policy", "random")
 @policy.with_traits(("encoders",))
 def random(env: Any, seed: int) -> policy.Policy:
-    """The policy of uniformly random actions."""
+    """Make the policy of uniformly random actions."""
     return RandomReach(env, np.random.default_rng(seed))
 
 
 @register("policy", "scripted")
 @policy.with_traits(("encoders",))
 def scripted(env: Any, seed: int = 0) -> policy.Policy:
-    """The scripted policy of an environment; it draws no random numbers and ignores ``seed``.
+    """Make the scripted policy that fits an environment; it draws no random numbers and ignores ``seed``.
 
     Raises:
-        InputError: If the environment is none of pickenv's.
+        InputError: If there is no scripted policy for the environment.
     """
     inner = env.unwrapped
     if hasattr(inner, "orchard"):
@@ -637,12 +655,12 @@ def scripted(env: Any, seed: int = 0) -> policy.Policy:
 @register("policy", "oracle")
 @policy.with_traits(("encoders",), raw_only=True)
 def oracle(env: Any, seed: int) -> policy.Policy:
-    """The policy that knows the true arm."""
+    """Make the policy that knows the true arm; ``seed`` is not used."""
     return OracleReach(env)
 
 
 @register("policy", "servo")
 @policy.with_traits(("camera",))
 def servo(env: Any, seed: int) -> policy.Policy:
-    """Visual servoing with its usual gain."""
+    """Make the visual-servoing policy with its default gain; ``seed`` is not used."""
     return ServoReach(env)

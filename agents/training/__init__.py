@@ -1,4 +1,4 @@
-"""Training with stable-baselines3, checkpoints, tuned parameters."""
+"""Training with stable-baselines3: checkpoints, evaluations and tuned hyperparameters."""
 
 from pickenv.base import require as _require
 

@@ -1,7 +1,8 @@
-"""Checkpoints from which training goes on as if it had never stopped: weights, optimisers, randomness, environments.
+"""Checkpoints from which a training continues exactly: weights, optimisers, random states, environments.
 
-A checkpoint is a container (`pickenv.base.container`): every byte is sealed, and the state inside it, tensors and plain
-values only, is read without executing code. Its header names its training, and that training's files.
+A checkpoint is a container (`pickenv.base.container`), which detects damage to any of its bytes. Its state holds
+tensors and plain values only, and is read without executing code. Its header holds the settings of the training and
+hashes of its input files.
 """
 
 from __future__ import annotations
@@ -25,12 +26,12 @@ STATE = "state.pt"
 AGAIN = "start the training again"
 
 LIMIT = 1 << 35
-"""Most bytes that a checkpoint may have (32 GiB); it includes the replay buffer."""
+"""Largest size of a checkpoint, in bytes (32 GiB); it includes the replay buffer."""
 
 EPISODES = "_current_ep_start"
 SEEN = ("observations", "next_observations")
 BUFFER = ("actions", "rewards", "dones", "timeouts", "ep_start", "ep_length", EPISODES, *SEEN)
-"""Arrays that a replay buffer may have, as long as the buffer except `EPISODES`."""
+"""Names of arrays that a replay buffer may have. All but `EPISODES` are as long as the buffer."""
 
 COUNTS = ("num_timesteps", "_n_updates", "_episode_num")
 PARTS = {
@@ -42,21 +43,21 @@ PARTS = {
 
 Evaluations = list[dict[str, float]]
 State = dict[str, Any]
-"""Everything that the rest of a training depends on, by `PARTS`."""
+"""State of a training, by the names in `PARTS`: everything on which its continuation depends."""
 
 
 def save_checkpoint(
     path: Path, model: Any, env: Sb3Vec, training: Training, inputs: Inputs, evaluations: Evaluations
 ) -> Path:
-    """Write everything that the rest of a training depends on, whole or not at all.
+    """Write a checkpoint, completely or not at all: everything on which the rest of a training depends.
 
     Args:
-        path: The file.
-        model: The algorithm, between an update and the next rollout.
-        env: Its environments.
-        training: What is trained.
-        inputs: The calibration and the arms that the training was begun with.
-        evaluations: The evaluations so far.
+        path: File to write.
+        model: Stable-Baselines3 model, between an update and the next rollout.
+        env: Environments of the model.
+        training: Settings of the training.
+        inputs: Hashes of the calibration and the arms with which the training began.
+        evaluations: Evaluations so far.
     """
     name, keys, position, has_gauss, gauss = np.random.get_state(legacy=True)
     memory = getattr(model, "_last_lstm_states", None) or ()  # of a recurrent policy's actor and critic
@@ -80,12 +81,12 @@ def save_checkpoint(
 
 
 def read_checkpoint(path: Path) -> tuple[Training, Inputs, Evaluations, State]:
-    """The training in a checkpoint, the calibration and arms it was begun with, its evaluations so far, and its state.
+    """Return the settings, input hashes, evaluations so far and state of the training in a checkpoint.
 
     Nothing in the file is executed.
 
     Raises:
-        InputError: If it is missing, damaged in any byte, or of another version.
+        InputError: If the file is missing, damaged in any byte, or of another version.
     """
     if not path.exists():
         raise InputError(f"there is no checkpoint {path} to go on from; start the training without `resume`")
@@ -110,7 +111,13 @@ def _is_a(value: Any, kind: Any) -> bool:
 
 
 def take_checkpoint(path: Path, content: State, model: Any, env: Sb3Vec) -> None:
-    """Bring a freshly made training to where the checkpoint ``path``, with the state ``content``, was written.
+    """Restore a training's model and environments from the state in a checkpoint.
+
+    Args:
+        path: Checkpoint file, named in error messages.
+        content: State that `read_checkpoint` returned.
+        model: Newly made model, changed in place.
+        env: Its environments, changed in place.
 
     Raises:
         InputError: If the state does not fit the training.
@@ -161,7 +168,7 @@ def _tensor(values: Any) -> torch.Tensor:
 
 
 def _tensors(values: Any, rows: int | None = None) -> Any:
-    """Tensors of an array's first rows, or of those of a mapping of arrays."""
+    """Convert an array's first ``rows`` rows, or those of each array of a mapping, to tensors."""
     if isinstance(values, dict):
         return {key: _tensors(value, rows) for key, value in values.items()}
     return _tensor(values if rows is None else values[:rows])

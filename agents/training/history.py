@@ -1,6 +1,7 @@
-"""PPO's policy over a window of past picks: what was seen near the next pick counts most, and training finds out how.
+"""PPO policy with attention over a window of past picks; training learns how to weigh the picks.
 
-For `pickenv.wrappers.SameArm` with a window. The encoder is that of `pickenv.agents.policies.remembering`, in torch.
+It is for `pickenv.wrappers.SameArm` with a window. The encoder is `pickenv.agents.policies.remembering.attended` on
+torch.
 """
 
 from __future__ import annotations
@@ -17,11 +18,11 @@ from pickenv.agents.policies.remembering import HEADS, attended
 from pickenv.wrappers import MOST_SEEN, PickMemory
 
 WIDTH, MADE = 32, 16
-"""How many numbers picks are compared by, a multiple of `HEADS`, and how many each pick gives beside its error."""
+"""Size of keys and queries, a multiple of `HEADS`, and number of features that each pick gives beside its error."""
 
 
 class HistoryFeatures(BaseFeaturesExtractor):
-    """Features of the window's picks for the next one."""
+    """Feature extractor that attends to the window's past picks for the next pick."""
 
     def __init__(self, observation_space: spaces.Box) -> None:
         """Make the encoder for the observation space of a `pickenv.wrappers.SameArm` with a window."""
@@ -38,12 +39,12 @@ class HistoryFeatures(BaseFeaturesExtractor):
         self.given = th.nn.ParameterDict(arrays)
 
     def forward(self, observations: th.Tensor) -> th.Tensor:
-        """Features ``(N, features)``."""
+        """Return features ``(N, features)`` of observations ``(N, inputs)``."""
         return cast(th.Tensor, attended(th, dict(self.given.items()), self.memory, observations))
 
 
 class HistoryPolicy(ActorCriticPolicy):
-    """PPO's policy with `HistoryFeatures`."""
+    """PPO policy with `HistoryFeatures` as its feature extractor."""
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **{"features_extractor_class": HistoryFeatures, **named})

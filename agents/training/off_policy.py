@@ -1,7 +1,8 @@
-"""SAC and TQC policies that scale inside their networks, so that hindsight may exchange goals in the replay buffer.
+"""SAC and TQC policies that scale observations and actions inside their networks.
 
-The buffer holds unscaled observations and actions; the actor multiplies its output by the scaling's share for the goal
-that it sees, and the critics divide actions by this share again. The entropy is that of the actor's own output.
+The replay buffer therefore holds unscaled observations and actions, and hindsight experience replay may exchange goals
+in it. The actor multiplies its output by a share that depends on the gap to the goal (`Scaling.share`). The critics
+divide actions by this share. The entropy is that of the actor's output before the multiplication.
 """
 
 from __future__ import annotations
@@ -18,25 +19,26 @@ from stable_baselines3.sac import policies as sac
 from pickenv.wrappers import Scaling, joined_observation
 
 MOST = 3.0
-"""Critics see actions up to this multiple of the share; hindsight puts goals beside the tool, and shares near zero."""
+"""Limit of the actions that critics see, as a multiple of the share. Hindsight goals lie near the tool, where shares
+are near zero."""
 
 
 class ScaledFeatures(BaseFeaturesExtractor):
-    """An observation as the networks see it; nothing in it is learnt."""
+    """Feature extractor that scales observations; it has no trained parameters."""
 
     def __init__(self, observation_space: spaces.Dict, actions: bool = True) -> None:
-        """See a goal observation; ``actions`` as in `pickenv.wrappers.GapScaling`."""
+        """Make the extractor for a goal observation space; ``actions`` is as in `pickenv.wrappers.GapScaling`."""
         joints = observation_space["observation"].shape[0] - 3  # type: ignore[index]  # and the believed position
         scaling = Scaling(joints, goal=True, actions=actions)
         super().__init__(observation_space, scaling.features)
         self.scaling = scaling
 
     def forward(self, observations: Any) -> th.Tensor:
-        """Features ``(N, features)``."""
+        """Return features ``(N, features)`` of goal observations."""
         return cast(th.Tensor, self.scaling.observe(joined_observation(observations, th), th))
 
     def share(self, observations: Any) -> th.Tensor:
-        """The scaling's share ``(N, 1)``."""
+        """Return the share ``(N, 1)`` by which the scaling multiplies actions."""
         return cast(th.Tensor, self.scaling.share(joined_observation(observations, th), th))
 
 
@@ -45,44 +47,44 @@ def _scaling(module: Any) -> ScaledFeatures:
 
 
 class _ScaledActions:
-    """Mixin for actors, whose outputs are multiplied by the share."""
+    """Mixin for actors that multiplies their outputs by the scaling's share."""
 
     def forward(self, obs: Any, deterministic: bool = False) -> th.Tensor:
-        """Actions."""
+        """Return actions, multiplied by the share."""
         return super().forward(obs, deterministic) * _scaling(self).share(obs)  # type: ignore[misc, no-any-return]
 
     def action_log_prob(self, obs: Any) -> tuple[th.Tensor, th.Tensor]:
-        """Actions, and the logarithm of the probability of the actor's own output."""
+        """Return actions, multiplied by the share, and the log-probability of the actor's own output."""
         action, log_prob = super().action_log_prob(obs)  # type: ignore[misc]
         return action * _scaling(self).share(obs), log_prob
 
 
 class _ScaledValues:
-    """Mixin for critics, for which actions are divided by the share."""
+    """Mixin for critics that divides actions by the scaling's share."""
 
     def forward(self, obs: Any, actions: th.Tensor) -> Any:
-        """Values."""
+        """Return the critics' values of observations and actions."""
         return super().forward(obs, (actions / _scaling(self).share(obs)).clamp(-MOST, MOST))  # type: ignore[misc]
 
 
 class SacActor(_ScaledActions, sac.Actor):
-    """SAC's actor with scaled actions."""
+    """SAC actor whose output is multiplied by the scaling's share."""
 
 
 class SacCritic(_ScaledValues, ContinuousCritic):
-    """SAC's critics with scaled actions."""
+    """SAC critics whose actions are divided by the scaling's share."""
 
 
 class TqcActor(_ScaledActions, tqc.Actor):
-    """TQC's actor with scaled actions."""
+    """TQC actor whose output is multiplied by the scaling's share."""
 
 
 class TqcCritic(_ScaledValues, tqc.Critic):
-    """TQC's critics with scaled actions."""
+    """TQC critics whose actions are divided by the scaling's share."""
 
 
 class _ScaledNetworks:
-    """Mixin for policies, which are made of `actor_kind` and `critic_kind`."""
+    """Mixin for policies that makes the actor of `actor_kind` and the critics of `critic_kind`."""
 
     actor_kind: type[Any]
     critic_kind: type[Any]
@@ -91,22 +93,22 @@ class _ScaledNetworks:
         super().__init__(*arguments, **{"features_extractor_class": ScaledFeatures, **named})
 
     def make_actor(self: Any, features_extractor: BaseFeaturesExtractor | None = None) -> Any:
-        """The actor."""
+        """Make the actor."""
         return self.actor_kind(**self._update_features_extractor(self.actor_kwargs, features_extractor)).to(self.device)
 
     def make_critic(self: Any, features_extractor: BaseFeaturesExtractor | None = None) -> Any:
-        """The critics."""
+        """Make the critics."""
         arguments = self._update_features_extractor(self.critic_kwargs, features_extractor)
         return self.critic_kind(**arguments).to(self.device)
 
 
 class SacPolicy(_ScaledNetworks, sac.SACPolicy):
-    """SAC's policy with scaled networks."""
+    """SAC policy whose networks scale observations and actions."""
 
     actor_kind, critic_kind = SacActor, SacCritic
 
 
 class TqcPolicy(_ScaledNetworks, tqc.TQCPolicy):
-    """TQC's policy with scaled networks."""
+    """TQC policy whose networks scale observations and actions."""
 
     actor_kind, critic_kind = TqcActor, TqcCritic

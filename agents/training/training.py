@@ -1,8 +1,8 @@
-"""Training with stable-baselines3 on the native vector environments: seeded, resumable, judged.
+"""Seeded and resumable training with stable-baselines3 on pickenv's native vector environments.
 
-A run's folder holds `checkpoint.pt` (everything to go on from), `policy.npz` (the actor alone, see
+A run's folder holds `checkpoint.pt` (everything needed to resume), `policy.npz` (the actor alone, see
 `pickenv.agents.policies.learned`), `evaluations.json` and TensorBoard's logs. One seed gives one set of weights,
-interrupted or not.
+whether the training was interrupted or not.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from pickenv.base import InputError, locked, torch_on_one_thread, write_json
 
 
 class EverySoOften(BaseCallback):
-    """Do something every so many steps, between an update and the next rollout, when nothing is half done."""
+    """Callback that calls ``act`` every ``steps`` environment steps, between an update and the next rollout."""
 
     def __init__(self, steps: int, act: Callable[[BaseCallback], object]) -> None:
         super().__init__()
@@ -50,10 +50,21 @@ def judged(
     policy: LearnedPolicy | RememberingPolicy,
     steps: int,
 ) -> dict[str, float]:
-    """Judge a policy, and add its row to the evaluations of the training and of its folder.
+    """Evaluate a policy, and add the result to the evaluations of the training and of its folder.
+
+    Args:
+        training: Settings of the training.
+        inputs: Hashes of the calibration and the arms with which the training began.
+        out: Folder of the run.
+        rows: Evaluations so far, changed in place.
+        policy: Actor to evaluate.
+        steps: Number of environment steps so far.
+
+    Returns:
+        The new evaluation.
 
     Raises:
-        InputError: If the files that the training was begun with have changed.
+        InputError: If the files with which the training began have changed.
     """
     training_setup.check_inputs(training, inputs)
     rows[:] = [row for row in rows if row["steps"] < steps]
@@ -67,13 +78,13 @@ CHECKPOINT = "checkpoint.pt"
 
 @dataclass(frozen=True, eq=False)
 class Trained:
-    """The end of a training.
+    """Result of a training.
 
     Attributes:
-        policy: The actor.
-        evaluations: One dict per evaluation: steps, and what `judge` says.
+        policy: Trained actor.
+        evaluations: One dict per evaluation: "steps" and the numbers that `judge` returns.
         steps_per_second: Environment steps per second, updates and evaluations included.
-        out: The run's folder.
+        out: Folder of the run.
     """
 
     policy: LearnedPolicy | RememberingPolicy
@@ -85,17 +96,17 @@ class Trained:
 def train(
     training: training_setup.Training, out: str | Path, *, resume: bool = False, progress: bool = False
 ) -> Trained:
-    """Train, or go on training, and write the run's folder.
+    """Train a policy, or resume its training, and write the run's folder.
 
     Args:
-        training: What is trained; when resuming, it must be what the checkpoint says.
-        out: The folder.
-        resume: Whether to go on from the folder's checkpoint.
+        training: Settings of the training; when resuming, they must be those of the checkpoint.
+        out: Folder of the run.
+        resume: Whether to continue from the folder's checkpoint.
         progress: Whether to draw a progress bar.
 
     Raises:
-        InputError: If an argument is impossible, there is no sound checkpoint to go on from, a file that the training
-            was begun with has changed, or another process is at work in the folder.
+        InputError: If an argument is impossible, there is no intact checkpoint to resume from, or an input file has
+            changed since the training began. Also if another process is at work in the folder.
     """
     out = Path(out)
     path = out / CHECKPOINT
@@ -136,9 +147,9 @@ def train(
 
 
 def resumed(out: str | Path) -> training_setup.Training:
-    """The training that a folder's checkpoint belongs to.
+    """Return the settings of the training to which a folder's checkpoint belongs.
 
     Raises:
-        InputError: If there is no sound checkpoint.
+        InputError: If there is no intact checkpoint.
     """
     return read_checkpoint(Path(out) / CHECKPOINT)[0]

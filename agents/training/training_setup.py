@@ -1,4 +1,4 @@
-"""The parts of a training: settings, environments, algorithms, their actors, and how these are judged."""
+"""Parts of a training: settings, environments, algorithms, actors, and the evaluation of actors."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ ENVIRONMENTS: dict[str, type[Native]] = {
     "pickenv/Pick-v0": PickVectorEnv,
 }
 HELD_OUT = 2**62
-"""Seeds of evaluation episodes start here; training seeds are below."""
+"""First seed of evaluation episodes; seeds of training are smaller."""
 
 
 @dataclass(frozen=True)
@@ -39,16 +39,16 @@ class Training:
         algorithm: One of `pickenv.agents.training.training_setup.ALGORITHMS`; "ppo_lstm" and "ppo_history" learn on
             `pickenv.wrappers.SameArmVector`.
         env_id: Id of the environment.
-        steps: Environment steps; the tuned number when None.
-        seed: Seed of everything random.
-        arguments: Arguments of the environment. "plant" may be a list for an algorithm that remembers past picks: its
-            environments are then shared out among the plants, each with a population of its own.
-        compensate: Calibration file to train behind, or None.
-        allow: Reservations of that calibration to accept, by name (`pickenv.base.obey`).
+        steps: Number of environment steps; None for the tuned number.
+        seed: Seed of all random numbers.
+        arguments: Keyword arguments of the environment. For an algorithm that remembers past picks, "plant" may be a
+            list. Its environments are then divided among the plants, and each plant has its own population of arms.
+        compensate: Calibration file whose compensator corrects the commands during training, or None.
+        allow: Names of the calibration's reservations to accept (`pickenv.base.obey`).
         checkpoint_every: Environment steps between checkpoints.
         evaluate_every: Environment steps between evaluations.
-        scaled_actions: Whether actions shrink with the gap (`pickenv.wrappers.GapScaling`).
-        parameters: Parameters of the algorithm that replace the tuned ones.
+        scaled_actions: Whether actions are scaled with the gap to the fruit (`pickenv.wrappers.GapScaling`).
+        parameters: Hyperparameters of the algorithm that replace the tuned ones.
     """
 
     algorithm: str
@@ -73,38 +73,41 @@ class Training:
 
     @property
     def chosen(self) -> dict[str, Any]:
-        """The tuned parameters, overridden by the attribute ``parameters``."""
+        """Tuned hyperparameters, overridden by the attribute ``parameters``."""
         return tuned(self.algorithm, self.env_id) | self.parameters
 
     @property
     def wrapper(self) -> tuple[str | None, dict[str, Any]]:
-        """Name of the wrapper that the algorithm learns behind, as RL Zoo names it, and its arguments."""
+        """Name of the wrapper on which the algorithm learns, in RL Zoo's notation, or None, and its arguments."""
         entry = self.chosen.get("env_wrapper")
         ((name, settings),) = entry.items() if isinstance(entry, dict) else [(entry, {})]
         return name, settings
 
     @property
     def remembering(self) -> dict[str, Any] | None:
-        """Arguments of the `pickenv.wrappers.SameArmVector` that the algorithm learns on, or None for the bare task."""
+        """Arguments of the `pickenv.wrappers.SameArmVector` on which the algorithm learns, or None without it."""
         name, settings = self.wrapper
         return settings if name == "pickenv.wrappers.SameArm" else None
 
     @property
     def total(self) -> int:
-        """Number of environment steps in all."""
+        """Total number of environment steps."""
         return self.steps or int(self.chosen["n_timesteps"])
 
 
 Inputs = dict[str, str | None]
-"""Files and arms of a training besides its options: "arms", a hash of the numbers of its true arms (plant, arm and
-tolerance class; of several plants, one after the other), and "calibration", the SHA-256 of that file, or None."""
+"""Hashes of a training's inputs besides its settings. "arms" is a hash of the parameters of its true arms (plant, arm
+and tolerance class), for several plants one hash after the other. "calibration" is the SHA-256 of the calibration file,
+or None."""
 
 
 def arguments_of(training: Training) -> list[dict[str, Any]]:
-    """Arguments of a training's environments, one dict per plant; no two plants draw their arms from one stream.
+    """Return the environment arguments of a training, one dict per plant.
+
+    Each plant draws its arms from a random stream of its own.
 
     Raises:
-        InputError: If there is a list of plants without any, or for an algorithm that learns one arm.
+        InputError: If the list of plants is empty, or the algorithm learns one arm only and was given a list.
     """
     arguments = training.chosen.get("env_kwargs", {}) | training.arguments
     plants = arguments.get("plant")
@@ -122,7 +125,13 @@ def arguments_of(training: Training) -> list[dict[str, Any]]:
 
 
 def make_environment(training: Training, count: int, mode: str, number: int = 0) -> Native:
-    """The environments of a training, on its plant of that number, with its calibration installed.
+    """Make a training's environments with one of its plants, and install the training's calibration.
+
+    Args:
+        training: Settings of the training.
+        count: Number of environments.
+        mode: Autoreset mode.
+        number: Index of the plant.
 
     Raises:
         InputError: If an argument is impossible or the calibration is of another arm.
@@ -134,10 +143,15 @@ def make_environment(training: Training, count: int, mode: str, number: int = 0)
 
 
 def make_runs(training: Training, count: int, mode: str) -> SameArmVector | SameArmMixture:
-    """The runs that a policy with a memory learns on, shared out among the plants of its training.
+    """Make the environments for a policy with a memory, divided among the plants of its training.
+
+    Args:
+        training: Settings of the training.
+        count: Number of environments.
+        mode: Autoreset mode.
 
     Raises:
-        InputError: If an argument is impossible, there are more plants than runs, or their nominal arms differ.
+        InputError: If an argument is impossible, there are more plants than environments, or their nominal arms differ.
     """
     plants = len(arguments_of(training))
     if count < plants:
@@ -149,7 +163,7 @@ def make_runs(training: Training, count: int, mode: str) -> SameArmVector | Same
 
 
 def inputs_of(training: Training) -> Inputs:
-    """Files and arms that a training is made with, as they are now.
+    """Return the hashes of a training's arms and calibration file as they are now.
 
     Raises:
         InputError: If the calibration is missing or of another arm, or a plant is impossible.
@@ -160,7 +174,11 @@ def inputs_of(training: Training) -> Inputs:
 
 
 def check_inputs(training: Training, begun: Inputs) -> None:
-    """Refuse to go on with other files than a training was begun with.
+    """Raise an error if inputs of a training have changed since it began.
+
+    Args:
+        training: Settings of the training.
+        begun: Hashes of the inputs with which the training began.
 
     Raises:
         InputError: If the calibration or the plant has changed or is missing; the message names it.
@@ -183,10 +201,17 @@ def check_inputs(training: Training, begun: Inputs) -> None:
 
 
 def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
-    """The algorithm and its environments, seeded.
+    """Make the seeded model of a training and its environments.
+
+    Args:
+        training: Settings of the training.
+        out: Folder of the run, for TensorBoard's logs; None to write no logs.
+
+    Returns:
+        The Stable-Baselines3 model and its environments.
 
     Raises:
-        InputError: If PPO is asked for in a goal environment.
+        InputError: If PPO is chosen for a goal environment.
     """
     from sb3_contrib import TQC, RecurrentPPO
     from stable_baselines3 import PPO, SAC, HerReplayBuffer
@@ -220,7 +245,13 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
 
 
 def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy | RememberingPolicy:
-    """The actor of a model, on NumPy."""
+    """Return the actor of a Stable-Baselines3 model as a policy that runs on NumPy.
+
+    Args:
+        model: The model.
+        training: Settings of its training.
+        env: Environments of the model, from `make_model`.
+    """
     import torch
 
     on_policy = training.algorithm.startswith("ppo")
@@ -248,7 +279,7 @@ def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy | Rememb
 
 
 def memory_arrays(policy: Any) -> dict[str, Any]:
-    """The arrays of a torch policy's memory, as `RememberingPolicy` names them."""
+    """Return the weight arrays of a torch policy's memory, named as in `RememberingPolicy`."""
     if (lstm := getattr(policy, "lstm_actor", None)) is None:
         arrays = policy.features_extractor.given
         return {name: value.detach().numpy().astype(float) for name, value in arrays.items()}
@@ -257,12 +288,12 @@ def memory_arrays(policy: Any) -> dict[str, Any]:
 
 
 def judge(policy: LearnedPolicy | RememberingPolicy, training: Training) -> dict[str, float]:
-    """Judge a policy, acting without noise, on held-out episodes of its own environment.
+    """Evaluate a policy, acting deterministically, on held-out episodes of the training's environment.
 
     Returns:
-        Of reaching, mean_mm, p95_mm and success_rate at the end of 256 episodes, or over all picks of as many arms of a
-        policy with a memory; of picking, what became of the fruit of 16 canopies: collected, damaged, attempted and
-        reachable, means per canopy.
+        For reaching, "mean_mm", "p95_mm" and "success_rate" at the end of 256 episodes. For a policy with a memory
+        these are over all picks of 256 arms. For picking, "collected", "damaged", "attempted" and "reachable", mean
+        numbers of fruit per canopy over 16 canopies.
     """
     if training.env_id == "pickenv/Pick-v0" and isinstance(policy, LearnedPolicy):
         envs: Any = make_environment(training, 16, "NextStep")
@@ -282,7 +313,7 @@ def judge(policy: LearnedPolicy | RememberingPolicy, training: Training) -> dict
 
 
 def _picked(policy: RememberingPolicy, envs: SameArmVector | SameArmMixture) -> dict[str, Any]:
-    """The infos of one run of every arm, as arrays ``(picks, arms)``."""
+    """Run a policy with a memory once on every arm, and return the infos as arrays ``(picks, arms)``."""
     observations, _ = envs.reset(seed=HELD_OUT)
     state, rows = policy.begin(envs.num_envs), []
     for _ in range(envs.run.picks):
@@ -293,7 +324,7 @@ def _picked(policy: RememberingPolicy, envs: SameArmVector | SameArmMixture) -> 
 
 
 def words_of(row: dict[str, float]) -> str:
-    """An evaluation in one line of words."""
+    """Return a line of text that summarises an evaluation."""
     if "mean_mm" in row:
         return f"{row['mean_mm']:.3f} mm mean, {row['p95_mm']:.3f} mm p95 on held-out fruit"
     return f"{row['collected']:.2f} of {row['reachable']:.2f} reachable fruit per held-out canopy"
@@ -306,7 +337,7 @@ ALGORITHMS = ("ppo", "sac", "tqc", "ppo_lstm", "ppo_history")
 
 
 def check_algorithm(algorithm: str) -> None:
-    """Refuse an unknown algorithm.
+    """Raise an error if the algorithm is unknown.
 
     Raises:
         InputError: If it is not one of `ALGORITHMS`.
@@ -316,7 +347,7 @@ def check_algorithm(algorithm: str) -> None:
 
 
 def tuned(algorithm: str, env_id: str) -> dict[str, Any]:
-    """Parameters of an algorithm on an environment.
+    """Return the tuned hyperparameters of an algorithm on an environment.
 
     Raises:
         InputError: If the algorithm is unknown, or was never tuned on the environment.

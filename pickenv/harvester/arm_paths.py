@@ -1,8 +1,8 @@
 """Paths of the slave arms over time, their least distance, and the echoes that a side arm's ultrasonic rangers receive.
 
 Arms are numbered from 0, left to right. Arms of odd number are middle arms, arms of even number side arms. A side arm
-has a ranger on each flank of its cup. The ranger looks level and sideways at a middle arm, and measures the nearest
-surface in its cone. It knows nothing of the timetable. Units: m, rad, s.
+has a ranger on each flank of its cup. The ranger points sideways in the horizontal plane at a middle arm, and measures
+the nearest surface in its cone. It does not use the timetable. Units: m, rad, s.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ ALONG = np.linspace(0.0, 1.0, 25)
 
 
 def echoes(machine: Machine, slaves: ArrayLike, arm: int) -> Array:
-    """Distances that the rangers of a side arm measure: the nearest surface of a middle arm in their cones.
+    """Return the distances that a side arm's rangers measure to the nearest surface of a middle arm in their cones.
 
     Args:
         machine: The machine.
@@ -49,16 +49,16 @@ def echoes(machine: Machine, slaves: ArrayLike, arm: int) -> Array:
 
 
 def ultrasonic_hold(machine: Machine, work: Work, rng: np.random.Generator) -> Hold:
-    """Li's rule of waiting for `timetable`: a side arm stays at rest while it hears a middle arm too near.
+    """Return Li's waiting rule for `timetable`: a side arm stays at rest while it measures a middle arm too near.
 
-    The arm listens once in each period of its ranger, with the ranger's noise. It starts at the first measurement that
+    The arm measures once in each period of its ranger, with the ranger's noise. It starts at the first measurement that
     is not below `Body.guard`. It waits at most until the picks that middle arms have begun are over. A middle arm that
     returns no echo does not stop it.
 
     Args:
         machine: The machine.
-        work: The zone.
-        rng: Source of the ranger's noise.
+        work: Scheduling problem of the zone.
+        rng: Random generator of the ranger's noise.
 
     Returns:
         The rule as a function for `timetable`; see `pickenv.harvester.work.Hold`.
@@ -81,13 +81,13 @@ def ultrasonic_hold(machine: Machine, work: Work, rng: np.random.Generator) -> H
 
 
 def slave_joints_at(machine: Machine, work: Work, times: Timetable, at: Array) -> Array:
-    """Nominal joints of all slave arms at some times of a timetable.
+    """Return the nominal joints of all slave arms at the given times of a timetable.
 
     Each phase of a pick is a move with a trapezoidal speed profile.
 
     Args:
         machine: The machine.
-        work: The zone.
+        work: Scheduling problem of the zone.
         times: The timetable.
         at: Times since the start of the timetable, s, (times,).
 
@@ -115,7 +115,7 @@ def slave_joints_at(machine: Machine, work: Work, times: Timetable, at: Array) -
 
 
 def _share(time: Array, moves: Array, speed: Array, acceleration: Array, total: float) -> Array:
-    """Share of a joint move that is done after ``time``; the slower joint leads and the other keeps step."""
+    """Return the share of a move of two joints that is done after ``time``; the slower joint sets the pace."""
     if total <= 0:
         return np.ones_like(time)
     lead = int(np.argmax(travel_time(moves, speed, acceleration)))
@@ -127,7 +127,7 @@ def closest_approach(machine: Machine, work: Work, times: Timetable, step: float
 
     Args:
         machine: The machine.
-        work: The zone.
+        work: Scheduling problem of the zone.
         times: The timetable.
         step: Time between two samples, s.
     """

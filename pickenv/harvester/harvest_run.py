@@ -32,15 +32,15 @@ from pickenv.orchard import Eyes, draw_chances, load_eyes, next_picture, see
 
 @dataclass(frozen=True, eq=False)
 class Strategy:
-    """The way in which a machine works a tree.
+    """Choices by which a machine harvests a tree.
 
     Attributes:
         name: Name for reports.
-        controller: Conversion of nominal joints into commands, with what is known of the true machine.
+        controller: Controller that converts nominal joints to commands, with what it knows of the true machine.
         pick_point: Method of `pickenv.harvester.pick_point`.
         assignment: Method of `pickenv.harvester.assign`.
-        guard: Whether side arms wait while their ultrasonic ranger hears a middle arm too near.
-        looks: Most pictures of a zone. A further one is taken only if some pick of the one before detached no fruit.
+        guard: Whether side arms wait while their ultrasonic ranger measures a middle arm too near.
+        looks: Most pictures of a zone. A further picture is taken only if some pick of the last one detached no fruit.
         unload_full: If true, the tubes are emptied only when one is full, and at the end. Otherwise they are emptied
             after each zone.
         detector: Detector that reads the pictures, one of `pickenv.orchard.DETECTORS`.
@@ -58,13 +58,15 @@ class Strategy:
 
 @dataclass(eq=False)
 class Round:
-    """One picture of a zone and the picks that follow from it. A detection is a fruit, or a false one.
+    """One picture of a zone and the picks that follow from it.
+
+    A detection is that of a fruit of the tree, or a false one.
 
     Attributes:
         zone: The zone.
         begin: Time at which picking starts on the tree's clock, s.
         master: Nominal joints of the master while its slaves pick, (3,).
-        numbers: Number of each detected fruit in the tree, -1 for a false detection, (n,).
+        numbers: Index in the tree of each detected fruit, -1 for a false detection, (n,).
         believed: Position of each detection as measured in the picture, base frame, m, (n, 3).
         work: The scheduling problem; its fruit are the detections.
         times: Timetable of the picks.
@@ -84,7 +86,7 @@ class Round:
 
     @property
     def fruit(self) -> NDArray[np.int64]:
-        """Tree number of the fruit of each pick, -1 for a false detection, (picks,), in the order of the timetable."""
+        """Index in the tree of each pick's fruit, -1 for a false detection, (picks,), in timetable order."""
         return self.numbers[self.times.fruit]
 
     @property
@@ -94,14 +96,14 @@ class Round:
 
 
 class Harvest:
-    """A tree while it is worked, and the record of what was done.
+    """State of a tree during its harvest, and the record of what was done.
 
-    Flags and numbers of fruit have shape (n,), n being the number of fruit of the tree.
+    Flags and indices of fruit have shape (n,), n being the number of fruit of the tree.
 
     Attributes:
         tree: The tree.
-        rng: Source of what happens to the fruit.
-        looking: Source of what the pictures show.
+        rng: Random generator of what happens to the fruit.
+        looking: Random generator of what the pictures show.
         leaves: Leaves of the tree, or None unless pictures are rendered.
         seen: Fruit of which at least a part was in sight in some picture.
         located: Fruit whose position was measured in some picture.
@@ -110,7 +112,7 @@ class Harvest:
         attached: Fruit that was in a cup.
         detached: Fruit whose stalk was cut.
         collected: Fruit that came into a tube undamaged.
-        by_arm: Arm of the last attempt at each fruit, or -1.
+        by_arm: Index of the arm of the last attempt at each fruit, or -1.
         load: Number of fruit in the tube of each arm, (arms,).
         master: Present nominal joints of the master, (3,).
         rounds: Rounds so far, in order.
@@ -118,8 +120,8 @@ class Harvest:
         phases: Time spent in each phase ("move", "image", "pick", "unload"), s.
         repicks: Number of attempts at fruit that an earlier attempt had missed.
         misled: Number of attempts at false detections.
-        chances: Random numbers of the last picture, (n, 5), see `pickenv.orchard.draw_chances`; None unless errors are
-            measured ones.
+        chances: Random numbers of the last picture, (n, 5), see `pickenv.orchard.draw_chances`; None unless the vision
+            is "measured_errors".
     """
 
     def __init__(self, machine: Machine, eyes: Eyes, tree: Tree, rng: np.random.Generator) -> None:
@@ -136,7 +138,7 @@ class Harvest:
         self.chances: Array | None = None
 
     def spend(self, phase: str, seconds: float) -> None:
-        """Advance the clock by ``seconds``, on the account of a phase."""
+        """Advance the clock by ``seconds``, and add them to the time of a phase."""
         self.seconds += seconds
         self.phases[phase] += seconds
 
@@ -150,15 +152,15 @@ def harvest(
     grid: Grid,
     eyes: Eyes,
 ) -> list[Harvest]:
-    """Work trees from the first zone to the last.
+    """Simulate the harvest of trees, from the first zone to the last.
 
     Args:
-        true: The machine as built. The controller knows of it only what the strategy's controller knows.
+        true: The machine as built. The strategy's controller does not read it.
         strategy: Choice of pick points, plans, pictures and unloading.
-        model: Model of what becomes of attempts.
+        model: Model of the outcomes of picking attempts.
         trees: The trees.
         rngs: One generator per tree.
-        grid: Zones of each side.
+        grid: Division of each side into zones.
         eyes: Model of how cameras see fruit.
 
     Returns:
@@ -185,7 +187,7 @@ def harvest(
 
 
 def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone: Zone, look: int) -> Round | None:
-    """Picture, pick point and plan of a zone; None where the picture shows nothing that an arm reaches."""
+    """Take a picture of a zone and plan its picks; return None if the picture shows nothing that an arm reaches."""
     state.spend("image", machine.cycle.image)
     numbers, places = _seen_in(eyes, state, zone, look)
     if not numbers.size:
@@ -205,7 +207,7 @@ def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone
 
 
 def _seen_in(eyes: Eyes, state: Harvest, zone: Zone, look: int) -> tuple[NDArray[np.int64], Array]:
-    """Detections of a picture in a zone: tree numbers (m,), -1 for false ones, and measured positions, m, (m, 3)."""
+    """Detections in a zone's picture: index in the tree (m,), -1 for false ones, and measured positions, m, (m, 3)."""
     tree, rng = state.tree, state.looking
     hanging = np.flatnonzero(~state.detached)
     chances = None
@@ -228,17 +230,17 @@ def _seen_in(eyes: Eyes, state: Harvest, zone: Zone, look: int) -> tuple[NDArray
 def _execute(
     true: TrueMachine, strategy: Strategy, model: Picking, states: list[Harvest], rounds: dict[int, Round]
 ) -> list[int]:
-    """Do the planned picks of all trees with the true machine.
+    """Simulate the planned picks of all trees with the true machine.
 
     Args:
         true: The machine as built.
-        strategy: Its controller makes the commands.
-        model: Model of what becomes of attempts.
+        strategy: Strategy whose controller makes the commands.
+        model: Model of the outcomes of picking attempts.
         states: All trees.
-        rounds: The planned round of each tree that has one, by the tree's place in ``states``.
+        rounds: The planned round of each tree that has one, by the tree's index in ``states``.
 
     Returns:
-        Places of the trees in which some pick detached no fruit.
+        Indices of the trees in which some pick detached no fruit.
     """
     if not rounds:
         return []
@@ -258,11 +260,11 @@ def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harves
 
     Args:
         true: The machine as built.
-        strategy: Says when tubes are emptied.
-        model: Model of what becomes of attempts.
+        strategy: Strategy that says when tubes are emptied.
+        model: Model of the outcomes of picking attempts.
         state: The tree, changed in place.
         plan: The round.
-        tips: True cups at the end of their rise without the spread of repeated stops, m, (picks, 3).
+        tips: True cup positions at the end of the rise, without the spread of repeated stops, m, (picks, 3).
 
     Returns:
         Whether some pick detached no fruit.
@@ -295,10 +297,10 @@ def _outcome(model: Picking, state: Harvest, numbers: NDArray[np.int64], tips: A
     A cup that is sent to a false detection comes back empty, but pushes the foliage all the same.
 
     Args:
-        model: Model of what becomes of attempts.
+        model: Model of the outcomes of picking attempts.
         state: The tree.
-        numbers: Tree number of the fruit of each pick, -1 for a false detection, (picks,).
-        tips: True cups at the end of their rise, m, (picks, 3).
+        numbers: Index in the tree of the fruit of each pick, -1 for a false detection, (picks,).
+        tips: True cup positions at the end of the rise, m, (picks, 3).
         entry: Times at which the cups reach the fruit, s, (picks,); earlier cups push the fruit of later ones.
     """
     tree, luck = state.tree, draw_luck(state.rng, len(numbers))
@@ -320,7 +322,7 @@ def _outcome(model: Picking, state: Harvest, numbers: NDArray[np.int64], tips: A
 
 
 def _unload(machine: Machine, state: Harvest) -> None:
-    """Take the fruit to the start pose and open the lids; without fruit in the tubes, do nothing."""
+    """Carry the fruit to the start pose and open the lids of the tubes; without fruit in them, do nothing."""
     if not state.load.any():
         return
     state.spend("move", float(master_time(machine, state.master, machine.master_start)))
@@ -332,7 +334,7 @@ def _unload(machine: Machine, state: Harvest) -> None:
 def generators_of(
     seeds: Sequence[np.random.SeedSequence],
 ) -> tuple[list[np.random.Generator], list[np.random.Generator]]:
-    """Two random generators for each seed: one draws the tree, the other what happens to it."""
+    """Return two lists of random generators, one of each per seed: for drawing trees, and for what happens to them."""
     pairs = [np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key).spawn(2) for seed in seeds]
     return [np.random.default_rng(a) for a, _ in pairs], [np.random.default_rng(b) for _, b in pairs]
 
@@ -349,16 +351,16 @@ def work_trees(
     workers: int = 1,
     vision: str = "measured_errors",
 ) -> list[Harvest]:
-    """Draw ``count`` trees from ``seed`` and work them.
+    """Draw ``count`` trees from ``seed`` and simulate their harvest.
 
     Equal seeds give equal trees for every strategy and every vision.
 
     Args:
         true: The machine as built.
         strategy: Choice of pick points, plans, pictures and unloading.
-        model: Model of what becomes of attempts.
+        model: Model of the outcomes of picking attempts.
         orchard: Model from which trees are drawn.
-        grid: Zones of each side.
+        grid: Division of each side into zones.
         count: Number of trees.
         seed: Seed of the trees and of all that happens to them.
         workers: Number of processes.
@@ -406,12 +408,12 @@ class Measure:
 
 
 def funnel(harvests: Sequence[Harvest]) -> dict[str, int]:
-    """Number of fruit that came to each stage of `STAGES`, summed over all trees."""
+    """Return the number of fruit that reached each stage of `STAGES`, summed over all trees."""
     return {stage: int(sum(at_stage(h, stage) for h in harvests)) for stage in STAGES}
 
 
 def at_stage(harvest: Harvest, stage: str) -> int:
-    """Number of fruit of one tree that came to a stage, one of `STAGES`."""
+    """Return the number of fruit of one tree that reached a stage, one of `STAGES`."""
     if stage == "present":
         return len(harvest.tree)
     return int(getattr(harvest, "seen" if stage == "visible" else stage).sum())

@@ -1,9 +1,9 @@
 """Distances between slave arms, taken as capsules, and the pairs of picks that must not overlap in time.
 
-Slave arms are level. The distance between two of them follows from their distance in plan and their difference in
-height. An arm at rest points straight ahead and is short. There no neighbour can touch it
-(`machine.refuse_touching_arms`), and only there it moves up and down between picks. Arms can meet only during
-excursions: from rest out to a fruit and back. Units: m, rad, s.
+Slave arms are horizontal. The distance between two of them follows from their distance in plan and their difference in
+height. An arm at rest points straight ahead and has its shortest length. There no neighbour can touch it
+(`machine.refuse_touching_arms`). Only at rest does it move up and down between picks. Arms can meet only during
+excursions, that is from rest out to a fruit and back. Units: m, rad, s.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from pickenv.harvester.machine import Machine
 Point = tuple[Scalar, Scalar]
 
 FEW = 4
-"""Number of machines up to which plain floats are faster than NumPy; both give the same bits."""
+"""Number of sets of joints up to which plain floats are faster than NumPy; both give the same bits."""
 
 
 def segment_distance(p: ArrayLike, q: ArrayLike, r: ArrayLike, s: ArrayLike) -> Array:
-    """Distances between the segments p-q and r-s in the plane, from end points (..., 2) that broadcast."""
+    """Distances between the segments p-q and r-s in the plane, for end points (..., 2) that broadcast."""
     ends = [(point[..., 0], point[..., 1]) for point in (np.asarray(end, dtype=float) for end in (p, q, r, s))]
     return np.asarray(np.sqrt(_square_between(np, *ends)))
 
@@ -54,13 +54,13 @@ def _side(a: Point, b: Point, c: Point) -> Scalar:
 
 
 def cup_in_plan(m: Any, offset: Scalar, swing: Scalar, d6: Scalar) -> Point:
-    """Cup of a slave in plan, m: to the right and ahead of the middle pivot; ``m`` is NumPy, or `ONE` for floats."""
+    """A cup in plan, m: its places right and ahead of the middle pivot; ``m`` is NumPy, or `ONE` for floats."""
     return offset - d6 * m.sin(swing), d6 * m.cos(swing)
 
 
 @lru_cache(maxsize=8)
 def pairs_of(arms: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Numbers of the first and of the second arm of each pair, in the order of ``numpy.triu_indices(arms, 1)``."""
+    """Indices of the first and of the second arm of each pair, in the order of ``numpy.triu_indices(arms, 1)``."""
     first, second = np.triu_indices(arms, 1)
     return first, second
 
@@ -84,13 +84,19 @@ def arm_distances(machine: Machine, slaves: ArrayLike) -> Array:
 
 
 def pair_distances(m: Any, machine: Machine, slaves: Sequence[Sequence[Scalar]]) -> list[Scalar]:
-    """`arm_distances` of one machine, component by component."""
+    """Return `arm_distances` of one machine as a list with one entry per pair.
+
+    Args:
+        m: NumPy, or `ONE` for single numbers.
+        machine: The machine.
+        slaves: The three joints of each slave, m and rad.
+    """
     ends = [_ends(m, offset, *joints) for offset, joints in zip(machine.offsets.tolist(), slaves, strict=True)]
     return [_between(m, ends[a], ends[b]) for a, b in zip(*pairs_of(machine.arms), strict=True)]
 
 
 def _ends(m: Any, offset: Scalar, d4: Scalar, swing: Scalar, d6: Scalar) -> tuple[Scalar, ...]:
-    """Pivot of a slave along x, its cup in plan, x and y, and its height: four numbers."""
+    """Four numbers of a slave: its pivot along x, its cup's x and y in plan, and its height."""
     return offset, *cup_in_plan(m, offset, swing, d6), d4
 
 
@@ -101,10 +107,10 @@ def _between(m: Any, first: tuple[Scalar, ...], second: tuple[Scalar, ...]) -> S
 
 
 def excursion_distances(machine: Machine, joints: Array, approach: Array) -> Array:
-    """Least distances between every two excursions, whenever each happens.
+    """Return the least distances between every two excursions, at whatever times they happen.
 
-    In plan an excursion sweeps a fan, from the arm at rest to the arm at the fruit. Its height runs from ``approach``
-    below the fruit up to the fruit.
+    An excursion is an arm's way from rest out to a fruit and back. In plan it sweeps a fan, from the arm at rest to the
+    arm at the fruit. Its height runs from ``approach`` below the fruit up to the fruit.
 
     Args:
         machine: The machine.

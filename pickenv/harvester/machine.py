@@ -69,10 +69,10 @@ class Cycle:
 
     Attributes:
         approach: Distance below the fruit at which the cup starts to rise, m.
-        sense: Time in which the sensor finds the fruit in the cup, s.
-        cut: Time of the blade, s.
+        sense: Time that the sensor takes to find the fruit in the cup, s.
+        cut: Time that the blade takes, s.
         image: Time of a picture and its analysis, s.
-        unload: Time in which the tubes empty, s.
+        unload: Time that the tubes take to empty, s.
         tube_fruit: Number of fruit at which the tube of one arm is full.
     """
 
@@ -86,7 +86,7 @@ class Cycle:
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """A master arm and its slaves as designed; the controller knows no other machine before a calibration.
+    """A master arm and its slaves as designed, the only machine that a controller knows before a calibration.
 
     Attributes:
         master: The master arm, base frame to frame 3.
@@ -121,12 +121,12 @@ class Machine:
 
     @cached_property
     def offsets(self) -> Array:
-        """a3 of each slave, m, (arms,): its place across the master's heading, negative on the left."""
+        """Offset of each slave across the master's heading (a3), m, (arms,); negative on the left."""
         return np.array([slave.nominal.a[0] for slave in self.slaves])
 
     @cached_property
     def slave(self) -> Geometry:
-        """Nominal geometry of a slave. Only a3 differs between slaves, and this is the left-most one's."""
+        """Nominal geometry of the left-most slave; the other slaves differ in a3 only."""
         return self.slaves[0].nominal
 
     @property
@@ -165,7 +165,7 @@ class Machine:
         return np.concatenate([arm.speed for arm in (self.master, *self.slaves)])
 
     def parted(self, joints: Array) -> tuple[Array, Array]:
-        """Joints of the whole machine (..., 3 + 3 arms) as the master's (..., 3) and the slaves' (..., arms, 3)."""
+        """Split joints of the machine (..., 3 + 3 arms) into the master's (..., 3) and the slaves' (..., arms, 3)."""
         return joints[..., :3], joints[..., 3:].reshape(*joints.shape[:-1], self.arms, 3)
 
     def frame3(self, master: ArrayLike) -> Array:
@@ -193,7 +193,7 @@ class Machine:
         return np.stack([_wrapped(np.arctan2(y, x) + np.arctan2(self.a2, d3)), z - self.d1, d3], axis=-1)
 
     def tips(self, master: ArrayLike, slaves: ArrayLike) -> Array:
-        """Cups of all slaves: eq (4).
+        """Compute the positions of all slaves' cups by eq (4).
 
         Args:
             master: Joints of the master, (..., 3).
@@ -214,7 +214,7 @@ class Machine:
         return positions
 
     def slave_inverse(self, master: ArrayLike, targets: ArrayLike) -> Array:
-        """Joints of every slave for every target: eq (6) with theta5 = -theta1 - atan2(A, B), wrapped.
+        """Compute the joints of every slave for every target by eq (6), with theta5 = -theta1 - atan2(A, B), wrapped.
 
         Args:
             master: Joints of the master, (..., 3).
@@ -234,20 +234,20 @@ class Machine:
         return np.stack([d4, swing, np.hypot(a, b)], axis=-1)
 
     def within_limits(self, slave_joints: ArrayLike) -> Flags:
-        """Flags (...) of slave joints (..., 3) within the limits; joints that are NaN are not."""
+        """Flags (...): whether slave joints (..., 3) are within the limits; False for NaN."""
         return _inside(self.slave, slave_joints)
 
     def master_within_limits(self, master_joints: ArrayLike) -> Flags:
-        """Flags (...) of master joints (..., 3) within the limits; joints that are NaN are not."""
+        """Flags (...): whether master joints (..., 3) are within the limits; False for NaN."""
         return _inside(self.master.nominal, master_joints)
 
     def reach(self, master: ArrayLike, targets: ArrayLike) -> Flags:
-        """Flags (..., arms, n) of the slaves that reach targets (..., n, 3), with the master at joints (..., 3)."""
+        """Flags (..., arms, n): whether each slave reaches targets (..., n, 3), with the master at joints (..., 3)."""
         return self.within_limits(self.slave_inverse(master, targets))
 
 
 def _inside(geometry: Geometry, joints: ArrayLike) -> Flags:
-    """Flags (...) of joints (..., 3) within the limits; joints that are NaN are not."""
+    """Flags (...): whether joints (..., 3) are within the limits; False for NaN."""
     q = np.asarray(joints, dtype=float)
     return np.asarray(((q >= geometry.lower - ROUNDING) & (q <= geometry.upper + ROUNDING)).all(axis=-1))
 
@@ -283,7 +283,10 @@ class AccelerationTable:
 
 @toml_table
 class TrueTable:
-    """Table [true] of a machine file; see `pickenv.harvester.true_machine.TrueMachine`."""
+    """Table [true] of a machine file: plants of master and slaves, and errors of each slave's seat on the frame.
+
+    See `pickenv.harvester.true_machine.TrueMachine`.
+    """
 
     master: Annotated[str, PLANT]
     slave: Annotated[str, PLANT]
@@ -363,10 +366,10 @@ def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spaci
 
 
 def refuse_touching_arms(machine: Machine) -> None:
-    """Refuse a spacing at which a swinging slave can come too near a neighbour at rest.
+    """Raise an error for a spacing at which a swinging slave can come too near a neighbour at rest.
 
-    The arm at rest points straight ahead and is short. If a neighbour swings towards it by t, the cup at rest is
-    spacing*cos(t) - d6*sin(t) away from the neighbour's line.
+    The arm at rest points straight ahead and has its shortest length. If a neighbour swings towards it by t, the cup at
+    rest is spacing*cos(t) - d6*sin(t) away from the neighbour's line.
 
     Raises:
         InputError: If that distance can be less than two radii and the margin.
@@ -383,17 +386,17 @@ def refuse_touching_arms(machine: Machine) -> None:
 
 
 def shifted(slave: Geometry, offset: float) -> Geometry:
-    """Geometry of a slave mounted ``offset`` m farther to the right: a3 grows."""
+    """Return the geometry of a slave mounted ``offset`` m farther to the right, with a3 larger by this amount."""
     return replace(slave, a=np.concatenate([slave.a[:1] + offset, slave.a[1:]]))
 
 
 def _wrapped(angle: Array) -> Array:
-    """Angles moved into [-pi, pi)."""
+    """Return angles wrapped to [-pi, pi)."""
     return np.asarray((angle + np.pi) % (2 * np.pi) - np.pi)
 
 
 def travel_time(distance: ArrayLike, speed: ArrayLike, acceleration: ArrayLike) -> Array:
-    """Time of a move from rest to rest, s: 2 sqrt(s/a) while the speed is not reached, else s/v + v/a.
+    """Time of a move from rest to rest, s: 2 sqrt(s/a) if the largest speed is not reached, else s/v + v/a.
 
     Args:
         distance: Lengths s of the moves, m or rad; the sign does not matter. Shapes broadcast.
@@ -408,7 +411,8 @@ def profile(time: ArrayLike, distance: ArrayLike, speed: ArrayLike, acceleration
     """Displacement during a move from rest to rest whose speed has a trapezoidal profile.
 
     Args:
-        time: Time since the start of the move, s; before it and after the end the arm stands. Shapes broadcast.
+        time: Time since the start of the move, s; before the start and after the end the arm stands still. Shapes
+            broadcast.
         distance: Displacement at the end, m or rad; its sign is that of the result.
         speed: Largest speed, m/s or rad/s.
         acceleration: Largest acceleration, m/s² or rad/s².
@@ -426,7 +430,7 @@ def profile(time: ArrayLike, distance: ArrayLike, speed: ArrayLike, acceleration
 
 
 def master_time(machine: Machine, start: ArrayLike, end: ArrayLike) -> Array:
-    """Time of a move of the master, s, (...): all joints start together, and the slowest ends the move.
+    """Time of a move of the master, s, (...). All joints start together, and the slowest joint ends the move.
 
     Args:
         machine: The machine.
@@ -438,6 +442,6 @@ def master_time(machine: Machine, start: ArrayLike, end: ArrayLike) -> Array:
 
 
 def dense_workspace() -> tuple[tuple[float, ...], ...]:
-    """Ranges of x, y and z in the base frame, m, where Li 2016, Fig. 8, finds the cloud of reached points dense."""
+    """Ranges of x, y and z in the base frame, m, in which the cloud of reached points is dense (Li 2016, Fig. 8)."""
     workspace = read_toml(WorkspaceTable, SHIPPED, section="workspace")
     return workspace.dense_x, workspace.dense_y, workspace.dense_z

@@ -1,7 +1,8 @@
-"""Plans of a zone: which arm picks which fruit in which order, by several methods, and a lower bound of the makespan.
+"""Plans of a zone by several methods, and a lower bound of their makespan.
 
-Li's rule and the usual baselines of the field need no search. The local search takes milliseconds and keeps apart the
-excursions that must not overlap (`Work.conflict`). Plans leave out fruit that no arm reaches. Units: s.
+A plan says which arm picks which fruit in which order. Li's rule and the usual baselines of the field need no search.
+The local search takes milliseconds and keeps apart in time the excursions that must not overlap (`Work.conflict`).
+Plans leave out fruit that no arm reaches. Units: s.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from pickenv.harvester.zones import SHIPPED
 
 
 def columns(work: Work, *, falling: bool) -> Plan:
-    """Plan in which each fruit belongs to the arm that turns least to it, of the arms that reach it.
+    """Plan in which each fruit goes to the arm with the least swing to it, of the arms that reach it.
 
     Arms pick by rising height. With ``falling``, middle arms (odd numbers) pick by falling height, as in Li 2016,
     section 5.2.
@@ -36,7 +37,7 @@ def columns(work: Work, *, falling: bool) -> Plan:
 
 
 def nearest_neighbour(work: Work) -> Plan:
-    """Plan in which the arm that is free first takes the fruit that it can finish first.
+    """Plan in which the arm that is free first takes, of the remaining fruit, the one that it can finish first.
 
     Conflicts are not considered.
     """
@@ -53,7 +54,7 @@ def nearest_neighbour(work: Work) -> Plan:
 
 
 def hungarian_waves(work: Work) -> Plan:
-    """Plan in waves: in each wave every arm takes at most one fruit, so that the sum of their times is least.
+    """Plan in waves: in each wave every arm takes at most one fruit, and the sum of their times is minimal.
 
     The time of a fruit is its travel and its excursion. Conflicts are not considered.
     """
@@ -77,10 +78,12 @@ def _next_times(work: Work, plan: list[list[int]], waiting: list[int]) -> Array:
 
 
 def lower_bound(work: Work, *, integral: bool = True) -> float:
-    """Lower bound of the makespan of every plan, s; fruit is shared out evenly, with its least travel and no conflicts.
+    """Lower bound of the makespan of any plan, s.
+
+    It balances the load of the arms, with the least possible travel to each fruit and without conflicts.
 
     Args:
-        work: The zone.
+        work: Scheduling problem of the zone.
         integral: Whether a fruit belongs to one arm (a mixed-integer programme of at most 0.2 s). Otherwise arms may
             share it.
     """
@@ -111,14 +114,15 @@ def lower_bound(work: Work, *, integral: bool = True) -> float:
 def local_search(
     work: Work, rng: np.random.Generator | None = None, *, bound: float | None = None, patience: float = 1.0
 ) -> Plan:
-    """Plan by simulated annealing: the best of three greedy plans is changed by moving and exchanging fruit.
+    """Plan by simulated annealing, which starts from the best of three greedy plans.
 
-    Half of the changes take a fruit of the arm that ends last.
+    Each step moves a fruit to another place, or exchanges two fruit. Half of the steps take a fruit of the arm that
+    ended last in the current plan.
 
     Args:
-        work: The zone.
-        rng: Source of the changes; a fixed seed by default.
-        bound: Makespan at which the search stops once it is within 1 %, s; `lower_bound` by default.
+        work: Scheduling problem of the zone.
+        rng: Random generator of the steps; a fixed seed by default.
+        bound: Makespan, s; the search stops once its plan is within 1 % of it. `lower_bound` by default.
         patience: Number of rounds, as a multiple of the strategy file's.
     """
     rng = np.random.default_rng(0) if rng is None else rng
@@ -148,7 +152,7 @@ def local_search(
 
 
 def _by_height(work: Work) -> Plan:
-    """Plan in which the arms pick from below and share the fruit so that their loads are even.
+    """Plan in which the arms pick from below and share the fruit so that their loads are balanced.
 
     It is a good start where fruit hangs dense.
     """
@@ -200,13 +204,13 @@ load_effort = cache(partial(read_toml, Effort, SHIPPED, section="optimiser"))
 
 
 def assign(work: Work, method: str, rng: np.random.Generator | None = None) -> Plan:
-    """Plan of a zone by the method of a given name.
+    """Plan the picks of a zone by a named method.
 
     Args:
-        work: The zone.
-        method: "li": Li's rule; "nearest": nearest neighbour; "columns": columns from below; "hungarian": waves;
-            "search": local search.
-        rng: Source of the search's changes; a fixed seed by default.
+        work: Scheduling problem of the zone.
+        method: "li": Li's rule, `columns` with middle arms from above; "nearest": `nearest_neighbour`; "columns":
+            `columns` from below; "hungarian": `hungarian_waves`; "search": `local_search`.
+        rng: Random generator of the local search; a fixed seed by default.
 
     Raises:
         InputError: If the method is unknown.

@@ -1,9 +1,9 @@
 """Pick points, at which the master stands while its slaves pick: eqs (7) to (12) as printed or corrected, and a search.
 
 The printed equations have two faults. They put frame 3 at polar angle theta2 and ignore a2, although theta2 is the
-arm's heading. And eq (7) exchanges the border fruit at negative y. The search follows the paper's "master moves much,
-slaves little". Among the points from which most fruit is reached, it takes the one with the least motion of the slaves.
-Units: m, rad.
+arm's heading. And eq (7) exchanges the left and right border fruit at negative y. The search follows the paper's
+"master moves much, slaves little". Of the points from which most fruit is reached, it takes the one with the least
+motion of the slaves. Units: m, rad.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ METHODS = ("as_printed", "equations", "corrected", "search")
 
 
 def border_indices(fruit: Array, printed: bool = False) -> tuple[int, int]:
-    """Numbers of the left-most fruit P3 and the right-most fruit P4 as seen from the base: eq (7).
+    """Indices of the left-most fruit P3 and the right-most fruit P4 as seen from the base: eq (7).
 
     As printed, arctan(X/Y) is largest on the left. That holds for Y > 0 only, and Li's trees stand at Y < 0.
 
@@ -47,7 +47,7 @@ def pick_heading(fruit: Array, spacing: float, printed: bool = False) -> float:
         printed: Whether to take eqs (7) and (11) as printed.
 
     Raises:
-        InputError: If a border fruit is not farther from the master's axis than the spacing.
+        InputError: If a border fruit is within the spacing of the master's axis.
     """
     first, last = border_indices(fruit, printed)
     (x3, y3), (x4, y4) = fruit[first, :2], fruit[last, :2]
@@ -61,14 +61,14 @@ def pick_heading(fruit: Array, spacing: float, printed: bool = False) -> float:
 
 
 def pick_point(machine: Machine, fruit: ArrayLike, method: str = "search") -> Array:
-    """Master joints (3,) at the pick point of a zone's fruit.
+    """Return the master joints (3,) at the pick point of a zone's fruit.
 
     Args:
         machine: The machine.
         fruit: Positions in the base frame, m, (n, 3).
-        method: "as_printed" takes eqs (7) to (12) to the letter. "equations" is the same with the border fruit on the
-            right sides. "corrected" takes theta2 as the heading theta1, too. "search" reaches most fruit with least
-            motion.
+        method: "as_printed" takes eqs (7) to (12) as printed. "equations" is the same with the border fruit on the
+            correct sides. "corrected" also takes theta2 as the master's joint theta1. "search" reaches most fruit with
+            least motion.
 
     Returns:
         Joints, rad and m. Those of "search" are within the limits; those of the other methods need not be.
@@ -103,10 +103,11 @@ def pick_point(machine: Machine, fruit: ArrayLike, method: str = "search") -> Ar
 
 
 def searched(machine: Machine, fruit: Array) -> Array:
-    """Master joints (3,) from which most fruit is reached, and of those the joints with the least motion of the slaves.
+    """Return the master joints (3,) from which most fruit is reached and, among those, the slaves move least.
 
-    All slaves reach the same heights, so height can be chosen apart from heading and reach. Two grids of headings and
-    reaches, the second finer and around the best point of the first, meet a few heights: see `_heights`.
+    All slaves reach the same heights, so height can be chosen apart from heading and reach. The search evaluates two
+    grids of headings and reaches. The second grid is finer and around the best point of the first. Each grid is
+    combined with a few heights: see `_heights`.
     """
     settings = _search()
     low, high = machine.master.nominal.lower, machine.master.nominal.upper
@@ -138,7 +139,7 @@ def searched(machine: Machine, fruit: Array) -> Array:
 
 
 def _heights(machine: Machine, fruit: Array) -> Array:
-    """Heights d2 worth trying, m, (k,): for the middle of the fruit, and for each fruit at an end of the slide."""
+    """Heights d2 to try, m, (k,): for the middle of the fruit, and for each fruit at an end of the slide."""
     z = np.unique(fruit[:, 2]) - machine.d1
     bottom, top = machine.slave.lower[0], machine.slave.upper[0]
     heights = np.concatenate([[(z[0] + z[-1]) / 2 - (top + bottom) / 2], z - bottom, z - top])
@@ -146,7 +147,7 @@ def _heights(machine: Machine, fruit: Array) -> Array:
 
 
 def _point_costs(machine: Machine, masters: Array, fruit: Array, inside: NDArray[np.bool_]) -> Array:
-    """Costs (m, k) of headings and reaches, each at every height.
+    """Costs (m, k) of m headings and reaches, each at every one of k heights.
 
     A fruit out of reach costs one. Motion of the slaves and arms with little fruit in reach cost less than that.
 

@@ -1,7 +1,7 @@
-"""Outcomes of attempts with Li's cup, position sensor and blade, and fruit that the cups of other attempts have pushed.
+"""Outcomes of picking attempts with Li's cup, position sensor and blade, and displacements of fruit by other cups.
 
 A cup that goes in pushes the foliage. Fruit nearby then swings on its branch, a spring-pendulum, and part of the push
-stays. Units: m, kg, s.
+remains. Units: m, kg, s.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ def _cup(name: str, _context: Any) -> Cup:
 
 @toml_table
 class Picking:
-    """The picking model; see picking.toml.
+    """Parameters of the picking model; see picking.toml.
 
     Attributes:
         cup: Li's cup.
         branch: Branch that fruit hangs from.
-        gather: Lateral misalignment beyond the cup's clearance from which on the gatherer takes no fruit, m.
+        gather: Lateral misalignment beyond the cup's clearance at which the gatherer no longer takes fruit, m.
         outer: Outer radius of the cup, m.
         cluster_success: Probability that an attempt succeeds although another fruit is in the cup's way.
         cut_success: Probability that the blade meets the stalk.
         undamaged: Probability that picked fruit stays whole.
         push: Median shift of the foliage by a cup that goes in, m.
         push_spread: Standard deviation of the natural logarithm of that shift.
-        lasting: Share of a push that stays.
+        lasting: Share of a push that remains after the swing.
     """
 
     cup: Annotated[Cup, Key("gripper"), Then(_cup, str)]
@@ -66,11 +66,11 @@ def load_picking(path: str | Path = SHIPPED) -> Picking:
 
 
 class Luck(NamedTuple):
-    """Random numbers that decide about attempts, (picks,) each.
+    """Random numbers that decide the outcomes of attempts, (picks,) each.
 
     Attributes:
         grasp: Uniform from 0 to 1; decides whether the cup takes the fruit.
-        cluster: Uniform from 0 to 1; decides whether it takes a fruit although another one is in its way.
+        cluster: Uniform from 0 to 1; decides whether the cup takes a fruit although another one is in its way.
         cut: Uniform from 0 to 1; decides whether the blade meets the stalk.
         whole: Uniform from 0 to 1; decides whether the fruit stays whole.
         push: Standard normal; scales the push on the foliage.
@@ -86,7 +86,7 @@ class Luck(NamedTuple):
 
 
 def draw_luck(rng: np.random.Generator, count: int) -> Luck:
-    """Random numbers for ``count`` attempts, six for each."""
+    """Draw the random numbers of ``count`` attempts, six for each."""
     grasp, cluster, cut, whole = rng.random((count, 4)).T
     return Luck(grasp, cluster, cut, whole, rng.normal(size=count), rng.uniform(0.0, 2 * np.pi, count))
 
@@ -94,16 +94,16 @@ def draw_luck(rng: np.random.Generator, count: int) -> Luck:
 def attempt(
     model: Picking, tips: Array, fruit: Array, moved: Array, diameters: Array, others: Array, luck: Luck
 ) -> tuple[Flags, Flags, Flags]:
-    """Outcomes of cups that go to fruit, one after another.
+    """Return the outcomes of attempts whose cups go to fruit one after another.
 
     Args:
         model: The picking model.
-        tips: True cups at the end of their rise, m, (picks, 3), in the order of the attempts.
+        tips: True cup positions at the end of the rise, m, (picks, 3), in the order of the attempts.
         fruit: True fruit centres at rest, m, (picks, 3).
         moved: Displacement of each fruit by earlier pushes when its cup comes, m, (picks, 3).
         diameters: Diameters of the fruit, m, (picks,).
-        others: Centres of the fruit that hangs and is not attempted here, m, (m, 3).
-        luck: Random numbers that decide.
+        others: Centres of the hanging fruit that is not attempted here, m, (m, 3).
+        luck: Random numbers that decide the outcomes.
 
     Returns:
         Three flags of each pick, (picks,) each: the fruit was in the cup, its stalk was cut, it came into the tube
@@ -128,12 +128,12 @@ def attempt(
 
 
 def in_the_way(model: Picking, fruit: Array, diameter: float, near: Array) -> Flags:
-    """Flags (m,) of fruit that the cup's wall meets when it takes another fruit: beside that fruit or just below it.
+    """Flags (m,) of the fruit that the cup's wall would meet, because it hangs beside or just below the fruit to take.
 
     Args:
         model: The picking model.
         fruit: Centre of the fruit to take, m, (3,).
-        diameter: Its diameter, m.
+        diameter: Diameter of the fruit to take, m.
         near: Centres of the other fruit, m, (m, 3).
     """
     away = near - fruit
@@ -142,9 +142,10 @@ def in_the_way(model: Picking, fruit: Array, diameter: float, near: Array) -> Fl
 
 
 def pushes(model: Picking, fruit: Array, others: Array, luck: Luck) -> Array:
-    """First displacements of fruit by cups that go in, m, (picks, m, 3); they fall off with distance.
+    """Initial displacements of fruit by cups that go in, m, (picks, m, 3).
 
-    The share `Picking.lasting` of a push stays. The rest swings as the branch does and dies away.
+    They decrease with distance. The share `Picking.lasting` of a push remains. The rest swings as the branch does and
+    decays.
 
     Args:
         model: The picking model.

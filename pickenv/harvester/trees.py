@@ -1,4 +1,4 @@
-"""Trees that the harvester works, with their fruit in the machine's base frame: of an orchard row or of Li's lab.
+"""Trees that the harvester works, of an orchard row or of Li's lab, with fruit positions in the machine's base frame.
 
 The machine's column stands in front of the canopy at its stand-off, and the tree is at negative y. Units: m, kg.
 """
@@ -22,7 +22,7 @@ SHIPPED = Path(__file__).parent / "picking.toml"
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """One side of a tree as the machine meets it.
+    """One side of a tree, as it stands before the machine.
 
     Attributes:
         fruit: Fruit centres in the base frame, m, (n, 3).
@@ -42,7 +42,7 @@ class Tree:
 
 @toml_table
 class Orchard:
-    """Table [trees] of a picking file: the model that trees are drawn from.
+    """Table [trees] of a picking file: the model from which trees are drawn.
 
     Attributes:
         canopy: Canopy, a preset of `pickenv.orchard`.
@@ -104,7 +104,13 @@ def load_orchard(
 
 
 def sample_tree(machine: Machine, orchard: Orchard, rng: np.random.Generator) -> Tree:
-    """Draw one side of a tree."""
+    """Draw one side of a tree, with fruit positions in the machine's base frame.
+
+    Args:
+        machine: The machine.
+        orchard: Model from which the tree is drawn.
+        rng: Random generator.
+    """
     canopy = orchard.canopy
     positions, diameters = trees.sample_fruit(orchard.fruit_map, orchard.fruit_size, canopy, rng)
     half = canopy.width / 2
@@ -115,7 +121,7 @@ def sample_tree(machine: Machine, orchard: Orchard, rng: np.random.Generator) ->
 
 
 def in_base_frame(machine: Machine, canopy: trees.Canopy, positions: Array) -> Array:
-    """Positions (..., 3) of the orchard frame in the machine's base frame, m.
+    """Convert positions (..., 3) from the orchard frame to the machine's base frame, m.
 
     The base frame is turned by 180 degrees about z. Its origin is at the machine's column, at the height of the base
     above the ground.
@@ -125,14 +131,14 @@ def in_base_frame(machine: Machine, canopy: trees.Canopy, positions: Array) -> A
 
 
 def tree_leaves(machine: Machine, eyes: trees.Eyes, rng: np.random.Generator) -> trees.Leaves | None:
-    """Leaves of a tree in the base frame; None unless the eyes render pictures."""
+    """Draw the leaves of a tree in the base frame; return None unless the eyes render pictures."""
     leaves = trees.foliage(eyes, rng)
     return None if leaves is None else replace(leaves, places=in_base_frame(machine, eyes.canopy, leaves.places))
 
 
 @cache
 def load_lab() -> Lab:
-    """Read the table of Li's experiment, once."""
+    """Read the table [lab] of the picking file, Li's experiment, once."""
     return read_toml(Lab, SHIPPED, section="lab")
 
 

@@ -1,8 +1,8 @@
-"""The harvester as built, a plant for each of its arms, and the controller that corrects the errors it knows of.
+"""The harvester as built, with a plant (true arm) for each arm, and the controller that corrects known errors.
 
-A belief predicts the pose of an arm's last frame from joint commands. The nominal geometry is the simplest belief, the
-compensator of a calibration another. In the true machine, frame 3 of the true master carries the true slaves. Units: m,
-rad.
+A belief is a model that predicts the pose of an arm's last frame from joint commands. The nominal geometry is the
+simplest belief, the compensator of a calibration another. In the true machine, frame 3 of the true master carries the
+true slaves. Units: m, rad.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from pickenv.harvester.machine import SHIPPED, Machine, TrueTable, shifted
 Rows = NDArray[np.intp]
 
 ROUNDS = 3
-"""Number of iterations of a correction; each leaves about a hundredth of the error before it."""
+"""Number of iterations of a correction; each reduces the error about a hundredfold."""
 
 
 class Belief(Protocol):
@@ -50,7 +50,7 @@ class TrueMachine:
     repeatability: float
 
     def ideal(self) -> TrueMachine:
-        """The same machine without any errors: nominal geometry, no effects, exact stops."""
+        """Return the same machine without any errors: nominal geometry, no effects, exact stops."""
         plants = [replace(plant, geometry=plant.arm.nominal, effects=()) for plant in (self.master, *self.slaves)]
         return replace(self, master=plants[0], slaves=tuple(plants[1:]), repeatability=0.0)
 
@@ -59,7 +59,7 @@ class TrueMachine:
         return self.master.tool_pose(master)
 
     def tips(self, master: ArrayLike, slaves: ArrayLike) -> Array:
-        """True cups of all slaves in the base frame, m, (..., arms, 3), without the spread of repeated stops.
+        """True cup positions of all slaves in the base frame, m, (..., arms, 3), without the spread of repeated stops.
 
         Args:
             master: Commands of the master, (..., 3).
@@ -74,17 +74,17 @@ class TrueMachine:
         return np.stack([np.stack(np.broadcast_arrays(*cup), axis=-1) for cup in cups], axis=-2)
 
     def cups(self, m: Any, master: Sequence[Scalar], slaves: Sequence[Sequence[Scalar]]) -> list[Frame]:
-        """True cups of all slaves as x, y and z; ``m`` is NumPy, or `ONE` for single numbers."""
+        """True positions of all slaves' cups as x, y and z; ``m`` is NumPy, or `ONE` for single numbers."""
         base = self.master.tool_frame(m, master)
         plants = zip(self.slaves, slaves, strict=True)
         return [attach(base, plant.tool_frame(m, joints))[9:] for plant, joints in plants]
 
     def picking_tips(self, master: Array, arm: Array, joints: Array) -> Array:
-        """True cups of picks in the base frame, m, (picks, 3), without the spread of repeated stops.
+        """True cup positions of picks in the base frame, m, (picks, 3), without the spread of repeated stops.
 
         Args:
             master: Commands of the master at each pick, (picks, 3).
-            arm: Number of the slave of each pick, (picks,).
+            arm: Index of the slave of each pick, (picks,).
             joints: Commands of that slave, (picks, 3).
         """
         plants, base = self.slaves, self.frame3(master)
@@ -93,12 +93,14 @@ class TrueMachine:
 
 @dataclass(frozen=True, eq=False)
 class Controller:
-    """Conversion of nominal joints of the whole machine into commands, with a belief about each arm.
+    """Converter of nominal joints of the whole machine into commands, with a belief about each arm.
+
+    A belief is a model that predicts the pose of an arm from its commands; see `Belief`.
 
     Attributes:
         machine: The machine as designed.
-        master: Belief about the master, or None for the nominal one.
-        slaves: Belief about each slave; empty for the nominal ones.
+        master: Belief about the master, or None for its nominal geometry.
+        slaves: Belief about each slave; empty for their nominal geometries.
     """
 
     machine: Machine
@@ -110,7 +112,7 @@ class Controller:
             raise InputError(f"{len(self.slaves)} beliefs were given for {self.machine.arms} slave arms; give one each")
 
     def __call__(self, joints: ArrayLike) -> Array:
-        """Commands (..., 3 + 3 arms) for nominal joints of the same shape: the compensator of a whole machine."""
+        """Return the commands (..., 3 + 3 arms) for nominal joints of the same shape, as a compensator does."""
         joints = np.array(joints, dtype=float)
         if self.master is None and not self.slaves:
             return joints
@@ -120,7 +122,10 @@ class Controller:
         return np.concatenate([master, *slaves], axis=-1)
 
     def master_command(self, master: ArrayLike) -> Array:
-        """Commands (..., 3) that bring the believed frame 3 to the nominal one of nominal master joints (..., 3)."""
+        """Return the master's commands (..., 3) for nominal joints (..., 3), corrected by the belief about the master.
+
+        At the commands, the believed frame 3 has its origin where the nominal joints put the nominal frame 3.
+        """
         machine, nominal = self.machine, np.asarray(master, dtype=float)
         if self.master is None:
             return nominal
@@ -132,12 +137,12 @@ class Controller:
         return np.asarray(command)
 
     def pick_commands(self, master: Array, arm: Array, targets: Array) -> Array:
-        """Commands (picks, 3) of the slaves for picks.
+        """Return the commands (picks, 3) at which the slaves' believed cups are at the targets of picks.
 
         Args:
             master: Commands of the master at each pick, (picks, 3).
-            arm: Number of the slave of each pick, (picks,).
-            targets: Places for the cups in the base frame, m, (picks, 3).
+            arm: Index of the slave of each pick, (picks,).
+            targets: Target positions of the cups in the base frame, m, (picks, 3).
         """
         base = self._frame3(master)
         return _arm_by_arm(base, arm, lambda i, here, mine: self._slave_command(i, here, targets[mine]))

@@ -1,8 +1,8 @@
 """The work of one zone as a scheduling problem: which arm can pick which fruit, in what time, and which picks conflict.
 
-A pick begins with travel: the arm moves up or down while it is at rest. Its excursion follows: it swings and stretches
-below the fruit, rises, senses, cuts, and goes back to rest. Travel is safe. Only excursions of different arms can meet.
-Units: m, rad, s.
+A pick begins with travel: the arm moves up or down while it is at rest. Its excursion follows: the arm swings and
+stretches below the fruit, rises, senses, cuts, and goes back to rest. Travel is safe. Only excursions of different arms
+can meet. Units: m, rad, s.
 """
 
 from __future__ import annotations
@@ -19,14 +19,17 @@ from pickenv.harvester.interference import excursion_distances
 from pickenv.harvester.machine import Machine, travel_time
 
 Plan = tuple[tuple[int, ...], ...]
-"""Numbers of the fruit that each arm picks, in order."""
+"""Indices of the fruit that each arm picks, in order."""
 
 Row = tuple[int, int, float, float, float]
 
 
 @dataclass(frozen=True, eq=False)
 class Work:
-    """The picks that a zone offers.
+    """The picks that a zone offers, as a scheduling problem.
+
+    An excursion is an arm's way from rest out to a fruit and back. Travel is its vertical move at rest before an
+    excursion.
 
     Attributes:
         joints: Nominal slave joints at each fruit, not limited, (arms, n, 3).
@@ -60,17 +63,17 @@ class Work:
 
     @cached_property
     def lists(self) -> tuple[list[list[float]], list[float], list[list[float]], list[list[list[list[bool]]]]]:
-        """Duration, first, travel and conflict as plain lists, which a search over plans reads fastest."""
+        """Duration, first, travel and conflict as plain lists, which a search over plans can read fastest."""
         return self.duration.tolist(), self.first.tolist(), self.travel.tolist(), self.conflict.tolist()
 
     @property
     def reachable(self) -> NDArray[np.bool_]:
-        """Flags (n,) of the fruit that some arm reaches."""
+        """Flags (n,): whether some arm reaches each fruit."""
         return np.asarray(self.reached.any(axis=0))
 
 
 def zone_work(machine: Machine, master: ArrayLike, fruit: ArrayLike) -> Work:
-    """The scheduling problem of a zone.
+    """Return the scheduling problem of a zone.
 
     Args:
         machine: The machine.
@@ -107,9 +110,11 @@ def zone_work(machine: Machine, master: ArrayLike, fruit: ArrayLike) -> Work:
 class Timetable:
     """The times of picks, in the order of their starts.
 
+    An excursion is an arm's way from rest out to a fruit and back.
+
     Attributes:
-        arm: Number of the arm of each pick, (picks,).
-        fruit: Number of the fruit of each pick, (picks,).
+        arm: Index of the arm of each pick, (picks,).
+        fruit: Index of the fruit of each pick, (picks,).
         start: Start of each excursion, s, (picks,).
         end: End of each excursion, s, (picks,).
         held: Time that the arm waited for other arms before each excursion, s, (picks,).
@@ -132,13 +137,14 @@ Its arguments are the arm, its fruit, the time at which it is ready (s), and the
 
 
 def timetable(work: Work, plan: Plan, *, hold: Hold | None = None) -> Timetable:
-    """Times of a plan's picks.
+    """Return the times of a plan's picks.
 
-    An excursion starts once its arm is ready and no conflicting excursion is under way.
+    An excursion, the way from rest out to a fruit and back, starts once its arm is ready and no conflicting excursion
+    is under way.
 
     Args:
-        work: The zone.
-        plan: Fruit of each arm, in order.
+        work: Scheduling problem of the zone.
+        plan: Indices of each arm's fruit, in order.
         hold: Rule by which an arm waits longer, such as `pickenv.harvester.ultrasonic_hold`. With a rule, of two arms
             that could start at the same time the middle arm (odd number) goes first.
     """
@@ -151,7 +157,7 @@ def _table(rows: list[Row]) -> Timetable:
 
 
 def _schedule(work: Work, plan: Sequence[Sequence[int]], hold: Hold | None = None) -> list[Row]:
-    """Picks in the order of their starts, each with its arm, fruit, start, end and waiting time."""
+    """Return the picks in the order of their starts, each with its arm, fruit, start, end and waiting time."""
     (duration, first, travel, barred), arms = work.lists, range(len(plan))
     done: list[Row] = []
     at = [0] * len(plan)
@@ -186,6 +192,6 @@ def _schedule(work: Work, plan: Sequence[Sequence[int]], hold: Hold | None = Non
 
 
 def last_arm(work: Work, plan: Sequence[Sequence[int]]) -> tuple[float, int]:
-    """Makespan of a plan, s, and the number of the arm that ends it; zeros for a plan without picks."""
+    """Return the makespan of a plan, s, and the index of the arm that ends it; zeros for a plan without picks."""
     row = max(_schedule(work, plan), key=lambda row: row[3], default=(0, 0, 0.0, 0.0, 0.0))
     return row[3], row[0]

@@ -39,7 +39,7 @@ class Zone:
     top: float
 
     def holds(self, positions: ArrayLike) -> NDArray[np.bool_]:
-        """Flags (...) of positions (..., 3) whose x and z are inside the zone."""
+        """Flags (...): whether positions (..., 3) are inside the zone in x and z."""
         points = np.asarray(positions, dtype=float)
         x, z = points[..., 0], points[..., 2]
         return np.asarray((x >= self.left) & (x <= self.right) & (z >= self.bottom) & (z <= self.top))
@@ -71,7 +71,9 @@ def load_grid(path: str | Path = SHIPPED) -> Grid:
 
 
 def cut(grid: Grid, left: float, right: float, bottom: float, top: float) -> list[Zone]:
-    """Zones that cover a tree's side, in the order of work: columns from left to right, up the first, down the next.
+    """Return the zones that cover a tree's side, in the order of work.
+
+    The order goes through the columns from left to right, up the first column, down the next.
 
     Args:
         grid: Numbers of columns and rows, and their overlap.
