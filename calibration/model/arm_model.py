@@ -28,8 +28,8 @@ class Conditions:
         payload: Mass held at the tool ``(N,)``, kg.
         temperature: Temperature above the reference ``(N,)``, K.
         torque: Measured joint torques or forces ``(N, n)``, N*m or N, positive along the joint as gravity's are.
-        between: For a robot whose links form a tree: indices of the links that carry the sensor and its target ``(N,
-            2)``, see `pickenv.arm.kinematics.geometry.LinkTree`.
+        between: For a robot whose links form a tree, indices of the links that carry the sensor and its target
+            ``(N, 2)``, see `pickenv.arm.kinematics.geometry.LinkTree`.
     """
 
     payload: Array | None = None
