@@ -39,8 +39,8 @@ GOOD = 0.05
 """A fit whose error is below this share of the spread needs no further starts."""
 
 STARTS = 24
-"""Number that sets the further tools tried if neither the closed form nor the nominal tool gives a good fit. 8 times as
-many are drawn, and a quarter as many, the best ones, are fitted."""
+"""Number of further tools tried, times four, if neither the closed form nor the nominal tool gives a good fit. They are
+the best of ``8 * STARTS`` random tools."""
 
 
 @single_threaded()

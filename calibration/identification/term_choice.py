@@ -345,8 +345,8 @@ NAMES = ("compliance", "gravity", "periodic", "thermal")
 
 
 TermChoice = tuple[str, dict[str, float], tuple[Term, ...]]
-"""Result of `choose_terms`. It has the names of the chosen terms (some of `NAMES` joined by "+", or "none"), the
-cross-validated RMS miss of every combination tried, m, and the terms."""
+"""Result of `choose_terms`: names of the chosen terms (some of `NAMES` joined by "+", or "none"), RMS misses, and the
+terms. The misses are cross-validated, m, by the names of every combination tried."""
 
 
 def identify_terms(
