@@ -46,8 +46,8 @@ def refuse_trained(train: Observations, test: Observations) -> None:
     """Refuse held-out rows that are copies of training rows, also if they are rounded or in another order.
 
     A held-out row may be a repeated measurement at a training pose. Then its reading differs by the scatter of
-    instrument and arm. A held-out row is a copy if it is at the same pose (`SAME_POSE`) and has the same reading,
-    within `Observations.rounding` or within the last digit written. Copies are refused if they are more than repeated
+    instrument and arm. A copy is at the same pose (`SAME_POSE`) and has the same reading, within
+    `Observations.rounding` or within the last digit written. Copies are refused if they are more than repeated
     measurements would give by chance (binomial test, `UNLIKELY`). If readings are labels, such as a socket's number,
     the joint values are compared in their place.
 
@@ -133,7 +133,7 @@ LEAST_VIEWS = 4
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A row that was left out as an outlier or as a view of too few corners, or an outlier that was kept on request.
+    """A row that was left out as an outlier or as a view of too little of the board, or an outlier that was kept.
 
     Attributes:
         file: The row's file.

@@ -55,8 +55,8 @@ class Identification:
         unknowns: Identified unknowns of the measurements themselves (reflectors, anchors, sockets), m.
         identifiability: Which parameters were identified, which were dropped as redundant, and what absorbs these.
         delta: Identified minus starting parameters, m or rad, per parameter (0 for dropped ones).
-        covariance: Covariance of the kept parameters: the posterior's if they have priors, else from the residual's own
-            scatter; NaN if there are no more equations than parameters.
+        covariance: Covariance of the kept parameters. It is that of the posterior if they have priors, else from the
+            residual's scatter; NaN if there are no more equations than parameters.
         chi_square: Sum of squared whitened residuals.
         degrees_of_freedom: Equations minus identified parameters.
         converged: Whether the last step was negligible.
@@ -64,7 +64,7 @@ class Identification:
         iterates: The arm, and the measurements' own unknowns ``(u,)``, before each iteration and after the last.
         solve_seconds: Time of the solution alone, s.
         poses: Number of poses used.
-        kind: What was measured: "pose", "position", ….
+        kind: Kinds of the measurements, such as "pose" or "position".
         prior: The parameters' priors; None if there were none.
         noise: The estimated scatter of the rows; None if it was not estimated.
     """
@@ -309,11 +309,11 @@ def judged_step(step: Any, explained: Any, weighted: Any, before: Any, after: An
         after: Root mean square of the residuals after the step ``(...)``.
 
     Returns:
-        Four values for one arm or many ``(...)``. The first is the squared relative offset (Bates and Watts 1981): the
-        part of the residual that the whole step would still explain, per parameter and relative to the scatter. Steps
-        in directions that the data hardly determine do not count in it. The second says whether a further step would be
-        negligible. The third says whether the residual did not grow, except by rounding (False for NaN). The fourth
-        says whether the step, if it was undamped and the residual did not grow, led to the minimum.
+        Four values for one arm or many ``(...)``. The first is the squared relative offset (Bates and Watts 1981). It
+        is what the whole step would still explain, per parameter and relative to the scatter. Steps in directions that
+        the data hardly determine do not count in it. The second says whether a further step would be negligible. The
+        third says whether the residual did not grow, except by rounding (False for NaN). The fourth says whether the
+        step, if it was undamped and the residual did not grow, led to the minimum.
     """
     rows, parameters = weighted.shape[-1], step.shape[-1]
     scatter = (weighted**2).sum(-1) / max(rows - parameters, 1)
@@ -455,8 +455,8 @@ def identifiability(
 
     Args:
         matrix: Stacked Jacobian ``(rows, P)``, rows weighted, columns scaled by ``tolerance``.
-        names: Parameter names.
-        tolerance: The columns' scale, m or rad.
+        names: Names of the parameters; of redundant parameters, earlier ones are kept.
+        tolerance: Scale of each parameter ``(P,)``, m or rad.
         poses: Number of poses that the rows come from.
         rank_tolerance: See `REDUNDANCY_TOLERANCE`.
     """
@@ -558,10 +558,10 @@ def observability(singular_values: Array, poses: int) -> dict[str, float]:
         poses: Number of poses stacked.
 
     Returns:
-        By name, with singular values s1 (largest) to sm: "o1" is (s1 … sm)^(1/m) / sqrt(n), their geometric mean, which
-        a D-optimal set maximises. "o2" is sm / s1, the inverse condition number. "o3" is sm, which shows how well the
-        worst combination is determined. "o4" is sm^2 / s1, noise amplification. "o5" is 1 / sum(1 / si), related to
-        A-optimality. "condition" is s1 / sm, and "poses" is n.
+        The indices by name, with singular values s1 (largest) to sm. Index "o1" is (s1 … sm)^(1/m) / sqrt(n), with the
+        geometric mean that a D-optimal set maximises. Index "o2" is sm / s1, the inverse condition number. Index "o3"
+        is sm, which shows how well the worst combination is determined. Index "o4" is sm^2 / s1, noise amplification.
+        Index "o5" is 1 / sum(1 / si), related to A-optimality. The others are "condition", s1 / sm, and "poses", n.
 
     Raises:
         ValueError: If a singular value is not above zero: such parameters are not identifiable and must be left out.

@@ -344,10 +344,10 @@ def _median(values: Array, counts: Array) -> float:
 # Where the identification starts, and which files are of one set-up.
 
 FILE_ROWS, SET_UP_ROWS = 150, 450
-"""Largest numbers of rows of a file, and of a set-up, that are used to find set-ups."""
+"""Largest numbers of rows of a file, and of a set-up, that are used to determine set-ups."""
 
 COUNTED_ROWS = 30
-"""Largest number of a file's rows that count as independent; neighbouring rows share the model's errors."""
+"""Largest number of a file's rows that count as independent, because neighbouring rows share the model's errors."""
 
 LEAST_ROWS = 8
 """Least number of rows with which a file's set-up can be determined."""

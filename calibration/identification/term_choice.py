@@ -1,6 +1,6 @@
 """Choice of an arm's parametric terms, by cross-validation over contiguous blocks of the training rows.
 
-Gravity terms (joint deflection under the arm's own weight) and harmonics of the drives need no data sheet, so they can
+Gravity terms (joint deflection under the arm's own weight) and harmonics of the drives need no data sheet. So they can
 be tried on any arm. Compliance can be tried wherever torques were measured. Terms extrapolate, where a learnt residual
 only interpolates. A term that does not reduce the cross-validated error is left out.
 """
@@ -161,7 +161,7 @@ FINE = 0.1
 """Step of the finer grid around the chosen orders, from which they are chosen again, cycles per turn."""
 
 MOST = 40
-"""Largest number of harmonics."""
+"""Largest number of harmonics that are chosen."""
 
 ROWS_EACH = 8
 """Number of rows needed for each harmonic."""

@@ -355,8 +355,8 @@ class GravityTerm(JointTerm):
     def moments(self, geometry: Geometry) -> list[tuple[int, int, str]]:
         """Return the joint, link (indices from 0) and moment of each coefficient.
 
-        A moment is "m" for the mass at the link's origin, "x", "y" or "z" for a first moment, or "p" for the payload at
-        the tool.
+        Moment "m" is the mass at the link's origin; "x", "y" and "z" are its first moments; "p" is the payload at the
+        tool.
         """
         moments = []
         for i in self.joints:

@@ -238,7 +238,7 @@ class SocketObservations(Observations):
 
     @cached_property
     def numbers(self) -> Stated:
-        """Coordinates of the sockets, which are unknown, and of the tool point."""
+        """Coordinates of the sockets, which are unknown, and of the tool point ``tip``."""
         count = 3 * len(self._names)
         return Stated(
             (*(f"{name}_{axis}" for name in self._names for axis in "xyz"), *TIP),
@@ -504,7 +504,7 @@ class ReflectorObservations(Observations):
 
 
 DOWN = np.array([0.0, 0.0, -1.0])
-"""Unit vector that points down in the world of an arm whose base stands level."""
+"""Unit vector that points down in the world of an arm whose base is level."""
 
 
 @register("observation", "tilt")

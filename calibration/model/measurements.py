@@ -1,6 +1,6 @@
 """Measurements of an arm: joint values, and the tool poses that instruments measured, at one station or at several.
 
-The CSV files of pickenv name every column with its unit: q1_deg, q2_mm, …, x_mm, y_mm, z_mm and, for full poses, the
+The CSV files of pickenv name every column with its unit: q1_deg, q2_mm, …, x_mm, y_mm, z_mm. Full poses also have the
 rotation vector rx_deg, ry_deg, rz_deg. Other files are read through a column description
 (`pickenv.calibration.reading.read`).
 """
@@ -50,13 +50,13 @@ class Measurements(Observations):
         joints: Commanded joint displacements ``(N, n)``, rad or m.
         position: Measured tool positions ``(N, 3)``, m, in the instrument's frame.
         rotation: Measured tool rotations ``(N, 3, 3)``, or None where only positions were measured.
-        prismatic: Joint types, which fix the unit of each joint column.
+        prismatic: Whether each joint is prismatic, which decides the unit of its column.
         position_std: Standard uncertainty of one position coordinate, m.
         attitude_std: Standard uncertainty of one attitude coordinate, rad.
         source: Where the data come from, for messages.
         conditions: Payload, temperature and torques of each pose, where known.
         origins: File and line of each row; None if the rows come from no file.
-        frames: "known" for poses of the arm's own tool in the arm's own base frame; "fitted" if the poses of the
+        frames: "known" for poses of the arm's own tool in the arm's own base frame. "fitted" if the places of the
             instrument, and of its target on the tool, are unknown.
         std_stated: Whether the uncertainties were stated; otherwise they are the defaults.
     """
@@ -376,7 +376,7 @@ class Stacked(Observations):
 
     @worked_out
     def sized(self) -> bool:
-        """Whether any station's data know a length."""
+        """Whether the data of any station involve a known length."""
         return any(part.sized for part in self.parts)
 
     @worked_out
@@ -394,7 +394,7 @@ class Stacked(Observations):
 
     @worked_out
     def origins(self) -> Origins:
-        """File and line of every row, and the scatter of the first station's repeats."""
+        """File and line of every row, and the first station's scatter of repeated measurements."""
         parts = [origins_of(part) for part in self.parts]
         starts = _starts([len(origins.files) for origins in parts])
         return Origins(

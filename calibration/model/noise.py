@@ -2,11 +2,11 @@
 
 A channel is the readings of one instrument in one unit. Its scatter is estimated, whatever uncertainty was stated.
 Errors that a model cannot express are alike at neighbouring joints. Their length scale and share of the variance
-maximise the marginal likelihood of a Gaussian process on the residuals (Rasmussen and Williams 2006, eq 5.8). n rows
-with equal errors carry as much information as one row of variance (1 - share + share n) / n. So rows of a cluster weigh
-less than isolated rows, and the common error widens the posterior (a sandwich covariance: White 1982). Equations of one
-picture share the error of its pose; the size of that error is estimated by expectation maximisation (Laird and Ware
-1982). SI units.
+maximise the marginal likelihood of a Gaussian process on the residuals (Rasmussen and Williams 2006, eq 5.8). A number
+n of rows with equal errors carries as much information as one row of variance (1 - share + share n) / n. So rows of a
+cluster weigh less than isolated rows, and the common error widens the posterior (a sandwich covariance: White 1982).
+Equations of one picture share the error of its pose; the size of that error is estimated by expectation maximisation
+(Laird and Ware 1982). SI units.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ FREE = 0.25
 row."""
 
 WORTH = 3.0
-"""Logarithm of the likelihood ratio above which neighbours count as having like errors."""
+"""Log-likelihood ratio above which neighbours count as having like errors."""
 
 PROCESS_ROWS, NEIGHBOUR_ROWS = 300, 1500
 """Largest numbers of equally spaced rows: those that length and share are fitted to, and those searched for
@@ -69,8 +69,9 @@ class RowNoise:
         length: Distance of joints over which rows have that share in common, rad or m.
         common: Factor on variances of rows with the usual number of neighbours, which carry less information than
             independent ones.
-        shared: One entry per row whose equations share the error of one pose: indices of the m equations, orthonormal
-            directions of that error among them ``(m, 6)``, and the share of each that whitening removes ``(6,)``.
+        shared: One entry per row whose m equations share the error of one pose. It has the indices of the equations,
+            orthonormal directions of that error among them ``(m, 6)``, and the share of each that whitening removes
+            ``(6,)``.
         pose_std: Standard deviation of that shared error per axis: position, m, and attitude, rad.
     """
 

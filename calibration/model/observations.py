@@ -27,7 +27,7 @@ from pickenv.calibration.model.arm_model import ArmModel, Conditions
 # Lines are counted from 1 with the header, as an editor shows them; rows that come from no file are counted from 1.
 
 NAMED = 6
-"""Largest number of rows that a message names."""
+"""Largest number of rows of one file that a message names."""
 
 
 @dataclass(frozen=True)
@@ -207,8 +207,8 @@ class Observations:
 
     A row is what was measured at one joint vector. The defaults here suit most kinds: a split may fall anywhere, and
     each row gives one miss (measured minus predicted readings). A kind defines its misses, and their derivatives with
-    respect to the arm and to the numbers of its instrument. The equations of a data set are those of the misses, those
-    of the numbers' stated values, and further ones among the numbers (`bonds`), in this order.
+    respect to the arm and to the numbers of its instrument. The equations of a data set are first those of the misses,
+    then those of the numbers' stated values, then further ones among the numbers (`bonds`).
 
     Attributes:
         joints: Joints ``(N, n)``, rad or m.
@@ -311,7 +311,7 @@ class Observations:
         return self.jacobian(model, unknowns)[0][:, [name.startswith("tool_") for name in model.parameter_names]]
 
     def channels_of(self, other: Observations) -> Rows:
-        """The channels of this data set that match those of other rows of the same instruments; here all channels."""
+        """The channels of this data set that match those of other rows of the same instruments; by default all."""
         return np.arange(int(self.equations()[1].max(initial=-1)) + 1)
 
     def weighed(self, scales: Array) -> Self:
@@ -435,7 +435,7 @@ def nearest_rotation(matrix: Array) -> Array:
 Rows = NDArray[np.int64]
 
 BLOCKS = 10
-"""Number of contiguous blocks that are held out in turn when errors are judged by blocks."""
+"""Number of contiguous blocks, each of which is held out once when errors are judged by blocks."""
 
 
 SAME_POSE = 2e-4
@@ -443,7 +443,7 @@ SAME_POSE = 2e-4
 or written with two decimals, differs by less."""
 
 PATH = 10 * SAME_POSE
-"""Chains of near rows that extend over more than this, rad or m, are a path that was followed slowly."""
+"""A chain of near rows that extends over more than this, rad or m, is a path that was followed slowly, and no pose."""
 
 
 def equally_spaced(rows: int, most: int) -> Rows:

@@ -1,9 +1,9 @@
 """Pixels of a target's points, in pictures of a camera that is on the arm's tool or watches a target on the tool.
 
 A target is a printed board, whose points are its corners, or any list of points in space. The instrument's frame is the
-target's if the camera is on the tool, and the camera's if it watches a target on the tool. The fitted base pose is then
-that of the one fixed in the world, and the fitted tool pose that of the one on the flange. The only unknowns of this
-kind's own are the numbers of the lens, if they are fitted. SI units; pictures in px.
+target's if the camera is on the tool, and the camera's if it watches a target on the tool. The fitted base and tool are
+then the poses of the one that is fixed in the world and of the one on the flange. The only unknowns of this kind's own
+are the numbers of the lens, if they are fitted. SI units; pictures in px.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ UNDISTORTING_STEPS = 30
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """A camera's intrinsics.
+    """A camera's intrinsics: focal lengths, principal point, and distortion of the lens.
 
     Attributes:
         values: The lens' numbers in the order of `LENS_NAMES` ``(9,)``.
@@ -125,7 +125,8 @@ def by_values(values: Array, points: Array) -> Array:
 
 
 SLANT = 0.5
-"""Cosine of the largest angle between a line of sight and a board's normal at which its corners are found: 60 deg."""
+"""Cosine of 60 deg, the largest angle between a line of sight and a board's normal at which its corners are
+detected."""
 
 Mount = Literal["hand", "world"]
 """Place of the camera: "hand" on the arm's tool, or "world" fixed in the world, with the board on the tool."""

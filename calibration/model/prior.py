@@ -23,7 +23,8 @@ from pickenv.calibration.model.observations import Observations, worked_out
 
 FitWord = Literal["auto", "offsets", "full"]
 FIT_WORDS: tuple[FitWord, ...] = get_args(FitWord)
-"""Choices of the parameters that a fit may move: all within their priors, joint zeros only, or all without priors."""
+"""Choices of the parameters that a fit may move: "auto" for all within their priors, "offsets" for joint zeros and an
+unknown base and tool, "full" for all without priors."""
 
 TOLERANCE_CLASS = "cobot"
 """Default tolerance class of an arm's parts."""
@@ -146,9 +147,8 @@ def prior_model(
         arm: The arm's name; for tool poses given in place of joint values (`arm_model.CARRIER`), only base and tool are
             fitted.
         geometry: The arm's nominal geometry, with aligned base and tool.
-        known: Whether the measurements are poses of the arm's own tool in the arm's own base frame. Then the mounting
-            of joint 1 on the base, and of the flange on the last link, have priors of the tolerance class, as other
-            parts have.
+        known: Whether the measurements are poses of the arm's own tool in the arm's own base frame. The mounting of
+            joint 1 on the base, and of the flange on the last link, then have priors of the tolerance class.
         fit: One of `FIT_WORDS`.
         tolerances: The tolerance class of zeros and parts, or its name; `TOLERANCE_CLASS` when left out.
         scale: Factor on the class's widths; estimated from the rows when left out.

@@ -1,8 +1,8 @@
 """Further poses for an instrument that has already measured a few: wires, touches, reflectors, tilts, pictures.
 
-The first rows determine the instrument's own unknowns, such as the anchor of a wire, the place of a touched point, or a
-camera's place and lens. From these follows what the instrument would read at other joints, and whether it could read
-anything there. The exchange of poses starts from the information that the first rows give. SI units.
+The first rows determine the instrument's own unknowns, such as the anchor of a wire, a touched point, or a camera's
+place and lens. These predict what the instrument would read at other joints, and whether it could read anything there.
+The exchange of poses starts from the information that the first rows give. SI units.
 """
 
 from __future__ import annotations
@@ -30,8 +30,7 @@ ROUNDS = 60
 """Largest number of rounds of the search for candidates."""
 
 STEPS, NEAR = 20, 1e-6
-"""Number of Newton steps that bring a tool point to a place where it can be read, and largest distance from it at the
-end, m."""
+"""Number of Newton steps that bring a tool point to a place where it can be read, and largest remaining distance, m."""
 
 STEP = 0.5
 """Largest change of a joint in one Newton step, rad or m."""
@@ -215,8 +214,8 @@ def plan_like(
             and to the first rows.
 
     Raises:
-        InputError: If the first rows are of several kinds, too few or do not fit the arm, there are too few candidates
-            or poses, or the criterion is unknown.
+        InputError: If the first rows are of several kinds, too few, or do not fit the arm. Also if there are too few
+            candidates or poses, or the criterion is unknown.
     """
     criterion = plan.criterion_of(criterion, test_joints)
     begin = time.perf_counter()

@@ -2,7 +2,7 @@
 
 The chosen set is D-optimal (largest determinant of the information matrix, which means the best O1). Or it has the
 least predicted error at given test poses (Klimchik, Wu et al. 2012-2014: accuracy where the arm will pick). If
-parameters have priors, poses are chosen by the information that they add to these, and the predicted error is the one
+parameters have priors, poses are chosen by the information that they add to these. The predicted error is then the one
 that a calibration will state. SI units.
 """
 
@@ -287,7 +287,7 @@ class PosePlan:
         return figures
 
     def report(self) -> str:
-        """A short report in words."""
+        """A short report of the plan in words, for people."""
         lines = [
             f"{len(self.joints)} of {len(self.design.joints)} candidates, {self.criterion}, {self.design.kind} "
             f"measurements, {len(self.parameters)} parameters, in {self.seconds:.2f} s"
@@ -418,7 +418,7 @@ def plan_poses(
             of prior widths that are not stated count as 1.
         count: Number of poses to measure.
         rng: Draws candidates, the order of exchanges, and the random sets of poses that the plan is compared with.
-        candidates: Joints to choose from ``(N, n)``, rad or m, from which random sets are drawn too; or the number of
+        candidates: Joints to choose from ``(N, n)``, rad or m, from which random sets are drawn, too. Or the number of
             candidates to draw (see `candidate_joints`).
         kind: What will be measured, "pose" or "position".
         criterion: "d-optimal", or "test-poses" to minimise the predicted position error at ``test_joints``. If left
@@ -452,7 +452,7 @@ def plan_poses(
 
     @cache
     def drawn(size: int) -> Array:
-        """Random sets ``(DRAWS, size, n)`` of poses that could have been measured instead."""
+        """Random sets ``(DRAWS, size, n)`` of poses to compare the plan with."""
         if isinstance(candidates, int):
             return random_joints(geometry, DRAWS * size, rng).reshape(DRAWS, size, -1)
         return np.stack([joints[rng.choice(len(joints), size, replace=False)] for _ in range(DRAWS)])

@@ -29,7 +29,7 @@ MARGIN = 0.02
 """Least share by which a residual model must cut the RMS on held-out blocks; less is no gain."""
 
 FOLDS = 5
-"""Contiguous folds of the cross-validation within the training rows."""
+"""Number of contiguous folds of the cross-validation within the training rows."""
 
 AUTO = ("bpnn", "rbf", "gp")
 """Models that are tried by default; other packages, if installed, do not change their results."""
@@ -168,8 +168,8 @@ def _attitude_rms(residuals: Array, counts: Array) -> float | None:
 
 
 Trial = tuple[Measurements, Measurements, Array, Array, Array]
-"""One split: training rows, held-out rows, the residuals of both sets under the arm identified from the training rows,
-and the weights of the held-out rows."""
+"""One split: training rows, held-out rows, the residuals of each under the arm identified from the training rows, and
+weights of the held-out rows."""
 
 
 def _trial(measurements: Measurements, refit: Refit, train_rows: Rows, test_rows: Rows) -> Trial:

@@ -93,10 +93,10 @@ CENTRES, ROUNDS = 200, 20
 """Largest number of basis functions, and number of rounds of k-means that place them."""
 
 WIDTHS = (0.25, 0.5, 1.0, 2.0)
-"""Widths tried, in units of the median distance between rows and centres."""
+"""Candidate widths, in units of the median distance between rows and centres."""
 
 RIDGES = (1e-10, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
-"""Ridge coefficients tried, relative to the largest squared singular value."""
+"""Candidate ridge coefficients, relative to the largest squared singular value."""
 
 
 @register("residual", "rbf")
@@ -118,7 +118,7 @@ class Rbf(SavedArrays):
 
     @staticmethod
     def fit(inputs: Array, targets: Array, rng: np.random.Generator) -> Rbf:
-        """Fit the network, with a third of the rows as centres, `CENTRES` at most.
+        """Fit the network, with one centre for every three rows, but at most `CENTRES`.
 
         Args:
             inputs: Standardised inputs ``(N, F)``.
@@ -289,7 +289,7 @@ class GaussianProcess(SavedArrays):
         return np.reshape(mean * self.output_std + self.output_mean, (*inputs.shape[:-1], mean.shape[1]))
 
     def targets(self, output: int) -> Array:
-        """Training targets of one output ``(M,)``, less their mean and in units of ``output_std``."""
+        """Training targets of one output ``(M,)``, minus their mean and divided by ``output_std``."""
         smooth = self._kernel(output, self.rows) @ self.weights[output]
         return np.asarray(smooth + (self.noise[output] ** 2 + JITTER) * self.weights[output])
 
@@ -385,7 +385,7 @@ def feature_process(process: GaussianProcess, count: int, rng: np.random.Generat
 
     Returns:
         Three arrays. The first has the frequencies of each output's waves over the standardised inputs ``(O, F, K)``.
-        The second has the mean weights of the cosines, then of the sines, ``(O, 2 K)``, m and rad; the waves add to the
+        The second has the mean weights of the cosines, then of the sines, ``(O, 2 K)``, m and rad. The waves add to the
         process' mean. The third is a factor ``(O, 2 K, 2 K)`` that turns standard normal numbers into deviations of the
         weights.
     """
