@@ -2,7 +2,7 @@
 
 No single cell shows these faults. A robust fit, which is always made, identifies the poses that agree with each other.
 If the other poses have a common cause, such as one column in another unit, it is reported. Held-out rows pass the same
-checks. A set-up is one placement of base and tool relative to the instrument.
+checks. A set-up is one place of the instrument, and one place of its target on the tool.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 Each row gets one weight from a Cauchy loss of its error in robust standard deviations. These come from medians, so that
 nearly half of the rows may be wrong (Holland and Welsch 1977). Readings of one instrument in one unit are a channel.
-Every channel has a scale of its own, because units and instruments differ. A set-up is one placement of base and tool
-relative to the instrument. SI units.
+Every channel has a scale of its own, because units and instruments differ. A set-up is one place of the instrument, and
+one place of its target on the tool. SI units.
 """
 
 from __future__ import annotations
@@ -39,8 +39,8 @@ GOOD = 0.05
 """A fit whose error is below this share of the spread needs no further starts."""
 
 STARTS = 24
-"""Number of further tools tried, times four, if neither the closed form nor the nominal tool gives a good fit. They are
-the best of ``8 * STARTS`` random tools."""
+"""Four times the number of further tools that are tried if neither the closed form nor the nominal tool gives a good
+fit. They are the best of ``8 * STARTS`` random tools."""
 
 
 @single_threaded()

@@ -237,7 +237,7 @@ class ComplianceTerm(JointTerm):
 
 @dataclass(frozen=True)
 class PeriodicTerm(JointTerm):
-    """Periodic errors of the joints' drives: each harmonic adds s sin(order q) + c cos(order q) to its joint's motion.
+    """Periodic errors of the joints' drives: each harmonic adds s sin(order q) + c cos(order q) to its joint q.
 
     The coefficients are s and c of each harmonic, rad or m.
 

@@ -397,6 +397,12 @@ class DistanceObservations(Observations):
         """Return the equation that keeps a plane's normal at length one; a point has none.
 
         It is weighted as strongly as all readings together.
+
+        Args:
+            numbers: All of the instrument's numbers ``(K,)``.
+
+        Returns:
+            Whitened residual ``(G,)`` and derivatives ``(G, K)``.
         """
         std = self.std / float(np.sqrt(max(len(self.joints), 1)))
         residual, by_values = SURFACES[self.surface].gauge(numbers[:-5])

@@ -33,7 +33,8 @@ ATTITUDE_STD = 2e-4
 
 
 Frames = Literal["known", "fitted"]
-"""Choices for base and tool: "known" for poses of the arm's own tool in the arm's own base frame, or "fitted"."""
+"""Choices for base and tool: "known" for poses of the arm's own tool in the arm's own base frame, or "fitted" if the
+places of the instrument and of its target are unknown."""
 
 FRAMES: tuple[Frames, ...] = get_args(Frames)
 
@@ -106,7 +107,7 @@ class Measurements(Observations):
         return np.asarray((self.difference(model) * self.row_weights).ravel())
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Return whitened derivatives with respect to the model (Qiao 2026 eq (8)), and to no unknowns (no columns)."""
+        """Whitened derivatives with respect to the model (Qiao 2026 eq (8)), and no columns for unknowns."""
         jacobian = np.moveaxis(model.jacobian(self.joints, self.conditions), 0, -1)
         flat = np.empty((jacobian.shape[1], len(self), self.rows_per_pose))
         for i, weight in enumerate(self.row_weights):
@@ -381,7 +382,10 @@ class Stacked(Observations):
 
     @worked_out
     def miss_unit(self) -> str:
-        """Unit of the misses on screens; "mm" if lengths and angles are mixed, an angle being its motion at 1 m."""
+        """Unit of the misses on screens; "mm" if units are mixed.
+
+        An angle is then shown as the motion of a point at 1 m.
+        """
         units = {part.miss_unit for part in self.parts}
         return units.pop() if len(units) == 1 else "mm"
 

@@ -204,7 +204,7 @@ class PixelObservations(Observations):
         return enough
 
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Measurements:
-        """Return the board's pose in the camera's frame, or for a camera on the tool its pose in the board's frame.
+        """Return the board's pose in the camera's frame; for a camera on the tool, the camera's in the board's frame.
 
         Raises:
             InputError: If no view is one of the `starters`.

@@ -43,7 +43,7 @@ WARY = 3.0
 error."""
 
 FOCUS = 1.5
-"""Largest factor between the distance of a board from the camera and the range of distances in the first views."""
+"""Largest factor by which a board may be farther off than in the farthest first view, or nearer than in the nearest."""
 
 
 First = tuple[Observations, ArmModel, Array]
