@@ -33,7 +33,7 @@ ATTITUDE_STD = 2e-4
 
 
 Frames = Literal["known", "fitted"]
-"""Choices for base and tool: "known" for poses of the arm's own tool in the arm's own base frame, or "fitted" if the
+"""Choices for base and tool: "known" for poses of the arm's own tool in the arm's own base frame. It is "fitted" if the
 places of the instrument and of its target are unknown."""
 
 FRAMES: tuple[Frames, ...] = get_args(Frames)

@@ -508,7 +508,7 @@ def random_split(poses: Rows, test_rows: int, rng: np.random.Generator) -> tuple
 def choose(observations: Observations, test_rows: int | None, rng: np.random.Generator) -> tuple[Rows, Rows]:
     """Draw the training rows and the held-out rows of one data set.
 
-    Sockets and stations are split one by one, to train on each. Rows of one pose stay on one side, even if several
+    Sockets and stations are split one by one, to train on each. Rows of one pose stay on one side, also if several
     stations measured it.
 
     Args:

@@ -1,10 +1,10 @@
 """Priors of an arm's parameters, before anything was measured: mean, standard deviation, and source.
 
 Every parameter has a prior, whose width (standard deviation) limits how far a fit moves it. Lengths and angles of parts
-have the widths of their tolerance class. Base and tool have a width of metres if the instrument stood anywhere.
-Coefficients of terms have widths near their tolerances. A parameter that the measurements do not determine stays at its
-prior's mean. The choices of the command line are widths too. With "offsets" the lengths and angles of parts have no
-width. With "full" all parameters have infinite width, as in the papers. SI units.
+have the widths of their tolerance class. Base and tool have a width of metres if the places of instrument and target
+are unknown. Coefficients of terms have widths near their tolerances. A parameter that the measurements do not determine
+stays at its prior's mean. The choices of the command line are widths too. With "offsets" the lengths and angles of
+parts have no width. With "full" all parameters have infinite width, as in the papers. SI units.
 """
 
 from __future__ import annotations
