@@ -1,1 +1,1 @@
-"""Boards and cameras: printing a board, finding its corners in pictures, reading and writing lenses."""
+"""Boards and cameras: printing a board, detecting its corners in pictures, reading and writing lenses."""

@@ -1,7 +1,8 @@
-"""Printed boards: their kinds, the places of their corners, their pictures, and a page to print at true scale.
+"""Printed boards: their kinds, the positions of their corners, their pictures, and a page to print at true scale.
 
-A board is a TOML table. Its corners lie in the plane z = 0 and are numbered as in OpenCV; from the upper left, x counts
-along the columns and y along the rows, m. Only finding or drawing markers needs OpenCV (extra ``pickenv[camera]``).
+A board is a TOML table. Its corners are in the plane z = 0 and are numbered as in OpenCV. From the upper left, x points
+along the columns and y along the rows, m. OpenCV (extra ``pickenv[camera]``) is needed only to detect corners and to
+draw markers.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from pickenv.calibration.model.pixels import Lens
 MATRIX = ("camera_matrix", "cameraMatrix", "K")
 DISTORTION = ("distortion_coefficients", "distCoeffs", "D")
 MODELS = ("plumb_bob", "opencv5")
-"""Names in ROS of the distortion model that `pickenv.calibration.model.pixels` has."""
+"""Names in ROS of the distortion model that `pickenv.calibration.model.pixels` implements."""
 COEFFICIENTS = 5
 
 
@@ -31,7 +32,7 @@ def read_lens(path: str | Path) -> Lens:
     """Read a lens from a ROS camera_info file or an OpenCV file (.yaml, .yml).
 
     Raises:
-        InputError: If the file is missing, is of neither kind, or has another kind of distortion.
+        InputError: If the file is missing, is of neither kind, or has another distortion model.
     """
     path = Path(path)
     text = read_text(path, "a ROS camera_info or OpenCV file (.yaml)")
@@ -109,11 +110,12 @@ DICTIONARIES: Mapping[str, str] = {
 SHIPPED = Path(__file__).parent / "shipped_boards"
 
 PIXELS_PER_SQUARE = 120
-"""Pixels per square in a board's picture; the page is drawn from it without smoothing, so edges stay in place."""
+"""Pixels per square in a board's picture. The page is drawn from this picture without smoothing, so that edges keep
+their place."""
 
 
 def one_of(names: Iterable[str]) -> toml_tables.Check:
-    """A check that a value is one of ``names``."""
+    """Return a check that a value is one of ``names``."""
     allowed = tuple(names)
     return toml_tables.Check(allowed.__contains__, f"one of {', '.join(allowed)}")
 
@@ -123,7 +125,7 @@ _COUNT = toml_tables.WHOLE.within(1, 100)
 
 @toml_tables.toml_table
 class Board:
-    """[board]: squares of a ChArUco or chessboard, or a grid of AprilTags.
+    """A printed board, the table [board]: squares of a ChArUco board or chessboard, or a grid of AprilTags.
 
     Attributes:
         kind: One of `KINDS_OF_BOARD`.
@@ -133,8 +135,8 @@ class Board:
         marker: Side of a ChArUco board's markers, m.
         gap: Gap between two tags, m.
         dictionary: Dictionary of the markers, a key of `DICTIONARIES`.
-        legacy: Whether a ChArUco board is of OpenCV before 4.6; such boards begin with the other colour if the number
-            of rows is even.
+        legacy: Whether a ChArUco board was made by OpenCV before 4.6. If the number of rows is even, such a board
+            begins with the other colour.
     """
 
     kind: Annotated[str, one_of(KINDS_OF_BOARD)]
@@ -163,7 +165,7 @@ class Board:
 
     @property
     def corners(self) -> Array:
-        """Places of the corners ``(K, 3)``, m: between squares, row by row, or the four of each tag, clockwise."""
+        """Positions of the corners ``(K, 3)``, m: between squares, row by row, or the four of each tag, clockwise."""
         if self.kind != "apriltags":
             x, y = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
             return self.square * np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1).astype(float)
@@ -176,7 +178,7 @@ class Board:
 
     @property
     def title(self) -> str:
-        """The board in words: kind, size, markers, gaps and dictionary."""
+        """Description of the board in words: kind, size, markers, gaps and dictionary."""
         marker = f", markers {1e3 * self.marker:g} mm" if self.marker else ""
         gap = f", gaps {1e3 * self.gap:g} mm" if self.gap else ""
         names = f", {self.dictionary}" if self.dictionary else ""
@@ -190,7 +192,7 @@ class Board:
 
 
 def load_board(name: str | Path) -> Board:
-    """Read a board by name (a shipped one) or from a TOML file with a table [board].
+    """Read a shipped board by its name, or a board from a TOML file with a table [board].
 
     Raises:
         InputError: If the board is unknown or malformed; the message names the file and key.
@@ -199,7 +201,7 @@ def load_board(name: str | Path) -> Board:
 
 
 def opencv() -> Any:
-    """The module of OpenCV; if it is missing, the error says how to get it."""
+    """Return the module of OpenCV; if it is missing, the error says how to install it."""
     require("cv2")
     import cv2
 
@@ -207,7 +209,7 @@ def opencv() -> Any:
 
 
 def opencv_board(board: Board) -> Any:
-    """The board as an object of OpenCV, for boards with markers and not for plain chessboards.
+    """Return the board as an OpenCV object; the board must have markers, which plain chessboards have not.
 
     Raises:
         InputError: If the dictionary has too few markers for the board.
@@ -230,7 +232,7 @@ def opencv_board(board: Board) -> Any:
 
 
 def board_picture(board: Board, pixels_per_square: int = PIXELS_PER_SQUARE) -> Grey:
-    """Grey values ``(h, w)`` of the board as it is printed, without a margin; black is 0 and white 255."""
+    """Return a picture of the printed board without a margin: grey values ``(h, w)``, black 0 and white 255."""
     scale = pixels_per_square / board.square
     width, height = (round(side * scale) for side in board.size)
     if board.kind == "chessboard":
@@ -241,7 +243,7 @@ def board_picture(board: Board, pixels_per_square: int = PIXELS_PER_SQUARE) -> G
 
 
 def write_board(board: Board, path: str | Path, margin: float = 0.01) -> Path:
-    """Write a page with the board at true scale, and with a rule by which the print can be checked.
+    """Write a page with the board at true scale, and with a line of known length to check the print.
 
     Args:
         board: The board.
@@ -286,28 +288,30 @@ def write_board(board: Board, path: str | Path, margin: float = 0.01) -> Path:
 
 
 FEW_MARKERS = 4
-"""Number of markers up to which a picture without a corner is said to show too little of the board, not another one."""
+"""Largest number of markers in a picture without a corner for the message that too little of the board is seen. With
+more markers, the message is that they are of another board."""
 
 WINDOW = 5
-"""Half width, px, of the square around a corner within which its uncertainty is judged."""
+"""Half width, px, of the square around a corner whose gradients determine the corner's uncertainty."""
 
 LEAST_STD = {"charuco": 0.05, "chessboard": 0.05, "apriltags": 0.3}
-"""Least standard uncertainty of a corner, px, by kind of board, whatever the picture's noise.
+"""Least standard uncertainty of a corner, px, by kind of board, however low the picture's noise is.
 
-Crossings of edges are surer than the outer corners of tags, which blur shifts (both measured on rendered pictures).
+Chessboard corners, where edges cross, are more accurate than the outer corners of tags, which blur shifts (both
+measured on rendered pictures).
 """
 
 
 Corners = tuple[Array, NDArray[np.bool_], Array]
-"""A board's corners in one picture: places, mask and standard uncertainties.
+"""The corners of a board in one picture: pixels, mask and standard uncertainties.
 
-Places ``(K, 2)`` are in px, 0 for a corner that was not found; the mask ``(K,)`` says which corners were found; the
+Pixels ``(K, 2)`` are 0 for a corner that was not found. The mask ``(K,)`` is True for corners that were found. The
 standard uncertainty of each coordinate ``(K,)`` is in px, 1 for a corner that was not found.
 """
 
 
 def find_corners(board: Board, picture: Grey, where: str) -> Corners:
-    """Find the board's corners in a picture.
+    """Detect the board's corners in a picture.
 
     Args:
         board: The board.
@@ -324,13 +328,13 @@ def find_corners(board: Board, picture: Grey, where: str) -> Corners:
 
 
 def corners_at(count: int, numbers: ArrayLike, places: ArrayLike, std: ArrayLike) -> Corners:
-    """The corners of a board, or other points of a target, in a picture that shows only some of them.
+    """Return the corners of a board, or points of another target, from those that a picture shows.
 
     Args:
         count: Number of corners on the board.
-        numbers: Numbers of the corners that the picture shows ``(N,)``, from 0.
-        places: Their places in the picture ``(N, 2)``, px.
-        std: Standard uncertainty of each, px: ``(N,)`` or one for all.
+        numbers: Indices of the corners that the picture shows ``(N,)``, from 0.
+        places: Pixels of these corners ``(N, 2)``.
+        std: Standard uncertainty of each, px: ``(N,)`` or one number for all.
     """
     pixels, seen, stds = np.zeros((count, 2)), np.zeros(count, dtype=bool), np.ones(count)
     numbers = np.asarray(numbers, dtype=np.int64)
@@ -339,16 +343,16 @@ def corners_at(count: int, numbers: ArrayLike, places: ArrayLike, std: ArrayLike
 
 
 def corner_std(picture: Grey, corners: Array, least: float, half: int = WINDOW) -> Array:
-    """Standard uncertainty ``(N,)``, px, of corners along their worse direction.
+    """Standard uncertainty ``(N,)``, px, of corners along the direction in which it is largest.
 
-    With noise of standard deviation s in the picture and gradients g around a corner, its covariance is
-    s^2 (sum g g^T)^-1; ``least`` is added in squares.
+    The covariance of a corner is s^2 (sum g g^T)^-1, with the standard deviation s of the noise and the gradients g
+    around the corner. The square of ``least`` is added to the variance.
 
     Args:
         picture: Grey values ``(h, w)``.
-        corners: Places of the corners ``(N, 2)``, px.
+        corners: Pixels of the corners ``(N, 2)``.
         least: Least standard uncertainty, px.
-        half: Half width of the square around a corner whose gradients count, px.
+        half: Half width of the square around a corner whose gradients are used, px.
     """
     grey = picture.astype(float)
     down, across = np.gradient(grey)
@@ -362,7 +366,7 @@ def corner_std(picture: Grey, corners: Array, least: float, half: int = WINDOW) 
 
 
 def picture_noise(grey: Array) -> float:
-    """Standard deviation of a picture's noise in grey values (Immerkaer 1996); a median keeps edges from counting."""
+    """Standard deviation of a picture's noise, grey values (Immerkaer 1996), from a median, so edges do not count."""
     twice = np.diff(np.diff(grey, 2, axis=0), 2, axis=1)
     return max(float(np.median(np.abs(twice))) / 0.6745 / 6.0, 0.3)  # no less than rounding to whole grey values
 

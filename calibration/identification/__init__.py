@@ -1,1 +1,1 @@
-"""From measurements to parameters: alignment of frames, least squares, robust and recursive fits, choice of terms."""
+"""Identification from measurements: alignment of frames, least squares, robust and recursive fits, choice of terms."""

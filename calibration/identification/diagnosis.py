@@ -1,7 +1,8 @@
-"""Faults of a data set as a whole: rows far off or trained on, units mixed within a column, another set-up.
+"""Checks of a data set as a whole: outliers, held-out rows that were trained on, mixed units, rows of another set-up.
 
-No single cell shows these faults. A robust fit, always made, finds the poses that agree with each other; if the others
-have a cause in common (one column that fits in another unit), it is reported. Held-out rows pass the same checks.
+No single cell shows these faults. A robust fit, which is always made, identifies the poses that agree with each other.
+If the other poses have a common cause, such as one column in another unit, it is reported. Held-out rows pass the same
+checks. A set-up is one place of the instrument, and one place of its target on the tool.
 """
 
 from __future__ import annotations
@@ -28,28 +29,30 @@ from pickenv.calibration.model.pixels import STARTING, PixelObservations
 
 CHANCE, ROUGH = 0.2, 0.9
 UNLIKELY = 1e-3
-"""So many equal readings among poses measured anew would come by chance that rarely; where both files are written more
-roughly than `Observations.rounding`, a reading is taken to be equal by chance nine times in ten (`ROUGH`)."""
+"""Probability below which equal readings of repeated poses are not attributed to chance. One reading is equal by chance
+with the probability `CHANCE`, or `ROUGH` if both files are written in steps of more than twice
+`Observations.rounding`."""
 
 IDENTICAL = 1e-8
-"""Joints that differ by no more than this are the same number, rad or m."""
+"""Largest difference of joint values that count as the same number, rad or m."""
 
 
 Weight = Literal["fail", "caution", "note"]
 Said = Iterator[tuple[Weight, str]]
-"""Remarks for a verdict, each with its weight."""
+"""Remarks for a verdict: the weight and the sentence of each."""
 
 
 def refuse_trained(train: Observations, test: Observations) -> None:
-    """Refuse rows to judge by that are training rows, as they stand, rounded, or in another order.
+    """Refuse held-out rows that are copies of training rows, also if they are rounded or in another order.
 
-    A pose may be measured again to judge by: then its reading differs by what instrument and arm scatter. A row is a
-    training row if it is of the same pose (`SAME_POSE`) and also reads alike, within `Observations.rounding` or within
-    the last digit written. Such rows are refused where they are more than poses measured anew would give by chance
-    (binomial, `UNLIKELY`). Where readings are labels, such as a socket's number, the joints are what was read.
+    A held-out row may be a repeated measurement at a training pose. Then its reading differs by the scatter of
+    instrument and arm. A copy is at the same pose (`SAME_POSE`) and has the same reading, within
+    `Observations.rounding` or within the last digit written. Copies are refused if they are more than repeated
+    measurements would give by chance (binomial test, `UNLIKELY`). If readings are labels, such as a socket's number,
+    the joint values are compared in their place.
 
     Raises:
-        InputError: Names file and lines of these rows, and of the training rows that they are.
+        InputError: If there are copies; the message names the files and lines of these rows and of the training rows.
     """
     copies, originals = [], []
     for test_part in test.parts:
@@ -65,7 +68,7 @@ def refuse_trained(train: Observations, test: Observations) -> None:
 
 
 def said_of_repeats(train: Observations, test: Observations) -> Said:
-    """Remarks for a verdict on held-out rows at poses that were trained on: a caution if most rows are such."""
+    """Yield a remark if held-out rows are at poses of training rows: a caution if most rows are, else a note."""
     rows = len(test.joints)
     count = int(np.count_nonzero(_nearest(train.joints, test.joints, SAME_POSE) >= 0)) if rows else 0
     if count:
@@ -109,34 +112,35 @@ def _digit(values: Array) -> float:
 # Rows far off, units mixed within a column, and rows of another set-up.
 
 EXPLAINED = 8.0
-"""A unit explains an outlier when it brings it within this many robust standard deviations."""
+"""Another unit explains an outlier if the row's error in that unit is below this many robust standard deviations."""
 
 MANY_FAR = 0.05
-"""Share of rows far off above which the verdict gives a caution."""
+"""Share of rows that are outliers above which the verdict gives a caution."""
 
 ANOTHER_ARM = 5.0
-"""A station whose misses are this many times those of the others is probably of another arm."""
+"""A station whose median miss is more than this many times that of the others has probably measured another arm."""
 
 FEW = 4
-"""Fewer held-out rows than this are named one by one, and never taken for another set-up."""
+"""Fewer held-out rows than this are listed one by one, and never taken for rows of another set-up."""
 
 
 LEAST_CORNERS = 6
-"""A picture in which fewer corners of a board were found is not trusted; in a table of corners, one is enough."""
+"""Least number of corners found in a picture for its view to be used; in a table of corners, one is enough."""
 
 LEAST_VIEWS = 4
-"""Views from which a fit of camera and board starts: two frames of six numbers, with some to spare."""
+"""Least number of views for a fit of camera and board: two frames with six parameters each, and some redundancy."""
 
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A row that does not fit the others and was left out, or was asked to be kept.
+    """A row that was left out as an outlier or as a view of too little of the board, or an outlier that was kept.
 
     Attributes:
         file: The row's file.
         line: The row's line in the file, from 1.
         held_out: Whether the row was among the held-out rows.
-        position: Size of the row's largest miss, m, or rad if directions are measured; None if that is not the reason.
+        position: Size of the row's largest miss, m, or rad if directions are measured; None if it was left out for
+            another reason.
         attitude: Size of the row's attitude error, rad; None if no attitudes were measured.
         sigma: Size of the row's error in robust standard deviations of one coordinate.
         why: The reason in words, if one is known.
@@ -172,17 +176,18 @@ class LeftOut:
 def checked_rows(
     arm: Arm, train: Kind, test: Kind, *, known: bool, robust: bool
 ) -> tuple[Kind, Kind, tuple[LeftOut, ...]]:
-    """Training and held-out rows without those that are far off.
+    """Return training and held-out rows without outliers, which a robust fit to the training rows identifies.
 
     Args:
         arm: The arm.
-        train: Rows to fit; the robust fit to them is the measure for both.
-        test: Rows to judge by; there may be none.
+        train: Rows to fit; the robust fit to them judges both sets.
+        test: Held-out rows; there may be none.
         known: Whether base and tool are known.
-        robust: Whether rows far off are left out; else they are only listed.
+        robust: Whether outliers are left out; otherwise they are only listed.
 
     Returns:
-        Both sets, and the rows far off, the farthest first. A few held-out rows that are all far off stay, and judge.
+        Training rows, held-out rows, and the outliers, the largest error first. If all of a few held-out rows are
+        outliers, they stay in the held-out rows.
 
     Raises:
         InputError: If the held-out rows come from another set-up.
@@ -224,10 +229,10 @@ def checked_rows(
 
 
 def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Said:
-    """Remarks for a verdict on rows far off: a caution if they are kept, many, or of one cause, else a note.
+    """Yield a remark on outliers: a caution if they are kept, many, or of one cause, else a note.
 
     Args:
-        listed: The rows.
+        listed: The outliers, and other rows left out.
         rows: Number of all rows.
     """
     far = [item for item in listed if item.sigma is not None]
@@ -246,7 +251,12 @@ def said_of_rows(listed: Sequence[LeftOut], rows: int) -> Said:
 
 
 def said_of_files(listed: Sequence[LeftOut], kept: Sequence[Observations]) -> Said:
-    """Remarks for a verdict: a caution for each file of which no row is left."""
+    """Yield a caution for each file of which all rows were left out.
+
+    Args:
+        listed: The rows left out.
+        kept: The data sets that remain.
+    """
     used = {origins.files[i] for origins in map(origins_of, kept) for i in np.unique(origins.file).tolist()}
     for file in dict.fromkeys(item.file for item in listed if not item.kept and item.file not in used):
         count = sum(item.file == file for item in listed)
@@ -258,7 +268,7 @@ def said_of_files(listed: Sequence[LeftOut], kept: Sequence[Observations]) -> Sa
 
 
 def said_of_stations(found: Identification, data: Observations) -> Said:
-    """Remarks for a verdict: a caution for each station with far larger misses than the others, whatever its frames."""
+    """Yield a caution for each station with far larger misses than the others, although its frames were fitted."""
     if not data.stations or len({part.miss_unit for part in data.parts}) > 1:
         return
     sizes = np.linalg.norm(data.misses(found.arm_model, unknowns_of(found, data)), axis=1)
@@ -309,13 +319,13 @@ def _other_set_up(arm: Arm, found: Identification, scales: Array, train: Observa
 
 
 def mixed_unit(arm: Arm, sigma: Callable[[Measurements], Array], measurements: Measurements, rows: Rows) -> str | None:
-    """The column and unit that explain most of the outliers, in words; None if none does.
+    """Return, in words, the column and unit that explain most of the outliers; None if none does.
 
     Args:
         arm: The arm.
-        sigma: Errors of rows ``(N,)``, in robust standard deviations.
+        sigma: Function that returns the errors of rows ``(N,)``, in robust standard deviations.
         measurements: The rows.
-        rows: Which of them are outliers.
+        rows: Indices of the outliers among them.
     """
     outliers = measurements.select(rows)
     explained = {words: float(np.mean(sigma(reading) < EXPLAINED)) for words, reading in _readings(arm, outliers)}
@@ -345,7 +355,9 @@ def _readings(arm: Arm, data: Measurements) -> Iterator[tuple[str, Measurements]
 
 
 def without_blind_views(data: Observations) -> tuple[Observations, tuple[LeftOut, ...]]:
-    """The rows without views that show too little of the board, and those views; other kinds are unchanged.
+    """Return the data without views that show too little of the board, and the views left out.
+
+    Data of other kinds are unchanged.
 
     Raises:
         InputError: If too few views show where their board is (`PixelObservations.starters`).

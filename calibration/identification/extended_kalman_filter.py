@@ -1,7 +1,7 @@
-"""Extended Kalman filter on the identifiable parameters: the recursive twin of the least squares (Qiao 2026, "EKF").
+"""Extended Kalman filter of the identifiable parameters: recursive identification, pose by pose (Qiao 2026, "EKF").
 
-One pose at a time, online. Covariances are updated in Joseph's form (Bucy and Joseph
-1968), which stays symmetric and positive; drift enters as process noise. SI.
+Covariances are updated in Joseph's form (Bucy and Joseph 1968), which stays symmetric and positive. Drift enters as
+process noise. SI units.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ HOUR = 3600.0
 
 @dataclass(frozen=True, eq=False)
 class FilterState:
-    """The filter's knowledge after the poses it has seen.
+    """The filter's estimate and its covariance, after the poses measured so far.
 
     Attributes:
         arm_model: Current estimate: geometry and coefficients of terms.
@@ -48,17 +48,17 @@ class FilterState:
 def start_filter(
     model: ErrorModel, start: Geometry | ArmModel, joints: Array, *, full_pose: bool = True, prior: float = PRIOR
 ) -> FilterState:
-    """Start a filter that knows only the nominal arm.
+    """Return the first state of a filter that knows only the nominal arm.
 
     Args:
-        model: The parameters to choose from; those that the poses cannot tell apart stay out.
+        model: Candidate parameters; those that the poses do not identify are left out.
         start: Geometry, or geometry with terms, to start from.
-        joints: Joints ``(N, n)`` of poses such as will be measured, or are planned; they decide what is identifiable.
+        joints: Joints ``(N, n)``, rad or m, of poses like those to be measured; they decide what is identifiable.
         full_pose: False if only positions will be measured.
-        prior: Prior standard deviation in tolerances of each parameter.
+        prior: Prior standard deviation of each parameter, in its tolerances.
 
     Raises:
-        InputError: If the poses are so few that parameters would be left out that more poses identify.
+        InputError: If the poses give fewer equations than there are candidate parameters.
     """
     arm, joints, rows = ArmModel.of(start), np.asarray(joints, dtype=float), 6 if full_pose else 3
     if len(joints) * rows < len(model.columns):
@@ -73,10 +73,10 @@ def start_filter(
 
 
 def predict(state: FilterState, process_noise: ArrayLike, seconds: float) -> FilterState:
-    """The state after time has passed, in which parameters may have drifted.
+    """Return the state after some time, in which the parameters may have drifted.
 
     Args:
-        state: The state.
+        state: The state before.
         process_noise: Covariance that the parameters gain per second ``(p, p)``; see `random_walk`.
         seconds: Time since the last update.
     """
@@ -84,20 +84,23 @@ def predict(state: FilterState, process_noise: ArrayLike, seconds: float) -> Fil
 
 
 def random_walk(state: FilterState, tolerances: float) -> Array:
-    """Process noise ``(p, p)`` per second: every parameter wanders by ``tolerances`` tolerances per root hour.
+    """Return the process noise ``(p, p)`` per second of a random walk, which represents drifts of unknown cause.
 
-    It stands for drifts of unknown shape and cause.
+    Args:
+        state: The filter's state.
+        tolerances: Standard deviation of each parameter's drift after one hour, in its tolerances; it grows with the
+            square root of time.
     """
     return np.asarray(np.diag((tolerances * state.tolerance) ** 2) / HOUR)
 
 
 def update(state: FilterState, joints: ArrayLike, observed: Pose | ArrayLike, noise: MeasurementNoise) -> FilterState:
-    """Update the filter with one measured pose.
+    """Return the state after one measured pose.
 
     Args:
         state: The state before.
         joints: Commanded joints ``(n,)``, rad or m.
-        observed: The tool's pose as it was seen, or its position ``(3,)`` in m.
+        observed: Measured pose of the tool, or its position ``(3,)``, m.
         noise: Standard deviations of one coordinate, m and rad, including errors that the model cannot explain.
 
     Raises:

@@ -1,7 +1,8 @@
 """Rank-aware iterated least squares, Qiao 2026 eqs (11)-(12): identify a geometry from measurements.
 
-The redundant parameters are found once, at the start, and stay out; eq (11)'s normal equations are replaced by a QR
-solution, so that a redundant model gives the same geometry as its base set instead of metres (digest, fact 3).
+Redundant parameters are identified at the start and left out. The normal equations of eq (11) are replaced by a QR
+solution. So a redundant model gives the same geometry as its base set, and not one that is wrong by metres (digest,
+fact 3).
 """
 
 from __future__ import annotations
@@ -25,36 +26,37 @@ from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.prior import PriorModel
 
 PROBES = 60
-"""Number of random poses at which the rank of such measurements is tried out."""
+"""Number of random poses at which the rank of a kind of measurements is computed."""
 
 OFFSET = 1e-3
-"""Parameters count as found when a further step would move them by less than this share of their uncertainty."""
+"""Parameters have converged when a further step would move them by less than this share of their uncertainty."""
 
 
 NEAR = 5.0
-"""Derivatives are kept after a step below this many uncertainties, if steps also shrink tenfold each time."""
+"""The Jacobian is reused after a step below this many uncertainties, if steps also shrink tenfold each time."""
 
 REDUNDANCY_TOLERANCE = 1e-3
-"""A parameter is redundant if the part of its scaled column not yet explained is below this share of the largest."""
+"""A parameter is redundant if earlier columns explain its scaled column but for less than this share of the largest
+norm."""
 
 BLOCK = 1600
 """Number of equations that `triangle` reduces at a time; so many fit into the processor's cache."""
 
 NOTHING = 1e-7
-"""A parameter of which neither rows nor priors say so much, as a share of the clearest one, stays where it is."""
+"""Redundancy tolerance if every parameter has a prior; a parameter below it keeps its starting value."""
 
 
 @dataclass(frozen=True, eq=False)
 class Identification:
-    """A geometry identified from measurements, with its evidence.
+    """An arm identified from measurements, with the statistics of the fit.
 
     Attributes:
         arm_model: The identified geometry, with the coefficients of its terms.
         unknowns: Identified unknowns of the measurements themselves (reflectors, anchors, sockets), m.
-        identifiability: What could be identified, what was dropped, and what absorbed it.
+        identifiability: Which parameters were identified, which were dropped as redundant, and what absorbs these.
         delta: Identified minus starting parameters, m or rad, per parameter (0 for dropped ones).
-        covariance: Covariance of the kept parameters: the posterior's if they have priors, else from the residual's
-            own scatter; NaN without spare equations.
+        covariance: Covariance of the kept parameters. It is that of the posterior if they have priors, else from the
+            residual's scatter; NaN if there are no more equations than parameters.
         chi_square: Sum of squared whitened residuals.
         degrees_of_freedom: Equations minus identified parameters.
         converged: Whether the last step was negligible.
@@ -62,7 +64,7 @@ class Identification:
         iterates: The arm, and the measurements' own unknowns ``(u,)``, before each iteration and after the last.
         solve_seconds: Time of the solution alone, s.
         poses: Number of poses used.
-        kind: What was measured: "pose", "position", ….
+        kind: Kinds of the measurements, such as "pose" or "position".
         prior: The parameters' priors; None if there were none.
         noise: The estimated scatter of the rows; None if it was not estimated.
     """
@@ -90,7 +92,7 @@ class Identification:
 
     @property
     def scatter(self) -> float:
-        """Root mean square of the residual, in claimed standard uncertainties."""
+        """Square root of chi-square per degree of freedom: the residual's scatter, in stated standard uncertainties."""
         return float(np.sqrt(self.chi_square / max(self.degrees_of_freedom, 1)))
 
     @property
@@ -102,26 +104,26 @@ class Identification:
 
     @property
     def prior_std(self) -> Array:
-        """Standard deviation of every parameter before measuring, m or rad; infinite where nothing was expected."""
+        """Standard deviation of every parameter before measuring, m or rad; infinite for those without a prior."""
         names = self.identifiability.names
         width = {} if self.prior is None else dict(zip(self.prior.parameters.names, self.prior.width, strict=True))
         return np.array([width.get(name, np.inf) for name in names])
 
     @property
     def narrowed(self) -> Array:
-        """Share by which every parameter is known more narrowly than before measuring, 0 to 1; 0 for dropped ones."""
+        """Share by which measuring reduced each parameter's standard deviation, 0 to 1; 0 for dropped ones."""
         with np.errstate(invalid="ignore"):
             return np.nan_to_num(np.clip(1.0 - self.standard_deviation / self.prior_std, 0.0, 1.0))
 
     @property
     def spent(self) -> float:
-        """Effective number of parameters that the fit took from the rows, rather than from priors."""
+        """Effective number of parameters that the measurements determine, rather than the priors."""
         width = self.prior_std[self.identifiability.kept]
         return float(np.sum(1.0 - np.clip(np.diag(self.covariance) / width**2, 0.0, 1.0)))
 
 
 def unknowns_of(found: Identification, observations: Observations) -> Array:
-    """The identified values of a data set's own unknowns.
+    """Return the identified values of a data set's own unknowns ``(u,)``.
 
     Raises:
         InputError: If the data set has an unknown that did not occur in the fitted rows.
@@ -158,12 +160,14 @@ def identify(
         start: Geometry, or geometry with parametric terms, to start from, near the data (see
             `pickenv.calibration.identification.robust`).
         data: Poses or positions, or any mix of kinds; the kinds' own unknowns are identified too.
-        max_iterations: Steps at most, until the rank is judged once more and after it; three or four are usual.
-        whiten: Weighs stated rows ``(rows, ...)``, in the order of the data, anew: robust weights, or noise that was
-            found (`pickenv.calibration.model.noise.RowNoise.whiten`).
-        rank_tolerance: What counts as redundant, see `REDUNDANCY_TOLERANCE`.
-        every: Whether every parameter has a prior among the data: then all are kept, and the covariance is that of the
-            posterior, for rows whitened to unit variance.
+        max_iterations: Largest number of steps before the rank is judged a second time, and again after that; three or
+            four are usual.
+        whiten: Function that weighs the equations ``(E, ...)`` again, which are in stated standard uncertainties and in
+            the order of the data. It applies robust weights, or estimated noise
+            (`pickenv.calibration.model.noise.RowNoise.whiten`).
+        rank_tolerance: Threshold below which a parameter is redundant, see `REDUNDANCY_TOLERANCE`.
+        every: Whether every parameter has a prior among the data. Then all are kept, and the covariance is the
+            posterior's, for equations whitened to unit variance.
 
     Returns:
         The identification; ``converged`` is False if the last step was not negligible.
@@ -278,7 +282,7 @@ def identify(
 def identify_converged(
     model: ErrorModel, start: Geometry | ArmModel, data: Measurements | Sequence[Observations]
 ) -> Identification:
-    """Run `identify`; if it does not converge, run it again without parameters that the data hardly show.
+    """Run `identify`; if it does not converge, run it again without parameters that the data hardly determine.
 
     Raises:
         InputError: As `identify`, or if none of the runs converges.
@@ -295,20 +299,21 @@ def identify_converged(
 
 
 def judged_step(step: Any, explained: Any, weighted: Any, before: Any, after: Any) -> tuple[Any, Any, Any, Any]:
-    """The stop rule of Gauss-Newton steps, on NumPy arrays or torch tensors.
+    """Apply the stop rule of Gauss-Newton steps, to NumPy arrays or torch tensors.
 
     Args:
-        step: The whole step, in tolerances ``(..., K)``.
+        step: The undamped step, in tolerances ``(..., K)``.
         explained: The Jacobian times the step ``(..., R)``.
         weighted: Whitened residuals before the step ``(..., R)``.
         before: Root mean square of the residuals before the step ``(...)``.
         after: Root mean square of the residuals after the step ``(...)``.
 
     Returns:
-        Four values for one arm or many ``(...)``. First the squared relative offset (Bates and Watts 1981): what the
-        whole step would still explain, per parameter and against the scatter; it ignores steps in directions that the
-        data hardly show. Then whether a further step would be negligible; whether the residual did not grow, but for
-        rounding (False for NaN); whether an undamped step that was better led to the minimum.
+        Four values for one arm or many ``(...)``. The first is the squared relative offset (Bates and Watts 1981). It
+        is what the whole step would still explain, per parameter and relative to the scatter. Steps in directions that
+        the data hardly determine do not count in it. The second says whether a further step would be negligible. The
+        third says whether the residual did not grow, except by rounding (False for NaN). The fourth says whether the
+        step, if it was undamped and the residual did not grow, led to the minimum.
     """
     rows, parameters = weighted.shape[-1], step.shape[-1]
     scatter = (weighted**2).sum(-1) / max(rows - parameters, 1)
@@ -355,7 +360,12 @@ def _solve(matrix: Array, right: Array, damping: float) -> Array:
 
 
 def triangle(matrix: Array, right: Array) -> tuple[Array, Array]:
-    """Reduce least-squares equations to as few rows as columns with the same solution: QR of blocks, then of these."""
+    """Reduce least-squares equations to a triangular system with the same solution, by QR of blocks and then of these.
+
+    Args:
+        matrix: Matrix of the equations ``(rows, P)``.
+        right: Right-hand side ``(rows,)``.
+    """
     ends = np.linspace(0, len(right), max(len(right) // BLOCK, 1) + 1).astype(int).tolist()
     parts = [np.asarray(np.linalg.qr(np.column_stack([matrix[i:j], right[i:j]]), "r")) for i, j in pairwise(ends)]
     r = parts[0] if len(parts) == 1 else np.asarray(np.linalg.qr(np.vstack(parts), mode="r"))
@@ -363,7 +373,7 @@ def triangle(matrix: Array, right: Array) -> tuple[Array, Array]:
 
 
 def rms_of(values: Array) -> float:
-    """Root mean square."""
+    """Root mean square of an array."""
     return float(np.sqrt(np.mean(values**2)))
 
 
@@ -404,15 +414,15 @@ def _enough_poses(
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """Result of `identifiability`.
+    """Which parameters are identifiable: the result of `identifiability`.
 
     Attributes:
         names: All parameters, in order.
         kept: Indices of the identifiable base set.
-        dropped: The other parameters, each with what absorbs it: the deviations of kept parameters (m or rad) that look
-            like a deviation of 1 (m or rad) of it; empty if it has no effect on the measurements at all.
-        r_diagonal: |R_kk| of the scaled stacked Jacobian per parameter, ~0 for dropped ones (eq (9)); by
-            its mean it is the paper's ratio phi (eq (10)).
+        dropped: The other parameters, by name. Each has the deviations of kept parameters (m or rad) that have the same
+            effect as a deviation of 1 (m or rad) of it. They are empty if it has no effect on the measurements.
+        r_diagonal: |R_kk| of the scaled stacked Jacobian per parameter, about 0 for dropped ones (Qiao 2026 eq (9)).
+            Divided by its mean it is the paper's ratio phi (eq (10)).
         singular_values: Singular values of the kept parameters' scaled stacked Jacobian, per pose (over sqrt(N)).
     """
 
@@ -445,8 +455,8 @@ def identifiability(
 
     Args:
         matrix: Stacked Jacobian ``(rows, P)``, rows weighted, columns scaled by ``tolerance``.
-        names: Parameter names.
-        tolerance: The columns' scale, m or rad.
+        names: Names of the parameters; of redundant parameters, earlier ones are kept.
+        tolerance: Scale of each parameter ``(P,)``, m or rad.
         poses: Number of poses that the rows come from.
         rank_tolerance: See `REDUNDANCY_TOLERANCE`.
     """
@@ -490,13 +500,15 @@ def identifiable_parameters(
     tolerance: Array,
     rank_tolerance: float = REDUNDANCY_TOLERANCE,
 ) -> Identifiability:
-    """The `identifiability` of the stacked system; base or size is held if no instrument has a frame or a length.
+    """Determine the `identifiability` of parameters and unknowns from several data sets together.
+
+    If no instrument has a frame, the base counts as fixed. If none knows a length, the longest link counts as fixed.
 
     Args:
         model: The parameters.
         sets: The data.
-        arm: Where the Jacobian was taken.
-        unknowns: Values of the data's own unknowns where the Jacobian was taken.
+        arm: The arm at which the Jacobian was computed.
+        unknowns: Values of the data's own unknowns at which the Jacobian was computed.
         matrix: Stacked, scaled Jacobian ``(rows, own + P)``, the data's own unknowns first.
         names: Names of the Jacobian's columns.
         tolerance: Scale of each column, m or rad.
@@ -539,16 +551,17 @@ def _longest_link(geometry: Geometry, visible: Identifiability) -> dict[str, dic
 
 
 def observability(singular_values: Array, poses: int) -> dict[str, float]:
-    """Observability of m parameters from n poses; larger is better, save for the condition number.
+    """Return the observability indices of m parameters from n poses; larger is better, except for "condition".
 
     Args:
-        singular_values: Of the scaled stacked Jacobian of the identifiable parameters ``(m,)``.
+        singular_values: Singular values ``(m,)`` of the scaled stacked Jacobian of the identifiable parameters.
         poses: Number of poses stacked.
 
     Returns:
-        By name: "o1" (s1 … sm)^(1/m) / sqrt(n), their geometric mean, which a D-optimal set maximises; "o2" sm / s1,
-        the inverse condition number; "o3" sm, how well the worst combination is seen; "o4" sm^2 / s1, noise
-        amplification; "o5" 1 / sum(1 / si), A-optimality's relative; "condition" s1 / sm; "poses" n.
+        The indices by name, with singular values s1 (largest) to sm. Index "o1" is (s1 … sm)^(1/m) / sqrt(n), with the
+        geometric mean that a D-optimal set maximises. Index "o2" is sm / s1, the inverse condition number. Index "o3"
+        is sm, which shows how well the worst combination is determined. Index "o4" is sm^2 / s1, noise amplification.
+        Index "o5" is 1 / sum(1 / si), related to A-optimality. The others are "condition", s1 / sm, and "poses", n.
 
     Raises:
         ValueError: If a singular value is not above zero: such parameters are not identifiable and must be left out.

@@ -1,8 +1,9 @@
 """Robust identification from any start: alignment, re-weighted least squares, and grouping of files by set-up.
 
-Each row of a data set of any kind gets one weight from a Cauchy loss of its size in robust standard deviations
-(median based, so that nearly half of the rows may be wrong; Holland and Welsch 1977). Readings of one instrument in one
-unit are a channel, and every channel has a scale of its own: metres and radians, a wire and a tracker. SI units.
+Each row gets one weight from a Cauchy loss of its error in robust standard deviations. These come from medians, so that
+nearly half of the rows may be wrong (Holland and Welsch 1977). Readings of one instrument in one unit are a channel.
+Every channel has a scale of its own, because units and instruments differ. A set-up is one place of the instrument, and
+one place of its target on the tool. SI units.
 """
 
 from __future__ import annotations
@@ -29,21 +30,22 @@ from pickenv.calibration.model.observations import Observations, equally_spaced,
 
 
 MISFIT = 0.2
-"""Errors above this share of the positions' spread, or this many rad, show that the data do not fit the arm at all."""
+"""Largest RMS error of data that fit the arm: as a share of the positions' spread, or in rad for attitudes."""
 
 SPAN = 0.1
-"""Least spread of positions, m, in judging misfit, so that few and close positions still count as the arm's."""
+"""Least spread of positions, m, of which `MISFIT` is a share, so that few and close positions are not refused."""
 
 GOOD = 0.05
-"""A fit that misses by less than this share of the spread needs no further starts."""
+"""A fit whose error is below this share of the spread needs no further starts."""
 
 STARTS = 24
-"""Number of further tools tried if neither the closed form nor the nominal tool gives a good fit."""
+"""Four times the number of further tools that are tried if neither the closed form nor the nominal tool gives a good
+fit. They are the best of ``8 * STARTS`` random tools."""
 
 
 @single_threaded()
 def align(geometry: Geometry, measurements: Measurements, frames: ErrorModel, *, judge: bool = True) -> Identification:
-    """Fit base and tool pose, from anywhere.
+    """Fit base and tool pose to measured poses or positions, without need of a good start.
 
     Args:
         geometry: The arm; its base and tool are one of the starts.
@@ -66,7 +68,7 @@ def align(geometry: Geometry, measurements: Measurements, frames: ErrorModel, *,
 
 
 def misfit(geometry: Geometry, measurements: Measurements) -> tuple[float, float]:
-    """RMS position error as a share of the measured positions' spread, and RMS attitude error, rad (0 without)."""
+    """Return the RMS errors of positions, as a share of their spread, and of attitudes, rad (0 if not measured)."""
     spread = max(float(np.linalg.norm(measurements.position.std(axis=0))), 1e-12)
     squares = measurements.difference(geometry) ** 2
     position, attitude = (float(np.sqrt(np.mean(np.sum(part, axis=1)))) for part in (squares[:, :3], squares[:, 3:]))
@@ -90,16 +92,30 @@ def _starts(geometry: Geometry, measurements: Measurements) -> Iterator[Geometry
 
 
 def laid_onto(points: Array, targets: Array) -> tuple[Array, Array]:
-    """Rotations ``(..., 3, 3)`` and shifts ``(..., 3)`` that best map points ``(..., N, 3)`` onto targets (Kabsch)."""
+    """Return the rotations and shifts that best map points onto targets (Kabsch).
+
+    Args:
+        points: Points ``(..., N, 3)``, m.
+        targets: The same points' targets ``(..., N, 3)``, m.
+
+    Returns:
+        Rotations ``(..., 3, 3)`` and shifts ``(..., 3)``, m.
+    """
     middle, centre = points.mean(axis=-2, keepdims=True), targets.mean(axis=-2, keepdims=True)
     turn = nearest_rotation(np.swapaxes(targets - centre, -1, -2) @ (points - middle))
     return turn, (centre - middle @ np.swapaxes(turn, -1, -2))[..., 0, :]
 
 
 def registered(geometry: Geometry, tool: Pose, chain: Pose, measurements: Measurements) -> Geometry:
-    """The geometry with this tool, and with the base that best maps its poses onto the measured ones.
+    """Return the geometry with this tool, and with the base that best maps its poses onto the measured ones.
 
     The base's rotation follows from the attitudes if they were measured, else from the positions (Kabsch 1976).
+
+    Args:
+        geometry: The arm.
+        tool: Pose of the tool in the last link's frame.
+        chain: Poses of the last link in frame 0 at the measured joints ``(N,)``.
+        measurements: The measured poses or positions.
     """
     nominal = chain.position + chain.rotation @ tool.position
     measured = measurements.position
@@ -146,7 +162,7 @@ def _turns_from_attitudes(chain: Array, measured: Array) -> tuple[Array, Array]:
 
 
 def apart(one: Pose, other: Pose) -> tuple[float, float]:
-    """Distance of two poses, m, and the angle between them, rad."""
+    """Return the distance between two poses, m, and the angle between them, rad."""
     turn = rotation_vector(one.rotation.T @ other.rotation)
     return float(np.linalg.norm(one.position - other.position)), float(np.linalg.norm(turn))
 
@@ -159,12 +175,12 @@ def refuse_another_arm(
     Args:
         geometry: The arm, with base and tool as they are known or fitted.
         measurements: The data.
-        state: What was done about base and tool, in the message's words.
+        state: Words for the message that say how base and tool were determined.
         nominal: The arm with its own tool, if ``geometry`` has a fitted tool.
 
     Raises:
-        InputError: If positions miss by more than `MISFIT` of their spread, which counts as `SPAN` at least, or
-            attitudes by more than `MISFIT` rad.
+        InputError: If positions miss by more than `MISFIT` of their spread, where the spread counts as at least `SPAN`,
+            or attitudes by more than `MISFIT` rad.
     """
     if len(measurements) < 3:
         return  # no spread to speak of; `identify` says how many poses are needed
@@ -191,26 +207,29 @@ def refuse_another_arm(
 
 
 OUTLIER_SIGMA = 10.0
-"""Rows whose error exceeds this many robust standard deviations are outliers; a model's own errors stay below it."""
+"""Rows whose error exceeds this many robust standard deviations are outliers; errors of the arm model stay below it."""
 
 WEIGHTINGS, SELECTIONS, FOURS = 30, 10, 500
-"""Largest numbers of least squares and of alignments, and the number of fours of poses that are tried."""
+"""Largest number of re-weighted least squares, largest number of repeated alignments, and number of random sets of four
+poses."""
 
 CAUCHY = 2.385
-"""Size, in standard deviations per coordinate, at which a row weighs a half: 95 % efficiency on normal noise."""
+"""Error, in standard deviations per coordinate, at which a row's weight is 0.5; the efficiency is 95 % for normal
+noise."""
 
 
 Sizes = tuple[Array, Array, Array]
-"""Three arrays: the largest error of each of N rows per coordinate ``(N,)``, in robust standard deviations; the Cauchy
-weight of each row ``(N,)``; each channel's robust standard deviation ``(C,)``, in stated standard uncertainties."""
+"""Three arrays. The first is the error of each of N rows in its worst channel ``(N,)``, in robust standard deviations.
+The second is the Cauchy weight of each row ``(N,)``. The third is each channel's robust standard deviation ``(C,)``, in
+stated standard uncertainties."""
 
 
 def robust_identify(model: ErrorModel, start: Geometry | ArmModel, data: Observations) -> tuple[Identification, Sizes]:
-    """Identify with iteratively re-weighted least squares; the first weights come from the starting geometry.
+    """Identify by iteratively re-weighted least squares; the first weights come from the starting geometry.
 
     Args:
         model: The parameters.
-        start: Geometry, or geometry with terms; near the data (see `robust_align`).
+        start: Geometry, or geometry with terms, near the data (see `robust_align`).
         data: Rows of any kind.
 
     Returns:
@@ -235,19 +254,20 @@ def robust_identify(model: ErrorModel, start: Geometry | ArmModel, data: Observa
 def robust_align(
     geometry: Geometry, measurements: Measurements, frames: ErrorModel, rng: np.random.Generator
 ) -> Identification:
-    """`align` for data with gross errors: base and tool from the poses that agree with each other.
+    """Fit base and tool pose to data with gross errors, from the poses that agree with each other.
 
-    Base poses are tried from random fours of positions; the one with the smallest median error shows the gross errors
-    (random sample consensus with the least median of squares, Rousseeuw 1984). Then `align` on the rest, repeated.
+    Base poses are computed from random sets of four positions. The one with the smallest median error identifies the
+    gross errors (random sample consensus with the least median of squares, Rousseeuw 1984). `align` is then applied to
+    the other poses, repeatedly.
 
     Args:
         geometry: The arm.
-        measurements: Poses or positions, from anywhere.
+        measurements: Poses or positions, from an instrument at any place.
         frames: Base and tool parameters (`frames_model`).
-        rng: Draws the fours.
+        rng: Draws the sets of four positions.
 
     Raises:
-        InputError: As `align`.
+        InputError: If there are fewer than eight poses, or as `align`.
     """
     count = len(measurements)
     if count < 8:
@@ -270,17 +290,17 @@ def robust_align(
 def sizes_of(
     arm: ArmModel, unknowns: Array, data: Observations, scales: Array | None = None, *, apart: Array | None = None
 ) -> Sizes:
-    """Sizes of the rows' errors, in given standard deviations or in robust ones from the rows.
+    """Return the sizes of the rows' errors, in given standard deviations or in robust ones from the rows.
 
     Robust standard deviations are never below the instrument's own uncertainty.
 
     Args:
         arm: The arm.
-        unknowns: The data's own unknowns.
+        unknowns: Values of the data's own unknowns.
         data: The rows.
-        scales: The standard deviations to use, by channel.
-        apart: Weight of each row in the median ``(N,)``, smaller for rows with near neighbours, because errors within
-            a cluster are alike. All weights are equal when left out.
+        scales: The standard deviations to use, by channel ``(C,)``, in stated standard uncertainties.
+        apart: Weight of each row in the median ``(N,)``. It is smaller for rows with near neighbours, because errors
+            within a cluster are alike. All weights are equal if it is None.
     """
     rows, channels = data.equations()
     squares, count = np.zeros((2, int(channels.max()) + 1, len(data.joints)))
@@ -301,12 +321,12 @@ def sizes_of(
 
 
 def sigma_of(found: Identification, data: Observations, scales: Array | None = None) -> Array:
-    """The largest error of each row ``(N,)`` under an identified arm, in given or robust standard deviations."""
+    """Largest error of each row ``(N,)`` under an identified arm, in given or robust standard deviations."""
     return sizes_of(found.arm_model, unknowns_of(found, data), data, scales)[0]
 
 
 def misses_of(found: Identification, data: Observations) -> Array:
-    """The largest miss of each row ``(N,)``, m."""
+    """Size of the largest miss (measured minus predicted) of each row ``(N,)``, m, or rad for directions."""
     misses = data.misses(found.arm_model, unknowns_of(found, data))
     largest = np.zeros(len(data.joints))
     np.maximum.at(largest, data.rows_of_misses, np.linalg.norm(misses, axis=1))
@@ -324,26 +344,30 @@ def _median(values: Array, counts: Array) -> float:
 # Where the identification starts, and which files are of one set-up.
 
 FILE_ROWS, SET_UP_ROWS = 150, 450
-"""Largest numbers of rows of a file, and of a set-up, that are used to find set-ups."""
+"""Largest numbers of rows of a file, and of a set-up, that are used to determine set-ups."""
 
 COUNTED_ROWS = 30
-"""Largest number of a file's rows that count as independent; neighbouring rows share the model's errors."""
+"""Largest number of a file's rows that count as independent, because neighbouring rows share the model's errors."""
 
 LEAST_ROWS = 8
-"""Least number of rows of a file that can show whether it is another set-up."""
+"""Least number of rows with which a file's set-up can be determined."""
 
 TRIES, PLAUSIBLE = 12, 10.0
-"""Iterations of a trial, twice what a right one needs; and the largest plausible ratio of misses within one set-up."""
+"""Iterations of the fit that judges a grouping, twice what a right one needs, and largest plausible ratio of misses
+within one set-up."""
 
 ROBUST_ROWS = 2000
-"""The robust fit is made on so many rows at most, taken evenly; all rows are judged by it."""
+"""Largest number of rows of the robust fit, equally spaced; all rows are judged by this fit."""
 
 SPARE = 3
 """Least ratio of equations to parameters at which the arm's geometry is fitted too; below it only frames are fitted."""
 
 
 def rough_start(nominal: Geometry, data: Observations) -> Geometry:
-    """The geometry with rough base and tool: boards' poses give both, the reflector seen most often gives the base.
+    """Return the geometry with rough base and tool, from which a fit can start.
+
+    Poses of boards give both. The positions of the reflector that is seen most often give the base, and with at least
+    three known reflectors also the tool. Other kinds give the nominal geometry.
 
     Raises:
         InputError: If the reflector's positions do not fit the arm.
@@ -364,7 +388,7 @@ def rough_start(nominal: Geometry, data: Observations) -> Geometry:
 
 
 def robust_frames(arm: Arm, data: Observations) -> Geometry:
-    """The geometry with base and tool fitted to the rows that agree with each other; the same every time.
+    """Return the arm with base and tool fitted to rows that agree with each other; the result is deterministic.
 
     Raises:
         InputError: If there are too few rows, or they do not fit the arm.
@@ -376,7 +400,12 @@ def robust_frames(arm: Arm, data: Observations) -> Geometry:
 
 
 def robust_fit(arm: Arm, data: Observations, known: bool = False) -> tuple[Identification, Sizes]:
-    """Geometry from the rows that agree with each other, with base and tool unless known; the same every time.
+    """Identify the geometry from the rows that agree with each other; the result is deterministic.
+
+    Args:
+        arm: The arm.
+        data: The rows.
+        known: Whether base and tool are known; otherwise they are fitted, too.
 
     Raises:
         InputError: If there are too few rows, or no majority agrees.
@@ -387,12 +416,13 @@ def robust_fit(arm: Arm, data: Observations, known: bool = False) -> tuple[Ident
 
 
 def stations_of(arm: Arm, data: Sequence[Observations], own: Collection[str]) -> Stacked:
-    """Data sets as stations of one arm, those with an instrument's frame first.
+    """Return data sets as stations of one arm, those with an instrument's frame first.
 
     Args:
         arm: The arm.
         data: The data sets.
-        own: Which of "base" and "tool" every station but the first has of its own; a set without a frame sees no base.
+        own: Frames, of "base" and "tool", of which every station but the first has its own. A data set without an
+            instrument's frame has no base of its own.
 
     Raises:
         InputError: If a set does not fit the arm.
@@ -402,11 +432,12 @@ def stations_of(arm: Arm, data: Sequence[Observations], own: Collection[str]) ->
 
 
 def scene_of(arm: Arm, data: Sequence[Observations]) -> Stacked:
-    """Data sets as stations of one arm that share the base if they name one sensor, and the tool if one target.
+    """Return data sets as stations of one arm that share the base if they name one sensor, and the tool if one target.
 
     Args:
         arm: The arm.
-        data: The data sets, whose origins name sensor and target; what has no name is shared with none.
+        data: The data sets, whose origins name sensor and target; a frame whose sensor or target has no name is not
+            shared.
 
     Raises:
         InputError: If a set does not fit the arm.
@@ -440,15 +471,16 @@ def _stations(arm: Arm, parts: Sequence[Observations], owners: Sequence[Mapping[
 
 
 SetUp = tuple[tuple[int, ...], tuple[str, ...]]
-"""Numbers, from 0, of the data sets that share one set-up, and names of the frames that differ from the first's."""
+"""Numbers, from 0, of the data sets that share one set-up, and names of the frames that differ from those of the first
+set-up."""
 
 
 def by_set_up(arm: Arm, parts: Sequence[Measurements]) -> Measurements | Stacked:
-    """Join the poses or positions of several files: one data set if one set-up explains all, else one station each.
+    """Join the poses or positions of several files: as one data set if they share a set-up, else a station per set-up.
 
     Args:
         arm: The arm.
-        parts: The files' rows.
+        parts: The rows of each file.
 
     Raises:
         InputError: If the rows of a set-up do not fit the arm.
@@ -460,10 +492,15 @@ def by_set_up(arm: Arm, parts: Sequence[Measurements]) -> Measurements | Stacked
 
 
 def set_ups(arm: Arm, parts: Sequence[Measurements]) -> tuple[SetUp, ...]:
-    """Group data sets that share base and tool, file by file, by the Bayesian information criterion.
+    """Group files that share base and tool by the Bayesian information criterion, adding one file after the other.
 
-    Rows of one file are alike, so only `COUNTED_ROWS` of each count: a file's own frames must remove a good part of the
-    remaining error, not merely a significant one. Files that do not decide it are put into the first set-up.
+    Errors of the rows of one file are alike, so at most `COUNTED_ROWS` of each file count. Frames of a file's own must
+    thus remove a large part of the remaining error, not merely a significant one. Files that do not decide it are put
+    into the first set-up.
+
+    Args:
+        arm: The arm.
+        parts: The rows of each file.
     """
     near = {i: rows for i, part in enumerate(parts) if (rows := _near_rows(arm, part)) is not None}
     first, *others = near or [0]
@@ -548,12 +585,12 @@ def _criterion(arm: Arm, near: Mapping[int, tuple[Measurements, Geometry]], grou
 
 
 def placed(arm: Arm, stations: Stacked, parts: Sequence[Measurements]) -> Stacked:
-    """Place other files of known set-ups, each at the station whose frames it fits best.
+    """Assign the rows of further files to stations, each file to the station whose frames it fits best.
 
     Args:
         arm: The arm.
         stations: Stations whose rows determine their frames.
-        parts: The other files' rows.
+        parts: The rows of each further file.
     """
     references = [
         replace(station, data=station.data.select(equally_spaced(len(station.data.joints), FILE_ROWS)))

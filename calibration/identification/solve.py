@@ -1,9 +1,9 @@
-"""The one solve: the posterior of all parameters, with noise and prior widths estimated from the rows.
+"""The posterior of all parameters, with noise and prior widths estimated from the measurements.
 
-Gauss-Newton runs on rows and priors together. Between passes the scatter of the rows (`RowNoise`) and the widths of the
-priors of joint zeros and parts are estimated from the rows. These widths' scales are not taken as certain: the
-posterior of the linearised model is averaged over them, by its marginal likelihood on a grid (MacKay 1992). Without
-priors the solve is the rank-aware least squares of the papers. SI units.
+Gauss-Newton steps minimise the errors of rows and priors together. Between passes the scatter of the rows (`RowNoise`)
+and the widths of the priors of joint zeros and parts are estimated from the rows. A scale is the factor on such a
+width. The scales are not certain, so the posterior of the linearised model is averaged over them, by its marginal
+likelihood on a grid (MacKay 1992). Without priors the solution is the rank-aware least squares of the papers. SI units.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ from pickenv.calibration.model.observations import Observations, equally_spaced
 from pickenv.calibration.model.prior import LENGTHS, MADE, PriorModel
 
 PASSES = 4
-"""Largest number of solves; each weighs rows and priors by the residuals of the solve before."""
+"""Largest number of solutions; each weighs rows and priors by the residuals of the one before."""
 
 MANY, FEW = 4000, 1500
-"""With more than `MANY` rows, noise and scales are first estimated on `FEW` of them, taken evenly."""
+"""With more than `MANY` rows, noise and scales are first estimated on `FEW` of them, equally spaced."""
 
 SETTLED = 0.1
-"""Passes end when no scale changes by more than this share."""
+"""Passes end when neither noise nor scales change by more than this share."""
 
 SPREAD = 3.0
-"""Prior of a tolerance class's scale: it is within this factor of 1 two times in three."""
+"""Prior of a tolerance class's scale: it is within this factor of 1 with a probability of two thirds."""
 
 NODES = (-2.4, -1.2, 0.0, 1.2, 2.4)
 """Nodes of the grid over the logarithm of each scale, in standard deviations from its mean."""
@@ -41,10 +41,10 @@ STAGES, NARROWEST = 3, 0.4
 """Number of grids, each centred by the one before, and the least width of a grid relative to the one before."""
 
 LIGHT = 1e-3
-"""Nodes whose weight is below this share of the largest are left out."""
+"""Nodes whose weight is below this share of the largest weight are left out."""
 
 UNKNOWN_STD = 10.0
-"""Standard deviation of the measurements' own unknowns, in SI units: no information."""
+"""Prior standard deviation of the measurements' own unknowns, in SI units: it carries no information."""
 
 
 @single_threaded()
@@ -54,8 +54,10 @@ def solve(
     """Fit a model's parameters to rows and priors.
 
     Args:
-        model: The parameters with their priors; the solution is averaged over scales that it does not state.
-        data: The rows. If they know no length, the smallest arm would fit best, so priors of lengths are not rescaled.
+        model: The parameters with their priors; the solution is averaged over those scales of prior widths that it does
+            not state.
+        data: The rows. If they involve no known length, priors of lengths are not rescaled, because the smallest arm
+            would fit best.
         noise: The scatter of the rows; estimated from them when left out.
         near: A solution of the same rows with fewer parameters, to start from.
 
@@ -109,16 +111,18 @@ def solve(
 def averaged_over_scales(
     model: PriorModel, solution: Identification, columns: Array, residual: Array, common: float, free: list[str]
 ) -> tuple[Identification, dict[str, float]]:
-    """Average the posterior of the linearised model over prior scales, weighed by rows and an expectation near 1.
+    """Average the posterior of the linearised model over the scales of prior widths.
 
-    Taking the scales as certain would promise too much: few rows hardly show how well an arm was made.
+    The scales are weighed by their marginal likelihood and by a prior near 1. With fixed scales the uncertainties would
+    be too small, because few rows hardly show how accurately an arm was made.
 
     Args:
         model: The model, with the scales of the solution.
-        solution: Where the model is linearised.
-        columns: Whitened derivatives of the rows at the solution ``(E, own + P)``, by their own unknowns first.
+        solution: The solution at which the model is linearised.
+        columns: Whitened derivatives of the rows at the solution ``(E, own + P)``, with respect to their own unknowns
+            first.
         residual: Whitened residuals at the solution ``(E,)``.
-        common: Factor on variances for what rows say less than independent ones would
+        common: Factor on variances of rows that carry less information than independent ones
             (`pickenv.calibration.model.noise.RowNoise.common`).
         free: Groups whose scales are averaged over.
 
@@ -176,7 +180,11 @@ def averaged_over_scales(
 
 
 def leverages(columns: Array) -> Array:
-    """Share of each row that a fit uses up ``(E,)``, if every parameter's prior is the standard normal distribution."""
+    """Leverage of each equation in a fit ``(E,)``, if every parameter's prior is the standard normal distribution.
+
+    Args:
+        columns: Whitened derivatives ``(E, P)``, in units of the priors' standard deviations.
+    """
     lower = np.linalg.cholesky(np.eye(columns.shape[1]) + columns.T @ columns)
     return np.asarray(np.sum(solve_triangular(lower, columns.T, lower=True) ** 2, axis=0))
 

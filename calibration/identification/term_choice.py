@@ -1,8 +1,8 @@
-"""The parametric terms that an arm needs: chosen within the training rows, on contiguous blocks held out of each fit.
+"""Choice of an arm's parametric terms, by cross-validation over contiguous blocks of the training rows.
 
-Weight (joints that yield under the arm's own mass) and the drives' harmonics need no data sheet, so they can be tried
-on any arm, and compliance wherever torques were measured; they extrapolate where a learnt residual only interpolates.
-A term that does not win on blocks stays out.
+Gravity terms (joint deflection under the arm's own weight) and harmonics of the drives need no data sheet. So they can
+be tried on any arm. Compliance can be tried wherever torques were measured. Terms extrapolate, where a learnt residual
+only interpolates. A term that does not reduce the cross-validated error is left out.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ Places = NDArray[np.int64]
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """A linear model of a fitted geometry's residual, with terms that may be added to the geometry.
+    """A linear model of the residual of a fitted geometry, with terms that may be added to the geometry.
 
     Its parameters are the fit's own, geometry and unknowns of the measurements alike, then the terms' coefficients.
 
@@ -44,8 +44,9 @@ class Linearised:
         names: Names of the parameters.
         scale: Factor on each parameter's column ``(P,)``, so that coefficients are in units of their tolerances.
         ridge: The priors' addition to the normal equations' diagonal ``(P,)``.
-        pull: The priors' addition to the right-hand side ``(P,)``, for fitted parameters differ from expected ones.
-        blocks: Rows in blocks, to be left out one by one.
+        pull: The priors' addition to the right-hand side ``(P,)``; it is not zero where fitted parameters differ from
+            their priors' means.
+        blocks: Rows in blocks, each of which is held out once.
     """
 
     arm: ArmModel
@@ -58,7 +59,13 @@ class Linearised:
 
     @staticmethod
     def of(bare: Identification, terms: tuple[Term, ...], blocks: Sequence[Observations] = ()) -> Linearised:
-        """Terms added to a geometry that was identified without them."""
+        """Return the linear model of terms that are added to a geometry identified without them.
+
+        Args:
+            bare: The identification without terms.
+            terms: The terms.
+            blocks: Training rows in blocks.
+        """
         arm, fitted = ArmModel.of(bare.geometry, terms), bare.identifiability.kept_names
         names = fitted + arm.parameter_names[len(bare.geometry.parameter_names) :]
         scale = np.r_[np.ones(len(fitted)), arm.term_tolerances]
@@ -77,13 +84,13 @@ class Linearised:
         return np.arange(len(self.names) - len(self.arm.coefficients))
 
     def coefficients_of(self, term: int) -> Places:
-        """Indices of one term's coefficients."""
+        """Indices of the coefficients of the term with this index."""
         counts = [len(member.names(self.arm.geometry)) for member in self.arm.terms]
         first = len(self.fitted) + sum(counts[:term])
         return np.arange(first, first + counts[term])
 
     def equations(self, data: Observations) -> tuple[Array, Array]:
-        """Whitened columns ``(R, P)`` and residual under the fitted geometry ``(R,)``."""
+        """Return whitened columns ``(R, P)``, and the residual under the fitted geometry ``(R,)``, of R equations."""
         unknowns = data.unknowns()
         values = np.array([self.unknowns[name] for name in unknowns])
         by_arm, by_unknown = data.jacobian(self.arm, values)
@@ -102,7 +109,7 @@ class Linearised:
         return matrix, right, np.array([residual @ residual for _, residual in parts])
 
     def without(self, block: int | None) -> tuple[Array, Array]:
-        """Normal equations, with priors, of all blocks but one, or of all blocks if ``block`` is None."""
+        """Return normal equations, with priors, of all blocks but one, or of all blocks if ``block`` is None."""
         of_each, right_of_each, _ = self.normal
         matrix, right = of_each.sum(axis=0), right_of_each.sum(axis=0)
         if block is not None:
@@ -110,7 +117,7 @@ class Linearised:
         return matrix + np.diag(self.ridge), right + self.pull
 
     def misses(self, data: Observations, solution: Array) -> Array:
-        """Misses of the data ``(R, 3)`` or ``(R, 1)``, m, with parameters changed by a solution ``(P,)``."""
+        """Return misses of the data ``(R, 3)`` or ``(R, 1)``, m, with parameters changed by a solution ``(P,)``."""
         change = defaultdict(float, zip(self.names, solution * self.scale, strict=True))
         terms = tuple(term for i, term in enumerate(self.arm.terms) if solution[self.coefficients_of(i)].any())
         arm = ArmModel.of(self.arm.geometry, terms)
@@ -119,14 +126,20 @@ class Linearised:
 
 
 def left_of(normal: tuple[Array, Array, Array], block: int, solution: Array) -> float:
-    """Sum of squared residuals of one block after a solution ``(P,)``; ``normal`` as from `Linearised.normal`."""
+    """Return the sum of squared residuals of one block under a solution.
+
+    Args:
+        normal: Normal equations of the blocks, as from `Linearised.normal`.
+        block: Index of the block.
+        solution: Change of the parameters ``(P,)``.
+    """
     matrix, right, square = normal
     slope = matrix[block] @ solution - 2.0 * right[block]
     return float(square[block] + solution @ slope)
 
 
 def solved(matrix: Array, right: Array, places: Places) -> Array:
-    """Solution ``(P,)`` of normal equations with the parameters at ``places`` alone; the others stay zero."""
+    """Solve normal equations for the parameters at ``places``; return the solution ``(P,)``, zero for all others."""
     scale = np.sqrt(np.diag(matrix)[places])
     small = matrix[np.ix_(places, places)] / np.outer(scale, scale) + 1e-12 * np.eye(len(places))
     solution = np.zeros(len(right))
@@ -148,26 +161,28 @@ FINE = 0.1
 """Step of the finer grid around the chosen orders, from which they are chosen again, cycles per turn."""
 
 MOST = 40
-"""Largest number of harmonics."""
+"""Largest number of harmonics that are chosen."""
 
 ROWS_EACH = 8
 """Number of rows needed for each harmonic."""
 
 WITHIN = 0.03
-"""The fewest harmonics are taken whose error on the blocks is within this share of the smallest."""
+"""The smallest number of harmonics is taken whose error on the held-out blocks is within this share of the least
+error."""
 
 ROUNDS = 3
-"""Steps of Gauss-Newton that refine the orders."""
+"""Number of Gauss-Newton steps that refine the orders."""
 
 
 Harmonic = tuple[int, float, float | None, float, float]
-"""A harmonic of a joint's drive, identified: the joint, from 0; its order in cycles per turn (2 pi over the period,
-1/m, of a prismatic joint) with the standard uncertainty, None where it was given; the amplitude with its own, rad or
+"""An identified harmonic of a joint's drive: joint, order, uncertainty of the order, amplitude, uncertainty of the
+amplitude. The joint is an index from 0. The order is in cycles per turn (for a prismatic joint 2 pi over the period,
+1/m). Its standard uncertainty is None if the order was given. The amplitude and its standard uncertainty are in rad or
 m."""
 
 
 def harmonics_of(found: Identification) -> list[Harmonic]:
-    """The identified harmonics, the largest first."""
+    """The identified harmonics, in order of decreasing amplitude."""
     model, names_fitted = found.arm_model, found.identifiability.kept_names
     place = {name: i for i, name in enumerate(names_fitted)}
     names = model.parameter_names[len(model.geometry.parameter_names) :]
@@ -191,13 +206,13 @@ def harmonics_of(found: Identification) -> list[Harmonic]:
 
 
 def every_order(geometry: Geometry) -> PeriodicTerm:
-    """All harmonics that may be chosen, of all revolute joints."""
+    """Return a term of all candidate harmonics, on the coarse grid of orders, of all revolute joints."""
     orders = np.arange(1.0, HIGHEST + STEP / 2, STEP).tolist()
     return _harmonics([(i, order) for i in range(geometry.joints) if not geometry.prismatic[i] for order in orders])
 
 
 def nearby(wave: PeriodicTerm) -> PeriodicTerm:
-    """The harmonics on a finer grid around those of ``wave``, without repetitions."""
+    """Return a term of the harmonics on a finer grid around those of ``wave``, without repetitions."""
     around = zip(wave.joints, wave.orders, strict=True)
     return _harmonics(sorted({(joint, round(order + FINE * k, 6)) for joint, order in around for k in range(-2, 3)}))
 
@@ -208,9 +223,10 @@ def _harmonics(pairs: Sequence[tuple[int, float]]) -> PeriodicTerm:
 
 
 def pursued(matrix: Array, right: Array, base: Places, candidates: Places, most: int) -> list[int]:
-    """Numbers of the candidates chosen by orthogonal matching pursuit, in the order of their choice.
+    """Return indices of the candidates chosen by orthogonal matching pursuit, in the order of their choice.
 
-    A block Cholesky factorisation of the normal equations with pivots: each candidate is a pair of columns.
+    The method is a pivoted block Cholesky factorisation of the normal equations, in which each candidate is a pair of
+    columns.
 
     Args:
         matrix: Normal equations ``(P, P)``, priors among them.
@@ -248,15 +264,15 @@ def pursued(matrix: Array, right: Array, base: Places, candidates: Places, most:
 
 
 def chosen_orders(equations: Linearised, base: Places, candidates: Places) -> tuple[list[Places], Places]:
-    """Column indices of the harmonics to take: one choice with each block left out, and the choice on all blocks.
+    """Return column indices of the chosen harmonics: for each block held out, and for all blocks together.
 
-    Each block in turn judges the harmonics that are chosen on the other blocks, one after the other. The smallest
-    number is taken whose error is within `WITHIN` of the smallest error; indices are empty if no harmonic is worth it.
+    Harmonics are chosen on the other blocks one after the other, and judged on the block held out. The number is the
+    smallest one whose error is within `WITHIN` of the least error. Indices are empty if no harmonic reduces the error.
 
     Args:
-        equations: Normal equations of geometry, other terms and every harmonic.
-        base: Places of the columns that take part anyway.
-        candidates: Places of sine and cosine of each harmonic ``(M, 2)``.
+        equations: Normal equations of geometry, other terms and every candidate harmonic.
+        base: Indices of the columns that are always included.
+        candidates: Indices of the sine and cosine columns of each candidate ``(M, 2)``.
     """
     of_each, right_of_each, squares_of_each = equations.normal
     rows = sum(len(block.joints) for block in equations.blocks)
@@ -280,11 +296,11 @@ def chosen_orders(equations: Linearised, base: Places, candidates: Places) -> tu
 def refined(
     wave: PeriodicTerm, others: tuple[Term, ...], bare: Identification, observations: Observations
 ) -> PeriodicTerm:
-    """The harmonics with their orders refined from the grid by the data, and with the orders' uncertainties.
+    """Return the harmonics with orders refined by the data, and with the uncertainties of the orders.
 
     Args:
-        wave: The harmonics on the grid.
-        others: Terms that take part beside them.
+        wave: The harmonics, with orders on the grid.
+        others: Other terms, which are fitted together with them.
         bare: The geometry identified without terms.
         observations: Training rows.
     """
@@ -319,24 +335,26 @@ MARGIN = 0.03
 
 FOLDS = 5
 ROWS = 1500
-"""Largest number of training rows, taken evenly, on which terms are chosen."""
+"""Largest number of training rows, equally spaced, on which terms are chosen."""
 
 WARM = 5.0
-"""Temperatures that vary by less than this, K, say nothing about expansion."""
+"""Range of temperatures, K, above which thermal expansion is tried."""
 
 NAMES = ("compliance", "gravity", "periodic", "thermal")
-"""Terms that can be chosen, in the order of trial: compliance, which uses measured torques, before inferred effects."""
+"""Terms that can be chosen, in the order of trial; compliance, which uses measured torques, comes before gravity."""
 
 
 TermChoice = tuple[str, dict[str, float], tuple[Term, ...]]
-"""Names of the terms chosen, some of `NAMES` joined by "+", or "none"; cross-validated blocked RMS of every candidate,
-m; and the terms."""
+"""Result of `choose_terms`: names of the chosen terms (some of `NAMES` joined by "+", or "none"), RMS misses, and the
+terms. The misses are cross-validated, m, by the names of every combination tried."""
 
 
 def identify_terms(
     terms: tuple[Term, ...], bare: Identification, observations: Observations, known: bool = False
 ) -> Identification:
-    """Identify geometry and terms, with the priors of a geometry identified without them; coefficients have their own.
+    """Identify geometry and terms together, starting from a geometry that was identified without terms.
+
+    The geometry keeps its priors, and the terms' coefficients have priors of their own.
 
     Args:
         terms: The terms.
@@ -349,11 +367,11 @@ def identify_terms(
 
 
 def choose_terms(arm: Arm, bare: Identification, observations: Observations) -> TermChoice:
-    """Choose terms by blocked cross-validation within training rows, which stand in the order they were measured.
+    """Choose terms by blocked cross-validation within training rows, which are in the order they were measured.
 
-    Terms are tried one after the other: first those from measured torques, then what every arm has (weight). Each is
-    added only if it wins over those before it. The order is a decision: on the WAM's grid, harmonics alone score better
-    than weight alone, but extrapolate worse. Weight stays beside harmonics only if it wins over harmonics alone.
+    Terms are tried one after the other in the order of `NAMES`. Each is added only if it reduces the error of the terms
+    before it by more than `MARGIN`. The order matters: on the WAM's grid, harmonics alone score better than gravity
+    alone, but extrapolate worse. Gravity is kept beside harmonics only if it also improves on the terms without it.
 
     Args:
         arm: The arm.
@@ -383,7 +401,7 @@ def choose_terms(arm: Arm, bare: Identification, observations: Observations) -> 
 
 
 def terms_of(names: str, arm: Arm, bare: Identification, observations: Observations) -> tuple[Term, ...]:
-    """The terms of these names, with as many harmonics as the training rows support.
+    """Return the terms of these names, with as many harmonics as the training rows support.
 
     Args:
         names: Some of `NAMES` joined by "+", or "none".
@@ -392,7 +410,7 @@ def terms_of(names: str, arm: Arm, bare: Identification, observations: Observati
         observations: Training rows.
 
     Raises:
-        InputError: If a name is unknown.
+        InputError: If a name is unknown, or compliance is named and no torques were measured.
     """
     requested = [name for name in names.split("+") if name != "none"]
     for name in requested:
@@ -409,7 +427,10 @@ def terms_of(names: str, arm: Arm, bare: Identification, observations: Observati
 
 
 def plain_term(name: str, arm: Arm, observations: Observations) -> Term:
-    """The term of this name before any choice of harmonics; for weight, the nominal base says which way is up."""
+    """Return the term of this name; "periodic" has all candidate harmonics.
+
+    For "gravity", the nominal base defines which direction is up.
+    """
     geometry = arm.nominal
     if name == "periodic":
         return every_order(geometry)

@@ -1,1 +1,1 @@
-"""Measurements of every kind, the arm's error model, and the parameters that data tell of."""
+"""Measurements of every kind, the arm's error model and its priors, and the noise of the measurements."""

@@ -1,7 +1,8 @@
-"""The arm model that is identified: a geometry, and parametric terms beyond it (compliance, weight, drives, heat).
+"""The arm model to identify: a geometry, and terms for compliance, weight, periodic drive errors and thermal expansion.
 
-The pose is F(q) displaced by the sum of coefficient times column. The terms are small (millimetres), so a first-order
-model is exact to micrometres, and every parameter, geometric or not, is one column of one Jacobian. SI units.
+The predicted pose is the forward kinematics F(q), displaced by the sum of each coefficient times its column. The terms
+displace it by millimetres, so a first-order model is exact to micrometres. Every parameter, geometric or not, is one
+column of one Jacobian. SI units.
 """
 
 from __future__ import annotations
@@ -22,14 +23,14 @@ from pickenv.base import InputError
 
 @dataclass(frozen=True, eq=False)
 class Conditions:
-    """Conditions of each pose beyond its joints; a condition that was not recorded is None.
+    """Conditions in which each of N poses was measured, beside its joint values; None for a condition not recorded.
 
     Attributes:
         payload: Mass held at the tool ``(N,)``, kg.
         temperature: Temperature above the reference ``(N,)``, K.
         torque: Measured joint torques or forces ``(N, n)``, N*m or N, positive along the joint as gravity's are.
-        between: On a whole robot, the links that carry the sensor and its target ``(N, 2)``, as of
-            `pickenv.arm.kinematics.geometry.LinkTree`.
+        between: For a robot whose links form a tree, indices of the links that carry the sensor and its target
+            ``(N, 2)``, see `pickenv.arm.kinematics.geometry.LinkTree`.
     """
 
     payload: Array | None = None
@@ -38,52 +39,56 @@ class Conditions:
     between: NDArray[np.int64] | None = None
 
     def select(self, rows: NDArray[Any]) -> Conditions:
-        """The conditions of the given rows."""
+        """Return the conditions of the given poses (indices or a mask)."""
         return Conditions(**{name: None if part is None else part[rows] for name, part in vars(self).items()})
 
     def repeated(self, shape: tuple[int, ...]) -> Conditions:
-        """Conditions of a flattened batch of poses of this shape: the one payload and one temperature, repeated."""
+        """Return the one payload and the one temperature, repeated for every pose of a batch.
+
+        Args:
+            shape: Shape of the batch; the result is flat. Torques and links are left out.
+        """
         count, parts = int(np.prod(shape)), (self.payload, self.temperature)
         payload, temperature = (None if part is None else np.broadcast_to(part, (count,)) for part in parts)
         return Conditions(payload, temperature)
 
     def inputs(self) -> Array | None:
-        """Payload and temperature as columns ``(N, k)`` for a learnt residual; None if neither is known."""
+        """Return payload and temperature ``(N, k)``, inputs of a learnt residual; None if neither is known."""
         columns = [part for part in (self.payload, self.temperature) if part is not None]
         return np.stack(columns, -1) if columns else None
 
 
 class Term(Protocol):
-    """One physical effect, linear in its coefficients."""
+    """A physical effect beyond geometry, whose pose displacement is linear in the effect's k coefficients."""
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
         """Names of the term's coefficients."""
 
     def tolerances(self, geometry: Geometry) -> Array:
-        """Scale of each coefficient ``(k,)``, in the coefficient's own unit: it moves the tool by about 1 mm."""
+        """Scale of each coefficient ``(k,)``, in its own unit: the change that moves the tool by about 1 mm."""
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """Pose displacement per unit of each coefficient ``(N, 6, k)``, m and rad, world axes."""
 
     def displacement(self, geometry: Geometry, joints: Array, conditions: Conditions, coefficients: Array) -> Array:
-        """Pose displacement by these coefficients ``(k,)``: ``(N, 6)``."""
+        """Return the pose displacement ``(N, 6)``, m and rad, world axes, for these coefficients ``(k,)``."""
         return np.asarray(self.columns(geometry, joints, conditions) @ coefficients)
 
 
 class JointTerm(Term, Protocol):
-    """An effect whose coefficients each move one joint, to first order."""
+    """A term in which each coefficient adds to the motion of one joint, to first order."""
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """The joint that each coefficient moves ``(k,)``, and its motion per unit coefficient ``(N, k)``, rad or m."""
+        """Return each coefficient's joint ``(k,)``, and that joint's motion per unit of it ``(N, k)``, rad or m."""
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        """The joint Jacobian's columns times the steps ``(N, 6, k)``; the poses are the innermost axis in memory."""
+        """Return the joint Jacobian's columns times `steps` ``(N, 6, k)``; in memory, poses are the innermost axis."""
         which, steps = self.steps(geometry, joints, conditions)
         by_joint = np.moveaxis(joint_jacobian(geometry, joints), 0, -1)
         return np.asarray(np.moveaxis(by_joint[:, list(which)] * steps.T, -1, 0))
 
     def displacement(self, geometry: Geometry, joints: Array, conditions: Conditions, coefficients: Array) -> Array:
-        """The joint Jacobian times the motion of each joint by all coefficients together."""
+        """Return the joint Jacobian times the total motion of each joint ``(N, 6)``, m and rad."""
         which, steps = self.steps(geometry, joints, conditions)
         displacements = (coefficients * (np.arange(geometry.joints)[:, None] == list(which))) @ steps.T
         by_joint = np.moveaxis(joint_jacobian(geometry, joints), 0, -1)
@@ -96,8 +101,8 @@ class ArmModel:
 
     Attributes:
         geometry: The geometry.
-        terms: The effects.
-        coefficients: All their coefficients in order ``(k,)``.
+        terms: The physical effects beyond geometry.
+        coefficients: Coefficients of all terms ``(k,)``, term by term.
     """
 
     geometry: Geometry
@@ -106,23 +111,23 @@ class ArmModel:
 
     @staticmethod
     def of(geometry: Geometry | ArmModel, terms: tuple[Term, ...] = ()) -> ArmModel:
-        """A model of this geometry whose coefficients are zero; an `ArmModel` is returned unchanged."""
+        """Return a model of this geometry with all coefficients zero; an `ArmModel` is returned unchanged."""
         if isinstance(geometry, ArmModel):
             return geometry
         return ArmModel(geometry, terms, np.zeros(sum(len(term.names(geometry)) for term in terms)))
 
     @cached_property
     def parameter_names(self) -> tuple[str, ...]:
-        """The geometry's 5n + 12 names, then the terms' coefficients."""
+        """Names of the geometry's 5n + 12 parameters, then of the terms' coefficients."""
         return self.geometry.parameter_names + tuple(name for term in self.terms for name in term.names(self.geometry))
 
     @property
     def term_tolerances(self) -> Array:
-        """Scales of all the terms' coefficients ``(k,)``."""
+        """Scales of the coefficients of all terms ``(k,)``."""
         return np.concatenate([np.zeros(0), *(term.tolerances(self.geometry) for term in self.terms)])
 
     def pose(self, joints: ArrayLike, conditions: Conditions | None = None) -> Pose:
-        """Predicted tool pose at joints ``(..., n)``."""
+        """Return the predicted tool poses at joints ``(..., n)``, rad or m."""
         if conditions is not None and conditions.between is not None:
             parts = self._by_way(joints, conditions, lambda model, *row: np.dstack(model.pose(*row)[::-1]))
             return Pose(parts[..., 3], np.ascontiguousarray(parts[..., :3]))
@@ -130,7 +135,7 @@ class ArmModel:
         return pose if not self.terms else displace_pose(pose, self.displacement(joints, conditions))
 
     def displacement(self, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
-        """Displacement of the pose by the terms ``(..., 6)``, m and rad."""
+        """Return the displacement of the pose by all terms together ``(..., 6)``, m and rad."""
         if conditions is not None and conditions.between is not None:
             return self._by_way(joints, conditions, lambda model, *rows: model.displacement(*rows))
         joints = np.asarray(joints, dtype=float)
@@ -165,13 +170,13 @@ class ArmModel:
         return answer
 
     def displaced(self, delta: Array) -> ArmModel:
-        """This model with ``delta`` ``(5n + 12 + k,)`` added to its parameters."""
+        """Return this model with ``delta`` ``(5n + 12 + k,)`` added to its parameters."""
         count = len(self.geometry.parameter_names)
         geometry = self.geometry.displaced(delta[:count])
         return replace(self, geometry=geometry, coefficients=self.coefficients + delta[count:])
 
     def difference(self, other: ArmModel) -> Array:
-        """The ``delta`` that turns this model into ``other``."""
+        """Return the ``delta`` for which ``self.displaced(delta)`` has the parameters of ``other``."""
         return np.concatenate([self.geometry.difference(other.geometry), other.coefficients - self.coefficients])
 
 
@@ -181,7 +186,7 @@ class ArmModel:
 
 
 SHOWN = 1e-3
-"""Relative cut-off of singular values when moments are fitted: less visible combinations stay at zero."""
+"""Relative cut-off of singular values in the fit of moments; combinations of moments below it stay at zero."""
 
 
 ORDER_TOLERANCE = 0.25
@@ -190,14 +195,14 @@ ORDER_TOLERANCE = 0.25
 
 @dataclass(frozen=True)
 class ComplianceTerm(JointTerm):
-    """Joints yield: dq = c tau, one coefficient c = 1/k per joint (rad/(N*m) or m/N).
+    """Joint compliance: deflection dq = c tau under torque tau, with c = 1/k per joint (rad/(N*m) or m/N).
 
-    The torque is the measured one where the data hold it. Elsewhere it is gravity's, from ``moments`` of the arm's
-    weight that were fitted to measured torques.
+    The torque is the measured one if the data contain torques. Otherwise it is the gravity torque from ``moments`` of
+    the arm's weight, which were fitted to measured torques.
 
     Attributes:
-        joints: Indices of the joints that may yield, from 0.
-        weight: The term that defines the moments, or None.
+        joints: Indices of the compliant joints, from 0.
+        weight: The gravity term that defines the moments; None without moments.
         moments: Value of each moment ``(k,)``, fitted to measured torques by `GravityTerm.weighed`.
     """
 
@@ -206,7 +211,7 @@ class ComplianceTerm(JointTerm):
     moments: tuple[float, ...] = ()
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
-        """One name per joint, numbered as the joints are, from 1: compliance1, compliance2."""
+        """Names of the coefficients, with the joint's number from 1, such as compliance1."""
         return tuple(f"compliance{i + 1}" for i in self.joints)
 
     def tolerances(self, geometry: Geometry) -> Array:
@@ -214,11 +219,11 @@ class ComplianceTerm(JointTerm):
         return np.array([1e-5 if geometry.prismatic[i] else 1e-4 for i in self.joints])
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """The joints that yield, and their torques ``(N, k)``."""
+        """Return the compliant joints, and their torques ``(N, k)``, N*m or N."""
         return self.joints, self.torques(geometry, joints, conditions)[:, self.joints]
 
     def torques(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        """The measured torques ``(N, n)``, or gravity's torques where none were measured.
+        """Return the measured torques of all joints ``(N, n)``, or the gravity torques if none were measured.
 
         Raises:
             InputError: If there are neither measured torques nor moments.
@@ -233,12 +238,14 @@ class ComplianceTerm(JointTerm):
 
 @dataclass(frozen=True)
 class PeriodicTerm(JointTerm):
-    """Drives' periodic errors: sine and cosine coefficients (rad or m) of sin(order q) and cos(order q).
+    """Periodic errors of the joints' drives: each harmonic adds s sin(order q) + c cos(order q) to its joint q.
+
+    The coefficients are s and c of each harmonic, rad or m.
 
     Attributes:
         joints: The joint of each harmonic, from 0; a joint may have several harmonics.
-        orders: The order of each harmonic: cycles per turn of a revolute joint, not always whole; for a prismatic joint
-            2 pi over the period (1/m).
+        orders: Order of each harmonic. For a revolute joint it is in cycles per turn, not always a whole number. For a
+            prismatic joint it is 2 pi over the period, 1/m.
         order_std: Standard uncertainties of the orders; empty if the orders were given rather than estimated.
     """
 
@@ -247,33 +254,33 @@ class PeriodicTerm(JointTerm):
     order_std: tuple[float, ...] = ()
 
     def some(self, numbers: NDArray[np.int64]) -> PeriodicTerm:
-        """A term of only the harmonics with these indices, from 0."""
+        """Return a term with only the harmonics at these indices, from 0, and without the orders' uncertainties."""
         return PeriodicTerm(tuple(self.joints[i] for i in numbers), tuple(self.orders[i] for i in numbers))
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
-        """Names made of joint, order and part: periodic1_13.5_sin."""
+        """Names of the coefficients, from joint (from 1), order and sine or cosine, such as periodic1_13.5_sin."""
         pairs = zip(self.joints, self.orders, strict=True)
         return tuple(f"periodic{i + 1}_{order:.5g}_{part}" for i, order in pairs for part in ("sin", "cos"))
 
     def tolerances(self, geometry: Geometry) -> Array:
-        """Scale of each coefficient: 1 mm on a slide, 3 mrad / order on a revolute joint (the slope is then equal)."""
+        """Scale of each coefficient: 1 mm for a prismatic joint, 3 mrad / order (equal slopes) for a revolute one."""
         pairs = zip(self.joints, self.orders, strict=True)
         return 1e-3 * np.repeat([1.0 if geometry.prismatic[i] else 3.0 / order for i, order in pairs], 2)
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """The joint of each coefficient, and the sine and cosine of each harmonic ``(N, k)``."""
+        """Return each coefficient's joint, and the sine and cosine of each harmonic ``(N, k)``."""
         angle = joints[:, self.joints] * np.array(self.orders)
         return np.repeat(self.joints, 2).tolist(), np.stack([np.sin(angle), np.cos(angle)], -1).reshape(len(joints), -1)
 
 
 @dataclass(frozen=True)
 class OrderTerm(JointTerm):
-    """Motion of the tool per change of each harmonic's order, to refine the orders of a `PeriodicTerm`.
+    """Tool displacement per change of each harmonic's order, used to refine the orders of a `PeriodicTerm`.
 
-    It is J q (s cos(order q) - c sin(order q)), with the sine and cosine coefficients s and c.
+    It is J q (s cos(order q) - c sin(order q)), with the joint Jacobian J, and the harmonic's coefficients s and c.
 
     Attributes:
-        wave: The harmonics.
+        wave: The term that has the harmonics.
         sines: Sine coefficient of each harmonic, rad or m.
         cosines: Cosine coefficient of each harmonic, rad or m.
     """
@@ -283,7 +290,7 @@ class OrderTerm(JointTerm):
     cosines: tuple[float, ...]
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
-        """One name per harmonic, numbered from 0: order0, order1."""
+        """Names of the order corrections, one per harmonic, numbered from 0: order0, order1."""
         return tuple(f"order{i}" for i in range(len(self.wave.orders)))
 
     def tolerances(self, geometry: Geometry) -> Array:
@@ -291,7 +298,7 @@ class OrderTerm(JointTerm):
         return np.full(len(self.wave.orders), ORDER_TOLERANCE)
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """The joint of each harmonic, and its motion per change of the order ``(N, k)``."""
+        """Return each harmonic's joint, and the joint's motion per unit change of the order ``(N, k)``, rad or m."""
         turned = joints[:, self.wave.joints]
         angle = turned * np.array(self.wave.orders)
         slope = np.array(self.sines) * np.cos(angle) - np.array(self.cosines) * np.sin(angle)
@@ -300,7 +307,7 @@ class OrderTerm(JointTerm):
 
 @dataclass(frozen=True)
 class ThermalTerm(Term):
-    """Thermal expansion: all lengths of the links grow with temperature, by one coefficient, 1/K."""
+    """Thermal expansion: the lengths of all links grow with temperature by one common coefficient, 1/K."""
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
         """The one coefficient's name, "thermal"."""
@@ -311,10 +318,10 @@ class ThermalTerm(Term):
         return np.array([5e-5])
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        """The parameter Jacobian's length columns times lengths and temperature ``(N, 6, 1)``.
+        """Return the sum of the Jacobian's length columns times the lengths, times the temperature ``(N, 6, 1)``.
 
         Raises:
-            InputError: If there are no temperatures.
+            InputError: If no temperatures are recorded.
         """
         if conditions.temperature is None:
             raise InputError("thermal expansion needs temperatures; give a temperature column")
@@ -329,17 +336,17 @@ class ThermalTerm(Term):
 
 @dataclass(frozen=True)
 class GravityTerm(JointTerm):
-    """Joints yield under the arm's own weight, with neither masses nor stiffnesses known.
+    """Joint deflection under the arm's own weight, with unknown masses and stiffnesses.
 
-    A joint's torque is linear in the mass and first moments of every link behind it, so c tau is linear in c m and
-    c m r: one coefficient per joint and moment (rad/m, or m for slides). Most coefficients are redundant, and the
-    solver's rank decision drops them. A recorded payload adds one more column per joint (rad/(kg*m)), from its torque
-    at the tool.
+    The torque tau on a joint is linear in the mass m and the first moments m r of every link that the joint carries. So
+    the deflection c tau is linear in c m and c m r. Each pair of a joint and a moment has one coefficient (rad/m, or m
+    for prismatic joints). Most coefficients are redundant, and the solver's rank decision drops them. A recorded
+    payload adds one more coefficient per joint (rad/(kg*m)), for the payload's torque.
 
     Attributes:
-        joints: Indices of the joints that may yield, from 0.
-        up: Direction against gravity in the axes of frame 0.
-        payload: Whether there are columns for the payload.
+        joints: Indices of the compliant joints, from 0.
+        up: Direction opposite to gravity, in the axes of frame 0.
+        payload: Whether the payload has coefficients of its own.
     """
 
     joints: tuple[int, ...]
@@ -347,15 +354,19 @@ class GravityTerm(JointTerm):
     payload: bool = False
 
     def moments(self, geometry: Geometry) -> tuple[tuple[int, int, str], ...]:
-        """(joint, link, moment) of each coefficient; "m" mass at the link's origin, "p" payload at the tool."""
+        """Return the joint, link (indices from 0) and moment of each coefficient.
+
+        Moment "m" is the mass at the link's origin; "x", "y" and "z" are its first moments; "p" is the payload at the
+        tool.
+        """
         return _moments(self, geometry)
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
-        """Names made of joint, link and moment: gravity2_3x."""
+        """Names of the coefficients, from joint and link (both from 1) and moment, such as gravity2_3x."""
         return tuple(f"gravity{i + 1}_{j + 1}{moment}" for i, j, moment in self.moments(geometry))
 
     def tolerances(self, geometry: Geometry) -> Array:
-        """Scale of each coefficient: 1e-3, that is 1 mrad at 1 m, or 1 mm for a slide."""
+        """Scale of each coefficient: 1e-3, that is 1 mrad at 1 m, or 1 mm for a prismatic joint."""
         return np.full(len(self.moments(geometry)), 1e-3)
 
     def owners(self, geometry: Geometry) -> NDArray[np.int64]:
@@ -363,11 +374,11 @@ class GravityTerm(JointTerm):
         return np.array([i for i, _, _ in self.moments(geometry)])
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """The joint of each coefficient ``(k,)``, and the torque of its moment ``(N, k)`` from `torques`."""
+        """Return each coefficient's joint ``(k,)``, and the torque of its moment ``(N, k)`` from `torques`."""
         return self.owners(geometry).tolist(), self.torques(geometry, joints, conditions)
 
     def torques(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        """Torque ``(N, k)`` of each moment on the coefficient's joint, per unit of the moment.
+        """Return the torque ``(N, k)`` of each coefficient's moment on its joint, per unit of the moment.
 
         Raises:
             InputError: If the term has payload columns and no payloads are recorded.
@@ -402,10 +413,10 @@ class GravityTerm(JointTerm):
         return np.stack(torques).T
 
     def weighed(self, geometry: Geometry, joints: Array, conditions: Conditions) -> ComplianceTerm:
-        """Make a compliance term for these joints, with the moments fitted to the measured torques.
+        """Return a compliance term for these joints, with the moments fitted to the measured torques.
 
-        The term can then compute torques where none are measured, as at targets. Moments that the poses do not show
-        stay small.
+        The term can then predict torques where none are measured, for instance at targets. Moments that the poses do
+        not determine stay small.
         """
         assert conditions.torque is not None
         columns, owners = self.torques(geometry, joints, conditions), self.owners(geometry)
@@ -445,7 +456,7 @@ def kind_of_term(term: Term) -> str:
 
 
 def specification(term: Any) -> dict[str, Any]:
-    """A term as JSON content, from which `term_from` rebuilds it."""
+    """Return a term as JSON content, from which `term_from` rebuilds it."""
     return {"kind": kind_of_term(term), **asdict(term)}
 
 
@@ -453,7 +464,7 @@ def term_from(content: Mapping[str, Any]) -> Term:
     """Rebuild a term from its `specification`, as stored in a calibration file.
 
     Raises:
-        InputError: If it is of an older version and of what this one does not know.
+        InputError: If the content is from an older version and has link masses, which this version does not support.
     """
     numbers = _tuples(content)
     kind = KINDS[numbers.pop("kind")]
@@ -490,8 +501,8 @@ class ErrorModel:
     """The parameters to identify.
 
     Attributes:
-        columns: Indices into the geometry's ``parameter_names``, shape (P,), in order of preference: where parameters
-            are redundant the earlier one is kept.
+        columns: Indices into the geometry's ``parameter_names``, shape (P,), in order of preference: of redundant
+            parameters, the earlier one is kept.
         names: The parameters' names.
         tolerance: Scale of each parameter's deviation, m or rad, shape (P,).
     """
@@ -501,23 +512,26 @@ class ErrorModel:
     tolerance: Array
 
     def some(self, kept: NDArray[np.bool_]) -> ErrorModel:
-        """The model of only the parameters that ``kept`` ``(P,)`` marks."""
+        """Return the model of the parameters for which ``kept`` ``(P,)`` is True."""
         names = tuple(name for name, keep in zip(self.names, kept, strict=True) if keep)
         return ErrorModel(self.columns[kept], names, self.tolerance[kept])
 
     def joined(self, other: ErrorModel) -> ErrorModel:
-        """These parameters, then those of another model."""
+        """Return a model of these parameters, followed by those of another model."""
         columns, tolerance = np.r_[self.columns, other.columns], np.r_[self.tolerance, other.tolerance]
         return ErrorModel(columns, self.names + other.names, tolerance)
 
 
 def link_model(geometry: Geometry) -> ErrorModel:
-    """The paper's model: the four MDH parameters of every joint; base and tool are taken as known (eqs (7)-(8))."""
+    """Return the model of Qiao 2026: four MDH parameters of every joint, with base and tool known (eqs (7)-(8))."""
     return _model(geometry, _link_names(geometry))
 
 
 def complete_model(geometry: Geometry) -> ErrorModel:
-    """Base and tool pose, MDH parameters, and Hayati's beta between parallel axes: complete for any serial chain."""
+    """Return a model that is complete for any serial chain.
+
+    It has base and tool pose, the MDH parameters, and Hayati's beta between parallel axes.
+    """
     names = geometry.parameter_names
     frames = [name for name in names if name.startswith(("base_", "tool_"))]
     links = _link_names(geometry)
@@ -526,17 +540,17 @@ def complete_model(geometry: Geometry) -> ErrorModel:
 
 
 def frames_model(geometry: Geometry) -> ErrorModel:
-    """Base and tool pose only: what must be fitted before a nominal error can be stated honestly."""
+    """Return the model of base and tool pose alone, which are fitted before the error of a nominal arm is stated."""
     return _model(geometry, [name for name in geometry.parameter_names if name.startswith(("base_", "tool_"))])
 
 
 def joint_zeros_model(geometry: Geometry) -> ErrorModel:
-    """The zero of every joint: theta where its link turns, d where it slides."""
+    """Return the model of the joint zeros alone: theta of every link that rotates, d of every link that slides."""
     return _model(geometry, [f"{'d' if slides else 'theta'}{i + 1}" for i, slides in enumerate(geometry.slides)])
 
 
 def with_terms(model: ErrorModel, arm: ArmModel) -> ErrorModel:
-    """The model's parameters and the coefficients of the arm's terms."""
+    """Return a model of the given parameters, followed by the coefficients of the arm's terms."""
     count = len(arm.geometry.parameter_names)
     columns = np.arange(count, len(arm.parameter_names))
     return model.joined(ErrorModel(columns, arm.parameter_names[count:], arm.term_tolerances))
@@ -565,17 +579,21 @@ def _model(geometry: Geometry, names: list[str]) -> ErrorModel:
 
 
 REACH = 100.0
-"""Travel of the pose carrier's slides to either side, m: farther than any robot reaches."""
+"""Travel of the pose carrier's prismatic joints to either side, m: farther than any robot reaches."""
 
 _QUARTER = np.pi / 2.0
 
 
 CARRIER = "finished_poses"
-"""Name of the arm that `pose_carrier` makes."""
+"""Name of the arm that `pose_carrier` makes, for tool poses given in place of joint values."""
 
 
 def pose_carrier() -> Arm:
-    """The arm whose six joints are a pose: x, y, z, and the angles of a wrist (z, y, z)."""
+    """Return an arm whose six joint values are the tool pose itself.
+
+    It serves data in which a controller reports tool poses in place of joint values. The joints are translations along
+    z, x and y, then three wrist angles (z, y, z).
+    """
     # z, then x, then y: each link's axis is turned from the one before by quarter turns.
     return Arm(
         name=CARRIER,
@@ -599,10 +617,10 @@ def pose_carrier() -> Arm:
 
 
 def fitted_model(arm: str, nominal: Geometry, known_frames: bool) -> ErrorModel:
-    """Parameters to identify for the arm of this name.
+    """Return the parameters to identify for the arm of this name.
 
-    The pose carrier has only base and tool pose to identify; every other arm has the parameters of its links, and base
-    and tool pose too unless ``known_frames``.
+    For the pose carrier (`CARRIER`) they are base and tool pose. For every other arm they are the link parameters and,
+    unless ``known_frames``, base and tool pose.
     """
     if arm == CARRIER:
         return frames_model(nominal)
@@ -610,7 +628,7 @@ def fitted_model(arm: str, nominal: Geometry, known_frames: bool) -> ErrorModel:
 
 
 def joints_of_finished_poses(poses: Pose) -> Array:
-    """The pose carrier's joints ``(N, 6)``, m and rad, that place its tool at poses ``(N,)``."""
+    """Return the pose carrier's joints ``(N, 6)``, m and rad, at which its tool has the given poses ``(N,)``."""
     geometry = pose_carrier().nominal
     zero = forward(geometry, np.zeros(6))
     along = np.stack([forward(geometry, row).position for row in np.eye(6)[:3]], axis=1)

@@ -1,8 +1,8 @@
 """Kinds of measurement beyond poses and positions: sockets, distances, reflectors, tilts.
 
-A distance is measured from a point or a plane: a draw wire, a ball bar and a ball on a sphere measure it from a point,
-a dial gauge and a probe on a table from a plane. A direction is a vector of three numbers of which only the direction
-counts; one more equation keeps its length at one. SI units.
+A distance is measured from a point (draw wire, ball bar, ball on a sphere) or from a plane (dial gauge, probe on a
+table). A direction is fitted as a vector of three numbers, with one more equation that keeps its length at one. SI
+units.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ ORIGIN: Tip = (0.0, 0.0, 0.0)
 
 
 def tool_points(model: ArmModel, joints: Array, conditions: Conditions, tip: Array) -> Array:
-    """World positions ``(N, 3)``, m, of a point ``(3,)`` of the tool's frame at joints ``(N, n)``."""
+    """World positions ``(N, 3)``, m, of the point ``tip`` ``(3,)`` of the tool's frame, m, at joints ``(N, n)``."""
     pose = model.pose(joints, conditions)
     return np.asarray(pose.position + pose.rotation @ tip)
 
 
 def tool_points_jacobian(model: ArmModel, joints: Array, conditions: Conditions, tip: Array) -> tuple[Array, Array]:
-    """Derivatives of `tool_points` by the model's parameters ``(N, 3, P)`` and by ``tip`` ``(N, 3, 3)``."""
+    """Derivatives of `tool_points` with respect to the model ``(N, 3, P)`` and to ``tip`` ``(N, 3, 3)``."""
     rotation = model.pose(joints, conditions).rotation
     return observations.point_jacobian(model.jacobian(joints, conditions), rotation @ tip), rotation
 
@@ -48,26 +48,33 @@ def tool_points_jacobian(model: ArmModel, joints: Array, conditions: Conditions,
 SurfaceName = Literal["point", "plane"]
 
 STEPS = 20
-"""Iterations of a robust fit, which gross rows hardly pull."""
+"""Number of iterations of the fits that are robust against gross errors."""
 
 FAR = 5.0
-"""Points farther off than this many median distances are left out when a plane is fitted."""
+"""A plane is fitted without points whose distance from it exceeds this many median distances."""
 
 
 def direction(vector: Array) -> tuple[Array, Array]:
-    """The unit vector ``(3,)`` along a vector, and its derivative ``(3, 3)`` by that vector."""
+    """Return the unit vector ``(3,)`` along a vector, and its derivative ``(3, 3)`` with respect to that vector."""
     size = float(np.linalg.norm(vector))
     ahead = vector / size
     return ahead, (np.eye(3) - np.outer(ahead, ahead)) / size
 
 
 def unit_length(vector: Array) -> tuple[Array, Array]:
-    """How much a vector is shorter than length one, to first order ``(1,)``, and its length's derivative ``(1, 3)``."""
+    """Return 1 minus a vector's length, to first order ``(1,)``, and the derivative of the length ``(1, 3)``."""
     return np.array([(1.0 - vector @ vector) / 2.0]), vector[None]
 
 
 def steady_solution(matrix: Array, right: Array) -> Array:
-    """Solve by least absolute errors, through re-weighted least squares: a few gross rows hardly pull the solution."""
+    """Solve linear equations for least absolute errors, so that a few gross errors hardly change the solution.
+
+    The method is iteratively re-weighted least squares.
+
+    Args:
+        matrix: Matrix of the equations ``(R, k)``.
+        right: Right-hand side ``(R,)``.
+    """
     weights: Array = np.ones(len(right))
     solution: Array = np.zeros(matrix.shape[1])
     for _ in range(STEPS):
@@ -184,23 +191,23 @@ SURFACES: dict[SurfaceName, type[_Point]] = {"point": _Point, "plane": _Plane}
 @register("observation", "sockets")
 @dataclass(frozen=True, eq=False)
 class SocketObservations(Observations):
-    """The tool point rests in places that do not move: sockets, or one point touched again and again.
+    """Poses in which a point of the tool rests in fixed places: sockets, or one point that is touched repeatedly.
 
-    Nothing is measured but, where it is known, the spacing of some sockets.
+    The places are unknown. Known spacings of some pairs of sockets add equations.
 
     Attributes:
         joints: ``(N, n)``, rad or m.
-        socket: Number of the place that each pose rests in ``(N,)``, from 0.
+        socket: Number of the place in which the tool point rests in each pose ``(N,)``, from 0.
         pairs: Pairs of sockets of known spacing ``(M, 2)``; without them the scale of the arm is unobservable.
         spacing: Spacing of each pair ``(M,)``, m.
-        std: Standard uncertainty of a coordinate of the ball in its socket, m.
+        std: Standard uncertainty of a coordinate of the tool point in its place, m.
         spacing_std: Standard uncertainty of a spacing, m.
         places: Names of the places; if empty they are named socket1, socket2 and so on.
         tip: The point of the tool that rests in the sockets, in the tool's frame, m.
-        tip_std: Standard uncertainty of a coordinate of ``tip``, m: 0 where it is exact, infinite where it is unknown.
+        tip_std: Standard uncertainty of a coordinate of ``tip``, m: 0 if it is exact, infinite if it is unknown.
         conditions: Payload, temperature and torques, where known.
         source: Where the data come from.
-        origins: File and line of each row; None where they come from no file.
+        origins: File and line of each row; None if the rows come from no file.
     """
 
     joints: Array
@@ -231,7 +238,7 @@ class SocketObservations(Observations):
 
     @cached_property
     def numbers(self) -> Stated:
-        """Coordinates of the sockets, which are unknown, and of the tool point."""
+        """Coordinates of the sockets, which are unknown, and of the tool point ``tip``."""
         count = 3 * len(self._names)
         return Stated(
             (*(f"{name}_{axis}" for name in self._names for axis in "xyz"), *TIP),
@@ -242,7 +249,7 @@ class SocketObservations(Observations):
 
     @property
     def groups(self) -> Rows:
-        """The socket of each row ``(N,)``: a split then trains on every socket."""
+        """The socket of each row ``(N,)``; a split thus has training rows of every socket."""
         return self.socket
 
     def span(self, tool: Array) -> float:
@@ -250,7 +257,7 @@ class SocketObservations(Observations):
         return float(np.linalg.norm(tool - tool.mean(axis=0), axis=1).max())
 
     def missed(self, model: ArmModel, numbers: Array) -> Array:
-        """Socket minus predicted ball position ``(N, 3)``, m."""
+        """Socket minus predicted tool point ``(N, 3)``, m."""
         sockets, ball = numbers[:-3].reshape(-1, 3), tool_points(model, self.joints, self.conditions, numbers[-3:])
         return np.asarray(sockets[self.socket] - ball)
 
@@ -259,9 +266,9 @@ class SocketObservations(Observations):
         return self.socket[:, None].astype(float)
 
     def start(self, model: ArmModel) -> Array:
-        """Starting values of the unknowns: sockets at the median of the ball's positions, which gross rows hardly move.
+        """Return starting values of the unknowns: each socket at the median of the tool point's predicted positions.
 
-        The tool point starts where it is stated.
+        The median is robust against gross errors. The tool point starts at ``tip``.
         """
         ball = tool_points(model, self.joints, self.conditions, np.array(self.tip))
         rests = [ball[self.socket == i] for i in range(len(self._names))]
@@ -269,7 +276,7 @@ class SocketObservations(Observations):
         return np.concatenate([*sockets, self.tip])[self.numbers.free]
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """Whitened derivatives of ball minus socket, by the model and by the places of sockets and tool point."""
+        """Whitened derivatives of tool point minus socket with respect to the model and to the instrument's numbers."""
         by_model, by_tip = tool_points_jacobian(model, self.joints, self.conditions, numbers[-3:])
         places = np.eye(len(self._names))[self.socket]
         by_socket = -np.einsum("ns,ij->nisj", places, np.eye(3)).reshape(*by_tip.shape[:2], -1)
@@ -293,7 +300,7 @@ class SocketObservations(Observations):
 
 
 SCALE_TOLERANCE = 1e-3
-"""Scale of a deviation of a wire's own scale."""
+"""Scale of the deviation of a distance reading's scale factor from 1."""
 
 
 @register("observation", "distances")
@@ -308,16 +315,17 @@ class DistanceObservations(Observations):
         length: Readings ``(N,)``, m.
         std: Standard uncertainty of a reading, m.
         surface: What the distance is measured from: a draw wire's anchor or a sphere's centre ("point"), or a plane
-            ("plane"). A distance from a plane is signed, and a plane has no zero of its own.
+            ("plane"). A distance from a plane is signed; its ``zero`` is not fitted, because the plane's offset absorbs
+            it.
         zero: The reading at distance 0, m.
         zero_std: Standard uncertainty of ``zero``, m.
-        scale_std: Standard uncertainty of the amount by which the reading's scale exceeds 1.
+        scale_std: Standard uncertainty of the reading's scale factor, which is expected at 1.
         tip: The point in the tool's frame, m.
         tip_std: Standard uncertainty of a coordinate of ``tip``, m.
         conditions: Payload, temperature and torques, where known.
         source: Where the data come from.
         kind: Name of the kind.
-        origins: File and line of each row; None where they come from no file.
+        origins: File and line of each row; None if the rows come from no file.
     """
 
     joints: Array
@@ -338,7 +346,7 @@ class DistanceObservations(Observations):
 
     @worked_out
     def sized(self) -> bool:
-        """Whether lengths are read on a known scale or, where all readings are equal, the distance itself is known."""
+        """Whether the readings' scale is known or, if all readings are equal, whether the distance itself is known."""
         if np.ptp(self.length) > 0.0:
             return bool(np.isfinite(self.scale_std))
         return bool(self.surface != "plane" and np.isfinite(self.zero_std) and self.length[0] != self.zero)
@@ -366,13 +374,17 @@ class DistanceObservations(Observations):
         return self.length[:, None]
 
     def start(self, model: ArmModel) -> Array:
-        """Starting values of the unknowns: the surface is fitted to the tool points that the model predicts."""
+        """Return starting values of the unknowns, with the surface fitted to the tool points of the model."""
         points = tool_points(model, self.joints, self.conditions, np.array(self.tip))
         place, zero = SURFACES[self.surface].start(points, self.length, self.zero, bool(np.isinf(self.zero_std)))
         return np.concatenate([place, [zero, 0.0], self.tip])[self.numbers.free]
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """Whitened derivatives of the readings by the model ``(N, P)`` and by the instrument's numbers ``(N, K)``."""
+        """Return whitened derivatives of the readings with respect to the model and to the instrument's numbers.
+
+        Returns:
+            Derivatives ``(N, P)`` and ``(N, K)``.
+        """
         values, scale, tip = numbers[:-5], numbers[-4], numbers[-3:]
         points = tool_points(model, self.joints, self.conditions, tip)
         distance, by_point, by_place = SURFACES[self.surface].gap(values, points)
@@ -382,7 +394,16 @@ class DistanceObservations(Observations):
         return np.einsum("ni,nip->np", along, by_model), np.hstack([by_own, np.einsum("ni,nij->nj", along, by_tip)])
 
     def bonds(self, numbers: Array) -> tuple[Array, Array]:
-        """The gauge equations of the surface's numbers, weighted as strongly as all readings together."""
+        """Return the equation that keeps a plane's normal at length one; a point has none.
+
+        It is weighted as strongly as all readings together.
+
+        Args:
+            numbers: All of the instrument's numbers ``(K,)``.
+
+        Returns:
+            Whitened residual ``(G,)`` and derivatives ``(G, K)``.
+        """
         std = self.std / float(np.sqrt(max(len(self.joints), 1)))
         residual, by_values = SURFACES[self.surface].gauge(numbers[:-5])
         return residual / std, np.pad(by_values, ((0, 0), (0, 5))) / std
@@ -394,16 +415,17 @@ class DistanceObservations(Observations):
 @register("observation", "reflectors")
 @dataclass(frozen=True, eq=False)
 class ReflectorObservations(Observations):
-    """Positions of k reflectors fixed to the tool, some of them lost in some poses.
+    """Measured positions of k reflectors that are fixed to the tool; in some poses only some of them are seen.
 
     Attributes:
         joints: ``(N, n)``, rad or m.
-        points: Measured positions ``(N, k, 3)``, m; values of lost reflectors are ignored.
+        points: Measured positions ``(N, k, 3)``, m, in the instrument's frame; values of reflectors not seen are
+            ignored.
         seen: Whether each reflector was seen ``(N, k)``.
         std: Standard uncertainty of a coordinate of a point, m.
         conditions: Payload, temperature and torques, where known.
         source: Where the data come from.
-        origins: File and line of each row; None where they come from no file.
+        origins: File and line of each row; None if the rows come from no file.
         places: Stated positions of the reflectors in the tool's frame ``(k, 3)``, m; None if they are unknown.
         places_std: Standard uncertainty of a coordinate of ``places``, m; 0 if they are exact.
     """
@@ -428,7 +450,7 @@ class ReflectorObservations(Observations):
         return np.nonzero(self.seen)[0]
 
     def imagined(self, joints: Array) -> Self:
-        """The same instrument's readings at other joints ``(M, n)``, as if every reflector were seen."""
+        """Return a data set of the same instrument at other joints ``(M, n)``, as if every reflector were seen."""
         return Observations.imagined(replace(self, seen=np.ones_like(self.seen)), joints)
 
     def readings(self) -> Array:
@@ -437,7 +459,7 @@ class ReflectorObservations(Observations):
 
     @cached_property
     def numbers(self) -> Stated:
-        """Coordinates of the reflectors in the tool's frame, with what is known of them."""
+        """Coordinates of the reflectors in the tool's frame, with their stated values and uncertainties."""
         count = 3 * self.points.shape[1]
         names = tuple(f"reflector{i + 1}_{axis}" for i in range(self.points.shape[1]) for axis in "xyz")
         values = np.zeros(count) if self.places is None else self.places.ravel()
@@ -445,22 +467,22 @@ class ReflectorObservations(Observations):
         return Stated(names, values, std, np.full(count, LENGTH_TOLERANCE))
 
     def start(self, model: ArmModel) -> Array:
-        """Starting values of the reflectors' places: as stated, or mean measured points in the tool's frame."""
+        """Return starting values of the reflectors' places: as stated, or else from `seen_from`."""
         return self.seen_from(model).ravel() if self.places is None else self.numbers.start()
 
     @property
     def clearest(self) -> int:
-        """The reflector that is seen most often, from 0."""
+        """Index, from 0, of the reflector that is seen most often."""
         return int(np.argmax(self.seen.sum(axis=0)))
 
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Measurements:
-        """Measured positions of the reflector that is seen most often, as `Measurements`."""
+        """Return the measured positions of the reflector that is seen most often, as `Measurements`."""
         rows = self.seen[:, self.clearest]
         seen = self.joints[rows], self.points[rows, self.clearest], None, prismatic
         return Measurements(*seen, source=self.source, conditions=self.conditions.select(rows))
 
     def seen_from(self, model: ArmModel) -> Array:
-        """Mean of each reflector's measured points in the frame of the model's tool ``(k, 3)``, m."""
+        """Mean of each reflector's measured positions in the tool frame that the model predicts ``(k, 3)``, m."""
         tool = model.pose(self.joints, self.conditions)
         local = np.einsum("nij,nki->nkj", tool.rotation, self.points - tool.position[:, None])
         weight = self.seen[..., None] / np.maximum(self.seen.sum(axis=0), 1)[:, None]
@@ -473,7 +495,7 @@ class ReflectorObservations(Observations):
         return np.asarray((self.points - predicted)[self.seen])
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """Whitened derivatives of the reflectors seen, by the model and by the reflectors' places."""
+        """Whitened derivatives of the reflectors seen, with respect to the model and to the reflectors' places."""
         tool, pose = model.pose(self.joints, self.conditions), model.jacobian(self.joints, self.conditions)
         count = self.points.shape[1]
         lever = np.einsum("nij,kj->nki", tool.rotation, numbers.reshape(-1, 3))
@@ -488,7 +510,7 @@ class ReflectorObservations(Observations):
 
 
 DOWN = np.array([0.0, 0.0, -1.0])
-"""Unit vector that points down in the world of an arm whose base stands level."""
+"""Unit vector that points down in the world of an arm whose base is level."""
 
 
 @register("observation", "tilt")
@@ -498,7 +520,7 @@ class TiltObservations(Observations):
 
     Attributes:
         joints: ``(N, n)``, rad or m.
-        components: Cosines between down and each axis ``(N, K)``, K from 1 to 3.
+        components: Cosine of the angle between down and each axis ``(N, K)``, K from 1 to 3.
         std: Standard uncertainty of each component ``(N, K)``, rad.
         axes_std: Standard uncertainty of a component of an axis: 0 if the axes are x, y and z of the tool, infinite if
             they are unknown.
@@ -506,7 +528,7 @@ class TiltObservations(Observations):
             that is unknown.
         conditions: Payload, temperature and torques, where known.
         source: Where the data come from.
-        origins: File and line of each row; None where they come from no file.
+        origins: File and line of each row; None if the rows come from no file.
     """
 
     joints: Array
@@ -525,7 +547,7 @@ class TiltObservations(Observations):
 
     @worked_out
     def framed(self) -> bool:
-        """Whether the world is known to be level: only then can the base be seen to tilt."""
+        """Whether the world is known to be level; only then do the readings show how the base is tilted."""
         return self.down_std == 0.0
 
     @worked_out
@@ -550,9 +572,10 @@ class TiltObservations(Observations):
         return self.components
 
     def start(self, model: ArmModel) -> Array:
-        """Starting values of the unknown axes and down direction, each of length one.
+        """Return starting values of the unknown axes and down direction, each of length one.
 
-        A reading is linear in the products of an axis with down, and the matrix of these products has rank one.
+        A reading is linear in the products of an axis' components with those of down. The matrix of these products has
+        rank one.
         """
         rotation, count = model.pose(self.joints, self.conditions).rotation, self.components.shape[1]
         values = self.numbers.values.copy()
@@ -575,14 +598,14 @@ class TiltObservations(Observations):
     def missed(self, model: ArmModel, numbers: Array) -> Array:
         """Measured minus predicted components ``(N, K)``, rad.
 
-        The length of a row of three is the angle between the measured and the predicted direction.
+        With three axes, the norm of a row is the angle between the measured and the predicted direction.
         """
         *axes, down = (direction(vector)[0] for vector in numbers.reshape(-1, 3))
         local = np.swapaxes(model.pose(self.joints, self.conditions).rotation, 1, 2) @ down
         return np.asarray(self.components - local @ np.array(axes).T)
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """Whitened derivatives of the components by the model, through the tool's rotation, and by axes and down."""
+        """Whitened derivatives of the components with respect to the model, and to the axes and the down direction."""
         *axes, (down, by_down) = (direction(vector) for vector in numbers.reshape(-1, 3))
         rotation = model.pose(self.joints, self.conditions).rotation
         turned = model.jacobian(self.joints, self.conditions)[:, 3:]

@@ -1,7 +1,8 @@
-"""Measurements of an arm: joints and the tool poses that instruments saw, from one or several stations of one fit.
+"""Measurements of an arm: joint values, and the tool poses that instruments measured, at one station or at several.
 
-Our own CSV files name every column with its unit: q1_deg, q2_mm, …, x_mm, y_mm, z_mm and, for full poses, the rotation
-vector rx_deg, ry_deg, rz_deg. Foreign files are read through a column description (`pickenv.calibration.reading.read`).
+The CSV files of pickenv name every column with its unit: q1_deg, q2_mm, …, x_mm, y_mm, z_mm. Full poses also have the
+rotation vector rx_deg, ry_deg, rz_deg. Other files are read through a column description
+(`pickenv.calibration.reading.read`).
 """
 
 from __future__ import annotations
@@ -32,12 +33,13 @@ ATTITUDE_STD = 2e-4
 
 
 Frames = Literal["known", "fitted"]
-"""Whether an instrument measures the arm's own tool in its own base frame, or base and tool must be fitted."""
+"""Choices for base and tool: "known" for poses of the arm's own tool in the arm's own base frame. It is "fitted" if the
+places of the instrument and of its target are unknown."""
 
 FRAMES: tuple[Frames, ...] = get_args(Frames)
 
 FRAMES_COLUMN = "frames"
-"""Column of our own CSV format that holds a data set's `Frames`, alike in every row."""
+"""Column of pickenv's CSV format for a data set's `Frames`; its value is the same in every row."""
 
 
 @register("observation", "tracked")
@@ -49,14 +51,14 @@ class Measurements(Observations):
         joints: Commanded joint displacements ``(N, n)``, rad or m.
         position: Measured tool positions ``(N, 3)``, m, in the instrument's frame.
         rotation: Measured tool rotations ``(N, 3, 3)``, or None where only positions were measured.
-        prismatic: Joint types, which fix the unit of each joint column.
+        prismatic: Whether each joint is prismatic, which decides the unit of its column.
         position_std: Standard uncertainty of one position coordinate, m.
         attitude_std: Standard uncertainty of one attitude coordinate, rad.
         source: Where the data come from, for messages.
         conditions: Payload, temperature and torques of each pose, where known.
-        origins: File and line of each row; None where they come from no file.
-        frames: "known" if these are poses of the arm's own tool in its own base frame; "fitted" if the instrument
-            stood anywhere and saw a target anywhere on the tool.
+        origins: File and line of each row; None if the rows come from no file.
+        frames: "known" for poses of the arm's own tool in the arm's own base frame. "fitted" if the places of the
+            instrument, and of its target on the tool, are unknown.
         std_stated: Whether the uncertainties were stated; otherwise they are the defaults.
     """
 
@@ -101,11 +103,11 @@ class Measurements(Observations):
         return pose_error(predicted, Pose(self.position, self.rotation))
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Measured minus predicted pose, in standard uncertainties."""
+        """Return measured minus predicted pose, in standard uncertainties, as one vector."""
         return np.asarray((self.difference(model) * self.row_weights).ravel())
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Weighted derivatives of all rows by the model (eq (8)), and no columns for unknowns."""
+        """Whitened derivatives with respect to the model (Qiao 2026 eq (8)), and no columns for unknowns."""
         jacobian = np.moveaxis(model.jacobian(self.joints, self.conditions), 0, -1)
         flat = np.empty((jacobian.shape[1], len(self), self.rows_per_pose))
         for i, weight in enumerate(self.row_weights):
@@ -153,7 +155,7 @@ class Measurements(Observations):
         return names, np.concatenate(columns, axis=1)
 
     def write_csv(self, path: str | Path) -> Path:
-        """Write our own CSV format, whole or not at all; `reading.read.read_measurements` reads it back.
+        """Write a CSV file in pickenv's format, whole or not at all; `reading.read.read_measurements` reads it back.
 
         If the frames are known, a last column says so in every row.
         """
@@ -165,17 +167,17 @@ class Measurements(Observations):
 
 
 def joint_columns(prismatic: Sequence[bool]) -> list[str]:
-    """Names of the joint columns of our own CSV format."""
+    """Names of the joint columns of pickenv's CSV format."""
     return [f"q{i + 1}_{screen_unit(slides)[0]}" for i, slides in enumerate(prismatic)]
 
 
 def screen_unit(length: bool) -> tuple[str, float]:
-    """The unit of a length or angle in our files and on screens (mm or deg), and its number per m or rad."""
+    """Return the unit in files and on screens (mm for a length, deg for an angle), and the factor from m or rad."""
     return ("mm", 1e3) if length else ("deg", float(np.degrees(1.0)))
 
 
 def screen_units(prismatic: Sequence[bool]) -> Array:
-    """Factors ``(n,)`` from rad or m to each joint's unit on screens."""
+    """Factors ``(n,)`` from rad or m to the unit of each joint on screens, deg or mm."""
     return np.array([screen_unit(slides)[1] for slides in prismatic])
 
 
@@ -192,27 +194,28 @@ def write_table(path: str | Path, names: list[str], values: Array | NDArray[np.o
 
 
 def write_joints(path: str | Path, joints: Array, prismatic: tuple[bool, ...]) -> Path:
-    """Write joints ``(N, n)`` as our own CSV columns (q1_deg, q2_mm, …)."""
+    """Write joints ``(N, n)``, rad or m, as a CSV file with columns such as q1_deg and q2_mm."""
     return write_table(path, joint_columns(prismatic), joints * screen_units(prismatic))
 
 
 def random_joints(geometry: Geometry, count: int, rng: np.random.Generator) -> Array:
-    """Joints ``(count, n)`` drawn evenly from the whole joint ranges, as in the paper's protocol."""
+    """Draw joints ``(count, n)``, rad or m, uniformly from the joint ranges, as in the protocol of Qiao 2026."""
     return rng.uniform(geometry.lower, geometry.upper, (count, geometry.joints))
 
 
 def simulated_tracker(
     plant: Plant, joints: ArrayLike, rng: np.random.Generator, instrument: Instrument | str = TRACKER
 ) -> Measurements:
-    """Simulate an instrument, registered to base and tool, that measures an arm at ``joints`` one after another.
+    """Simulate an instrument that measures the tool poses of an arm at ``joints``, one after another.
 
-    One call is one campaign: the machine is switched on, warms up, drives from pose to pose and waits before each
-    reading; the target is mounted once. "ideal" waits for ever at each pose.
+    The poses are those of the arm's own tool in its own base frame. One call is one campaign: the arm is switched on,
+    warms up, drives from pose to pose and waits before each reading. The target is mounted on the tool once. The
+    instrument "ideal" waits at each pose without limit.
 
     Args:
-        plant: The arm.
+        plant: The plant, that is the true arm.
         joints: Joint commands ``(N, n)`` in the order of the visits, rad or m.
-        rng: Draws the readings' errors; a child of it draws the friction of each stop and the target's mounting.
+        rng: Draws the errors of the readings. A child of it draws the friction at each stop and the target's mounting.
         instrument: A name of `pickenv.arm.load_instrument`, a path to a file, or an `Instrument`.
 
     Raises:
@@ -229,7 +232,7 @@ def simulated_tracker(
 
 
 def tracked(plant: Plant, instrument: Instrument, joints: Array, draws: NormalDraws) -> Measurements:
-    """Simulate an instrument's readings of the arm that visits ``joints`` ``(N, n)``, with given random draws."""
+    """Simulate an instrument's readings of the arm at joints ``(N, n)``, rad or m, with given random draws."""
     pose, noise = measured_poses(plant, joints, instrument, draws), instrument.noise_on(plant)
     std = attitude_std = 0.0
     if noise is not None:
@@ -255,29 +258,29 @@ def tracked(plant: Plant, instrument: Instrument, joints: Array, draws: NormalDr
 
 
 OWN = ("base", "tool")
-"""Names of the frames of which a station can have its own."""
+"""Names of the frames that may differ between stations."""
 
 FRAME_TOLERANCES = np.repeat([LENGTH_TOLERANCE, ANGLE_TOLERANCE], 3)
 """Scales of the six deviations of a frame, m and rad."""
 
 ALIKE = 0.1
-"""Largest relative difference of uncertainties between data sets that count as one instrument's."""
+"""Data sets whose uncertainties differ by no more than this share count as measured by one instrument."""
 
 WIDEST = 3
-"""Components of a miss where kinds are mixed; lengths and pixels have fewer and are padded with zeros."""
+"""Number of components of a miss (measured minus predicted) in mixed data; shorter misses are padded with zeros."""
 
 
 @dataclass(frozen=True, eq=False)
 class InstrumentStation:
-    """A data set with frames of its own.
+    """A station: one data set, with the base and tool frames that it does not share with the arm model.
 
     Attributes:
         data: The data set.
-        number: Which station it is, from 1; the unknowns of all but the first carry it in their names.
+        number: Number of the station, from 1; from 2 on it is part of the names of the station's unknowns.
         base: Starting value of the station's own base frame; None if it uses the arm's.
         tool: Starting value of the station's own tool frame; None if it uses the arm's.
         scale: Factor on the data's standard uncertainties, which weighs instruments by their scatter.
-        owners: Number of the station that "base" or "tool" belongs to; this station's own number where left out.
+        owners: Number of the station that the frame "base" or "tool" belongs to; this station's own number if missing.
     """
 
     data: Observations
@@ -313,16 +316,21 @@ class InstrumentStation:
         return np.concatenate([self.data.start(self.seen(model, frames)[0]), frames])
 
     def seen(self, model: ArmModel, unknowns: Array) -> tuple[ArmModel, Array]:
-        """The arm with this station's own frames, and the values of the data's own unknowns."""
+        """Return the arm with this station's own frames, and the values of the data's own unknowns.
+
+        Args:
+            model: The arm, with the first station's frames.
+            unknowns: Values of `unknowns`.
+        """
         values, deviations = np.split(unknowns, [len(unknowns) - 6 * len(self.frames)])
         steps = zip(self.frames.items(), deviations.reshape(-1, 6), strict=True)
         frames: dict[str, Any] = {name: move_pose(pose, step) for (name, pose), step in steps}
         return replace(model, geometry=replace(model.geometry, **frames)) if frames else model, values
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Derivatives of the residual by the arm and by the unknowns.
+        """Return derivatives of the residual with respect to the arm and to the station's unknowns.
 
-        For a frame that is the station's own, the arm's columns are zero; the frame's are among the unknowns.
+        A frame of the station's own has its columns among the unknowns, and zero columns among those of the arm.
         """
         by_arm, by_own = self.data.jacobian(*self.seen(model, unknowns))
         columns = np.concatenate([np.zeros(0, int), *(frame_columns(model.geometry, frame) for frame in self.frames)])
@@ -333,7 +341,7 @@ class InstrumentStation:
 
 @dataclass(frozen=True, eq=False)
 class Stacked(Observations):
-    """The data sets of several stations of one arm, stacked as one data set; unknowns of one name are one unknown.
+    """The data sets of several stations of one arm, stacked as one data set; unknowns of equal names are one unknown.
 
     Attributes:
         stations: The stations; those with an instrument's frame come first.
@@ -369,25 +377,28 @@ class Stacked(Observations):
 
     @worked_out
     def sized(self) -> bool:
-        """Whether any station's data know a length."""
+        """Whether the data of any station involve a known length."""
         return any(part.sized for part in self.parts)
 
     @worked_out
     def miss_unit(self) -> str:
-        """Unit of the misses on screens; "mm" if lengths and angles are mixed, with an angle as its motion at 1 m."""
+        """Unit of the misses on screens; "mm" if units are mixed.
+
+        An angle is then shown as the motion of a point at 1 m.
+        """
         units = {part.miss_unit for part in self.parts}
         return units.pop() if len(units) == 1 else "mm"
 
     @worked_out
     def conditions(self) -> Conditions:
-        """Conditions that every station recorded."""
+        """Those conditions that every station recorded."""
         parts = [vars(part.conditions) for part in self.parts]
         common = [name for name in parts[0] if all(part[name] is not None for part in parts)]
         return Conditions(**{name: np.concatenate([part[name] for part in parts]) for name in common})
 
     @worked_out
     def origins(self) -> Origins:
-        """File and line of every row, and the scatter of the first station's repeats."""
+        """File and line of every row, and the first station's scatter of repeated measurements."""
         parts = [origins_of(part) for part in self.parts]
         starts = _starts([len(origins.files) for origins in parts])
         return Origins(
@@ -445,7 +456,7 @@ class Stacked(Observations):
         return np.concatenate([part.data.residual(*part.seen(model, values)) / part.scale for part, values in stations])
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Whitened derivatives of all stations by the arm, and by the unknowns of all stations."""
+        """Whitened derivatives of all stations with respect to the arm, and to the unknowns of all stations."""
         parts = [station.jacobian(model, values) for station, values in self._with(unknowns)]
         by_unknowns = [np.zeros((len(by_own), len(unknowns))) for _, by_own in parts]
         for (_, by_own), places, columns in zip(parts, self._places, by_unknowns, strict=True):
@@ -458,7 +469,7 @@ class Stacked(Observations):
         return np.concatenate([np.pad(part, ((0, 0), (0, WIDEST - part.shape[1]))) for part in parts])
 
     def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
-        """Derivatives ``(E, 6)`` of all stations' equations, each by the tool pose of its own station."""
+        """Derivatives ``(E, 6)`` of all equations, each with respect to the tool pose of its own station."""
         stations = self._with(unknowns)
         return np.concatenate([part.data.by_tool(*part.seen(model, values)) / part.scale for part, values in stations])
 
@@ -467,7 +478,7 @@ class Stacked(Observations):
         return np.asarray(block_diag(*(part.readings() for part in self.parts)))
 
     def select(self, rows: ArrayLike) -> Self:
-        """The data set that holds only the given rows; stations without any of them are left out."""
+        """Return the data set of only the given rows; stations without any of them are left out."""
         first, parts = self._first_rows(), self.parts
         owner = np.repeat(np.arange(len(parts)), [len(part.joints) for part in parts])
         numbers = np.arange(len(owner))[np.asarray(rows)]
@@ -476,16 +487,20 @@ class Stacked(Observations):
         return replace(self, stations=tuple(replace(self.stations[i], data=data[i]) for i in used))
 
     def weighed(self, scales: Array) -> Self:
-        """The data set with stations weighed by their scatter, relative to the first station's."""
+        """Return the data set with each station's ``scale`` multiplied by its scatter, relative to the first station's.
+
+        Args:
+            scales: Scatter by channel ``(C,)``.
+        """
         factors = scales[self._first_channels()].tolist()
         stations = zip(self.stations, factors, strict=True)
         return replace(self, stations=tuple(replace(s, scale=s.scale * f / factors[0]) for s, f in stations))
 
     def from_the_first(self, model: ArmModel, unknowns: Array) -> Measurements | None:
-        """Poses or positions of all stations as the first station would have measured them; None for other kinds.
+        """Return all poses or positions as the first station would have measured them; None for other kinds.
 
-        Each row's difference from the model is turned into the first station's axes, and for poses shifted to its tool.
-        If any station saw positions alone, attitudes are left out.
+        Each row's difference from the model is rotated into the first station's axes. For poses it is also transferred
+        to the first station's tool. If any station measured positions alone, attitudes are left out.
 
         Args:
             model: The arm as the first station sees it.
@@ -528,7 +543,7 @@ class Stacked(Observations):
 
 
 def rows_together(parts: Sequence[Measurements]) -> Measurements:
-    """Join data sets that are `Measurements.joinable` into one, with the conditions that all of them recorded."""
+    """Join data sets that are `Measurements.joinable` into one, with those conditions that all of them recorded."""
     first = parts[0]
     if len(parts) == 1:
         return first
@@ -546,7 +561,7 @@ def rows_together(parts: Sequence[Measurements]) -> Measurements:
 
 
 def frame_columns(geometry: Geometry, frame: str) -> Rows:
-    """Indices of a frame's six parameters among a geometry's."""
+    """Indices of the six parameters of a frame, "base" or "tool", among those of a geometry."""
     return 5 * geometry.links + 6 * OWN.index(frame) + np.arange(6)
 
 

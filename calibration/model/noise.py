@@ -1,11 +1,12 @@
-"""The scatter of rows about a model, estimated from the rows: variances of channels, and a share common to neighbours.
+"""The noise of measurements about a fitted model: the variance of each channel, and the error that neighbours share.
 
-Each channel of an instrument has its own scatter, whatever was stated. Errors that a model cannot express are alike at
-neighbouring joints. Their length scale and share of the variance maximise the marginal likelihood of a Gaussian process
-on the residuals (Rasmussen and Williams 2006, eq 5.8); n rows with equal errors are worth one row of variance
-(1 - share + share n) / n. So rows of a cluster weigh less than isolated rows, and the common error widens the posterior
-(a sandwich covariance: White 1982). Equations of one picture share the error of its pose; the size of that error is
-estimated by expectation maximisation (Laird and Ware 1982). SI units.
+A channel is the readings of one instrument in one unit. Its scatter is estimated, whatever uncertainty was stated.
+Errors that a model cannot express are alike at neighbouring joints. Their length scale and share of the variance
+maximise the marginal likelihood of a Gaussian process on the residuals (Rasmussen and Williams 2006, eq 5.8). A number
+n of rows with equal errors carries as much information as one row of variance (1 - share + share n) / n. So rows of a
+cluster weigh less than isolated rows, and the common error widens the posterior (a sandwich covariance: White 1982).
+Equations of one picture share the error of its pose; the size of that error is estimated by expectation maximisation
+(Laird and Ware 1982). SI units.
 """
 
 from __future__ import annotations
@@ -22,10 +23,10 @@ from pickenv.calibration.model.arm_model import ArmModel
 from pickenv.calibration.model.observations import Observations, Rows, equally_spaced
 
 POSE = 6
-"""Independent equations that one pose can give; a row with more equations repeats some of them."""
+"""Number of independent equations that one pose can give; the errors of a row with more equations are dependent."""
 
 LENGTHS = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)
-"""Candidate length scales over which errors are alike, as distances of joints, rad or m."""
+"""Candidate length scales over which errors are alike, as distances between joint vectors, rad or m."""
 
 ALIKE = 0.2
 """Default length scale: rows whose joints differ by about this much are assumed to have like errors, rad or m."""
@@ -34,39 +35,43 @@ SHARES = (0.2, 0.4, 0.6, 0.8, 0.95)
 """Candidate shares of the variance that neighbouring rows have in common."""
 
 STATED = 3.0
-"""Weight of a channel's stated uncertainty in its scatter, as a number of equations."""
+"""Weight of a channel's stated uncertainty in its estimated scatter, as a number of equations."""
 
 USUAL = 0.75
-"""Quantile of the neighbour counts that is called usual, if a cluster of rows counts as one fact."""
+"""Quantile of the neighbour counts that is taken as the usual count; a cluster of rows counts as one row in it."""
 
 FREE = 0.25
-"""Share of the facts (a cluster is one) that keep full weight when rows are weighed by their number of neighbours."""
+"""Share of the rows that keep full weight when rows are weighed by their neighbour counts; a cluster counts as one
+row."""
 
 WORTH = 3.0
-"""Logarithm of the likelihood ratio above which neighbours count as having like errors."""
+"""Log-likelihood ratio above which neighbours count as having like errors."""
 
 PROCESS_ROWS, NEIGHBOUR_ROWS = 300, 1500
-"""Numbers of evenly taken rows: those that length and share are fitted to, and those searched for neighbours."""
+"""Largest numbers of equally spaced rows: those that length and share are fitted to, and those searched for
+neighbours."""
 
 LEAST_SPARE = 0.05
-"""Least share of an equation that is taken to show scatter, however much of it the fit has used."""
+"""Least share of an equation that counts as a degree of freedom of the scatter, however large its leverage is."""
 
 ROUNDS = 40
-"""Rounds of expectation maximisation."""
+"""Number of iterations of expectation maximisation."""
 
 
 @dataclass(frozen=True, eq=False)
 class RowNoise:
-    """The scatter of equations, in stated standard uncertainties.
+    """The estimated noise of E equations, in units of their stated standard uncertainties.
 
     Attributes:
-        scatter: Standard deviation of each equation ``(E,)``, larger where rows stand closer than usual.
+        scatter: Standard deviation of each equation ``(E,)``, larger where rows lie closer together than usual.
         channels: Standard deviation by channel ``(C,)``.
         share: Share of the variance that neighbouring rows have in common.
         length: Distance of joints over which rows have that share in common, rad or m.
-        common: Factor on variances for what rows with the usual number of neighbours say less than independent rows.
-        shared: One entry per row whose equations share the error of one pose: indices of the m equations, orthonormal
-            directions of that error among them ``(m, 6)``, and the share of each that whitening removes ``(6,)``.
+        common: Factor on variances of rows with the usual number of neighbours, which carry less information than
+            independent ones.
+        shared: One entry per row whose m equations share the error of one pose. It has the indices of the equations,
+            orthonormal directions of that error among them ``(m, 6)``, and the share of each that whitening removes
+            ``(6,)``.
         pose_std: Standard deviation of that shared error per axis: position, m, and attitude, rad.
     """
 
@@ -79,7 +84,11 @@ class RowNoise:
     pose_std: tuple[float, float] = (0.0, 0.0)
 
     def whiten(self, rows: Array) -> Array:
-        """Whiten stated equations ``(E + k, ...)``; the last k belong to no instrument and are unchanged."""
+        """Whiten equations ``(E + k, ...)`` by this noise; the last k belong to no instrument and are unchanged.
+
+        Args:
+            rows: Equations in units of their stated standard uncertainties.
+        """
         count = len(self.scatter)
         white = np.array(rows, dtype=float)
         white[:count] /= self.scatter if white.ndim == 1 else self.scatter[:, None]
@@ -89,7 +98,7 @@ class RowNoise:
 
 
 def stated_noise(data: Observations) -> RowNoise:
-    """Noise as the data state it, with nothing shared between rows."""
+    """Return the noise that the data state, without errors shared between rows."""
     rows, channels = data.equations()
     return RowNoise(np.ones(len(rows)), np.ones(int(channels.max(initial=0)) + 1))
 
@@ -101,7 +110,7 @@ def noise_of(data: Observations, model: ArmModel, unknowns: Array, leverage: Arr
         data: The rows.
         model: The fitted model.
         unknowns: The data's own unknowns.
-        leverage: Share of each equation that the fit has used up ``(E,)``, 0 to 1; the rest shows the scatter.
+        leverage: Leverage of each equation ``(E,)``, 0 to 1: the share of it that the fit used to determine parameters.
     """
     residual = data.residual(model, unknowns)
     rows, channels = data.equations()
@@ -128,7 +137,12 @@ def noise_of(data: Observations, model: ArmModel, unknowns: Array, leverage: Arr
 
 
 def neighbours(joints: Array, length: float) -> Array:
-    """Effective number of neighbours of each row ``(N,)``, itself counted: the sum of exp(-d^2 / 2 l^2) over rows."""
+    """Effective number of neighbours of each row ``(N,)``, itself included: the sum of exp(-d^2 / 2 l^2) over rows.
+
+    Args:
+        joints: Joints ``(N, n)``, rad or m, between which d is the distance.
+        length: Length scale l, rad or m.
+    """
     some = equally_spaced(len(joints), NEIGHBOUR_ROWS)
     like = np.empty(len(joints))
     for part in np.array_split(np.arange(len(joints)), max(1, len(joints) // 100)):  # as much as stays near
@@ -141,7 +155,7 @@ def neighbours(joints: Array, length: float) -> Array:
 
 
 def counted(joints: Array) -> Array:
-    """Weight of each row ``(N,)``: 1, or less if it has more neighbours than usual, because their errors are alike."""
+    """Weight of each row ``(N,)``: 1, or less for rows with more neighbours than usual, whose errors are alike."""
     like = neighbours(joints, ALIKE)
     return np.asarray(np.minimum(_usual(like, FREE) / like, 1.0))
 

@@ -1,7 +1,8 @@
-"""The interface of a data set of any kind; kinds beyond `Measurements` are in `kinds` and `pixels`.
+"""`Observations`, the interface of a data set of any kind; kinds beyond `Measurements` are in `kinds` and `pixels`.
 
-Each kind brings unknowns of its own (where the reflectors sit, the wire is anchored, the sockets are), which are
-identified together with the arm. Rows are whitened by their covariance, so any mix may be stacked. SI units.
+Each kind has unknowns of its own, such as the places of reflectors or sockets, or where a wire is anchored. They are
+identified together with the arm. Equations are divided by their standard uncertainties (whitened), so data sets of any
+kinds can be stacked in one fit. SI units.
 """
 
 from __future__ import annotations
@@ -26,23 +27,23 @@ from pickenv.calibration.model.arm_model import ArmModel, Conditions
 # Lines are counted from 1 with the header, as an editor shows them; rows that come from no file are counted from 1.
 
 NAMED = 6
-"""Largest number of rows that a message names."""
+"""Largest number of rows of one file that a message names."""
 
 
 @dataclass(frozen=True)
 class Clocks:
-    """What a recording's two clocks were found to be, and which rows it gave.
+    """Estimated offset and rate between the clocks of the instrument and the joint log of a recording, and its rows.
 
     Attributes:
         file: The instrument's file.
-        moment: A time of the instrument's clock amid the recording, s.
+        moment: Time on the instrument's clock, amid the recording, to which ``offset`` belongs, s.
         offset: Reading of the instrument's clock at that moment minus that of the joint log's, s.
-        offset_std: Its standard uncertainty, s.
-        rate: How much faster the instrument's clock runs, as a share.
-        rate_std: Its standard uncertainty.
-        expected_rate_std: The standard uncertainty of the rate before the recording.
-        still: Whether the rows are means over rests of the arm; else they are single samples of its motion.
-        rows: Number of rows.
+        offset_std: Standard uncertainty of ``offset``, s.
+        rate: Share by which the instrument's clock runs faster than the joint log's; 1e-6 is one part in a million.
+        rate_std: Standard uncertainty of ``rate``.
+        expected_rate_std: Standard uncertainty of the rate before the recording.
+        still: True if each row is a mean over a rest of the arm, False if it is a single sample of its motion.
+        rows: Number of rows that the recording gave.
     """
 
     file: str
@@ -57,11 +58,11 @@ class Clocks:
 
     @property
     def rate_told(self) -> bool:
-        """Whether the recording is long enough to tell the rate."""
+        """Whether the recording is long enough to estimate the rate."""
         return self.rate_std < self.expected_rate_std / 2
 
     def text(self) -> str:
-        """The clocks and the rows in words."""
+        """A sentence on the clocks and the rows, for people."""
         rows = f"from {self.rows} {'still phases' if self.still else 'rows of motion'}"
         clock = f"its clock is {uncertain(self.offset * 1e3, self.offset_std * 1e3)} ms ahead of the joint log's"
         if self.rate_told:
@@ -69,7 +70,7 @@ class Clocks:
         return f"{self.file}: {rows}; {clock}"
 
     def as_dict(self) -> dict[str, Any]:
-        """The clocks and the rows for JSON; the rate is None where the recording is too short to tell it."""
+        """The clocks and the rows for JSON; the rate is None if the recording is too short to estimate it."""
         return {
             "file": self.file,
             "moment_s": self.moment,
@@ -83,7 +84,7 @@ class Clocks:
 
 
 def uncertain(value: float, std: float) -> str:
-    """A value and its standard uncertainty, with the digits that mean something."""
+    """Text of a value and its standard uncertainty, with two significant digits of the uncertainty."""
     digits = max(1 - int(np.floor(np.log10(max(std, 1e-12)))), 0)
     return f"{value:.{digits}f} ± {std:.{digits}f}"
 
@@ -97,8 +98,9 @@ class Origins:
         file: Index into ``files`` of each row ``(N,)``.
         line: Line of each row in its file ``(N,)``, from 1.
         clocks: The clocks of the recordings among the files.
-        scene: Names of the sensor and of the target that the rows are of; empty where the files name none.
-        repeat: RMS of a position's scatter between repeats, m, as the files state it; None where they do not.
+        scene: Names of the sensor and of the target with which the rows were measured; empty if the files name none.
+        repeat: RMS scatter of a position between repeated measurements, m, as stated in the files; None if it is not
+            stated.
     """
 
     files: tuple[str, ...]
@@ -119,7 +121,11 @@ class Origins:
 
 
 def named(places: Sequence[tuple[str, int]]) -> str:
-    """Text that names files and lines in a message."""
+    """Return the files and lines as text for a message, with at most `NAMED` lines of each file.
+
+    Args:
+        places: File and line of each row.
+    """
     texts = []
     for file in dict.fromkeys(file for file, _ in places):
         lines = [str(line) for line in sorted(line for name, line in places if name == file)]
@@ -129,7 +135,7 @@ def named(places: Sequence[tuple[str, int]]) -> str:
 
 
 MISS_UNITS = {"mm": 1e3, "deg": float(np.degrees(1.0))}
-"""Units of misses on screens, and the factor from SI."""
+"""Units of misses (measured minus predicted) on screens, and the factors from m or rad."""
 
 NONE_KNOWN = Conditions()
 """Conditions without payload, temperature or torques."""
@@ -144,13 +150,13 @@ class Stated:
     """K numbers of an instrument, each known exactly, within a standard uncertainty, or not at all.
 
     Examples are a wire's zero, a ball bar's length, a socket's place. A number that is not exact is an unknown of the
-    least squares; if something is known of it, that is one more equation.
+    least squares. If its uncertainty is finite, its stated value gives one more equation.
 
     Attributes:
         names: Names of the numbers.
         values: Stated values ``(K,)``; starting values of unknown numbers.
         std: Standard uncertainty of each number ``(K,)``: 0 if it is exact, infinite if it is unknown.
-        scales: Scale of each number's deviation ``(K,)``.
+        scales: Scale of each number's deviation ``(K,)``, in the number's unit.
     """
 
     names: tuple[str, ...]
@@ -177,45 +183,46 @@ class Stated:
         return self.values[self.free]
 
     def whole(self, unknowns: Array) -> Array:
-        """All numbers ``(K,)``, with these values of the fitted numbers."""
+        """Return all numbers ``(K,)``, with ``unknowns`` as the values of the fitted numbers."""
         values = self.values.copy()
         values[self.free] = unknowns
         return values
 
     def residual(self, unknowns: Array) -> Array:
-        """Stated minus present values of fitted numbers of finite uncertainty, in standard uncertainties."""
+        """Return stated minus present values in standard uncertainties, for fitted numbers of finite uncertainty."""
         return np.asarray(((self.start() - unknowns) / self.std[self.free])[self._known])
 
     def jacobian(self) -> Array:
-        """Whitened derivatives of the stated values' equations by the fitted numbers."""
+        """Whitened derivatives of the numbers in `residual` with respect to all fitted numbers."""
         return np.asarray(np.diag(1.0 / self.std[self.free])[self._known])
 
 
 def worked_out(question: Callable[[Any], Answer]) -> Answer:
-    """A cached property, typed as the plain attribute that other kinds have in its place."""
+    """Return a cached property that type checkers see as the plain attribute of the base class."""
     return cast(Answer, cached_property(question))
 
 
 class Observations:
-    """A data set of any kind: rows that can be selected, grouped, and compared with a model.
+    """A data set of any kind of measurement: rows that can be selected, grouped, and compared with a model.
 
-    The defaults here suit most kinds: a split may fall anywhere, and each row gives one miss (measured minus predicted
-    readings). A kind defines its misses and their derivatives by the arm and by the numbers of its instrument. After
-    these equations come those of what is known of the numbers, then further ones among the numbers (`bonds`).
+    A row is what was measured at one joint vector. The defaults here suit most kinds: a split may fall anywhere, and
+    each row gives one miss (measured minus predicted readings). A kind defines its misses, and their derivatives with
+    respect to the arm and to the numbers of its instrument. The equations of a data set are first those of the misses,
+    then those of the numbers' stated values, then further ones among the numbers (`bonds`).
 
     Attributes:
         joints: Joints ``(N, n)``, rad or m.
         conditions: Payload, temperature and torques, where known.
         source: Origin of the data, for messages.
         kind: Name of the kind.
-        origins: File and line of each row; None where they come from no file.
+        origins: File and line of each row; None if the rows come from no file.
         framed: Whether the instrument has a frame; without one the arm's base pose cannot be seen.
         sized: Whether the data involve a known length; without one the arm's size cannot be seen.
         per_row: Names of the arrays that hold one entry per row, beside the joints.
         width: Number of equations of each miss.
         miss_unit: Unit of `misses` on screens: "mm" for metres, "deg" for radians.
         rounding: Change of a reading that is rounded to 0.01 mm or 0.001 deg, in m, rad or px. It is a third of such
-            instruments' scatter, so that a pose measured anew gives the same reading once in five times.
+            instruments' scatter, so a pose that is measured again gives the same reading with a probability of 0.2.
         stations: The `InstrumentStation` of each data set, if these are several data sets in one fit (`Stacked`).
     """
 
@@ -234,11 +241,11 @@ class Observations:
 
     @property
     def poses(self) -> Any:
-        """The rows as `Measurements` (tool poses or positions in one instrument's frame); None if they are not such."""
+        """The rows as `Measurements` (tool poses or positions in one instrument's frame); None for other kinds."""
 
     @property
     def views(self) -> Any:
-        """The rows as `PixelObservations` (pictures of one camera); None if they are not such."""
+        """The rows as `PixelObservations` (pictures of one camera); None for other kinds."""
 
     @property
     def parts(self) -> tuple[Observations, ...]:
@@ -251,15 +258,28 @@ class Observations:
         return Stated((), np.zeros(0), np.zeros(0), np.zeros(0))
 
     def missed(self, model: ArmModel, numbers: Array) -> Array:
-        """Measured minus predicted readings ``(R, m)`` with all of the instrument's numbers ``(K,)``."""
+        """Return measured minus predicted readings ``(R, m)``.
+
+        Args:
+            model: The arm.
+            numbers: All of the instrument's numbers ``(K,)``, exact and fitted ones.
+        """
         raise NotImplementedError
 
     def whitened(self, model: ArmModel, numbers: Array) -> Array:
-        """Errors as from `missed`, in standard uncertainties."""
+        """Return the errors of `missed` in standard uncertainties ``(R, m)``."""
         return np.asarray(self.missed(model, numbers) / self.std)  # type: ignore[attr-defined]
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """Derivatives of the whitened prediction by the model ``(..., P)`` and by the numbers ``(..., K)``."""
+        """Return the derivatives of the predicted readings, in standard uncertainties.
+
+        Args:
+            model: The arm.
+            numbers: All of the instrument's numbers ``(K,)``.
+
+        Returns:
+            Derivatives with respect to the model ``(..., P)`` and to the numbers ``(..., K)``.
+        """
         raise NotImplementedError
 
     def bonds(self, numbers: Array) -> tuple[Array, Array]:
@@ -267,19 +287,19 @@ class Observations:
         return np.zeros(0), np.zeros((0, len(numbers)))
 
     def readings(self) -> Array:
-        """The readings of each row ``(N, k)``, m; rows with equal readings and joints are repetitions."""
+        """Readings of each row ``(N, k)``, in the kind's unit; rows with equal readings and joints are repetitions."""
         raise NotImplementedError
 
     def from_the_first(self, model: ArmModel, unknowns: Array) -> Any:
-        """The rows as `poses`, for several stations as the first would have measured them; None for other kinds."""
+        """Return `poses`, for several stations as the first would have measured them; None for other kinds."""
         return self.poses
 
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Any:
-        """Poses or positions (`Measurements`) that the rows give without a fit, to start from; None if none."""
+        """Return the poses or positions (`Measurements`) that the rows give without a fit, as a start; None if none."""
         return self.poses
 
     def span(self, tool: Array) -> float:
-        """Size to compare `misses` with: the spread of the tool's positions ``(N, 3)``, m, or 1 rad for directions."""
+        """Size to compare `misses` with: the spread of the tool positions ``(N, 3)``, m, or 1 rad for directions."""
         return 1.0 if self.miss_unit == "deg" else float(np.linalg.norm(tool.std(axis=0)))
 
     def fingerprint(self) -> str:
@@ -287,15 +307,19 @@ class Observations:
         return hash_of(self.joints, self.readings())
 
     def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
-        """Derivatives ``(E, 6)`` of the equations by the tool's pose, in the tool's axes."""
+        """Derivatives ``(E, 6)`` of the equations with respect to the tool's pose, in the tool's axes."""
         return self.jacobian(model, unknowns)[0][:, [name.startswith("tool_") for name in model.parameter_names]]
 
     def channels_of(self, other: Observations) -> Rows:
-        """The channels of this data set that match those of other rows of the same instruments; here all channels."""
+        """The channels of this data set that match those of other rows of the same instruments; by default all."""
         return np.arange(int(self.equations()[1].max(initial=-1)) + 1)
 
     def weighed(self, scales: Array) -> Self:
-        """The data set with stations weighed by their scatter, given by channel ``(C,)``; one station is unchanged."""
+        """Return the data set with its stations weighed by their scatter; a data set of one station is unchanged.
+
+        Args:
+            scales: Scatter by channel ``(C,)``.
+        """
         return self
 
     def unknowns(self) -> tuple[str, ...]:
@@ -312,7 +336,7 @@ class Observations:
 
     @property
     def groups(self) -> Rows:
-        """The group of each row ``(N,)``, of which a split takes its share; by default all rows are one group."""
+        """Group of each row ``(N,)``; a split holds out a share of every group. By default all rows are one group."""
         return np.zeros(len(self.joints), dtype=np.int64)
 
     @property
@@ -323,8 +347,9 @@ class Observations:
     def equations(self) -> tuple[Rows, Rows]:
         """Row and channel of each equation of `residual` ``(E,)``; the row is -1 if the equation belongs to no row.
 
-        A channel holds readings of one unit and one uncertainty; positions and attitudes of poses are two channels.
-        By default the misses' equations come first, then those of the numbers, of no row, all in one channel.
+        A channel holds readings of one unit and one uncertainty; positions and attitudes of poses are two channels. By
+        default the equations of the misses come first, then those of the numbers, which belong to no row. All are in
+        one channel.
         """
         extra = len(self.numbers.jacobian()) + len(self.bonds(self.numbers.values)[0])
         rows = np.concatenate([np.repeat(self.rows_of_misses, self.width), np.full(extra, -1)])
@@ -335,13 +360,13 @@ class Observations:
         return self.missed(model, self.numbers.whole(unknowns))
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Whitened residual ``(rows,)`` of the misses, of the numbers' stated values, and of `bonds`."""
+        """Whitened residual ``(E,)`` of the misses, of the numbers' stated values, and of `bonds`."""
         numbers = self.numbers.whole(unknowns)
         statements = self.numbers.residual(unknowns)
         return np.concatenate([self.whitened(model, numbers).ravel(), statements, self.bonds(numbers)[0]])
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Whitened derivatives by the model ``(rows, 5n + 12 + k)`` and by the unknowns ``(rows, own)``."""
+        """Whitened derivatives with respect to the model ``(E, 5n + 12 + k)``, and to the unknowns ``(E, u)``."""
         numbers, free = self.numbers.whole(unknowns), self.numbers.free
         by_arm, by_numbers = self.derivatives(model, numbers)
         by_arm = by_arm.reshape(-1, by_arm.shape[-1])
@@ -351,14 +376,14 @@ class Observations:
         return by_arm, np.ascontiguousarray(np.concatenate([by_numbers[:, free], extra]))
 
     def select(self, rows: ArrayLike) -> Self:
-        """The data set that holds only the given rows (indices or a mask)."""
+        """Return the data set of only the given rows (indices or a mask)."""
         rows = np.asarray(rows)
         origins = origins_of(self).select(rows)
         changed = {"joints": self.joints[rows], "conditions": self.conditions.select(rows), "origins": origins}
         return replace(self, **changed, **self._arrays(rows))  # type: ignore[type-var]
 
     def imagined(self, joints: Array) -> Self:
-        """A data set of the same instrument at other joints ``(M, n)``, which repeats its readings in turn."""
+        """Return a data set of the same instrument at other joints ``(M, n)``, with its readings repeated in turn."""
         rows = np.resize(np.arange(len(self.joints)), len(joints))
         alike = replace(self.conditions.select(rows), payload=None, temperature=None, torque=None)
         return replace(self, joints=joints, conditions=alike, origins=None, **self._arrays(rows))  # type: ignore[type-var]
@@ -376,13 +401,18 @@ def hash_of(*parts: Array) -> str:
 
 
 def origins_of(data: Observations) -> Origins:
-    """File and line of each row; rows that come from no file are counted from 1."""
+    """Return the file and line of each row; rows that come from no file are counted from 1."""
     count = len(data.joints)
     return data.origins or Origins((data.source,), np.zeros(count, dtype=np.int64), np.arange(1, count + 1))
 
 
 def point_jacobian(pose_jacobian: Array, lever: Array) -> Array:
-    """Jacobian ``(..., 3, P)`` of a point that lies ``lever`` ``(..., 3)`` (world axes) from the tool's origin."""
+    """Jacobian ``(..., 3, P)`` of a point that is fixed to the tool.
+
+    Args:
+        pose_jacobian: Jacobian of the tool's pose ``(..., 6, P)``.
+        lever: Vector from the tool's origin to the point ``(..., 3)``, m, world axes.
+    """
     turn = pose_jacobian[..., 3:, :]
     return np.asarray(pose_jacobian[..., :3, :] + np.cross(turn, lever[..., :, None], axis=-2))
 
@@ -405,24 +435,24 @@ def nearest_rotation(matrix: Array) -> Array:
 Rows = NDArray[np.int64]
 
 BLOCKS = 10
-"""Number of contiguous blocks that are held out in turn when errors are judged by blocks."""
+"""Number of contiguous blocks, each of which is held out once when errors are judged by blocks."""
 
 
 SAME_POSE = 2e-4
-"""Largest difference of joints that count as one pose, rad or m: arms resolve 0.01 deg, and a pose that is reached
-again or written with two decimals comes back within it."""
+"""Largest difference of joints that count as one pose, rad or m. Arms resolve 0.01 deg. A pose that is reached again,
+or written with two decimals, differs by less."""
 
 PATH = 10 * SAME_POSE
-"""Chains of near rows that extend over more than this, rad or m, are a path that was followed slowly."""
+"""A chain of near rows that extends over more than this, rad or m, is a path that was followed slowly, and no pose."""
 
 
 def equally_spaced(rows: int, most: int) -> Rows:
-    """Indices of at most ``most`` of the rows, equally spaced."""
+    """Return the indices of at most ``most`` of ``rows`` rows, equally spaced."""
     return np.unique(np.linspace(0, rows - 1, most).astype(int))
 
 
 def same_poses(joints: Array) -> Rows:
-    """The pose of each row ``(N,)``; poses are numbered in the order of their first rows.
+    """Return the number of each row's pose ``(N,)``; poses are numbered in the order of their first rows.
 
     Rows whose joints all differ by `SAME_POSE` or less are of one pose, and so are chains of such rows. A chain that
     extends over more than `PATH` is a slow path rather than a pose; it is cut into cells of `SAME_POSE`.
@@ -449,7 +479,7 @@ def same_poses(joints: Array) -> Rows:
 
 
 def pose_count(joints: Array) -> int:
-    """Number of different poses among rows with these joints ``(N, n)``."""
+    """Number of different poses among rows with joints ``(N, n)``, rad or m."""
     return len(np.unique(same_poses(joints)))
 
 
@@ -478,7 +508,7 @@ def random_split(poses: Rows, test_rows: int, rng: np.random.Generator) -> tuple
 def choose(observations: Observations, test_rows: int | None, rng: np.random.Generator) -> tuple[Rows, Rows]:
     """Draw the training rows and the held-out rows of one data set.
 
-    Sockets and stations are split one by one, to train on each. Rows of one pose stay on one side, even if several
+    Sockets and stations are split one by one, to train on each. Rows of one pose stay on one side, also if several
     stations measured it.
 
     Args:
@@ -565,7 +595,7 @@ def contiguous_folds(groups: Rows, poses: Rows, folds: int) -> list[tuple[Rows, 
 
 
 def home_groups(groups: Rows, poses: Rows) -> Rows:
-    """The group that each row is split with ``(N,)``: that of its pose's first row, so that poses stay whole."""
+    """Return the group of the first row of each row's pose ``(N,)``, so that a split by groups keeps poses whole."""
     return np.asarray(groups[np.unique(poses, return_index=True)[1]][poses])
 
 

@@ -1,9 +1,9 @@
-"""Points of a target in pictures of a camera that is on the arm's hand, or that watches a target on it from outside.
+"""Pixels of a target's points, in pictures of a camera that is on the arm's tool or watches a target on the tool.
 
-A target is a printed board, whose points are its corners, or any list of points in space. The instrument's frame is
-the target's if the camera is on the tool, and the camera's if it watches a target on the tool.
-So the arm's base and tool, which are fitted too, say where the fixed one of the two stands and how the other sits on
-the flange. Only the lens, if it is to be fitted, is an unknown of this kind's own. SI units; pictures in px.
+A target is a printed board, whose points are its corners, or any list of points in space. The instrument's frame is the
+target's if the camera is on the tool, and the camera's if it watches a target on the tool. The fitted base and tool are
+then the poses of the one that is fixed in the world and of the one on the flange. The only unknowns of this kind's own
+are the numbers of the lens, if they are fitted. SI units; pictures in px.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ UNDISTORTING_STEPS = 30
 
 @dataclass(frozen=True, eq=False)
 class Lens:
-    """A camera's intrinsics.
+    """A camera's intrinsics: focal lengths, principal point, and distortion of the lens.
 
     Attributes:
         values: The lens' numbers in the order of `LENS_NAMES` ``(9,)``.
@@ -51,14 +51,19 @@ class Lens:
 
 
 def projected(values: Array, points: Array) -> Array:
-    """Pixels ``(..., 2)`` of points ``(..., 3)`` in the camera's frame."""
+    """Pixels ``(..., 2)`` of points in the camera's frame.
+
+    Args:
+        values: The lens' numbers ``(9,)``, in the order of `LENS_NAMES`.
+        points: Points ``(..., 3)``, m; z is along the view.
+    """
     fx, fy, cx, cy = values[:4]
     x, y = np.moveaxis(distorted(values, points[..., :2] / points[..., 2:]), -1, 0)
     return np.stack([fx * x + cx, fy * y + cy], axis=-1)
 
 
 def distorted(values: Array, ideal: Array) -> Array:
-    """Slopes ``(..., 2)``, after the lens' distortion, of rays with ideal slopes x / z and y / z ``(..., 2)``."""
+    """Apply the lens' distortion to the slopes x / z and y / z ``(..., 2)`` of rays; return the new slopes."""
     k1, k2, p1, p2, k3 = values[4:]
     x, y = ideal[..., 0], ideal[..., 1]
     r2 = x * x + y * y
@@ -69,7 +74,14 @@ def distorted(values: Array, ideal: Array) -> Array:
 
 
 def undistorted(values: Array, pixels: Array) -> Array:
-    """Ideal slopes ``(..., 2)`` of the rays that the lens maps to ``pixels`` ``(..., 2)``, by fixed-point iteration."""
+    """Return the slopes x / z and y / z ``(..., 2)``, without distortion, of the rays that the lens maps to pixels.
+
+    The distortion is inverted by fixed-point iteration.
+
+    Args:
+        values: The lens' numbers ``(9,)``.
+        pixels: Pixels ``(..., 2)``.
+    """
     slopes = (pixels - values[2:4]) / values[:2]
     ideal = slopes
     for _ in range(UNDISTORTING_STEPS):
@@ -78,7 +90,7 @@ def undistorted(values: Array, pixels: Array) -> Array:
 
 
 def by_point(values: Array, points: Array) -> Array:
-    """Derivative of `projected` by the point ``(..., 2, 3)``."""
+    """Derivative of `projected` with respect to the point ``(..., 2, 3)``."""
     z = points[..., 2]
     x, y = points[..., 0] / z, points[..., 1] / z
     k1, k2, p1, p2, k3 = values[4:]
@@ -96,7 +108,7 @@ def by_point(values: Array, points: Array) -> Array:
 
 
 def by_values(values: Array, points: Array) -> Array:
-    """Derivative of `projected` by the lens' numbers ``(..., 2, 9)``."""
+    """Derivative of `projected` with respect to the lens' numbers ``(..., 2, 9)``."""
     fx, fy = values[:2]
     ideal = points[..., :2] / points[..., 2:]
     bent = distorted(values, ideal)
@@ -113,29 +125,31 @@ def by_values(values: Array, points: Array) -> Array:
 
 
 SLANT = 0.5
-"""Cosine of the largest angle between a line of sight and a board's normal at which its corners are found: 60 deg."""
+"""Cosine of 60 deg, the largest angle between a line of sight and a board's normal at which its corners are
+detected."""
 
 Mount = Literal["hand", "world"]
-"""Place of the camera: on the arm's tool, or fixed in the world with the board on the tool."""
+"""Place of the camera: "hand" on the arm's tool, or "world" fixed in the world, with the board on the tool."""
 
 
 @register("observation", "pixels")
 @dataclass(frozen=True, eq=False)
 class PixelObservations(Observations):
-    """V views of a board with K corners, or of any K points that do not move against each other.
+    """V views of a board with K corners, or of any K points at fixed places on one target.
 
     Attributes:
         joints: ``(V, n)``, rad or m.
         corners: Pixel at which each corner was found ``(V, K, 2)``, px; values of corners not found are ignored.
         seen: Whether each corner was found ``(V, K)``.
-        board: Positions of the corners on the board, or of the points ``(K, 3)``, m, in the frame of board or points.
-        camera: The lens, as far as it is known.
-        lens_std: Standard uncertainty of each of the lens' numbers ``(9,)``: 0 if it is exact, infinite if it is free.
+        board: Positions of the corners or points ``(K, 3)``, m, in the frame of the board or target.
+        camera: The lens; numbers that are fitted start at its values.
+        lens_std: Standard uncertainty of each of the lens' numbers ``(9,)``: 0 if it is exact, infinite if it is
+            unknown.
         std: Standard uncertainty of a corner's coordinate ``(V, K)``, px.
         mount: Where the camera is.
         conditions: Payload, temperature and torques, where known.
         source: Where the data come from.
-        origins: Picture or file and line of each view; None where they come from no file.
+        origins: Picture or file and line of each view; None if the views come from no file.
         remarks: Why a view shows no corner ``(V,)``, empty if it shows some; None if no reasons are known.
         pictures: Path of each view's picture ``(V,)``; None where corners came without pictures.
     """
@@ -161,7 +175,7 @@ class PixelObservations(Observations):
 
     @cached_property
     def numbers(self) -> Stated:
-        """The numbers of the lens, as far as they are known."""
+        """The numbers of the lens, with their stated values and uncertainties."""
         return Stated(LENS_NAMES, self.camera.values, self.lens_std, SCALES)
 
     @property
@@ -175,13 +189,13 @@ class PixelObservations(Observations):
         return np.nonzero(self.seen)[0]
 
     def imagined(self, joints: Array) -> Self:
-        """Views of the camera at other joints ``(M, n)``, as if every corner were seen (see `visible`)."""
+        """Return views of the same camera at other joints ``(M, n)``, as if every corner were seen (see `visible`)."""
         usual = np.full_like(self.std, np.median(self.std[self.seen]))
         full_views = replace(self, seen=np.ones_like(self.seen), std=usual, remarks=None, pictures=None)
         return Observations.imagined(full_views, joints)
 
     def starters(self) -> NDArray[np.bool_]:
-        """Mask ``(V,)`` of views that show by themselves where the board is: `STARTING` points, not near one line."""
+        """Mask ``(V,)`` of views that each determine the board's pose: `STARTING` points or more, not near one line."""
         enough: NDArray[np.bool_] = self.seen.sum(axis=1) >= STARTING
         for row in np.flatnonzero(enough):
             places = self.corners[row][self.seen[row]]
@@ -190,7 +204,7 @@ class PixelObservations(Observations):
         return enough
 
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Measurements:
-        """Poses of the board in the camera's frame or, for a camera on the hand, of the camera in the board's frame.
+        """Return the board's pose in the camera's frame; for a camera on the tool, the camera's in the board's frame.
 
         Raises:
             InputError: If no view is one of the `starters`.
@@ -207,9 +221,14 @@ class PixelObservations(Observations):
         return Measurements(*seen, source=self.source, conditions=views.conditions)
 
     def visible(self, model: ArmModel, unknowns: Array, margin: float = 0.0) -> NDArray[np.bool_]:
-        """Mask ``(V, K)`` of corners that a model predicts inside the picture, by a margin in px.
+        """Mask ``(V, K)`` of the corners whose predicted pixels are inside the picture.
 
         A flat board must face the camera; other points are seen from all sides.
+
+        Args:
+            model: The arm.
+            unknowns: Values of the lens' fitted numbers.
+            margin: Least distance of a corner from the picture's edge, px.
         """
         tool, points = model.pose(self.joints, self.conditions), self.in_camera(model)
         values, ahead = self.numbers.whole(unknowns), points[..., 2] > 0.0
@@ -233,14 +252,14 @@ class PixelObservations(Observations):
         return np.asarray((self.board - tool.position[:, None]) @ tool.rotation)
 
     def pixel_errors(self, model: ArmModel, unknowns: Array) -> Array:
-        """Found minus predicted pixels ``(R, 2)`` of the corners found, view by view."""
+        """Measured minus predicted pixels ``(R, 2)`` of the corners that were found, view by view."""
         return self._errors(model, self.numbers.whole(unknowns))
 
     def _errors(self, model: ArmModel, values: Array) -> Array:
         return np.asarray((self.corners - projected(values, self.in_camera(model)))[self.seen])
 
     def missed(self, model: ArmModel, numbers: Array) -> Array:
-        """Errors of the corners at the board's distance ``(R, 2)``, m."""
+        """Errors of the corners that were found, as lengths at the board's distance ``(R, 2)``, m."""
         return np.asarray(self._errors(model, numbers) * self.in_camera(model)[self.seen][:, 2:] / numbers[:2])
 
     def whitened(self, model: ArmModel, numbers: Array) -> Array:
@@ -248,11 +267,11 @@ class PixelObservations(Observations):
         return self._errors(model, numbers) / self.std[self.seen][:, None]
 
     def readings(self) -> Array:
-        """The found corners ``(V, 2 K)``, in px, with zeros for corners not found; they only tell rows apart."""
+        """Pixels of the corners ``(V, 2 K)``, with zeros for corners not found; they serve only to compare rows."""
         return np.where(self.seen[..., None], self.corners, 0.0).reshape(len(self.joints), -1)
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """Whitened derivatives of the projected corners by the model, through the pose, and by the lens."""
+        """Whitened derivatives of the projected corners with respect to the model, and to the numbers of the lens."""
         tool, pose = model.pose(self.joints, self.conditions), model.jacobian(self.joints, self.conditions)
         rows, _ = np.nonzero(self.seen)
         points = self.in_camera(model)[self.seen]
@@ -267,7 +286,7 @@ class PixelObservations(Observations):
 
 
 def with_free_lens(data: PixelObservations) -> PixelObservations:
-    """A copy of the views whose lens is to be fitted, whatever their description says."""
+    """Return a copy of the views in which all numbers of the lens are fitted and their stated uncertainties ignored."""
     return replace(data, lens_std=np.full(len(LENS_NAMES), np.inf))
 
 
@@ -275,20 +294,21 @@ def with_free_lens(data: PixelObservations) -> PixelObservations:
 # fit of the arm takes the corners themselves.
 
 STARTING = 4
-"""Least number of points in a view that show where the board is: three may do so in up to four ways."""
+"""Least number of points that determine the board's pose in one view; with three there may be up to four solutions."""
 
 LEAST_SPREAD = 0.05
-"""A view's corners must spread so far across their longest line, as a share of the spread along it, to show it."""
+"""Least spread of a view's corners across the line that fits them best, as a share of the spread along it."""
 
 TRIED, STEPS = 4, 12
-"""Number of attitudes, of a cube's 24, from which steps are taken, and of these steps."""
+"""Number of starting attitudes that are refined, out of the 24 rotations of a cube, and number of steps of
+refinement."""
 
 
 def board_poses(data: PixelObservations) -> Pose:
-    """The board's pose in the camera's frame in each view ``(V,)``, from which directions to its points fit the rays.
+    """Return the board's pose in the camera's frame in each view ``(V,)``, fitted to the viewing rays of its points.
 
-    It is found by Gauss-Newton steps. The starts are the attitudes of a cube, each with the place that is best for it
-    (least distances of the points from their lines of sight), of which the `TRIED` best go on.
+    The fit takes Gauss-Newton steps. It starts from the 24 rotations of a cube, each with the position of least
+    distances between points and rays. The steps go on from the best `TRIED` of these starts.
 
     Args:
         data: Views with at least four corners each, not all in one line.

@@ -1,9 +1,10 @@
-"""Expectations of an arm's parameters before anything was measured: mean, standard deviation, and source.
+"""Priors of an arm's parameters, before anything was measured: mean, standard deviation, and source.
 
-Every parameter has a prior, whose width says how far a fit may move it. Parts lie within their tolerance class, base
-and tool of an instrument that stood anywhere within metres, coefficients of terms within a few tolerances. Where rows
-say nothing of a parameter, its prior decides. The command line's words are widths too: "offsets" gives parts no width,
-"full" gives all parameters any width, as the papers do. SI units.
+Every parameter has a prior, whose width (standard deviation) limits how far a fit moves it. Lengths and angles of parts
+have the widths of their tolerance class. Base and tool have a width of metres if the places of instrument and target
+are unknown. Coefficients of terms have widths near their tolerances. A parameter that the measurements do not determine
+stays at its prior's mean. The choices of the command line are widths too. With "offsets" the lengths and angles of
+parts have no width. With "full" all parameters have infinite width, as in the papers. SI units.
 """
 
 from __future__ import annotations
@@ -22,30 +23,33 @@ from pickenv.calibration.model.observations import Observations, worked_out
 
 FitWord = Literal["auto", "offsets", "full"]
 FIT_WORDS: tuple[FitWord, ...] = get_args(FitWord)
-"""Choices of the parameters that a fit may move: all within their priors, joint zeros only, or all without priors."""
+"""Choices of the parameters that a fit may move: "auto" for all within their priors, "offsets" for joint zeros and an
+unknown base and tool, "full" for all without priors."""
 
 TOLERANCE_CLASS = "cobot"
 """Default tolerance class of an arm's parts."""
 
 FRAME_STD = (10.0, 10.0)
-"""Standard deviations of a frame about its aligned place, m and rad: so wide that they carry no information."""
+"""Standard deviations of a frame about its aligned pose, m and rad: so wide that they carry no information."""
 
 COEFFICIENT = 1.0
-"""Standard deviation of a term's coefficient, in its tolerances (1 mm or 1 mrad at the tool)."""
+"""Prior standard deviation of a term's coefficient, in the coefficient's tolerances (1 mm or 1 mrad at the tool)."""
 
 ANY_STIFFNESS = 100.0
-"""Standard deviation of a compliance, in its tolerances: stiffnesses from 100 N*m/rad or 1 kN/m are equally likely."""
+"""Prior standard deviation of a compliance, in its tolerances: stiffnesses from 100 N*m/rad or 1 kN/m are all
+plausible."""
 
 FRAMES, ZEROS, LENGTHS, ANGLES, TERMS = "frames", "zeros", "lengths", "angles", "terms"
-"""Groups of parameters: frames that stand anywhere, joint zeros, lengths and angles of parts, terms' coefficients."""
+"""Groups of parameters: base and tool of unknown pose, joint zeros, lengths and angles of parts, terms'
+coefficients."""
 
 MADE = (ZEROS, LENGTHS, ANGLES)
-"""Groups whose prior widths come from a tolerance class; the rows scale each group's widths."""
+"""Groups whose prior widths come from a tolerance class; a factor on each group's widths is estimated from the rows."""
 
 
 @dataclass(frozen=True, eq=False)
 class Prior(Observations):
-    """Parameters expected near those of a reference model; one more data set among `Observations`.
+    """The prior of parameters as one more data set: each parameter is expected near its value in a reference model.
 
     Attributes:
         reference: The expected model.
@@ -71,7 +75,7 @@ class Prior(Observations):
         return model.difference(self.reference)[self.columns] / self.std
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Whitened derivatives, one parameter per row, and no columns for unknowns."""
+        """Whitened derivatives of the parameters, one per row, and an array without columns for unknowns."""
         rows = np.zeros((len(self.columns), len(model.parameter_names)))
         rows[np.arange(len(self.columns)), self.columns] = 1.0 / self.std
         return rows, np.zeros((len(rows), 0))
@@ -108,17 +112,17 @@ class PriorModel:
         return np.asarray(self.std * np.array([self.scales.get(name, 1.0) for name in self.group]))
 
     def prior(self, weight: float = 1.0) -> Prior:
-        """The priors of finite width as a data set, their widths divided by ``weight``."""
+        """Return the priors of finite width as a data set, with their widths divided by ``weight``."""
         some = np.isfinite(self.std)
         return Prior(self.start, self.parameters.columns[some], self.width[some] / weight)
 
     def without_base(self) -> PriorModel:
-        """This model without the base's parameters, for instruments without a frame, which cannot see the base."""
+        """Return this model without the base's parameters, which instruments without a frame cannot determine."""
         further = np.array([not name.startswith("base_") for name in self.parameters.names])
         return replace(self, parameters=self.parameters.some(further), std=self.std[further], group=self.group[further])
 
     def with_terms(self, terms: tuple[Term, ...]) -> PriorModel:
-        """This model with further terms, whose coefficients are expected at zero."""
+        """Return this model with further terms, whose coefficients are expected at zero."""
         if not terms:
             return self
         start = ArmModel.of(self.start.geometry, terms)
@@ -137,13 +141,14 @@ def prior_model(
     tolerances: Tolerances | str | None = None,
     scale: float | None = None,
 ) -> PriorModel:
-    """The parameters of an arm with their priors.
+    """Return the parameters of an arm with their priors.
 
     Args:
-        arm: The arm's name; for finished poses (`arm_model.CARRIER`) only base and tool are fitted.
+        arm: The arm's name; for tool poses given in place of joint values (`arm_model.CARRIER`), only base and tool are
+            fitted.
         geometry: The arm's nominal geometry, with aligned base and tool.
-        known: Whether the instrument measures the arm's own tool in its own base frame. How joint 1 sits on the base
-            and the flange on the last link remains unknown: both are expected within the class, as other parts.
+        known: Whether the measurements are poses of the arm's own tool in the arm's own base frame. The mounting of
+            joint 1 on the base, and of the flange on the last link, then have priors of the tolerance class.
         fit: One of `FIT_WORDS`.
         tolerances: The tolerance class of zeros and parts, or its name; `TOLERANCE_CLASS` when left out.
         scale: Factor on the class's widths; estimated from the rows when left out.
@@ -170,7 +175,7 @@ def prior_model(
 
 
 def expected_sizes(model: ArmModel) -> Array:
-    """Standard deviations of the terms' coefficients before measuring ``(k,)``, in their tolerances."""
+    """Prior standard deviations of the terms' coefficients ``(k,)``, in the coefficients' tolerances."""
     counts = [len(term.names(model.geometry)) for term in model.terms]
     sizes = [ANY_STIFFNESS if isinstance(term, ComplianceTerm) else COEFFICIENT for term in model.terms]
     return np.repeat(sizes, counts)

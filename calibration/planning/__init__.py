@@ -1,1 +1,1 @@
-"""Poses to measure, and their order."""
+"""Planning of measurements: which poses to measure, and in which order."""

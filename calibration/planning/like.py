@@ -1,8 +1,8 @@
-"""More poses like those of a first small measurement, of any kind: wires, touches, reflectors, tilts, pictures.
+"""Further poses for an instrument that has already measured a few: wires, touches, reflectors, tilts, pictures.
 
-The first rows tell where the wire is anchored, where the touched point lies, where the camera sits and what its lens
-is. This predicts what the instrument would read at other joints, and whether it could read anything there. The exchange
-of poses starts from the information that the first rows have given already. SI units.
+The first rows determine the instrument's own unknowns, such as the anchor of a wire, a touched point, or a camera's
+place and lens. These predict what the instrument would read at other joints, and whether it could read anything there.
+The exchange of poses starts from the information that the first rows give. SI units.
 """
 
 from __future__ import annotations
@@ -27,31 +27,35 @@ from pickenv.calibration.model.prior import FRAMES, PriorModel
 from pickenv.calibration.planning import plan
 
 ROUNDS = 60
-"""Largest number of rounds in which candidates are looked for."""
+"""Largest number of rounds of the search for candidates."""
 
 STEPS, NEAR = 20, 1e-6
-"""Number of Newton steps that bring a tool point to where it must be, and how near they must end, m."""
+"""Number of Newton steps that bring a tool point to a place where it can be read, and largest remaining distance, m."""
 
 STEP = 0.5
 """Largest change of a joint in one Newton step, rad or m."""
 
 LEAST_SEEN = 0.5
-"""Share of a board's corners that must be in the picture at a candidate."""
+"""Least share of a board's corners that must be in the picture at a candidate."""
 
 WARY = 3.0
-"""Margin of the picture within which no predicted corner counts, as a multiple of the first views' RMS misses."""
+"""Margin of the picture in which no predicted corner counts as seen, as a multiple of the first views' RMS pixel
+error."""
 
 FOCUS = 1.5
-"""Factor by which a board may stand farther off, or nearer, than in the first views."""
+"""Largest factor by which a board may be farther off than in the farthest first view, or nearer than in the nearest."""
 
 
 First = tuple[Observations, ArmModel, Array]
-"""The instrument as a first measurement tells it: the first rows, the nominal arm with the base and tool that fit these
-rows, and the instrument's own unknowns."""
+"""The instrument as determined by its first rows: these rows, the nominal arm with base and tool fitted to them, and
+the instrument's own unknowns."""
 
 
 def first_rows(arm: Arm, data: Observations) -> First:
-    """Base, tool and the instrument's own unknowns from a few rows, some of which may have gross errors.
+    """Determine base, tool and the instrument's own unknowns from a few rows, some of which may have gross errors.
+
+    Returns:
+        The rows, the nominal arm with fitted base and tool, and values of the instrument's own unknowns.
 
     Raises:
         InputError: If the rows are of several kinds, too few, or do not fit the arm.
@@ -67,10 +71,19 @@ def first_rows(arm: Arm, data: Observations) -> First:
 
 
 def measurable_joints(geometry: Geometry, first: First, count: int, rng: np.random.Generator) -> Array:
-    """Joints ``(count or fewer, n)``, rad or m, within their limits, at which the instrument reads something.
+    """Draw joints within their limits at which the instrument can read something.
 
     Half of the trials are drawn from the joint ranges. The other half are drawn near joints that are known to be
-    readable, at the start those of the first rows: only few of all poses show a board.
+    readable, because a board is seen from few poses. At the start these are the joints of the first rows.
+
+    Args:
+        geometry: The nominal arm.
+        first: The instrument.
+        count: Number of joint vectors wanted.
+        rng: Draws the trials.
+
+    Returns:
+        Joints ``(count or fewer, n)``, rad or m.
     """
     room = geometry.upper - geometry.lower
     lower, upper = geometry.lower + plan.MARGIN * room, geometry.upper - plan.MARGIN * room
@@ -91,13 +104,16 @@ def measurable_joints(geometry: Geometry, first: First, count: int, rng: np.rand
 def measurable(
     first: First, joints: Array, geometry: Geometry, *, move: bool = True
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Joints ``(N, n)`` moved to where the instrument reads something, and a mask ``(N,)`` of those that it can read.
+    """Move joints to where the instrument can read something, and say at which of them it can.
 
     Args:
         first: The instrument.
         joints: Joints to start from ``(N, n)``, rad or m.
         geometry: The nominal arm.
-        move: Whether the joints may be moved; else they are judged where they are, to a millimetre.
+        move: Whether the joints may be moved; otherwise they are judged where they are, with a tolerance of 1 mm.
+
+    Returns:
+        The joints ``(N, n)``, rad or m, and a mask ``(N,)`` of those at which the instrument can read something.
     """
     data, _, _ = first
     if data.views is not None:
@@ -144,7 +160,10 @@ def _shown(first: First, joints: Array) -> NDArray[np.bool_]:
 
 
 def readings_at(first: First, joints: Array) -> Observations:
-    """Rows that the instrument would read at other joints; for a board, the corners that would be in the picture."""
+    """Return the rows that the instrument would read at other joints ``(N, n)``, rad or m.
+
+    For a board, the corners that would be in the picture count as seen.
+    """
     data, *found = first
     rows = data.imagined(joints)  # not stations, which `first_rows` refuses
     if rows.views is None:
@@ -155,7 +174,7 @@ def readings_at(first: First, joints: Array) -> Observations:
 
 
 LEAST_CANDIDATES = 3
-"""Least number of candidates for each planned pose; with fewer there is nothing to choose."""
+"""Least number of candidates for each planned pose; with fewer there is hardly a choice."""
 
 CHUNK = 500
 """Number of candidates whose equations are computed at once."""
@@ -177,26 +196,26 @@ def plan_like(
 ) -> plan.PosePlan:
     """Choose ``count`` further poses for an instrument that has measured a few, and order them for short travel.
 
-    The parameters planned for are base, tool, the arm's own parameters and the instrument's unknowns.
+    The poses are chosen to determine base, tool, the arm's own parameters and the instrument's own unknowns.
 
     Args:
         arm: The arm, with joint limits and speeds.
         data: The first rows, of one kind.
         count: Number of poses to measure.
-        rng: Draws candidates, the order of exchanges and the random sets to compare with.
-        candidates: Joints to choose from ``(N, n)``, rad or m, of which those are left out where nothing could be read;
-            or the number of candidates to look for.
-        lines: Line in their file of each of the given candidates ``(N,)``.
+        rng: Draws candidates, the order of exchanges, and the random sets of poses that the plan is compared with.
+        candidates: Joints to choose from ``(N, n)``, rad or m; those at which nothing could be read are left out. Or
+            the number of candidates to draw.
+        lines: Line of each given candidate in its file ``(N,)``.
         criterion: "d-optimal", or "test-poses" to minimise the predicted position error at ``test_joints``. If left
             out, "test-poses" if ``test_joints`` are given, else "d-optimal".
-        test_joints: Joints where accuracy matters ``(M, n)``, rad or m; the candidates if left out.
-        curve: Whether to say what half, twice, four and eight times as many poses would bring.
-        prior: The arm's parameters with their priors; poses are then chosen by what they add to these and to the first
-            rows.
+        test_joints: Joints at which accuracy matters ``(M, n)``, rad or m; the candidates if left out.
+        curve: Whether to predict the error also for half, twice, four and eight times as many poses.
+        prior: The arm's parameters with their priors; poses are then chosen by the information that they add to these
+            and to the first rows.
 
     Raises:
-        InputError: If the first rows are of several kinds, too few or do not fit the arm, there are too few candidates
-            or poses, or the criterion is unknown.
+        InputError: If the first rows are of several kinds, too few, or do not fit the arm. Also if there are too few
+            candidates or poses, or the criterion is unknown.
     """
     criterion = plan.criterion_of(criterion, test_joints)
     begin = time.perf_counter()

@@ -1,8 +1,9 @@
-"""Poses to measure: the few of many candidates that tell the most about the parameters, ordered for short travel.
+"""Choice of the poses to measure, out of many candidates, and of an order with short travel.
 
-A set of poses is D-optimal (largest determinant of the information matrix: best O1), or has the least predicted error
-at given test poses (Klimchik, Wu et al. 2012-2014: accuracy where the arm will pick). If parameters have priors, poses
-are chosen by what they tell beyond these, and the predicted error is the one that a calibration will state. SI units.
+The chosen set is D-optimal (largest determinant of the information matrix, which means the best O1). Or it has the
+least predicted error at given test poses (Klimchik, Wu et al. 2012-2014: accuracy where the arm will pick). If
+parameters have priors, poses are chosen by the information that they add to these. The predicted error is then the one
+that a calibration will state. SI units.
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from pickenv.calibration.model.prior import FRAMES, PriorModel
 # at once.
 
 RIDGE = 1e-9
-"""Information that every direction has from the start, so that inverses exist; a share of a mean candidate's."""
+"""Information that every direction has from the start, so that inverses exist, as a share of a mean candidate's."""
 
 MAX_PASSES = 20
 """Largest number of rounds through the chosen poses; three to six are usual."""
@@ -46,15 +47,15 @@ def exchange(
     *,
     known: Array | None = None,
 ) -> tuple[NDArray[np.int64], int]:
-    """Choose candidates by greedy addition, then exchange them one after the other until no exchange is a gain.
+    """Choose candidates by greedy addition, then exchange them one by one until no exchange improves the set.
 
     Args:
         rows: Weighted, scaled Jacobians of the candidates ``(N, r, p)``.
         count: Number of candidates to choose.
         rng: Draws the order of exchanges.
-        weight: W ``(p, p)``, to minimise trace(W M^-1) of the information M; None for D-optimality.
+        weight: Matrix W ``(p, p)``, to minimise trace(W M^-1) for the information matrix M; None for D-optimality.
         most_passes: Largest number of rounds of exchange; with 0 the candidates come in the order of their addition.
-        known: Information ``(p, p)`` that there is already, from priors or from rows measured before.
+        known: Information ``(p, p)`` that exists already, from priors or from rows measured before.
 
     Returns:
         Indices of the chosen candidates, and the number of rounds of exchange.
@@ -86,7 +87,7 @@ def exchange(
 
 
 def gains(rows: Array, information: Array, weight: Array | None) -> Array:
-    """The gain ``(N,)`` of adding each candidate to the information M.
+    """Return the gain of adding each candidate to the information M ``(N,)``.
 
     Without a weight it is log det(I + J M^-1 J^T). With W it is the decrease of trace(W M^-1), which by Woodbury's
     identity is trace((I + J M^-1 J^T)^-1 J M^-1 W M^-1 J^T).
@@ -114,10 +115,10 @@ def gains(rows: Array, information: Array, weight: Array | None) -> Array:
 
 
 def move_seconds(joints: Array, speed: Array) -> Array:
-    """Times ``(N, N)``, s, of the moves between poses ``(N, n)``, at joint speeds ``(n,)``.
+    """Times ``(N, N)``, s, of the moves between each two poses ``(N, n)``, at joint speeds ``(n,)``.
 
     Raises:
-        InputError: If a speed is not above zero: a joint that stands still never arrives.
+        InputError: If a speed is not finite and above zero.
     """
     moving = np.isfinite(speed) & (speed > 0)
     if not moving.all():
@@ -132,7 +133,7 @@ def travel_seconds(joints: Array, speed: Array) -> float:
 
 
 def short_tour(joints: Array, speed: Array) -> NDArray[np.int64]:
-    """An order of the poses ``(N, n)`` with short travel: the best of several nearest-neighbour ways after 2-opt."""
+    """Return a short tour of the poses ``(N, n)``: the best of several nearest-neighbour tours after 2-opt."""
     cost = move_seconds(joints, speed)
     ways = [_two_opt(_nearest_neighbours(cost, start), cost) for start in range(min(len(joints), 10))]
     return min(ways, key=lambda way: float(cost[way[:-1], way[1:]].sum()))
@@ -169,32 +170,34 @@ KINDS = ("pose", "position")
 CRITERIA = ("d-optimal", "test-poses")
 
 MARGIN = 0.02
-"""Share of its range that a candidate joint stays away from a limit."""
+"""Least distance of a candidate joint from its limits, as a share of its range."""
 
 AT_LIMIT = 2.0 / 3.0
-"""Chance that a joint stands at a limit, in the half of the candidates on the border of the joint ranges."""
+"""Probability that a joint is at a limit, in the half of the candidates on the border of the joint ranges."""
 
 FIELD = 300
-"""Number of poses drawn from the joint ranges if nobody says where accuracy matters."""
+"""Number of poses drawn from the joint ranges to predict errors at, if no test poses are given."""
 
 DRAWS = 20
-"""Number of random pose sets that a plan is compared with."""
+"""Number of random sets of poses that a plan is compared with."""
 
 
 @dataclass(frozen=True, eq=False)
 class Design:
-    """Candidate poses with the information that each can give.
+    """Candidate poses, with the information that each gives on the parameters.
 
     Attributes:
         joints: Candidates ``(N, n)``, rad or m.
-        rows: Weighted, scaled Jacobians of the candidates by the parameters ``(N, r, p)``, an instrument's own unknowns
-            first.
+        rows: Weighted, scaled Jacobians of the candidates with respect to the parameters ``(N, r, p)``, an instrument's
+            own unknowns first.
         model: The arm's parameters, which come last among the columns.
-        weight: One over the standard uncertainty of each row ``(r,)``; empty if an instrument's first rows tell it.
+        weight: One over the standard uncertainty of each row ``(r,)``; empty if ``rows`` come from an instrument's
+            first rows.
         kind: "pose" (r = 6), "position" (r = 3), or the kind of an instrument's rows.
-        known: Information ``(p, p)`` that there is already, from priors and from rows measured before.
+        known: Information ``(p, p)`` that exists already, from priors and from rows measured before.
         names: Names of an instrument's own unknowns.
-        framed: Whether base and tool are fitted with priors; what they can absorb then is no error of the arm.
+        framed: Whether base and tool are fitted, with priors; the part of an error that they can absorb then does not
+            count.
     """
 
     joints: Array
@@ -209,7 +212,7 @@ class Design:
 
 @dataclass(frozen=True, eq=False)
 class PosePlan:
-    """Poses to measure, in order.
+    """A plan: poses to measure, in order, with the errors to expect.
 
     Attributes:
         joints: ``(n_poses, n)``, rad or m, in measuring order.
@@ -221,17 +224,17 @@ class PosePlan:
         predicted_error: RMS position error to expect from the parameters' uncertainty, m; None if there are no test
             poses, priors or first rows.
         random_predicted_error: The error to expect from as many poses drawn at random, median of 20 sets, m; or None.
-        where: Where these errors are taken, in words.
-        passes: Rounds of exchange.
-        model: Observability of the parameters planned for, beside that of as many poses drawn at random (for JSON);
-            None if the plan builds on an instrument's first rows.
-        arm: Observability of the arm's own parameters, with base and tool taken as known: what papers state. None if
-            the plan builds on first rows, or if the poses are too few to tell all these parameters without priors.
+        where: The poses at which these errors are predicted, in words.
+        passes: Number of rounds of exchange.
+        model: Observability of the parameters that the plan is to determine, and the same for as many random poses (for
+            JSON). None if the plan builds on an instrument's first rows.
+        arm: Observability of the arm's own parameters with base and tool known, as papers state it. None if the plan
+            builds on first rows, or if the poses are too few to determine all these parameters without priors.
         first: Number of rows measured already.
         seconds: Time that the planning took, s.
-        lines: Lines of the poses in the file that they were chosen from; None if they were drawn.
-        curve: For other numbers of poses: the number, the error of as many planned poses, and that of as many drawn
-            ones, m.
+        lines: Lines of the poses in the file of candidates; None if the candidates were drawn.
+        curve: For several numbers of poses: the number, the error to expect from as many planned poses, and from as
+            many random poses, m.
     """
 
     joints: Array
@@ -253,11 +256,11 @@ class PosePlan:
 
     @property
     def parameters(self) -> tuple[str, ...]:
-        """The parameters planned for: the instrument's own unknowns, then the arm's."""
+        """Names of the parameters that the plan is to determine: the instrument's own unknowns, then the arm's."""
         return (*self.design.names, *self.design.model.names)
 
     def as_dict(self) -> dict[str, Any]:
-        """The plan's figures for JSON; condition and O1 ratio at the top level are for the arm's own parameters."""
+        """The plan's numbers for JSON; condition and O1 ratio at the top level are for the arm's own parameters."""
         figures: dict[str, Any] = {
             "poses": len(self.joints),
             "first_rows": self.first,
@@ -284,7 +287,7 @@ class PosePlan:
         return figures
 
     def report(self) -> str:
-        """A short report in words."""
+        """A short report of the plan in words, for people."""
         lines = [
             f"{len(self.joints)} of {len(self.design.joints)} candidates, {self.criterion}, {self.design.kind} "
             f"measurements, {len(self.parameters)} parameters, in {self.seconds:.2f} s"
@@ -316,14 +319,19 @@ class PosePlan:
         return "\n".join(lines)
 
     def write_csv(self, path: str | Path, prismatic: tuple[bool, ...]) -> Path:
-        """Write the joints in measuring order as our own CSV columns (q1_deg, q2_mm, …)."""
+        """Write the joints in measuring order as a CSV file with columns such as q1_deg and q2_mm.
+
+        Args:
+            path: The file.
+            prismatic: Whether each joint is prismatic.
+        """
         return write_joints(path, self.joints, prismatic)
 
 
 def candidate_joints(geometry: Geometry, count: int, rng: np.random.Generator) -> Array:
-    """Joints ``(count, n)`` to choose from: half drawn evenly from the joint ranges, half on their border.
+    """Draw candidate joints ``(count, n)``, rad or m: half uniformly from the joint ranges, half on their border.
 
-    Optimal designs stand on the border, which even draws hardly ever touch.
+    The best poses of an optimal design are often on the border, where uniform draws hardly ever are.
     """
     room = MARGIN * (geometry.upper - geometry.lower)
     lower, upper = geometry.lower + room, geometry.upper - room
@@ -341,10 +349,10 @@ def design_of(
     kind: str = "pose",
     position_std: float = POSITION_STD,
 ) -> Design:
-    """The design of the candidates for all parameters if these have priors, else for a base set of them.
+    """Return the design of the candidates, for all parameters if these have priors, else for an identifiable base set.
 
-    The base set is chosen by pivoted QR: within a group of parameters that cannot be told apart, the one with the
-    largest effect stays. The D-optimal poses do not depend on which one stays; their condition number does.
+    The base set is chosen by pivoted QR: of parameters with the same effects, the one with the largest effect is kept.
+    The D-optimal poses do not depend on which one is kept; their condition number does.
 
     Args:
         geometry: The nominal arm.
@@ -373,7 +381,7 @@ def _rows(geometry: Geometry, model: ErrorModel, weight: Array, joints: Array) -
 
 
 def criterion_of(criterion: str | None, test_joints: Array | None) -> str:
-    """The criterion; if left out, "test-poses" if there are test poses, else "d-optimal".
+    """Return the criterion; if it is None, "test-poses" if there are test poses, else "d-optimal".
 
     Raises:
         InputError: If the criterion is unknown.
@@ -400,25 +408,26 @@ def plan_poses(
 ) -> PosePlan:
     """Choose ``count`` poses to measure, and order them for short travel.
 
-    If parameters have priors, the error to expect is that of the posterior, as `pickenv.calibrate` states it; if base
-    and tool are fitted, it leaves out what they can absorb.
+    If parameters have priors, the predicted error is that of the posterior, as `pickenv.calibrate` states it. If base
+    and tool are fitted, the part of the error that they can absorb is left out.
 
     Args:
         arm: The arm, with joint limits and speeds.
         model: The parameters to identify. If they have priors (`pickenv.calibration.model.prior.prior_model`), poses
-            are chosen by what they add to these, and there may be fewer poses than parameters; scales that are not
-            stated count as 1.
+            are chosen by the information that they add to these, and there may be fewer poses than parameters. Scales
+            of prior widths that are not stated count as 1.
         count: Number of poses to measure.
-        rng: Draws candidates, the order of exchanges and the random sets to compare with.
-        candidates: Joints to choose from ``(N, n)``, rad or m, from which random sets are drawn too; or the number of
+        rng: Draws candidates, the order of exchanges, and the random sets of poses that the plan is compared with.
+        candidates: Joints to choose from ``(N, n)``, rad or m, from which random sets are drawn, too. Or the number of
             candidates to draw (see `candidate_joints`).
         kind: What will be measured, "pose" or "position".
         criterion: "d-optimal", or "test-poses" to minimise the predicted position error at ``test_joints``. If left
             out, "test-poses" if ``test_joints`` are given, else "d-optimal".
-        test_joints: Joints where accuracy matters ``(M, n)``, rad or m; with "d-optimal" only reported on.
+        test_joints: Joints at which accuracy matters ``(M, n)``, rad or m; with "d-optimal" they serve only to predict
+            the error.
         position_std: Standard uncertainty of a position coordinate, m; that of an attitude is `ATTITUDE_STD`.
-        curve: Whether to say what half, twice and up to eight times as many poses would bring, at ``test_joints`` or,
-            without them, at poses drawn evenly from the joint ranges.
+        curve: Whether to predict the error also for half, twice, four and eight times as many poses. It is predicted at
+            ``test_joints`` or, without them, at poses drawn uniformly from the joint ranges.
 
     Raises:
         InputError: If there are too few poses for parameters without priors, too few candidates, no test poses where
@@ -443,7 +452,7 @@ def plan_poses(
 
     @cache
     def drawn(size: int) -> Array:
-        """Random sets ``(DRAWS, size, n)`` of poses that could have been measured instead."""
+        """Random sets ``(DRAWS, size, n)`` of poses to compare the plan with."""
         if isinstance(candidates, int):
             return random_joints(geometry, DRAWS * size, rng).reshape(DRAWS, size, -1)
         return np.stack([joints[rng.choice(len(joints), size, replace=False)] for _ in range(DRAWS)])
@@ -485,22 +494,22 @@ def finished_plan(
     where: str,
     sizes: Sequence[int],
 ) -> PosePlan:
-    """The best poses of a design in an order of short travel, compared with random sets and other numbers of poses.
+    """Choose the best poses of a design, order them for short travel, and compare them with random sets.
 
-    If parameters have priors, the poses of most information may promise a larger error than random ones; the poses of
-    least error are then chosen instead.
+    If parameters have priors, the poses of most information may have a larger predicted error than random ones. The
+    poses of least predicted error are then chosen instead.
 
     Args:
         arm: The arm, with joint speeds.
         design: The candidates.
         count: Number of poses to measure.
-        rng: Draws the order of exchanges, and orders to compare with.
-        drawn: Gives, for a number of poses, `DRAWS` random sets of as many, as joints or as indices of candidates; it
-            gives the same sets when called again.
-        rows_at: Gives the Jacobians ``(size, r, p)`` of the poses of one such set.
+        rng: Draws the order of exchanges, and the random orders that the travel time is compared with.
+        drawn: Function that returns `DRAWS` random sets of a given number of poses, as joints or as indices of
+            candidates. It returns the same sets if it is called again.
+        rows_at: Function that returns the Jacobians ``(size, r, p)`` of the poses of one such set.
         criterion: See `plan_poses`.
-        goal: W ``(p, p)`` of `error_weight`.
-        where: Where the error to expect is taken, in words.
+        goal: The matrix W ``(p, p)`` of `error_weight`.
+        where: The poses at which the error is predicted, in words.
         sizes: Numbers of poses for `PosePlan.curve`.
     """
     joints, aim = design.joints, goal if criterion == "test-poses" else None
@@ -570,19 +579,19 @@ def _least(design: Design) -> int:
 
 
 def plan_sizes(count: int, least: int, most: int) -> list[int]:
-    """Numbers of poses to compare: half (or ``least``), once, twice, four and eight times ``count``, up to ``most``."""
+    """Numbers of poses to compare: half (at least ``least``), one, two, four, eight times ``count``, up to ``most``."""
     sizes = {max(least, count // 2), *(count * times for times in (1, 2, 4, 8))}
     return sorted(size for size in sizes if size <= most)
 
 
 def refuse_too_few(count: int, parameters: int, least: int, besides: str = "") -> None:
-    """Refuse a plan with too few poses to tell all parameters.
+    """Refuse a plan with too few poses to determine all parameters.
 
     Args:
         count: Number of poses.
         parameters: Number of parameters.
         least: Least number of poses.
-        besides: Words for the message on rows that are measured already; may be empty.
+        besides: Words for the message on rows that were measured before; may be empty.
 
     Raises:
         InputError: If there are fewer than ``least`` poses.
@@ -594,9 +603,14 @@ def refuse_too_few(count: int, parameters: int, least: int, besides: str = "") -
 
 
 def error_weight(geometry: Geometry, design: Design, test_joints: Array) -> Array:
-    """The matrix W ``(p, p)`` for which trace(W M^-1) is the mean squared predicted position error at test poses, m^2.
+    """Return the matrix W ``(p, p)``, which makes trace(W M^-1) the mean squared position error predicted, m^2.
 
-    M is the information on the parameters.
+    M is the information matrix of the parameters. The error is predicted at the test poses.
+
+    Args:
+        geometry: The nominal arm.
+        design: The candidates.
+        test_joints: Test poses ``(M, n)``, rad or m.
     """
     place = partial(_rows, geometry, weight=np.ones(3), joints=test_joints)
     stacked = place(design.model).reshape(-1, len(design.model.names))
@@ -608,12 +622,12 @@ def error_weight(geometry: Geometry, design: Design, test_joints: Array) -> Arra
 
 
 def predicted_error(rows: Array, weight: Array, known: Array | float = 0.0) -> float:
-    """RMS position error, m, to expect from the parameters' uncertainty after measuring.
+    """Return the RMS position error, m, to expect from the parameters' uncertainty after measuring.
 
     Args:
         rows: Jacobians of the measured poses ``(M, r, p)``.
-        weight: W ``(p, p)`` of `error_weight`.
-        known: Information ``(p, p)`` that there is already.
+        weight: The matrix W ``(p, p)`` of `error_weight`, which determines the poses of the error.
+        known: Information ``(p, p)`` that exists already.
     """
     stacked = rows.reshape(-1, rows.shape[-1])
     return float(np.sqrt(np.trace(np.linalg.solve(stacked.T @ stacked + known, weight))))

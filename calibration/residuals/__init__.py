@@ -1,1 +1,1 @@
-"""Residuals beyond the parameters, learnt from joints to pose errors, and the gate that says whether they pay."""
+"""Learnt residuals, models of the pose error that the parameters leave, and the gate that accepts or rejects them."""

@@ -1,7 +1,8 @@
-"""The paper's back-propagation network for what geometry does not explain (Qiao 2026, section 1.4, eqs (17)-(18)).
+"""The back-propagation network of Qiao 2026 for errors that geometry does not explain (section 1.4, eqs (17)-(18)).
 
-6-256-128-64-32-6 with batch normalisation, ReLU and dropout after every hidden layer, mean square error, Adam 1e-3,
-L2 1e-5, 500 epochs, batches of 16. Trained with torch; run afterwards as a NumPy forward pass, batch norm folded in.
+Its layers are 6-256-128-64-32-6, with batch normalisation, ReLU and dropout after every hidden layer. Training is by
+mean square error, Adam 1e-3, L2 1e-5, 500 epochs and batches of 16. It is trained with torch. It predicts as a NumPy
+forward pass, with batch normalisation folded into the layers.
 """
 
 from __future__ import annotations
@@ -27,10 +28,10 @@ class BpnnSettings:
     """Training settings; the defaults are the paper's, except for the dropout rate, which the paper does not give.
 
     Attributes:
-        hidden: Neurons of the hidden layers.
+        hidden: Number of neurons of each hidden layer.
         epochs: Passes over the training data.
         batch_size: Poses per step.
-        learning_rate: Adam's first learning rate; it falls along a cosine to zero, which the paper leaves open.
+        learning_rate: Adam's first learning rate. It falls along a cosine to zero; the paper gives no schedule.
         weight_decay: L2 coefficient.
         dropout: Dropout rate after each hidden layer.
     """
@@ -44,16 +45,17 @@ class BpnnSettings:
 
 
 Layers = list[tuple[NDArray[Any], NDArray[Any]]]
-"""Each layer's matrix ``(in, out)`` and the threshold below which its product is cut off, or the last layer's bias."""
+"""Matrix ``(in, out)`` of each layer, and a vector: for the last layer its bias, for the others the lower limit of the
+matrix product."""
 
 SCALES = ("input_mean", "input_std", "output_mean", "output_std", "loss")
 """Names of a network's arrays other than its layers."""
 
 ROWS = 512
-"""Number of poses that go through the network together; so many fit into a core's second cache."""
+"""Number of poses that go through the network together; they fit into a core's second-level cache."""
 
 SLOW_ROWS = 2000
-"""Largest number of training rows; with more, training takes too long."""
+"""Largest number of training rows; more would take too long."""
 
 
 def _through(layers: Layers, values: NDArray[Any]) -> NDArray[Any]:
@@ -68,12 +70,12 @@ def _through(layers: Layers, values: NDArray[Any]) -> NDArray[Any]:
 @register("residual", "bpnn")
 @dataclass(frozen=True, eq=False)
 class Bpnn:
-    """A trained network in plain arrays, which maps joints to the pose residual.
+    """A trained network in plain arrays, which maps joints to the pose residual (measured minus identified pose).
 
     Attributes:
         input_mean: Mean of the training joints ``(n,)``, rad or m.
         input_std: Standard deviation of the training joints ``(n,)``, rad or m.
-        weights: Matrices of the layers, ``(out, in)``, normalisation folded in.
+        weights: Matrices of the layers, ``(out, in)``, with batch normalisation folded in.
         biases: Biases of the layers.
         output_mean: Mean of the training residuals ``(6,)``, m and rad.
         output_std: Standard deviation of the training residuals ``(6,)``, m and rad.
@@ -94,9 +96,15 @@ class Bpnn:
 
     @staticmethod
     def fit(inputs: Array, targets: Array, rng: np.random.Generator) -> Bpnn:
-        """Train the paper's network, with the printed settings for up to 400 poses.
+        """Train the paper's network, with the paper's settings for up to 400 poses.
 
-        With more poses, larger batches and fewer epochs do as well. At most `SLOW_ROWS` rows are used, for time.
+        With more poses, larger batches and fewer epochs give the same accuracy. At most `SLOW_ROWS` rows are used, to
+        limit the time.
+
+        Args:
+            inputs: Training inputs ``(N, F)``.
+            targets: Residuals ``(N, k)``, m and rad.
+            rng: Seeds weights, dropout and shuffling.
         """
         rows = equally_spaced(len(inputs), SLOW_ROWS)
         settings = BpnnSettings()
@@ -105,14 +113,14 @@ class Bpnn:
         return train_bpnn(inputs[rows], targets[rows], rng, settings)
 
     def faster(self) -> Bpnn:
-        """A copy of the network for control loops, with ``fast`` set."""
+        """Return a copy of the network for control loops, with ``fast`` set."""
         return replace(self, fast=True)
 
     def predict(self, joints: ArrayLike) -> Array:
         """Residual pose error ``(..., 6)`` (m and rad, world axes) at joints ``(..., n)``.
 
-        Many poses go through the network in blocks that are cut at fixed places. Machine code gives bitwise the same
-        result for a pose alone and among many.
+        Many poses go through the network in blocks of `ROWS`. With machine code, the result of a pose is bitwise the
+        same alone and among others.
         """
         if self._code is not None:
             inputs = np.asarray(joints, dtype=float)
@@ -158,7 +166,7 @@ class Bpnn:
         return CompiledNetwork(self._scaled)
 
     def arrays(self) -> dict[str, Array]:
-        """All numbers by name, for saving."""
+        """Return all arrays by name, for saving."""
         arrays = {name: getattr(self, name) for name in SCALES}
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             arrays |= {f"weight{i}": weight, f"bias{i}": bias}
@@ -166,7 +174,7 @@ class Bpnn:
 
     @staticmethod
     def from_arrays(named: Mapping[str, NDArray[Any]]) -> Bpnn:
-        """The inverse of `arrays`."""
+        """Rebuild the network from the arrays that `arrays` returns."""
         count = sum(key.startswith("weight") for key in named)
         weights, biases = (tuple(named[f"{kind}{i}"] for i in range(count)) for kind in ("weight", "bias"))
         scales: dict[str, Any] = {name: named[name] for name in SCALES}
@@ -185,9 +193,9 @@ def train_bpnn(
     Args:
         joints: Training joints ``(N, n)``, rad or m.
         residuals: Measured minus identified pose ``(N, 6)``, m and rad (eq (17)).
-        rng: Seeds weights, dropout and shuffling; equal generators give equal networks on one
-            machine; with ``MKL_CBWR=COMPATIBLE`` in the environment also with AVX2 as with AVX-512.
-        settings: Training settings; the paper's when left out.
+        rng: Seeds weights, dropout and shuffling. Equal generators give equal networks on one machine. With
+            ``MKL_CBWR=COMPATIBLE`` in the environment, networks are also equal between AVX2 and AVX-512.
+        settings: Training settings; the defaults of `BpnnSettings` if left out.
         progress: Called after each epoch with (epochs done, epochs in all).
 
     Raises:
@@ -280,13 +288,14 @@ def _folded(model) -> tuple[tuple[Array, ...], tuple[Array, ...]]:  # type: igno
 
 
 POSES, TILE = 16, 32
-"""Number of poses that go through the network together, and of a pose's outputs whose weights stand side by side."""
+"""Number of poses that go through the network together, and number of one pose's outputs whose weights are adjacent in
+memory."""
 
 SUMS = 8
-"""Number of outputs of sixteen poses that are summed side by side, so that none waits for another's sum."""
+"""Number of outputs of sixteen poses that are summed in parallel, so that no sum waits for another."""
 
 CUT, UNCUT = "0.0", "0xFFF0000000000000"
-"""What no output of a layer is below, in LLVM's language: zero, or, in the last layer, minus infinity."""
+"""Lower limit of a layer's outputs, in LLVM's language: zero, or for the last layer minus infinity."""
 
 FUNCTION = ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 4, ctypes.c_int64)
 
@@ -295,10 +304,10 @@ Layer = tuple[Array, Array]
 
 
 class CompiledNetwork:
-    """A network compiled to machine code; negative outputs of all layers but the last are cut off.
+    """A network compiled to machine code, with ReLU after all layers but the last.
 
     Args:
-        layers: The layers.
+        layers: Matrix ``(in, out)`` and bias ``(out,)`` of each layer.
     """
 
     def __init__(self, layers: Sequence[Layer]) -> None:
@@ -317,11 +326,11 @@ class CompiledNetwork:
         self._there = self._numbers.__array_interface__["data"][0]
 
     def __reduce__(self) -> tuple[type[CompiledNetwork], tuple[Any]]:
-        """Pickle and copy only the layers; the code is compiled anew."""
+        """Pickle and copy only the layers; the code is compiled again when the copy is made."""
         return CompiledNetwork, (self._layers,)
 
     def __call__(self, rows: NDArray[np.floating[Any]]) -> NDArray[np.float32]:
-        """Outputs ``(N, out)`` for inputs ``(N, in)``."""
+        """Return outputs ``(N, out)`` for inputs ``(N, in)``."""
         count, inputs = rows.shape
         run, poses = (self._alone, 1) if count == 1 else (self._together, POSES)
         width = max(-(-count // poses), 1) * poses

@@ -1,8 +1,8 @@
-"""The gate: a learnt residual is believed only if it wins where it was never trained, on contiguous blocks of rows.
+"""The gate: a learnt residual is accepted only if it reduces the error on contiguous blocks of held-out rows.
 
-A random split flatters models that interpolate between neighbouring poses. Verdicts come from blocks held out of all
-training; the choice among models comes from blocks within the training rows, so that the outer ones stay a fair test.
-Rows of a cluster miss alike: all of them together count as the few facts they are.
+A random split flatters models that interpolate between neighbouring poses. The verdicts come from blocks held out of
+all training. The choice among models comes from blocks within the training rows, so that the outer blocks remain a fair
+test. Rows of a cluster have similar errors, so each of them has a smaller weight.
 """
 
 from __future__ import annotations
@@ -26,19 +26,21 @@ from pickenv.calibration.residuals.gaussian_process import Fitter
 from pickenv.calibration.residuals.residual_models import fit_residual
 
 MARGIN = 0.02
-"""A residual model must cut the blocked RMS by more than this share; less is no gain."""
+"""Least share by which a residual model must cut the RMS on held-out blocks; less is no gain."""
 
 FOLDS = 5
-"""Contiguous folds of the cross-validation within the training rows."""
+"""Number of contiguous folds of the cross-validation within the training rows."""
 
 AUTO = ("bpnn", "rbf", "gp")
-"""Models that are tried by default; installing another package does not change their results."""
+"""Models that are tried by default; other packages, if installed, do not change their results."""
 
 SLOW = ("bpnn",)
-"""Models that take seconds to fit: tried last and, beside others, only if another gains on the held-out blocks."""
+"""Models that take seconds to fit. They are tried last and, if other models are tried, only if one of these gains on
+the held-out blocks."""
 
 Refit = Callable[[Measurements], Geometry | ArmModel]
-"""Function that identifies the arm from training rows alone; constant if the arm was identified from other data."""
+"""Function that identifies the arm from training rows alone; it returns a fixed arm if the arm was identified from
+other data."""
 
 
 @dataclass(frozen=True)
@@ -49,11 +51,12 @@ class GateVerdict:
 
     Attributes:
         model: Name of the residual model.
-        blocked_rms: RMS on the held-out blocks with the residual; None if it was not, or could not be, fitted.
+        blocked_rms: RMS on the held-out blocks with the residual; None if the residual was not fitted.
         geometric_blocked_rms: RMS on the held-out blocks without the residual.
         blocked_attitude_rms: Attitude RMS on the held-out blocks with the residual; None for position measurements.
         geometric_blocked_attitude_rms: Attitude RMS on the held-out blocks without the residual.
-        inner_rms: RMS cross-validated over blocks within the training rows; None if it was not needed.
+        inner_rms: RMS cross-validated over blocks within the training rows, with the residual; None if it was not
+            computed.
         geometric_inner_rms: RMS cross-validated over these inner blocks without the residual.
         accepted: Whether the model won on the held-out blocks and on those within the training rows.
         reason: Reason for the verdict, in words.
@@ -71,13 +74,13 @@ class GateVerdict:
 
 
 def selected(verdicts: Sequence[GateVerdict]) -> str | None:
-    """The accepted model with the smallest inner RMS, or None: the residual stays off."""
+    """Return the name of the accepted model with the smallest inner RMS; None if no model was accepted."""
     best = min(filter(attrgetter("accepted"), verdicts), key=attrgetter("inner_rms"), default=None)
     return None if best is None else best.model
 
 
 def verdicts_record(verdicts: Sequence[GateVerdict]) -> dict[str, dict[str, Any]]:
-    """The verdicts as JSON content, by model; lengths in mm and angles in degrees, as the keys say."""
+    """Return the verdicts as JSON content, by model; lengths are in mm and angles in degrees, as the keys say."""
     models = {}
     for verdict in verdicts:
         content: dict[str, Any] = {"accepted": verdict.accepted, "reason": verdict.reason}
@@ -100,23 +103,23 @@ def gate_residuals(
 ) -> tuple[GateVerdict, ...]:
     """Judge residual models on held-out blocks; `selected` then chooses among the accepted ones.
 
-    On every split the arm is identified anew from the training rows, then the residual from the same rows. A model is
-    accepted if it cuts the blocked RMS by more than `MARGIN`, does not make attitudes worse by more than `MARGIN`, and
-    does both again when cross-validated over contiguous folds of the blocked split's training rows. The
-    cross-validation ranks the accepted models. So the held-out blocks may veto a model but never rank models: picking
-    the best of several on the rows that then state its error would flatter it. A network takes seconds, so it is tried
-    last, and beside others only where one of them gains on the held-out blocks (`SLOW`).
+    On every split the arm is identified again from the training rows, and the residual is then fitted to the same rows.
+    A model is accepted if it cuts the blocked RMS by more than `MARGIN` and does not increase the attitude RMS by more
+    than `MARGIN`. It must do both again when cross-validated over contiguous folds of the blocked split's training
+    rows. The cross-validation also ranks the accepted models. So the held-out blocks may reject a model but never rank
+    models. To choose the best of several on the rows that then state its error would flatter it. A network takes
+    seconds to fit. It is tried last and, beside others, only if one of them gains on the held-out blocks (`SLOW`).
 
     Args:
         measurements: Poses or positions, in the order they were measured.
         refit: Identifies the arm from training rows.
         rng: Seeds every fit.
         models: Names of registered residual models.
-        fitters: Other ways to fit a named model, such as with other settings.
+        fitters: Functions that replace the fit of a model, by its name, for instance with other settings.
         progress: Called with (models judged, models in all).
 
     Returns:
-        One verdict per model, in the order given.
+        One verdict per model, in the order of ``models``.
 
     Raises:
         InputError: If there are no models, or too few rows to hold blocks out.
@@ -151,7 +154,12 @@ def gate_residuals(
 
 
 def position_rms(residuals: Array, counts: Array | None = None) -> float:
-    """Root mean square of the position error's norm, m, over residuals ``(N, 3)`` or ``(N, 6)``, weighted by counts."""
+    """Return the root mean square of the position error's norm, m.
+
+    Args:
+        residuals: Residuals ``(N, 3)`` or ``(N, 6)``, of which the first three columns are used, m.
+        counts: Weight of each row ``(N,)``; equal if left out.
+    """
     return float(np.sqrt(np.average(np.sum(residuals[:, :3] ** 2, axis=1), weights=counts)))
 
 
@@ -160,8 +168,8 @@ def _attitude_rms(residuals: Array, counts: Array) -> float | None:
 
 
 Trial = tuple[Measurements, Measurements, Array, Array, Array]
-"""One split: training rows, held-out rows, both sets' residuals under the arm identified from the training rows, and
-the weights of the held-out rows."""
+"""One split: training rows, held-out rows, the residuals of each under the arm identified from the training rows, and
+weights of the held-out rows."""
 
 
 def _trial(measurements: Measurements, refit: Refit, train_rows: Rows, test_rows: Rows) -> Trial:

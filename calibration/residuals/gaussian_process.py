@@ -1,8 +1,9 @@
 """Gaussian process regression with one length scale per input (automatic relevance determination).
 
-Kernel s^2 exp(-sum_f (x_f - x'_f)^2 / 2 l_f^2) + noise; hyper-parameters maximise the marginal likelihood with its
-analytic gradient (Rasmussen and Williams 2006, algorithm 2.1, eqs (5.8)-(5.9)). That likelihood has several optima,
-some of which explain everything as noise, so the search has several starts. One process per output. SI units.
+The kernel is s^2 exp(-sum_f (x_f - x'_f)^2 / 2 l_f^2) + noise. Its hyper-parameters maximise the marginal likelihood
+with its analytic gradient (Rasmussen and Williams 2006, algorithm 2.1, eqs (5.8)-(5.9)). That likelihood has several
+optima, some of which explain everything as noise, so the search has several starts. Each output has its own process. SI
+units.
 """
 
 from __future__ import annotations
@@ -24,53 +25,60 @@ from pickenv.base import InputError, register, single_threaded
 # What all regressors of residuals share: what is asked of them, arrays by name for saving, and standardising.
 
 CONSTANT = 1e-9
-"""A column that varies by less than this share of its largest value is constant; the rest is rounding."""
+"""A column that varies by less than this share of its largest absolute value counts as constant; the variation is
+rounding."""
 
 
 class Regressor(Protocol):
     """A regressor of residuals, which is fitted to arrays, predicts arrays, and is stored in plain arrays.
 
-    One method may be left out: ``faster()`` returns the model for control loops.
+    A further method ``faster()`` is optional; it returns a faster version of the model for control loops.
     """
 
     @staticmethod
     def fit(inputs: Array, targets: Array, rng: np.random.Generator) -> Regressor:
-        """Fit standardised inputs ``(N, F)`` to residuals ``(N, k)``, m and rad; every draw comes from ``rng``."""
+        """Fit the regressor; every random draw comes from ``rng``.
+
+        Args:
+            inputs: Standardised inputs ``(N, F)``.
+            targets: Residuals ``(N, k)``, m and rad.
+            rng: The random generator.
+        """
 
     def predict(self, inputs: ArrayLike) -> Array:
         """Outputs ``(..., k)`` at standardised inputs ``(..., F)``."""
 
     def arrays(self) -> Mapping[str, NDArray[Any]]:
-        """All numbers by name, for saving without pickle."""
+        """Return all arrays by name, for saving without pickle."""
 
     @staticmethod
     def from_arrays(named: Mapping[str, NDArray[Any]]) -> Regressor:
-        """The inverse of `arrays`."""
+        """Rebuild the regressor from the arrays that `arrays` returns."""
 
 
 Fitter = Callable[[Array, Array, np.random.Generator], Regressor]
-"""Fits standardised inputs ``(N, F)`` to targets ``(N, k)``."""
+"""Function that fits a regressor to standardised inputs ``(N, F)`` and targets ``(N, k)``, with a random generator."""
 
 
 class SavedArrays:
-    """Base of dataclasses of arrays and numbers, which are saved by name without pickle and restored."""
+    """Base class of dataclasses whose fields are arrays and numbers, saved by name without pickle and restored."""
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """All numbers by name, for saving."""
+        """Return all fields as arrays by name, for saving."""
         return {field.name: np.asarray(getattr(self, field.name)) for field in fields(cast(Any, self))}
 
     @classmethod
     def from_arrays(cls, named: Mapping[str, NDArray[Any]]) -> Self:
-        """The inverse of `arrays`."""
+        """Rebuild the object from the arrays that `arrays` returns."""
         values = ((field.name, named[field.name]) for field in fields(cast(Any, cls)))
         return cls(**{name: value if value.ndim else value.item() for name, value in values})
 
 
 def column_std(values: Array, constant: float) -> Array:
-    """Standard deviation of each column of ``values`` ``(N, F)``, or ``constant`` where a column does not vary.
+    """Standard deviation of each column of ``values`` ``(N, F)``, or ``constant`` for columns that do not vary.
 
-    Give 1 for inputs, so that a later change stays in proportion, and something tiny for outputs, so that a model's
-    error on a constant output stays tiny.
+    Use 1 for inputs, so that later changes of a constant input keep their size. Use a tiny number for outputs, so that
+    a model's error on a constant output stays tiny.
     """
     std = values.std(axis=0)
     return np.where(std <= CONSTANT * np.max(np.abs(values), axis=0, initial=0.0), constant, std)
@@ -82,19 +90,19 @@ def column_std(values: Array, constant: float) -> Array:
 
 
 CENTRES, ROUNDS = 200, 20
-"""Largest number of basis functions, and rounds of k-means that place them."""
+"""Largest number of basis functions, and number of rounds of k-means that place them."""
 
 WIDTHS = (0.25, 0.5, 1.0, 2.0)
-"""Widths tried, in units of the median distance between rows and centres."""
+"""Candidate widths, in units of the median distance between rows and centres."""
 
 RIDGES = (1e-10, 1e-8, 1e-7, 1e-6, 1e-5, 1e-4, 1e-3, 1e-2)
-"""Ridge coefficients tried, relative to the largest squared singular value."""
+"""Candidate ridge coefficients, relative to the largest squared singular value."""
 
 
 @register("residual", "rbf")
 @dataclass(frozen=True, eq=False)
 class Rbf(SavedArrays):
-    """A fitted network in plain arrays; far from its centres it predicts the mean.
+    """A fitted radial basis function network in plain arrays; far from its centres it predicts the mean.
 
     Attributes:
         centres: Centres of the basis functions ``(C, F)``, in standardised inputs.
@@ -110,7 +118,7 @@ class Rbf(SavedArrays):
 
     @staticmethod
     def fit(inputs: Array, targets: Array, rng: np.random.Generator) -> Rbf:
-        """Fit the network, with a third of the rows as centres, `CENTRES` at most.
+        """Fit the network, with one centre for every three rows, but at most `CENTRES`.
 
         Args:
             inputs: Standardised inputs ``(N, F)``.
@@ -149,7 +157,14 @@ class Rbf(SavedArrays):
 
 
 def k_means(points: Array, count: int, rng: np.random.Generator, rounds: int) -> Array:
-    """Centres ``(count, F)`` by Lloyd's k-means from ``count`` of the points; an empty cluster keeps its centre."""
+    """Return centres ``(count, F)`` by Lloyd's k-means, started from randomly drawn points.
+
+    Args:
+        points: Points ``(N, F)``.
+        count: Number of centres; a centre without points keeps its place.
+        rng: Draws the starting points.
+        rounds: Number of iterations.
+    """
     from scipy.cluster.vq import kmeans2
 
     centres = points[rng.choice(len(points), count, replace=False)]
@@ -168,38 +183,42 @@ def _gaussians(points: Array, centres: Array, width: float) -> Array:
 
 
 CHUNK = 2048
-"""Rows predicted at once, which bounds the memory of the kernel matrix."""
+"""Number of rows predicted at once, which bounds the memory of the kernel matrix."""
 
 
 AMPLITUDES = (0.03, 30.0)
 """Bounds of the prior standard deviation, in units of the output's standard deviation."""
 
 PLAIN_STARTS = ((1.0, 1.0, 0.5), (1.0, 2.0, 0.05))
-"""Two starts of amplitude, every length scale and noise: half is noise, or almost nothing is; inputs count alike."""
+"""Two starts of the search: amplitude, length scale of all inputs, and noise. In the first, the noise is half of the
+amplitude; in the second, a twentieth."""
 
 DRAWN_STARTS = ((1.0, 1.0), (0.7, 5.0), (0.1, 0.7))
-"""Bounds of amplitude, each length scale and noise of drawn starts, in which inputs count differently.
+"""Bounds between which amplitude, each input's length scale and the noise are drawn for further starts of the search.
 
-From shorter length scales a search ends with noise alone, from longer ones with inputs ignored."""
+From shorter length scales a search ends with noise alone, from longer ones with inputs ignored.
+"""
 
 JITTER = 1e-10
-"""Variance added to the noise's, so that a kernel matrix can be factorised."""
+"""Variance added to that of the noise, so that a kernel matrix can be factorised."""
 
 COARSE, FINE = 1e-5, 1e-7
-"""A search ends when a step gains less than this share of the log likelihood: first searches, and final ones."""
+"""A search ends when a step improves the log likelihood by less than this share: in the first searches, and in the
+final ones."""
 
 
 START_ROWS, ITERATIONS = 200, 100
-"""Largest number of rows on which starts are compared (the best two go on with all rows), and of L-BFGS iterations."""
+"""Largest number of rows on which starts are compared, and largest number of L-BFGS iterations. The search on all rows
+continues from the best two starts."""
 
 LENGTH_SCALES, NOISES = (0.1, 1e3), (1e-3, 2.0)
-"""Bounds of a length scale, in standardised inputs, and of the noise, in the output's standard deviations."""
+"""Bounds of a length scale, in standardised inputs, and bounds of the noise, in the output's standard deviations."""
 
 
 @register("residual", "gp")
 @dataclass(frozen=True, eq=False)
 class GaussianProcess(SavedArrays):
-    """A fitted process in plain arrays; far from its rows it predicts the mean.
+    """A fitted Gaussian process in plain arrays; far from its training rows it predicts the mean.
 
     Attributes:
         rows: Training inputs ``(M, F)``, standardised.
@@ -235,9 +254,10 @@ class GaussianProcess(SavedArrays):
             inputs: Standardised inputs ``(N, F)``.
             targets: Residuals to learn ``(N, k)``, m and rad.
             rng: Draws the starts of the search, and the rows to keep if there are too many.
-            rows: Largest number of training rows kept, drawn evenly; the cost grows with its cube.
-            likelihood_rows: Largest number of rows that the marginal likelihood is taken over.
-            starts: Drawn starts of the search, beside the two plain ones.
+            rows: Largest number of training rows kept, drawn at random without replacement; the cost grows with its
+                cube.
+            likelihood_rows: Largest number of rows on which the marginal likelihood is maximised.
+            starts: Number of random starts of the search, beside the two fixed ones.
 
         Raises:
             InputError: If there are fewer than ten rows.
@@ -269,7 +289,7 @@ class GaussianProcess(SavedArrays):
         return np.reshape(mean * self.output_std + self.output_mean, (*inputs.shape[:-1], mean.shape[1]))
 
     def targets(self, output: int) -> Array:
-        """Training targets of one output ``(M,)``, less their mean and in units of ``output_std``."""
+        """Training targets of one output ``(M,)``, minus their mean and divided by ``output_std``."""
         smooth = self._kernel(output, self.rows) @ self.weights[output]
         return np.asarray(smooth + (self.noise[output] ** 2 + JITTER) * self.weights[output])
 
@@ -307,12 +327,12 @@ def _search(start: Array, inputs: Array, target: Array, precision: float) -> tup
 
 
 def negative_log_likelihood(theta: Array, inputs: Array, target: Array) -> tuple[float, Array]:
-    """Negative log marginal likelihood and its gradient (Rasmussen and Williams eqs (2.30), (5.9)).
+    """Return the negative log marginal likelihood and its gradient (Rasmussen and Williams eqs (2.30), (5.9)).
 
     Args:
         theta: Logarithms of amplitude, F length scales and noise, ``(F + 2,)``.
-        inputs: Inputs ``(M, F)``.
-        target: One output ``(M,)``.
+        inputs: Standardised inputs ``(M, F)``.
+        target: One output ``(M,)``, standardised.
     """
     amplitude, length, noise = np.exp(theta[0]), np.exp(theta[1:-1]), np.exp(theta[-1])
     smooth = _kernel(inputs, inputs, length, amplitude)
@@ -352,20 +372,22 @@ def _kernel(left: Array, right: Array, length: Array, amplitude: float) -> Array
 
 
 def feature_process(process: GaussianProcess, count: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """The posterior of a fitted process as a sum of waves with normal weights, so that whole functions can be drawn.
+    """Approximate a fitted process' posterior by a sum of waves with normal weights, to draw whole functions from it.
 
-    Random Fourier features (Rahimi and Recht 2007) with quasi-random frequencies; the weights' posterior is that of a
-    linear regression (Rasmussen and Williams 2006, eqs (2.7)-(2.8)) on the process' own rows and targets.
+    The waves are random Fourier features (Rahimi and Recht 2007) with quasi-random frequencies. The posterior of their
+    weights is that of a linear regression (Rasmussen and Williams 2006, eqs (2.7)-(2.8)) on the rows and targets of the
+    process.
 
     Args:
-        process: The process, of O outputs and F inputs.
-        count: K waves per output, each a cosine and a sine; a power of two.
+        process: The process, with O outputs and F inputs.
+        count: Number K of waves per output, each a cosine and a sine; a power of two.
         rng: Draws the frequencies.
 
     Returns:
-        Frequencies of each output's waves over the standardised inputs ``(O, F, K)``; mean weights of the cosines, then
-        of the sines ``(O, 2 K)``, m and rad, about the process' mean; the weights' change per standard normal number
-        ``(O, 2 K, 2 K)``.
+        Three arrays. The first has the frequencies of each output's waves over the standardised inputs ``(O, F, K)``.
+        The second has the mean weights of the cosines, then of the sines, ``(O, 2 K)``, m and rad. The waves add to the
+        process' mean. The third is a factor ``(O, 2 K, 2 K)`` that turns standard normal numbers into deviations of the
+        weights.
     """
     from scipy.stats import norm, qmc
 

@@ -1,8 +1,8 @@
-"""Learnt residuals behind one small protocol: models of the error left by the geometric fit.
+"""Learnt residuals, models of the error that remains after the geometric fit, with one interface for all regressors.
 
 A model predicts this error from the joints and, if there are any, the conditions. It follows Qiao 2026 eqs (17)-(18)
-with any regressor: BPNN, RBF network, Gaussian process. Inputs are joints in rad and m, standardised, with sine and
-cosine for joints that turn far; outputs are pose (6) or position (3) residuals.
+with any regressor: BPNN, RBF network, Gaussian process. Inputs are joints in rad and m, standardised; joints with a
+large range enter as sine and cosine. Outputs are residuals of poses (6) or positions (3).
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pickenv.base.registry import get
 from pickenv.calibration.residuals.gaussian_process import Fitter, GaussianProcess, Regressor, column_std
 
 PERIODIC_SPAN = 1.5 * np.pi
-"""A revolute joint that spans more than this, rad, enters by sine and cosine, so that full turns close."""
+"""A revolute joint whose training values span more than this, rad, enters as sine and cosine, which are periodic."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,8 +30,8 @@ class JointInputs:
     """The mapping from joints and conditions to a regressor's inputs.
 
     Attributes:
-        periodic: For each joint, whether it enters by sine and cosine ``(n,)``.
-        conditions: Number of further inputs, such as temperature or payload.
+        periodic: Whether each joint enters as sine and cosine ``(n,)``.
+        conditions: Number of further inputs c, such as temperature or payload.
         mean: Mean of each input over the training rows ``(F,)``.
         std: Standard deviation of each input over the training rows ``(F,)``.
     """
@@ -42,7 +42,7 @@ class JointInputs:
     std: Array
 
     def __call__(self, joints: ArrayLike, conditions: ArrayLike | None = None) -> Array:
-        """Standardised inputs ``(..., F)`` of joints ``(..., n)`` and conditions ``(..., c)``.
+        """Return standardised inputs ``(..., F)`` for joints ``(..., n)``, rad or m, and conditions ``(..., c)``.
 
         Raises:
             InputError: If the number of joints or conditions differs from that at training.
@@ -59,7 +59,14 @@ class JointInputs:
 def joint_inputs(
     joints: Array, prismatic: Sequence[bool], conditions: Array | None = None, *, periodic_span: float = PERIODIC_SPAN
 ) -> JointInputs:
-    """Fit the mapping to inputs from training joints ``(N, n)`` and conditions ``(N, c)``; see `PERIODIC_SPAN`."""
+    """Return the mapping to a regressor's inputs, standardised over the training rows.
+
+    Args:
+        joints: Training joints ``(N, n)``, rad or m.
+        prismatic: Whether each joint is prismatic.
+        conditions: Conditions of the training rows ``(N, c)``.
+        periodic_span: See `PERIODIC_SPAN`.
+    """
     periodic = ~np.asarray(prismatic, dtype=bool) & (np.ptp(joints, axis=0) > periodic_span)
     raw = _raw_inputs(joints, conditions, periodic)
     count = 0 if conditions is None else conditions.shape[-1]
@@ -78,7 +85,7 @@ def _raw_inputs(joints: Array, conditions: ArrayLike | None, periodic: NDArray[n
 
 @dataclass(frozen=True, eq=False)
 class LearntResidual:
-    """A residual model of an arm, which maps joints to the residual.
+    """A learnt residual of an arm: it maps joints, and conditions if there are any, to the remaining error.
 
     Attributes:
         kind: Name of the regressor in the registry.
@@ -91,7 +98,7 @@ class LearntResidual:
     model: Regressor
 
     def predict(self, joints: ArrayLike, conditions: ArrayLike | None = None) -> Array:
-        """Residual ``(..., 6)`` (m and rad, world axes), or ``(..., 3)`` where it was learnt from positions.
+        """Return the residual ``(..., 6)`` (m and rad, world axes), or ``(..., 3)`` if it was learnt from positions.
 
         Args:
             joints: Joint displacements ``(..., n)``, rad or m.
@@ -103,27 +110,27 @@ class LearntResidual:
         return self.model.predict(self.inputs(joints, conditions))
 
     def faster(self) -> LearntResidual:
-        """A faster version of this residual for control loops (see `Bpnn.fast`), or itself if there is none."""
+        """Return a faster version of this residual for control loops (see `Bpnn.fast`), or itself if there is none."""
         faster = getattr(self.model, "faster", None)
         return self if faster is None else replace(self, model=faster())
 
     def arrays(self) -> dict[str, NDArray[Any]]:
-        """All numbers by name, for saving without pickle."""
+        """Return all arrays by name, for saving without pickle."""
         arrays: dict[str, NDArray[Any]] = {"kind": np.array(self.kind), "conditions": np.array(self.inputs.conditions)}
         arrays |= {name: getattr(self.inputs, name) for name in ("periodic", "mean", "std")}
         return arrays | named_part("model_", self.model.arrays())
 
     @staticmethod
     def from_arrays(named: Mapping[str, NDArray[Any]]) -> LearntResidual:
-        """The inverse of `arrays`."""
+        """Rebuild the residual from the arrays that `arrays` returns."""
         kind = str(named["kind"])
         inputs = JointInputs(named["periodic"], int(named["conditions"]), named["mean"], named["std"])
         return LearntResidual(kind, inputs, get("residual", kind).from_arrays(part_of(named, "model_")))
 
 
 TRIAL_FITTERS: Mapping[str, Fitter] = {"gp": partial(GaussianProcess.fit, likelihood_rows=200, starts=4)}
-"""Fitters of models that are only compared, on many splits. The Gaussian process has a shorter search: it takes a fifth
-of the time and comes, on measured arms, within 6 % of the error."""
+"""Fitters of models that are only compared, on many splits. The Gaussian process has a shorter search. It takes a fifth
+of the time, and its error on measured arms is within 6 % of that of the full search."""
 
 
 def require_residual(name: str) -> None:
@@ -151,12 +158,13 @@ def fit_residual(
     Args:
         name: Name of a registered model: "bpnn", "rbf", "gp", or another package's.
         joints: Training joints ``(N, n)``, rad or m.
-        residuals: Measured minus identified ``(N, 6)`` or ``(N, 3)``, m and rad (eq (17)).
-        prismatic: Joint types.
-        rng: Every random draw comes from it.
+        residuals: Measured minus identified pose ``(N, 6)`` or position ``(N, 3)``, m and rad (Qiao 2026 eq (17)).
+        prismatic: Whether each joint is prismatic.
+        rng: The random generator of all draws.
         conditions: Further inputs ``(N, c)``, such as temperature or payload.
-        fitter: Another way to fit this kind of model, such as one with other settings.
-        periodic_span: Revolute joints that span more than this, rad, enter by sine and cosine; infinite for none.
+        fitter: Function that replaces the fit of this kind of model, for instance with other settings.
+        periodic_span: Revolute joints whose values span more than this, rad, enter as sine and cosine; infinite for
+            none.
 
     Raises:
         InputError: If the model is unknown, a number is not finite, or there are too few rows.
