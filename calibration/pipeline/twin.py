@@ -1,9 +1,10 @@
-"""A calibrated arm as a plant: its truth is what the calibration found; its arms are drawn from what the data allow.
+"""Turn a calibrated arm into a plant, that is a simulated true arm; further arms are drawn from the posterior.
 
-Geometry and terms come with their covariance; parameters that were dropped lie anywhere in their tolerance. Errors that
-no term describes are a Gaussian process. It is the calibration's own if it learnt one, else it is fitted to the errors
-that geometry and terms leave of the rows, and stands in for the posterior that networks do not have. Errors that are no
-smooth function of the joints are scatter: the instrument's share is subtracted, the rest is the arm's own. SI units.
+Geometry and terms have the posterior covariance of their parameters. Parameters that were dropped as redundant are
+drawn from their tolerances. Errors that no term describes are a Gaussian process. It is the calibration's own if it
+learnt one. Else it is fitted to the errors that geometry and terms leave on the rows, since networks have no posterior.
+Errors that are no smooth function of the joints are scatter. The instrument's share of it is subtracted, and the rest
+is the arm's own. SI units.
 """
 
 from __future__ import annotations
@@ -28,32 +29,34 @@ from pickenv.calibration.residuals.gaussian_process import GaussianProcess, feat
 from pickenv.calibration.residuals.residual_models import JointInputs, fit_residual
 
 SMOOTH, ROUGH = 256, 8
-"""Numbers of waves (cosine and sine each) of one output: for the process, and for the arm's own scatter."""
+"""Numbers of waves, each a cosine and a sine, of one output.
+
+The first is for the Gaussian process, the second for the arm's own scatter.
+"""
 
 ROUGH_LENGTH = 1e-2
-"""Distance of poses, rad or m, beyond which they scatter independently."""
+"""Distance between joint vectors, rad or m, beyond which the arm's own scatter is independent."""
 
 SCATTER = "scatter"
-"""Entry of a calibration's record that holds what is known of the instrument's share of the scatter."""
+"""Entry of a calibration's record that holds the instrument's share of the scatter (`Scatter`)."""
 
 
 SCATTER_PARTS = ("position_std", "attitude_std", "source")
 
 Scatter = tuple[float, float, str]
-"""The instrument's share of a measurement's scatter, as standard deviations, and its source.
+"""The instrument's share of a measurement's scatter.
 
-They are the standard deviation of a position coordinate, m, that of an attitude coordinate, rad, and the source in
-words.
+It is the standard deviation of a position coordinate, m, that of an attitude coordinate, rad, and the source in words.
 """
 
 ASSUMED: Scatter = (POSITION_STD, ATTITUDE_STD, "what is assumed of an instrument of which nothing is stated")
 
 
 def scatter_of(data: Measurements, repeat: float | None = None) -> Scatter:
-    """The instrument's share of the scatter of measured rows.
+    """Estimate the instrument's share of the scatter of measured rows.
 
-    It is the instrument's stated or assumed uncertainty, or the scatter between repeats of the same command if that is
-    smaller: repeats contain the arm's repeatability too, so they are an upper bound.
+    It is the instrument's stated or assumed uncertainty, or the scatter of repeated measurements at the same command
+    if that is smaller. Repeats contain the arm's repeatability too, so their scatter is an upper bound.
 
     Args:
         data: The rows.
@@ -70,7 +73,7 @@ def scatter_of(data: Measurements, repeat: float | None = None) -> Scatter:
 
 
 def repeated_std(data: Measurements) -> float | None:
-    """Standard deviation of one position coordinate, m, between rows of equal joints; None if no joints are equal."""
+    """Standard deviation of repeated measurements at equal joints, m, per position coordinate; None without repeats."""
     _, group = np.unique(np.round(data.joints, 9), axis=0, return_inverse=True)
     group = group.ravel()
     counts = np.bincount(group)
@@ -90,22 +93,22 @@ def twin(
     seed: int = 0,
     geometry_only: bool = False,
 ) -> Plant:
-    """The plant of a calibrated arm.
+    """Make the plant, that is the simulated true arm, of a calibrated arm.
 
-    As it is, the plant is the best guess of the arm; `draw_plants` draws arms that the data allow.
+    The plant itself is the most probable arm. `draw_plants` draws further arms from the posterior.
 
     Args:
         calibration: The calibration.
         arm: The arm that was calibrated.
-        rows: Poses or positions that the calibration was fitted to; needed if its learnt residual is no Gaussian
-            process.
-        name: Name of the plant.
-        seed: Seed of the waves, and of the Gaussian process if one is fitted.
-        geometry_only: Whether terms and residual stay out.
+        rows: Poses or positions that the calibration was fitted to. They are needed if its learnt residual is no
+            Gaussian process.
+        name: Name of the plant; the arm's name with "_twin" if None.
+        seed: Seed of the waves that represent the Gaussian process, and of the process if one is fitted.
+        geometry_only: Whether terms and learnt residual are left out.
 
     Raises:
-        InputError: If the calibration is another arm's, a joint moves several links, the calibration holds no
-            covariance, rows are needed, or a term needs something that a plant does not have.
+        InputError: If the calibration is of another arm or holds no covariance, if rows are needed, if a term needs
+            measured torques, or if a joint moves several links and more than the geometry is wanted.
     """
     calibration.refuse_another(arm)
     if geometry_only:
