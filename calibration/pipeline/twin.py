@@ -95,7 +95,7 @@ def twin(
 ) -> Plant:
     """Make the plant, that is the simulated true arm, of a calibrated arm.
 
-    The plant itself is the most probable arm. `draw_plants` draws further arms from the posterior.
+    The plant itself is the best estimate of the arm. `draw_plants` draws further arms from the posterior.
 
     Args:
         calibration: The calibration.

@@ -1,4 +1,4 @@
-"""Reading measured files of any kind: our own columns, or any foreign file through a description of its columns.
+"""Read measurement files of any kind: in our own columns, or in foreign columns that a column description explains.
 
 `read_measurements` reads poses or positions. `read_observations` reads any kind, from one file or several.
 """
@@ -32,7 +32,7 @@ def read_measurements(
         path: The file.
         geometry: The arm's nominal geometry, for joint count and types.
         columns: Name or path of a column description; None for our own format.
-        repeats: As of `read_observations`.
+        repeats: Whether a row may equal another to the last digit, as in `read_observations`.
 
     Raises:
         InputError: Names the file, row, column or unit at fault.
@@ -49,15 +49,16 @@ def read_measurements(
 def read_observations(
     paths: Sequence[str | Path], geometry: Geometry, columns: str | Path | None = None, *, repeats: bool = False
 ) -> Observations:
-    """Read measurements of any kind from one file or several of one layout.
+    """Read measurements of any kind from one file, or from several files of one layout.
 
-    Files of sockets that name no socket column hold one socket each; the files of one folder make a pair.
+    Without a socket column, each file of sockets holds one socket, and the two files of a folder are a pair.
 
     Args:
         paths: The files.
         geometry: The arm's nominal geometry, for joint count and types.
         columns: Name or path of a column description; None for our own format.
-        repeats: Whether rows may repeat others to the last digit, as cycles do of an arm that repeats well.
+        repeats: Whether a row may equal another to the last digit, as repeated measurements of a pose can. If False,
+            such rows are refused.
 
     Raises:
         InputError: Names the file, row, column or unit at fault.
@@ -253,11 +254,11 @@ POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """The poses that the arm is to take.
+    """N targets for an arm, given as joints or as tool poses.
 
     Attributes:
         joints: Nominal joint targets ``(N, n)``, rad or m; None if poses were given.
-        pose: Tool poses, m; None if joints were given.
+        pose: N tool poses, m; None if joints were given.
         lines: Line of each target in its file ``(N,)``, from 1.
         source: The file, for messages.
     """
@@ -269,11 +270,13 @@ class Targets:
 
 
 def read_targets(path: str | Path, geometry: Geometry) -> Targets:
-    """Read joint targets if the file has all joint columns, else pose targets.
+    """Read targets from a CSV file: joint targets if it has all joint columns, else tool poses.
+
+    Joint columns are such as q1_deg or q2_mm. Pose columns are those of `POSE_COLUMNS`, with a rotation vector.
 
     Args:
         path: CSV file with a header.
-        geometry: The arm, for joint count and types.
+        geometry: The arm's nominal geometry, for joint count and types.
 
     Raises:
         InputError: Names the file, and the row and column at fault.
@@ -295,10 +298,14 @@ def read_targets(path: str | Path, geometry: Geometry) -> Targets:
 
 
 def joints_of(targets: Targets, geometry: Geometry) -> Array:
-    """The targets as joints ``(N, n)``, rad or m: as given, or from the inverse kinematics.
+    """Return targets as joints ``(N, n)``, rad or m; pose targets go through the inverse kinematics.
+
+    Args:
+        targets: The targets.
+        geometry: The arm's nominal geometry.
 
     Raises:
-        InputError: If a pose cannot be reached.
+        InputError: If a pose cannot be reached, or if poses are given for a whole robot.
     """
     if targets.joints is not None:
         return targets.joints
