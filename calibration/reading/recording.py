@@ -205,7 +205,7 @@ class Logs:
         return CubicSpline(self.log, self.joints)
 
     def covered(self, times: Array) -> NDArray[np.bool_]:
-        """Return a mask ``(T,)`` of the times, on the joint log's clock, that lie within the log and outside its gaps."""
+        """Return a mask ``(T,)`` of the times, on the joint log's clock, that lie within the log and not in a gap."""
         steps = np.diff(self.log)
         place = np.clip(np.searchsorted(self.log, times) - 1, 0, len(steps) - 1)
         inside = (times >= self.log[0]) & (times <= self.log[-1])
