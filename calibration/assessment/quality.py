@@ -1,7 +1,7 @@
 """Grade a calibration: the verdict, and the errors, observability and tests behind it.
 
-The chi^2 test asks whether the model explains the residuals up to the stated noise (s^2 = r^T W r / (N - p) against 1).
-Units: mm and degrees in outputs, SI inside.
+The chi^2 test asks whether the model explains the residuals up to the stated noise: s^2 = r^T W r / (N - p) is
+compared with 1. Units: mm and degrees in outputs, SI inside.
 """
 
 from __future__ import annotations

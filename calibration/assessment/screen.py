@@ -177,7 +177,7 @@ def stiffness_rows(found: Identification, data: Observations) -> list[dict[str, 
     """Return the identified stiffness of each joint as values for JSON, with its standard deviation.
 
     Stiffnesses are in N*m/rad for revolute joints, in N/m for prismatic ones. If torques were measured, their RMS is
-    given too, and the RMS of the part that the arm's own weight does not explain, in N*m or N.
+    given too, in N*m or N. So is the RMS of the part of them that the arm's own weight does not explain.
 
     Args:
         found: The identification.

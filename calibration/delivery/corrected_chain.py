@@ -425,8 +425,8 @@ class Correction:
 def correction(calibration: Calibration, rows: Sequence[JointRow], path: Path, frame: str = "") -> Correction:
     """Compute the corrected poses of the joints and the tool in a robot's own file.
 
-    A link that a joint moves has its frame on that joint's axis. If the tip is such a link, and the calibrated tool
-    lies beside the axis, the tool becomes a frame of its own that is fixed to the tip.
+    A link that a joint moves has its frame on that joint's axis. If the tip is such a link, the calibrated tool can lie
+    beside the axis. It then becomes a frame of its own that is fixed to the tip.
 
     Args:
         calibration: The calibration.

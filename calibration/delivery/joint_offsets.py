@@ -212,8 +212,8 @@ def lerobot_document(calibration: Calibration, order: document.Order) -> documen
     """Make the robot's own LeRobot calibration file with corrected homing offsets; nothing else in it changes.
 
     Raises:
-        InputError: If no such file is given or it is unusable. Also if a joint has no motor of its name, is prismatic,
-            has drive_mode 1, or needs a larger homing offset than the servo can hold.
+        InputError: If no such file is given or it is unusable. Also if a joint has no motor of its name, is prismatic
+            or has drive_mode 1. Also if a homing offset is larger than the servo can hold.
     """
     path = order.onto
     if path is None:

@@ -1,6 +1,6 @@
 """Write a calibration into a robot's own files, or into new ones: arm file, URDF, MJCF, kinematics YAML, transforms.
 
-If the tip is the last joint's own link and the calibrated tool lies beside that joint's axis, the tool becomes a new
+If the tip is the last joint's own link, the calibrated tool can lie beside that joint's axis. It then becomes a new
 link `TIP_calibrated` that is fixed to the tip. In an MJCF it is a site of that name.
 
 Written against URDF as ROS 2 has it (https://wiki.ros.org/urdf/XML, version 1.0); xacro must be expanded before.
@@ -54,8 +54,8 @@ def toml_document(calibration: Calibration, order: document.Order) -> document.D
     a joint table with ``follows`` and ``ratio``.
 
     Raises:
-        InputError: If a revolute joint moves only prismatic links or the reverse (a rack and its pinion), or if joints
-            are in another order than their links. Only a URDF can hold such arms.
+        InputError: If a revolute joint moves only prismatic links or the reverse (a rack and its pinion). Also if
+            joints are in another order than their links. Only a URDF can hold such arms.
     """
     arm, geometry = order.arm_of(calibration), calibration.identified
     leaders = _leading_tables(geometry)
@@ -233,8 +233,8 @@ def mjcf_document(calibration: Calibration, order: document.Order) -> document.D
     ``sample``, arms that are drawn from the posterior are written too (``…_1`` to ``…_n``).
 
     Raises:
-        InputError: If the robot's file is unusable or of another arm, if its bodies are in an included file, or if the
-            new file would not find its meshes.
+        InputError: If the robot's file is unusable or of another arm. Also if its bodies are in an included file, or if
+            the new file would not find its meshes.
     """
     if order.onto is None:
         return _new_mjcf(calibration, order)

@@ -239,8 +239,8 @@ class PoseUncertainty:
     def region(self, model: ArmModel, data: Observations) -> dict[str, Any]:
         """Return an entry of a calibration's record that describes the measured region; `measured_there` uses it.
 
-        It holds the joints of some rows, the joint distance that counts as near, and the 95th percentile of the
-        position's uncertainty that the parameters cause at the rows, m.
+        It holds the joints of some rows and the joint distance that counts as near. It also holds the 95th percentile
+        of the position's uncertainty that the parameters cause at the rows, m.
 
         Args:
             model: The calibrated arm.

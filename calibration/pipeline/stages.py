@@ -106,7 +106,7 @@ Data = Observations | str | Path | Sequence[str | Path] | Sequence[Observations]
 Columns = str | Path | Sequence[str | Path] | None
 """Name or path of a description of the files' columns, or several of these, one for each file.
 
-None stands for our own columns.
+None means our own columns.
 """
 
 STATIONS: dict[str, tuple[str, ...]] = {"none": (), "base": ("base",), "tool": ("tool",), "base,tool": OWN}
@@ -382,9 +382,9 @@ def calibrate(
         The calibration with its verdict, held-out errors and parameters.
 
     Raises:
-        InputError: If a file, a row or an option cannot be used, if test rows are training rows, if the data do not
-            fit the arm or determine too few parameters, or if the identification does not converge. The message names
-            the file, row, column, unit or joint at fault.
+        InputError: If a file, a row or an option cannot be used, or if test rows are training rows. Also if the data do
+            not fit the arm or determine too few parameters, or if the identification does not converge. The message
+            names the file, row, column, unit or joint at fault.
     """
     choices = choices or Choices()
     arm = given_arm(arm, columns)

@@ -107,8 +107,8 @@ def twin(
         geometry_only: Whether terms and learnt residual are left out.
 
     Raises:
-        InputError: If the calibration is of another arm or holds no covariance, if rows are needed, if a term needs
-            measured torques, or if a joint moves several links and more than the geometry is wanted.
+        InputError: If the calibration is of another arm or holds no covariance, or if rows are needed. Also if a term
+            needs measured torques, or if a joint moves several links and ``geometry_only`` is False.
     """
     calibration.refuse_another(arm)
     if geometry_only:

@@ -60,10 +60,10 @@ Of the three directions of shift, and of the three of turn, these are the ones t
 Restationed = tuple[Calibration, Rows, Rows, Array, Moves]
 """The result of `restationed`, five values.
 
-They are the calibration with the base and tool of another station, the indices of the rows to which these were fitted,
-and the indices of all rows of other poses. Then come the expected mean square errors ``(R,)``, m^2, of those other
-rows, and how far the frames have moved. The expected errors contain the scatter of one reach and the frames'
-uncertainty.
+The first is the calibration with the base and tool of another station. The second and third are indices of rows: those
+to which the frames were fitted, and all rows of other poses. The fourth holds the expected mean square errors ``(R,)``,
+m^2, of those other rows, from the scatter of one reach and the frames' uncertainty. The last says how far the frames
+moved.
 """
 
 

@@ -1,8 +1,8 @@
 """Read measurements other than poses: reflectors, wires, bars, contacts of a tool point, inclinometers, and pictures.
 
 Rows that the instrument cannot have measured are refused, and the message names file and line. Examples are a lost
-reflector, a tool without contact, a length in another unit, contacts that are all in one pose, and a direction that is
-not of unit length.
+reflector, a tool without contact, a length in another unit, or a direction that is not of unit length. Contacts that
+are all in one pose are refused too.
 """
 
 from __future__ import annotations
