@@ -136,7 +136,7 @@ DRAWS = 400
 """Number of arms that are drawn from the posterior."""
 
 SURE = 0.95
-"""Share of the `DRAWS` that must be nearer to the calibrated than to the nominal geometry for a gain to be certain."""
+"""Share of drawn arms that must be nearer to the calibrated than to the nominal geometry for a gain to be certain."""
 
 HARDLY = 0.5
 """Ratio of the geometry's expected error to the held-out RMS error below which the geometry's error is negligible."""

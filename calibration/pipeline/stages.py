@@ -154,7 +154,8 @@ def given_rows(
         data: The rows, or their files.
         columns: Description of the files' columns; if several are given, one for each file.
         stations: Which frames each file or data set has of its own, a key of `STATIONS`. If None, files of poses or
-            positions are grouped into stations by their rows. Each file of another kind has its own base and tool.
+            positions are grouped into stations by their rows. Of other kinds, the files of one description are one
+            data set, and each data set has its own base and tool.
         known: Whether base and tool are known; then all files belong to one station.
         like: The training rows, if ``data`` are test rows from the stations of the training rows.
 
@@ -364,8 +365,8 @@ def calibrate(
         data: One data set of any kind or several, or the files that hold them (CSV or YAML).
         columns: Name or path of a description of the files' columns, or one for each file. None for our own columns.
         stations: Which frames each file or data set has of its own: "base", "tool", "base,tool" or "none". If None,
-            files of poses or positions are grouped into set-ups by their rows. Each file of another kind has its own
-            base and tool.
+            files of poses or positions are grouped into set-ups by their rows. Of other kinds, the files of one
+            description are one data set, and each data set has its own base and tool.
         test: Rows to judge by; if None, some rows of ``data`` are held out.
         split: How rows of ``data`` are held out. "random" holds some rows out and fits the calibration to the others.
             "blocked" holds out each of ten contiguous blocks in turn. A model that is fitted and chosen without the

@@ -207,7 +207,7 @@ def near_rows(
 ) -> tuple[Measurements, tuple[LeftOut, ...]]:
     """Remove outlier rows, and return the other rows and the outliers.
 
-    If many rows would be outliers, the arm itself has changed, and all rows are kept.
+    If many rows would be outliers, they are taken as a change of the arm, and all rows are kept.
 
     Args:
         calibration: The calibration.
