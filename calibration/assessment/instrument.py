@@ -343,7 +343,7 @@ def _link(found: Identification, prior: PriorModel) -> Iterator[str]:
 
 
 def _frame(found: Identification, prior: PriorModel, which: str) -> Iterator[str]:
-    """A caution if the fit moved the arm as a whole, by ``which`` (base or tool), more than its tolerances allow."""
+    """Yield a caution if the fit moved the arm's base or tool (``which``) more than the arm's tolerances allow."""
     geometry, links = found.geometry, prior.group != TERMS
     columns = prior.parameters.columns[links]
     joints = measurements.random_joints(geometry, POSES, np.random.default_rng(0))
@@ -361,7 +361,7 @@ def _frame(found: Identification, prior: PriorModel, which: str) -> Iterator[str
 
 
 def _region(found: Identification, data: Observations) -> Iterator[str]:
-    """A caution if one step at a joint's value explains most of what remains."""
+    """Yield a caution if a step at one joint's value explains most of the remaining errors."""
     if len(data.joints) < len(STEPS) or data.poses is None:
         return
     misses = data.misses(found.arm_model, unknowns_of(found, data))
@@ -377,7 +377,7 @@ def _region(found: Identification, data: Observations) -> Iterator[str]:
 
 
 def _step(values: Array, misses: Array) -> tuple[float, float, float]:
-    """Largest share of the misses' squares that one step explains, the joint's value at the step, and its size, m."""
+    """Return the largest share of squared misses that one step explains, the joint's value there, and its size, m."""
     best = (0.0, 0.0, 0.0)
     for at in np.quantile(values, STEPS).tolist():
         above = values > at

@@ -285,7 +285,7 @@ def workspace_error(
 def _region(
     region: str, solution: Identification, nominal: Geometry, joints: Array, between: NDArray[np.int64]
 ) -> RegionError:
-    """Expected errors over joints ``(M, n)``, without terms: the conditions that they depend on are unknown there."""
+    """Compute expected errors over joints ``(M, n)``, rad or m, without terms, whose conditions are unknown there."""
     prior, fitted = solution.prior, solution.geometry
     assert prior is not None
     names = solution.identifiability.kept_names
@@ -319,7 +319,7 @@ def _region(
 
 
 def _size(errors: Array) -> tuple[float, tuple[float, float]]:
-    """Root mean square of arms' errors, and their 95 % interval."""
+    """Return the root mean square of the errors of several arms, and their 95 % interval."""
     low, high = np.percentile(errors, [2.5, 97.5]).tolist()
     return float(np.sqrt(np.mean(errors**2))), (low, high)
 
@@ -459,12 +459,12 @@ def no_gain(
 
 
 def _undecided(before: Array, after: Array, blocks: Rows | None) -> bool:
-    """Whether held-out rows leave open which arm is better: true unless the calibrated arm is significantly better."""
+    """Return whether the calibrated arm is not significantly better than the nominal arm on held-out rows."""
     return _rms(after, "mm") >= _rms(before, "mm") or _chance(before, after, blocks) > SIGNIFICANCE
 
 
 def _cause(found: Identification, before: Array, after: Array, unlearnt: Array, unit: str) -> str:
-    """The likely reason why a calibration gains nothing, and what to do about it."""
+    """Return a clause that names the likely reason why a calibration is no improvement, and the remedy."""
     was, now, plain = (_rms(errors, unit) for errors in (before, after, unlearnt))
     if found.arm_model.terms and plain > was:
         return "the further terms do not carry over to rows held out; give `terms='none'`"
@@ -478,7 +478,7 @@ def _cause(found: Identification, before: Array, after: Array, unlearnt: Array, 
 
 
 def _chance(before: Array, after: Array, blocks: Rows | None) -> float:
-    """Chance of a gain from ``before`` to ``after`` as large as this if nothing changed.
+    """Compute the p-value of the gain from ``before`` to ``after`` if both arms were equally good.
 
     It is that of a one-sided paired t test over poses, or over blocks if they are given.
     """

@@ -109,7 +109,7 @@ class TruncatedSolver:
         return solution
 
     def _in_doubt(self, values: Sequence[Scalar]) -> Scalar:
-        """Values of the doubtful poses ``(k, len(values))``; plain numbers are repeated for each pose."""
+        """Return the values of the doubtful poses ``(k, len(values))``; plain numbers are repeated for each pose."""
         return self._m.stack([(self._zeros + value)[self.doubtful] for value in values], 1)
 
     def _solve(self, right: Sequence[Scalar]) -> list[Scalar]:
@@ -157,7 +157,7 @@ def _forward(lower: list[list[Scalar]], right: Sequence[Scalar]) -> list[Scalar]
 
 
 def _inverse_trace(lower: list[list[Scalar]], inverse_diagonal: list[Scalar]) -> Scalar:
-    """Trace of the inverse of L D L^T: the squares of L^-1, weighed by D^-1."""
+    """Compute the trace of the inverse of L D L^T: the squares of L^-1, weighted by D^-1."""
     total: Scalar = 0.0
     inverse: list[list[Scalar]] = []  # of L, below its diagonal
     for i, row in enumerate(lower):
@@ -317,19 +317,19 @@ class Compensator:
         return chain_of(self.nominal), chain_of(self.identified)
 
     def _block(self, rows: Array) -> Array:
-        """Commands for targets ``(N, n)``; only the corrections, which are small, are ever in single precision."""
+        """Compute commands for targets ``(N, n)``; in single precision, only the corrections are rounded."""
         target = np.ascontiguousarray(rows.T, dtype=np.float32 if self.single_precision else np.float64)
         correction = np.stack(self._corrected(np, list(target)), axis=1) - target.T
         return np.asarray(np.clip(rows + correction, self.nominal.lower, self.nominal.upper))
 
     def _corrected(self, m: ModuleType, target: Sequence[Scalar]) -> Sequence[Scalar]:
-        """Commands for targets, joint by joint: floats with ``m`` = math, arrays ``(N,)`` with ``m`` = numpy."""
+        """Compute commands, one item per joint: floats with ``m`` = math, arrays ``(N,)`` with ``m`` = numpy."""
         learnt = None if self.residual is None else partial(_learnt, m, self.residual)
         return corrected(m, self.nominal, self._chains, target, self.iterations, learnt)
 
 
 def _learnt(m: ModuleType, residual: Residual, joints: Sequence[Scalar]) -> list[Scalar]:
-    """Components of the learnt residual at joints, six numbers or arrays ``(N,)``."""
+    """Return the six components of the learnt residual at joints: numbers, or arrays ``(N,)``."""
     if m is math:
         return list(residual(np.array(joints)).tolist())
 
@@ -404,7 +404,7 @@ def _expected(m: ModuleType, joints: Sequence[Scalar], error: Sequence[Scalar]) 
 
 
 def _nearer(m: ModuleType, one: Expected | None, other: Expected) -> Expected:
-    """For each pose ``other``, or ``one`` where the error of ``other`` is larger by `NEGLIGIBLE` or more."""
+    """Return ``other`` for each pose, but ``one`` where the error of ``other`` is larger by `NEGLIGIBLE` or more."""
     if one is None:
         return other
     nearer = other[1] < one[1] + NEGLIGIBLE
@@ -430,7 +430,7 @@ Solve = Callable[[Sequence[Scalar], Sequence[Sequence[Scalar]]], list[Scalar]]
 
 
 def _solver(m: ModuleType, columns: Sequence[Sequence[Scalar]]) -> Solve:
-    """The function that gives the joint steps to remove pose errors, for this Jacobian or one close to it."""
+    """Return a function that computes joint steps which remove pose errors, for this Jacobian or one close to it."""
     if m is not math:
         return TruncatedSolver(columns, m).solve
     root = truncated_inverse(np.array(columns).T)

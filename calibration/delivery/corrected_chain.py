@@ -128,7 +128,7 @@ def _axes(geometry: Geometry) -> list[_Axis]:
 def _fits(
     arm: Geometry, mine: list[_Axis], theirs: list[_Axis], worst: dict[int, tuple[float, float]]
 ) -> Iterator[SameChain]:
-    """Relations (root, signs, zeros) under which all axes of both chains agree, the plainest first.
+    """Yield the relations (root, signs, zeros) under which all axes of both chains agree, the simplest first.
 
     ``worst`` is filled with the smallest distance and angle by which each joint's axes missed in attempts that failed.
     """
@@ -136,9 +136,9 @@ def _fits(
     signs = (1.0, -1.0) if free else (1.0,)
 
     def further(i: int, by: Pose, sign: list[float], zero: list[float]) -> Iterator[tuple[list[float], list[float]]]:
-        """Signs and zeros with which axes i and later agree too, once axes 0 to i - 1 do.
+        """Yield signs and zeros with which axes i and later agree too, if axes 0 to i - 1 do.
 
-        ``by`` is the motion that has been given so far to everything behind axis i - 1.
+        ``by`` is the motion so far of all axes after axis i - 1.
         """
         if i == n:
             yield sign, [*zero, 0.0]
@@ -162,12 +162,12 @@ def _fits(
 
 
 def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose]:
-    """Candidate roots, which bring the first axes of both chains together.
+    """Yield candidate roots, which make the first axes of both chains equal.
 
-    In turn: the frames as they are, the best fit of all axes to all axes, and the first axis laid upon the first. The
-    last of these is free to shift along the axis and to turn about it: the first later axis that is not parallel fixes
-    the shift, the second axis the turn. If the arm begins with a slide, only the first two are tried, in which joints
-    read alike.
+    They are the frames as they are, the best fit of all axes, and the first axis of one chain put on that of the other.
+    The last of these leaves a shift along the axis and a turn about it. The first later axis that is not parallel fixes
+    the shift, and the second axis the turn. If the arm begins with a prismatic joint, only the first two are tried; in
+    these, joints have equal readings in both chains.
     """
     target = theirs[0].turned(turn)
     if mine[0].same(target):
@@ -187,10 +187,10 @@ def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose
 
 
 def _height(axes: list[_Axis]) -> float:
-    """The place along the first axis, m from its point, where the chain leaves it.
+    """Compute the position along the first axis, m from its point, at which the chain leaves it.
 
-    It is where the common normal of two axes stands: the last one parallel to the first axis, and the next one. This
-    does not depend on the joints' values. 0 if all axes are parallel, or if a slide comes before.
+    It is the foot of the common normal of two axes: the last one parallel to the first axis, and the next one. It does
+    not depend on joint values. It is 0 if all axes are parallel, or if a prismatic joint comes before.
     """
     first = axes[0]
     for last, following in itertools.pairwise(axes):
@@ -205,7 +205,7 @@ def _height(axes: list[_Axis]) -> float:
 
 
 def _laid(mine: list[_Axis], theirs: list[_Axis]) -> Pose:
-    """The root with which the axes agree best in least squares if joints read alike: directions first, then places."""
+    """Fit the root to all axes by least squares, directions first, then positions, at equal joint readings."""
     with warnings.catch_warnings():  # parallel axes leave it open; another root is tried then
         warnings.filterwarnings("ignore", message="Optimal rotation is not uniquely")
         turn = Rotation.align_vectors([axis.direction for axis in theirs], [axis.direction for axis in mine])[0]
@@ -220,7 +220,7 @@ def _laid(mine: list[_Axis], theirs: list[_Axis]) -> Pose:
 
 
 def _value(last: _Axis, here: _Axis, wanted: _Axis) -> float:
-    """The value of the joint on axis ``last`` that moves axis ``here`` onto ``wanted``; 0 if the axes leave it open."""
+    """Compute the value of the joint on axis ``last`` that moves axis ``here`` onto ``wanted``; 0 if undetermined."""
     if last.slides:
         if wanted.slides:
             return 0.0
@@ -240,7 +240,7 @@ def _across(vector: Array, axis: _Axis) -> Array:
 
 
 def _along(axis: _Axis, value: float) -> Pose:
-    """The motion of what stands on a joint's axis when the joint moves by ``value``, rad or m."""
+    """Return the motion of the link behind a joint's axis when the joint moves by ``value``, rad or m."""
     if axis.slides:
         return Pose(value * axis.direction, np.eye(3))
     turn = Rotation.from_rotvec(value * axis.direction).as_matrix()
@@ -338,11 +338,11 @@ def _moved_origins(
     signs: Sequence[float],
     corrected: Mapping[str, Pose] | None = None,
 ) -> tuple[list[Pose], Pose, Pose]:
-    """The corrected origins of a file's joints, and the pose behind the last one as the file has it and as corrected.
+    """Compute the corrected origins of a file's joints, and the pose after the last joint in the file and corrected.
 
     Args:
         before: Poses of the arm's links in the file's root, at the file's zero, before the calibration.
-        after: The same, as calibrated.
+        after: These poses after the calibration.
         joints: The joints of the file.
         signs: Sense of each link's motion in the table against the file's, 1 or -1.
         corrected: Origins that are already corrected, by the joint's name.
@@ -372,7 +372,7 @@ def _moved_origins(
 
 
 def _slips(before: Sequence[Pose], link: int, joint: ChainJoint) -> bool:
-    """Whether a link may stand anywhere along its axis: true if its joint turns and the next axis is parallel."""
+    """Return whether a link's place along its axis is arbitrary: its joint is revolute and the next axis parallel."""
     if joint.slides or link + 1 == len(before):
         return False
     axis, following = (pose.rotation[:, 2] for pose in before[link : link + 2])
@@ -513,7 +513,7 @@ def changed(old: Pose, new: Pose, place: str, attitude: str, words: Callable[[Po
 
 
 def _readings(calibration: Calibration, own: JointRow, same: SameChain) -> Iterator[str]:
-    """A sentence on the joints that read otherwise in the file than in the arm's table, if there are any."""
+    """Yield a sentence that names joints whose readings in the file differ from the arm's table, if there are any."""
     drivers = dict.fromkeys(joint.driver for joint in own.joints if joint.ratio)  # in the file's order
     readings = [
         f"{name} = {sign:+.0f} x {joint} {'+' if zero >= 0 else '-'} {abs(zero):.6g}"

@@ -118,7 +118,7 @@ def joint_offsets(calibration: Calibration, joints: Array | None = None) -> Join
 
 
 def _way(nominal: Geometry, joints: Array, rows: slice, columns: NDArray[np.int64]) -> tuple[Array, Array, Array]:
-    """Linear maps between pose differences, joint offsets and changes of base and tool.
+    """Compute the linear maps between pose differences, joint offsets and changes of base and tool.
 
     Args:
         nominal: The geometry.
@@ -127,8 +127,8 @@ def _way(nominal: Geometry, joints: Array, rows: slice, columns: NDArray[np.int6
         columns: The parameters of base and tool that were fitted.
 
     Returns:
-        The matrix from pose differences to the offsets that correct them, without what base and tool can correct as
-        well; the effect of offsets on poses; and the effect of the base's and tool's parameters on poses.
+        Three matrices. The first maps pose differences to the offsets that correct them, without the part that base and
+        tool can correct too. The second maps offsets to poses, the third parameters of base and tool to poses.
     """
     count = len(joints) * rows.stop
     effect = joint_jacobian(nominal, joints)[:, rows].reshape(count, -1)
@@ -159,9 +159,9 @@ def _deviation(calibration: Calibration, joints: Array, rows: slice, columns: ND
 
 
 def _filling(calibration: Calibration) -> tuple[Array, str]:
-    """Joint values that fill the measured joint ranges (or else the limits) evenly, and what they are, in words.
+    """Return joint values that fill the measured joint ranges, or else the joint limits, and a text that says which.
 
-    A calibration always gives the same ones.
+    They are a Halton sequence, so a calibration always gives the same ones.
     """
     arm, ranges = calibration.arm, calibration.record.get("joint_ranges")
     low, high = (arm.lower, arm.upper) if ranges is None else np.array(ranges, dtype=float)
@@ -339,7 +339,7 @@ def ros2_offsets(calibration: Calibration, order: document.Order) -> document.Do
 
 
 def _param(offset: float) -> str:
-    """The text of the parameter "offset" for a joint that has none yet, from the offset that the calibration found."""
+    """Return the XML of the parameter "offset", for a joint that has none yet, from the calibration's offset."""
     return f'<param name="offset">{0.0 - float(offset)!r}</param>'
 
 

@@ -88,7 +88,7 @@ def toml_document(calibration: Calibration, order: document.Order) -> document.D
 
 
 def _leading_tables(geometry: Geometry) -> list[int]:
-    """Index, for each joint, of the link whose table stands for the joint.
+    """Return, for each joint, the index of the link whose table in the file represents the joint.
 
     It is a link that moves exactly as the joint does, or else the first one of the joint's kind that moves by a ratio.
     """

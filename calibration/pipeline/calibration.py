@@ -309,7 +309,7 @@ def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None
 
 
 def _quantile(ratio: Array) -> float:
-    """The smallest ratio that is no smaller than 95 of 100 of all ratios, counting one more than there are."""
+    """Return the 95 % conformal quantile of n ratios: that of rank 0.95 (n + 1), rounded up, or else the largest."""
     rank = int(np.ceil(SHARE * (len(ratio) + 1)))
     return float(np.sort(ratio)[min(rank, len(ratio)) - 1])
 
@@ -487,7 +487,7 @@ class Calibration:
     def _within95(
         self, sure: PoseUncertainty, conditions: Conditions | None, joints: Array
     ) -> tuple[Array | None, Array | None]:
-        """`PoseUncertainty.within95` at joints ``(..., n)`` under the same conditions everywhere."""
+        """Compute `PoseUncertainty.within95` at joints ``(..., n)`` under equal conditions at all of them."""
         repeated = None if conditions is None else conditions.repeated(joints.shape[:-1] or (1,))
         return sure.within95(self.model, joints, repeated)
 
@@ -633,7 +633,7 @@ class Calibration:
 
 
 def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Calibration:
-    """Make a calibration from a file's parts; where they make none, any exception can be raised."""
+    """Make a calibration from a file's parts; if the parts are invalid, any exception can be raised."""
     names, prismatic, record = header["joint_names"], header["prismatic"], header["record"]
     parts = {key: part_of(arrays, f"{key}/") for key in GEOMETRIES}
     arm, nominal, identified = (geometry_from_arrays(part, names, prismatic, key) for key, part in parts.items())
@@ -661,7 +661,7 @@ def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -
 
 
 def _learnt(kind: str | None, arrays: Mapping[str, NDArray[Any]], geometry: Geometry) -> LearntResidual | None:
-    """The learnt residual that the header names, tried once in the middle of the joints' ranges."""
+    """Make the learnt residual that the header names, and evaluate it once at the middle of the joint ranges."""
     if kind is None:
         if arrays:
             raise InputError("it holds a learnt residual that its header does not name")

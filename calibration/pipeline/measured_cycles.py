@@ -71,7 +71,7 @@ def measured_iso9283(arm: Arm, rows: Measurements) -> dict[str, Any]:
 
 
 def _means(rows: Measurements, cycles: Sequence[Rows]) -> Measurements:
-    """The mean of each pose's cycles, as one row."""
+    """Return one row for each pose: the mean of its cycles."""
     first = rows.select([visits[0] for visits in cycles])
     rotation = None
     if rows.rotation is not None:
@@ -83,10 +83,10 @@ def _means(rows: Measurements, cycles: Sequence[Rows]) -> Measurements:
 
 
 def _placed(arm: Arm, means: Measurements) -> tuple[list[str], Geometry]:
-    """Which of base and tool were fitted to the means, and the arm's geometry with them.
+    """Fit base and tool to the mean poses, and return the names of the fitted frames and the geometry with them.
 
-    The tool is fitted where the means are twice as many numbers as both frames have. Else it is the arm's own: five
-    poses of one attitude, as the standard has them, tell nothing of it.
+    The tool is fitted if the means have at least twice as many coordinates as both frames have parameters. Else it is
+    the arm's own, since five poses of one attitude, as in the standard, do not determine it.
 
     Raises:
         InputError: If the means do not fit the arm.
@@ -101,7 +101,7 @@ def _placed(arm: Arm, means: Measurements) -> tuple[list[str], Geometry]:
 
 
 def _without_accuracy(figures: dict[str, Any]) -> dict[str, Any]:
-    """The figures of a pose, and of its drift, with None for those that need the arm's base."""
+    """Return the results of a pose, and of its drift, with None for those that need the arm's base."""
 
     def without(part: dict[str, Any]) -> dict[str, Any]:
         return {key: None if key.startswith(("accuracy", "mean_error")) else value for key, value in part.items()}

@@ -210,7 +210,7 @@ def _each(columns: Columns) -> list[str | Path]:
 def _joined(
     arm: Arm, sets: list[Observations], stations: str | None, known: bool, like: Observations | None
 ) -> Observations:
-    """Join several data sets as stations of one arm, as asked or as poses and positions show; leave one as it is."""
+    """Join several data sets as stations of one arm, by ``stations`` or by their rows; return a single one as it is."""
     named = any(any(origins_of(part).scene) or part.conditions.between is not None for part in sets)
     if stations is not None and named:
         raise InputError("[scene] says which files share a base or a tool; leave `stations` out")
@@ -231,10 +231,10 @@ def _joined(
 
 
 def _same_scene(like: Observations, data: Observations) -> InstrumentStation:
-    """Other rows of the sensor and the target of a station.
+    """Return the station of ``like`` with the sensor, target and kind of ``data``; its rows are replaced by ``data``.
 
     Raises:
-        InputError: If no station has them.
+        InputError: If there is no such station.
     """
     scene = origins_of(data).scene
     for station in like.stations:
@@ -246,7 +246,7 @@ def _same_scene(like: Observations, data: Observations) -> InstrumentStation:
 
 
 def _files(data: Measurements) -> list[Measurements]:
-    """The rows of each file as measurements of their own."""
+    """Split measurements by file."""
     origins = origins_of(data)
     numbers = np.unique(origins.file)
     return [replace(data.select(origins.file == i), source=origins.files[i]) for i in numbers.tolist()]
@@ -470,14 +470,14 @@ def _judged_by_blocks(draft: Draft) -> Result:
 
 
 def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
-    """The rows to fit and the rows held out, block by block; each of few pictures, or very few poses, is a block."""
+    """Return for each block the rows to fit and the rows held out; with few pictures or poses, each is a block."""
     poses, count = observations.same_poses(train.joints), pose_count(train.joints)
     few = count <= (FEW_VIEWS if train.kind == "pixels" else FEW_ROWS)
     return observations.contiguous_folds(train.groups, poses, count if few else observations.BLOCKS)
 
 
 def _chosen(checked: Draft, rows: Rows) -> str | None:
-    """Name of the residual model that the stages choose on these rows; None if they choose none or fail."""
+    """Return the name of the residual model that the stages choose on these rows; None if they choose none or fail."""
     choices, train = checked.choices, checked.train.select(rows)
     if choices.residual == "none" or choices.learn_from is not None:
         return None
@@ -490,7 +490,7 @@ def _chosen(checked: Draft, rows: Rows) -> str | None:
 
 
 def _check(draft: Draft) -> Draft:
-    """Refuse options that do not apply; leave out rows that are far off."""
+    """Refuse options that do not apply, and leave out outlier rows."""
     choices, train, test = draft.choices, draft.train, draft.test
     if choices.frames is not None and choices.frames not in FRAMES:
         raise InputError(f"frames is '{choices.frames}'; give {' or '.join(FRAMES)}")
@@ -520,12 +520,12 @@ def _check(draft: Draft) -> Draft:
 
 
 def _align(draft: Draft) -> Draft:
-    """Fit base and tool, where they are not known."""
+    """Fit base and tool, if they are not known."""
     return replace(draft, aligned=fitting.fit_frames(draft.arm, draft.train, draft.choices.frames == "known"))
 
 
 def _identify(draft: Draft) -> Draft:
-    """Identify the geometry from its priors and the rows."""
+    """Fit the geometry to the rows, with its priors."""
     choices, known_frames = draft.choices, draft.aligned is None
     start = draft.arm.nominal if draft.aligned is None else draft.aligned.geometry
     tolerances, scale = choices.tolerances or draft.arm.tolerance_class, choices.prior_scale
@@ -581,7 +581,7 @@ def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSe
 
 
 def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> tuple[GateVerdict, ...]:
-    """The verdicts on residual models, judged within the training rows."""
+    """Judge residual models within the training rows, and return their verdicts."""
     data = train.select(observations.equally_spaced(len(train), GATE_ROWS))
     name, best = draft.best
     expected, fitted = best.identification.prior, best.identification.arm_model

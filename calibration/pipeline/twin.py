@@ -169,9 +169,10 @@ def _root(covariance: Array) -> Array:
 
 
 def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]:
-    """Indices of the geometry's dropped parameters, and how all parameters change as one of these is moved.
+    """Return the indices of the geometry's dropped parameters, and how all parameters change with each of them.
 
-    The changes are a matrix, one column per dropped parameter: it moves by 1, and those that absorbed it give way.
+    The changes are a matrix with one column per dropped parameter. In it, this parameter changes by 1, and those that
+    absorbed it change so that the poses stay equal.
     """
     parameters = calibration.identified.parameter_names
     dropped: Mapping[str, Mapping[str, float]] = calibration.record.get("dropped", {})
@@ -205,7 +206,7 @@ def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
 def _moments(
     term: GravityTerm | ComplianceTerm, geometry: Geometry
 ) -> tuple[list[tuple[int, int, str]], Array, tuple[float, float, float]]:
-    """The moments that joints yield to, their sizes per coefficient of the term ``(k, t)``, and the upward direction.
+    """Return the moments that bend the joints, their sizes per coefficient of the term ``(k, t)``, and the upward axis.
 
     Raises:
         InputError: If the term needs measured torques.
@@ -222,7 +223,7 @@ def _moments(
 
 
 def _missing(calibration: Calibration) -> Iterator[str]:
-    """Sentences on what of the calibration stays out of the plant, and on its base frame."""
+    """Yield sentences on the parts of the calibration that the plant leaves out, and on the plant's base frame."""
     if any(isinstance(term, ThermalTerm) for term in calibration.model.terms):
         yield "the arm stays at its reference temperature: of its growth only the coefficient is known"
     if calibration.record.get("frames") == "fitted":
@@ -230,7 +231,7 @@ def _missing(calibration: Calibration) -> Iterator[str]:
 
 
 def _no_more_than(noise: Array, scatter: Scatter) -> Scatter:
-    """The instrument's share of the scatter, limited to all the scatter of the rows.
+    """Limit the instrument's share of the scatter to the whole scatter of the rows.
 
     If the positions show that the instrument is better than stated, its attitudes are limited by the rows too.
 
@@ -249,7 +250,7 @@ def _no_more_than(noise: Array, scatter: Scatter) -> Scatter:
 def _process(
     calibration: Calibration, rows: Measurements | None, rng: np.random.Generator
 ) -> tuple[GaussianProcess | None, JointInputs, str]:
-    """The Gaussian process on the errors that geometry and terms leave, its inputs, and a sentence on its origin.
+    """Return the Gaussian process of the errors that geometry and terms leave, its inputs, and a note on its origin.
 
     The process is None if there are neither rows nor a learnt residual: these errors are then taken as scatter.
 
@@ -275,7 +276,7 @@ def _process(
 
 
 def _field(frequency: Array, mean: Array, offset: Array, inputs: JointInputs, turn: Array) -> ResidualField:
-    """The process's mean as a function of the joints, plus waves for the arm's own scatter with mean weights of zero.
+    """Make the residual field: the process's mean over the joints, and waves of zero mean for the arm's own scatter.
 
     Args:
         frequency: Frequencies of the process's waves, by output, input and wave.

@@ -168,7 +168,7 @@ def weighed_by_reach(calibration: Calibration, data: Measurements) -> Measuremen
 
 
 def _telling(model: ArmModel, data: Measurements, frames: ErrorModel, count: int) -> Rows:
-    """The rows from which the frames are found best, for positions all over the data."""
+    """Choose the rows that determine the frames best, judged by positions at all rows of the data."""
     pool = equally_spaced(len(data), CANDIDATES)
     jacobian = model.jacobian(data.joints[pool], data.conditions.select(pool))[..., frames.columns] * frames.tolerance
     rows = jacobian[:, : data.rows_per_pose] * data.row_weights[:, None]
@@ -178,7 +178,7 @@ def _telling(model: ArmModel, data: Measurements, frames: ErrorModel, count: int
 
 
 def _starts(model: ArmModel, few: Measurements, own: Collection[str]) -> Iterator[ArmModel]:
-    """Starting points for the frames' fit: the model as it is, then with frames near the new ones."""
+    """Yield starting points for the frames' fit: the model as it is, then with frames near the new ones."""
     geometry = model.geometry
     yield model
     if set(own) == {"tool"}:
@@ -323,7 +323,7 @@ class Verification:
         return "\n".join([f"verdict: {self.status.upper()}: {self.reason}", *(block.text() for block in blocks)])
 
     def _moved(self, name: str) -> Iterator[str]:
-        """A frame's shift (mm) and turn (deg) as texts, which say how many directions the rows leave open."""
+        """Yield a frame's shift (mm) and turn (deg) as texts that name the number of undetermined directions."""
         shift, turn, *untold = self.moved[name]
         for size, count in zip((shift * 1e3, float(np.degrees(turn))), untold, strict=True):
             some = f"{figure(size)}; {count} of 3 directions not told by these rows" if count else figure(size)
@@ -412,7 +412,7 @@ def promised(calibration: Calibration, data: Measurements) -> Array:
 
 
 def _since(data: Measurements, rest: Rows, errors: Array, expected: Array) -> str | None:
-    """The file and row from which on all blocks have errors larger than they may be; None if there is no such row."""
+    """Return text that names the row from which on all blocks have too large errors; None if there is no such row."""
     if len(rest) < 4 * BLOCKS:
         return None
     parts = np.array_split(np.arange(len(rest)), BLOCKS)
@@ -435,7 +435,7 @@ def _cause(
     inside: NDArray[np.bool_] | None,
     refit: Collection[str],
 ) -> Cause:
-    """The cause of errors larger than promised: frames that moved, a region not measured, joints' zeros."""
+    """Find the cause of errors larger than promised: moved frames, a region not measured, or changed joint zeros."""
     most, size = GROWN * float(np.sqrt(expected.mean())), position_rms(errors)
     far = size > ELSEWHERE * most / GROWN
     if far and not refit and _left(there, data, own_frames_model(there.identified, OWN)) < size / MOSTLY:
@@ -454,7 +454,7 @@ def _cause(
 
 
 def _left(there: Calibration, data: Measurements, model: ErrorModel) -> float:
-    """RMS position error, m, after a model's parameters are fitted to the rows, corrected for what the fit takes up."""
+    """Compute the RMS position error, m, after a fit of a model to the rows, corrected for the degrees of freedom."""
     if len(data) < len(model.names):
         return np.inf
     learnt = there.errors(data) - data.difference(there.model)
@@ -468,7 +468,7 @@ def _left(there: Calibration, data: Measurements, model: ErrorModel) -> float:
 
 
 def _less(data: Measurements, learnt: Array) -> Measurements:
-    """The rows without the residual model's part; ``learnt`` ``(N, 3 or 6)`` is minus what that model adds."""
+    """Subtract the residual model's part from the rows; ``learnt`` ``(N, 3 or 6)`` is that part with a minus sign."""
     position = data.position + learnt[:, :3]
     if data.rotation is None or learnt.shape[1] < 6:
         return replace(data, position=position)

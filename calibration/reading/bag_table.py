@@ -62,7 +62,7 @@ def read_log(
 
 
 def _bag_table(path: Path, topic: str) -> Table:
-    """The table of one topic; a publisher that sets no stamps is read by the times at which it was logged."""
+    """Read one topic as a table; if its messages have no stamps, the times at which they were logged are taken."""
     require("rosbags")
     kinds, messages = parsed(lambda: _messages(path, topic), path, "rosbag2 or MCAP of ROS 2")
     if topic not in kinds:
@@ -90,7 +90,7 @@ def _bag_table(path: Path, topic: str) -> Table:
 
 
 def _messages(path: Path, topic: str) -> tuple[dict[str, str], list[tuple[int, Any]]]:
-    """The type of each topic, and log time, ns, and content of each message of one topic, if its type is read."""
+    """Return each topic's type, and the log time, ns, and content of one topic's messages, if its type is supported."""
     from rosbags.rosbag2 import Reader
     from rosbags.typesys import Stores, get_typestore
 

@@ -604,7 +604,7 @@ def description_path(name: str | Path) -> Path:
 
 
 def _refuse_repeats(description: DescriptionFile, path: Path) -> None:
-    """Refuse a description that gives one column for two things: a slip that the fit need not show.
+    """Refuse a description that gives one column for two quantities, which a fit need not reveal.
 
     Raises:
         InputError: If a column is given twice; the message names it and both its uses.

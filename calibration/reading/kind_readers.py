@@ -292,14 +292,14 @@ def _contact(files: Files, section: description.ContactTable) -> dict[str, Any]:
 
 @register("instrument", "touches")
 def _touches(files: Files, section: description.ContactTable) -> kinds.SocketObservations:
-    """Read touches of one single place, the same in every row."""
+    """Read contacts with one fixed point, the same in every row."""
     socket, none = np.zeros(len(files.joints), dtype=np.int64), np.zeros((0, 2), dtype=np.int64)
     return _rests(files, section, socket, pairs=none, spacing=np.zeros(0), places=("point",))
 
 
 @register("instrument", "sockets")
 def _sockets(files: Files, section: description.SocketsTable) -> kinds.SocketObservations:
-    """Read touches of several sockets, and which two of them make a pair of known spacing.
+    """Read contacts with several sockets, and which two sockets are a pair of known spacing.
 
     If a column numbers the sockets, consecutive numbers make a pair. Otherwise each file holds one socket, and the two
     files of a folder make a pair.
@@ -335,7 +335,7 @@ def _rests(files: Files, section: description.ContactTable, socket: Rows, **more
 
 @register("instrument", "tilt")
 def _tilt(files: Files, section: description.TiltTable) -> kinds.TiltObservations:
-    """Read components of the downward direction along the sensor's axes; of an inclination in deg or rad, its sine."""
+    """Read the downward direction's components along the sensor's axes; an inclination gives its sine."""
     values = np.concatenate([table.values(section.columns) for table in files.tables])
     std = np.full(values.shape, section.std)
     if section.unit != "g":

@@ -98,7 +98,7 @@ def read_observations(
 
 
 def _between(geometry: Geometry, links: tuple[str, str], where: str) -> Geometry:
-    """The geometry with poses between two links of a whole robot, which an empty name leaves in the world.
+    """Return the geometry whose poses lead from one link of a whole robot to another; an empty name is the world.
 
     Raises:
         InputError: If a link is none of the robot's, if both are one, or if links of a single chain are named.
@@ -120,7 +120,7 @@ def _between(geometry: Geometry, links: tuple[str, str], where: str) -> Geometry
 
 
 def _in_scene(rows: Any, geometry: Geometry, names: tuple[str, str]) -> Any:
-    """The rows with the names of where their poses begin and end, and on a whole robot with the links."""
+    """Add to rows the names of the two ends of their poses, and for a whole robot the links that carry these ends."""
     rows = replace(rows, origins=replace(origins_of(rows), scene=names))
     if geometry.tree is None:
         return rows
@@ -135,7 +135,7 @@ def _rows(
     geometry: Geometry,
     frames: Frames,
 ) -> Any:
-    """The rows of tables of one layout, of any kind but pixels."""
+    """Read the rows of tables of one layout, of any kind except pixels."""
     pairs = zip(tables, layouts, strict=True)
     joints = np.concatenate([kind_readers.read_joints(*pair, where or pair[0].where, geometry) for pair in pairs])
     source = tables[0].where if len(tables) == 1 else f"{tables[0].where} and {len(tables) - 1} more"
@@ -151,7 +151,7 @@ def _rows(
 
 
 def _frames(tables: list[csv_table.Table]) -> Frames:
-    """The word "known" or "fitted" that files in our own format have for base and tool; "fitted" if they have none.
+    """Read the word "known" or "fitted" that files in our own format have for base and tool; "fitted" if none has one.
 
     Raises:
         InputError: If a row has another word, or if the rows do not all have the same one.
@@ -173,7 +173,7 @@ def _frames(tables: list[csv_table.Table]) -> Frames:
 
 
 def _conditions(files: Files) -> Conditions:
-    """Payload, temperature relative to the reference, and torques of all rows; only those that every file records."""
+    """Read payload, temperature relative to the reference, and torques; only those that every file records."""
     conditions: dict[str, Array] = {}
     for name in ("temperature", "payload", "torque"):
         parts = []
@@ -218,7 +218,7 @@ def _poses(files: Files, _section: Any) -> Measurements:
 
 
 def _attitudes(table: csv_table.Table, described: description.RotationTable | None) -> Array:
-    """The checked values ``(N, 3 or 4)`` of a file's attitude columns: angles in rad, or quaternions."""
+    """Read and check the values ``(N, 3 or 4)`` of a file's attitude columns: angles in rad, or quaternions."""
     assert described is not None
     columns, unit = described.columns, described.checked_unit()
     values = table.values(columns) * TO_SI[unit]
@@ -236,7 +236,7 @@ def _attitudes(table: csv_table.Table, described: description.RotationTable | No
 
 
 def _repeat(tables: list[csv_table.Table], layouts: list[description.DescriptionFile]) -> float | None:
-    """RMS of a position's scatter between repeats, m, by the files' columns of repeat sigma; None without these."""
+    """Compute the RMS scatter of a repeated position, m, from the files' ``std_columns``; None without these."""
     squares = []
     for table, layout in zip(tables, layouts, strict=True):
         if std_columns := getattr(layout.measured, "std_columns", ()):

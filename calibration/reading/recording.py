@@ -299,7 +299,7 @@ def read_recording(
 
 
 def _with_std(layout: description.DescriptionFile, factors: list[float]) -> description.DescriptionFile:
-    """The description with stated uncertainties times the factor of their channel: readings, then attitudes."""
+    """Multiply the description's stated uncertainties by one factor for readings and one for attitudes."""
     measured = layout.measured
     if measured.std is not None:
         layout = replace(layout, **{layout.kind: replace(measured, std=measured.std * factors[0])})
@@ -309,7 +309,7 @@ def _with_std(layout: description.DescriptionFile, factors: list[float]) -> desc
 
 
 def _logs(table: Table, path: Path, layout: description.DescriptionFile, where: str, geometry: Geometry) -> Logs:
-    """Both logs, with times checked and lost samples left out."""
+    """Read both logs, check their times, and leave out lost samples."""
     told = layout.recording
     assert told is not None
     home = path.parent / told.joints.replace(STEM, path.name if path.is_dir() else path.stem)
@@ -347,7 +347,7 @@ def _logs(table: Table, path: Path, layout: description.DescriptionFile, where: 
 
 
 def _seen(table: Table, layout: description.DescriptionFile, names: tuple[str, ...]) -> Table:
-    """The table without samples that have an empty cell or lie at 0, 0, 0: those that the instrument lost."""
+    """Return the table without lost samples, that is samples with an empty cell or a position at 0, 0, 0."""
     lost = np.zeros(len(table.lines), dtype=bool)
     for name in {part for text in names for part in _plain(text, table.header)}:
         lost |= table.fill_blanks(name)
@@ -361,7 +361,7 @@ def _seen(table: Table, layout: description.DescriptionFile, names: tuple[str, .
 
 
 def _complete(log: Table, names: tuple[str, ...]) -> Table:
-    """The messages of a joint log that have all these columns, without those of a gripper alone."""
+    """Return the messages of a joint log that have all these columns; others can be those of a gripper alone."""
     lacking = np.zeros(len(log.lines), dtype=bool)
     for name in {part for text in names for part in _plain(text, log.header)}:
         lacking |= np.array([not cell for cell in log.texts(name)])
@@ -371,14 +371,14 @@ def _complete(log: Table, names: tuple[str, ...]) -> Table:
 
 
 def _plain(text: str, header: list[str]) -> Iterator[str]:
-    """The columns of a file that an expression is computed from."""
+    """Yield the columns of a file that an expression uses."""
     tree, quoted = csv_table.expression_tree(text)
     words = [] if tree is None else [node.id for node in ast.walk(tree) if isinstance(node, ast.Name)]
     yield from (name for name in (text, *words, *quoted) if name in header)
 
 
 def _times(table: Table, name: str, unit: str) -> Array:
-    """The times of a log ``(T,)``, s, in strictly rising order."""
+    """Read the times of a log ``(T,)``, s, and check that they are strictly increasing."""
     times = table.value(name) * description.SECONDS[unit]
     steps = np.diff(times)
     if len(times) < 4:
@@ -394,9 +394,9 @@ def _times(table: Table, name: str, unit: str) -> Array:
 
 
 def _speeds(logs: Logs) -> tuple[Array, Array, float]:
-    """Speeds of the nominal tool and of the readings, each over its own log, and the time between two of them, s.
+    """Compute the speeds of the nominal tool and of the readings, each over its own log, and their time step, s.
 
-    With attitudes they are angular, else linear; both are the same from any base, and nearly so for any tool.
+    Speeds are angular if attitudes were measured, else linear. They do not depend on the base, and hardly on the tool.
     """
     step = max(float(np.median(np.diff(logs.times))), float(np.median(np.diff(logs.log))), 2e-3)
     width = max(round(CHORD / step), 2)
@@ -420,7 +420,7 @@ def _speeds(logs: Logs) -> tuple[Array, Array, float]:
 
 
 def _lags(one: Array, other: Array) -> tuple[Array, Array]:
-    """The correlation of two signals at every lag, and the number of samples that overlap there.
+    """Compute the correlation of two signals at every lag, and the number of samples that overlap there.
 
     Entry k is of ``one[i]`` with ``other[i - k + len(other) - 1]``.
     """
@@ -442,7 +442,7 @@ def _lags(one: Array, other: Array) -> tuple[Array, Array]:
 
 
 def _peaks(logs: Logs) -> list[float]:
-    """Time of the instrument's first sample on the joint log, s from its first entry, at the lags worth a trial."""
+    """Return candidate times of the instrument's first sample on the joint log's clock, s from its first entry."""
     one, other, step = _speeds(logs)
     where = logs.table.where
     if np.ptp(one) < 1e-6 or np.ptp(other) == 0.0:
@@ -466,7 +466,7 @@ def _peaks(logs: Logs) -> list[float]:
 
 
 def _timed(logs: Logs, start: float, most: int, read: Read) -> tuple[Timed, float, float] | None:
-    """Up to ``most`` samples with the joints of a guess of the clocks, that guess, and the middle of the times."""
+    """Return up to ``most`` samples with joints at a clock offset, that offset, s, and the mean sample time, s."""
     times = logs.times + start
     usable = np.flatnonzero(logs.covered(times))
     if len(usable) < LEAST_SAMPLES:
@@ -482,7 +482,7 @@ def _timed(logs: Logs, start: float, most: int, read: Read) -> tuple[Timed, floa
 
 
 def _first_guess(logs: Logs, read: Read) -> tuple[Timed, Identification, float, float]:
-    """Samples, the fit of frames and clocks, the first guess of the offset, and the middle of the samples' times.
+    """Fit frames and clocks: return samples, the fit, the first guess of the offset, s, and the mean sample time, s.
 
     Raises:
         InputError: If no offset fits, or another one fits nearly as well.
@@ -518,7 +518,7 @@ def _first_guess(logs: Logs, read: Read) -> tuple[Timed, Identification, float, 
 
 
 def _fitted(nominal: Geometry, timed: Timed, start: Geometry | None) -> Identification:
-    """Base, tool and clocks fitted to samples."""
+    """Fit base, tool and clocks to samples."""
     start = start or rough_start(nominal, timed.rows)
     return identify(frames_model(nominal), start, [timed], max_iterations=60)
 
@@ -527,7 +527,7 @@ def _fitted(nominal: Geometry, timed: Timed, start: Geometry | None) -> Identifi
 
 
 def _rests(logs: Logs, times: Array, usable: Rows) -> list[Rows]:
-    """The samples of each rest of the arm, without the time in which it settles."""
+    """Return the indices of the samples of each rest of the arm, without the time in which the arm settles."""
     step = np.median(np.diff(logs.log))
     width = max(round(REST / step), 3)
     if len(logs.log) <= width:
@@ -552,7 +552,7 @@ def _rests(logs: Logs, times: Array, usable: Rows) -> list[Rows]:
 
 
 def _thinned(logs: Logs, times: Array, usable: Rows) -> list[Rows]:
-    """Single samples, each a way of the joints apart from the one before."""
+    """Return indices of single samples, spaced by a path length in joint space (`PATH`)."""
     joints = logs.joint_spline(times[usable])
     way = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(joints, axis=0), axis=1))]
     _, first = np.unique(np.floor(way / max(PATH, way[-1] / MOST_ROWS)), return_index=True)
