@@ -1,7 +1,8 @@
-"""Calibration: identify an arm from measurements, learn what remains, judge it, and correct its commands.
+"""Calibration of robot arms: identify an arm's parameters from measurements, judge the result, and correct commands.
 
-`calibrate` is the whole way, from files or arrays to a `Result`. Usable without Gymnasium; imports only `pickenv.arm`.
-torch is loaded when a network is trained, not before.
+`calibrate` does all steps, from files or arrays to a `Result`. A residual model can learn the errors that the
+parameters leave. The package works without Gymnasium and imports only `pickenv.arm`. torch is loaded only when a
+network is trained.
 """
 
 from pickenv.base.faces import offered as _offered

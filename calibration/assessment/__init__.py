@@ -1,1 +1,1 @@
-"""The quality of a calibration: error statistics, states of parameters, grades, intervals."""
+"""Assessment of a calibration's quality: error statistics with intervals, statistical tests, grades, and tables."""

@@ -1,7 +1,7 @@
-"""The verdict on the instruments: stated numbers that the measured rows contradict, and lengths that nobody measured.
+"""Check what was stated about instruments, frames and arm against the measured rows.
 
-A wire whose zero is off by millimetres still leaves small misses, because the anchor and the links absorb it; the arm
-is then wrong where nobody looks. So a number that is said to be known is tried as an unknown once the arm is fitted.
+A wire whose zero is wrong by millimetres still leaves small misses, because the anchor and the links absorb the error.
+The arm is then wrong at other poses. After the fit, a number that was stated as known is therefore tried as an unknown.
 """
 
 from __future__ import annotations
@@ -33,17 +33,17 @@ from pickenv.calibration.model.prior import ANGLES, FRAMES, LENGTHS, TERMS, ZERO
 # interval follows from an assumption that is printed with it. SI units.
 
 DRAWS = 400
-"""Number of bases and tools that are drawn."""
+"""Number of random bases and tools that are drawn for the interval."""
 
 SCALES = (0.2, 1.0)
-"""Least and largest assumed distance of base and tool from where the controller has them.
+"""Smallest and largest assumed distance of base and tool from where the controller has them.
 
-It is one standard deviation per axis, in units of 1 mm and 1 mrad. Nobody knows it better, so every size between counts
-alike (on a logarithmic scale).
+The distance is one standard deviation per axis, in units of 1 mm and 1 mrad. It is not known better, so it is drawn
+from a uniform distribution of its logarithm between these two.
 """
 
 NEAR = 0.05
-"""If fitted base and tool move the tool by less than this, m, the instrument is probably registered to the base."""
+"""Motion of the tool by the fitted frames, m, below which the instrument is probably registered to the base."""
 
 
 @dataclass(frozen=True)
@@ -52,11 +52,10 @@ class BaseFrameError:
 
     Attributes:
         low: Lower end of the 95 % interval, m; NaN if no position was measured.
-        high: Upper end of the 95 % interval, m.
-        moved: Mean distance over these poses, m, by which the fitted base and tool move the nominal arm's tool from
-            where the controller's own put it. Small if the instrument was registered to the base; then it is the error
-            itself.
-        tracked: Whether the instrument states positions in its own frame, which may be the base's.
+        high: Upper end of the 95 % interval, m; NaN if no position was measured.
+        moved: Mean distance over these poses, m, between the nominal arm's tool with the fitted base and tool and with
+            the controller's own. It is small if the instrument was registered to the base.
+        tracked: Whether the instrument states positions in its own frame, which may be the base frame.
     """
 
     low: float
@@ -65,7 +64,7 @@ class BaseFrameError:
     tracked: bool
 
     def as_dict(self) -> dict[str, Any]:
-        """The interval and its assumptions for JSON and a calibration's record, mm and mrad."""
+        """Return the interval and its assumptions as values for JSON and a calibration's record, mm and mrad."""
         return {
             "mean_ci95_mm": None if np.isnan(self.low) else [self.low * 1e3, self.high * 1e3],
             "assumed_std_mm": [scale * LENGTH_TOLERANCE * 1e3 for scale in SCALES],
@@ -74,7 +73,7 @@ class BaseFrameError:
         }
 
     def brief(self) -> str:
-        """The interval in one sentence."""
+        """Return one sentence that gives the interval."""
         if np.isnan(self.low):
             return "the error in the robot's own base frame is unknown, for only directions were measured"
         return (
@@ -83,7 +82,7 @@ class BaseFrameError:
         )
 
     def sentences(self) -> str:
-        """The interval and its assumptions in words."""
+        """Return text that gives the interval and its assumptions."""
         unseen = "base and tool were fitted, so the instrument cannot tell where the robot's base stands"
         if np.isnan(self.low):
             return f"{unseen}, nor where its tool is, for it sees directions and no positions"
@@ -103,13 +102,17 @@ class BaseFrameError:
 def base_frame_error(
     nominal: Geometry, fitted: Geometry, joints: ArrayLike, left: Array, tracked: bool = True
 ) -> BaseFrameError:
-    """The interval of the mean error in the robot's own base frame; equal inputs always give the same one.
+    """Compute the interval of the mean position error in the robot's own base frame.
+
+    It is needed if base and tool were fitted: the data then do not show where the robot's own base stands. Random bases
+    and tools are drawn with a fixed seed, so equal inputs give equal intervals.
 
     Args:
-        nominal: The arm as its controller has it.
-        fitted: The nominal arm with the fitted base and tool.
+        nominal: The nominal geometry with the controller's own base and tool.
+        fitted: The nominal geometry with the fitted base and tool.
         joints: Joints of the judged poses ``(N, n)``, rad or m.
-        left: Errors that the calibration leaves at these poses in the instrument's frame ``(N, 3 or more)``, m.
+        left: Errors that the calibration leaves at these poses in the instrument's frame ``(N, 3 or more)``; the first
+            three columns are positions, m.
         tracked: Whether the instrument states positions in its own frame.
     """
     joints = np.asarray(joints, dtype=float)
@@ -125,10 +128,10 @@ def base_frame_error(
 
 
 CONTRADICTED = 5.0
-"""Number of standard deviations from its stated value beyond which a fitted number contradicts the statement."""
+"""Distance of a fitted number from its stated value, in standard deviations, above which it contradicts the latter."""
 
 MATTERS = 0.03
-"""Share by which the misses must shrink without the stated number for a contradiction to matter."""
+"""Share by which the misses must shrink, once the stated number is fitted, for a contradiction to matter."""
 
 LENS_MATTERS = 0.2
 """Share by which a fitted lens must shrink the misses in pixels for the stated lens to be in doubt.
@@ -138,9 +141,13 @@ A lens has nine numbers, which always absorb some of the misses.
 
 
 def with_zeros_fitted(data: Observations) -> Iterator[tuple[str, DistanceObservations, Observations]]:
-    """For each wire whose zero is said to be known: the zero's name as an unknown, the wire, and the data to fit it.
+    """Find each wire whose zero is stated as known, and free that zero.
 
-    In that data, this one zero is unknown.
+    Args:
+        data: The measured rows.
+
+    Yields:
+        The zero's name as an unknown, the wire's rows, and a copy of ``data`` in which this one zero is unknown.
     """
     if isinstance(data, DistanceObservations):
         known = data.zero_std == data.scale_std == 0.0 and data.surface != "plane"
@@ -153,12 +160,14 @@ def with_zeros_fitted(data: Observations) -> Iterator[tuple[str, DistanceObserva
 
 
 def said_of_instruments(model: ErrorModel, found: Identification, data: Observations) -> Said:
-    """Findings on the instruments, each with its weight.
+    """Yield findings on the instruments, each a weight and a sentence.
+
+    They concern stated numbers that the rows contradict, and lengths that were not measured.
 
     Args:
         model: The error model that was identified, without further terms.
         found: The identification.
-        data: The data that it was made from.
+        data: The rows that were fitted.
     """
     for name, wire, free in with_zeros_fitted(data):
         freed = identify(model, found.arm_model, [free])
@@ -201,14 +210,16 @@ def said_of_instruments(model: ErrorModel, found: Identification, data: Observat
 
 
 def set_ups_of(found: Identification, data: Observations) -> list[dict[str, Any]]:
-    """For each set-up its number, its files, its count of rows, and the frames of its own.
-
-    Each such frame (base or tool) comes with its distance, mm and deg, from that of the identified arm, which is the
-    first set-up's. Empty if there is only one file.
+    """Describe the set-ups of the data; a set-up is one placement of the instrument and its target.
 
     Args:
         found: The identification.
-        data: The data that it was made from.
+        data: The rows that were fitted.
+
+    Returns:
+        For each set-up its number, its files, its number of rows, and the frames ("base", "tool") of its own. Each
+        such frame comes with its distance, mm and deg, from that of the identified arm, which is the first set-up's.
+        The list is empty if there is only one file.
     """
     rows: list[dict[str, Any]] = []
     for station in data.stations or (measurements.InstrumentStation(data),):
@@ -223,11 +234,11 @@ def set_ups_of(found: Identification, data: Observations) -> list[dict[str, Any]
 
 
 def set_up_block(set_ups: Sequence[Mapping[str, Any]], asked: str | None) -> Block:
-    """The set-ups as a table for screens.
+    """Return the set-ups as a table.
 
     Args:
         set_ups: The set-ups as `set_ups_of` gives them.
-        asked: The frames that the caller said each file has of its own; None if the rows told it.
+        asked: Which frames each file has of its own, as the caller said; None if the rows decided it.
     """
     rows = []
     for set_up in set_ups:
@@ -240,11 +251,11 @@ def set_up_block(set_ups: Sequence[Mapping[str, Any]], asked: str | None) -> Blo
 
 
 def said_of_conditions(model: ArmModel, learnt: bool, data: Observations) -> Said:
-    """A note if payloads, temperatures or torques were recorded but change nothing that the model predicts.
+    """Yield a note if payloads, temperatures or torques were recorded that do not change the model's predictions.
 
     Args:
         model: The calibrated arm.
-        learnt: Whether a learnt residual takes payload and temperature.
+        learnt: Whether a learnt residual has payload and temperature as inputs.
         data: The rows that the arm was fitted to.
     """
 
@@ -268,42 +279,44 @@ def said_of_conditions(model: ArmModel, learnt: bool, data: Observations) -> Sai
 
 
 PART_OFF = 8.0
-"""Distance of a link from its drawing, in standard deviations of the tolerance class, beyond which the class is wrong.
+"""Deviation of a link parameter from its nominal value above which the arm or its tolerance class is wrong.
+
+It is in standard deviations of the tolerance class.
 
 Eight measured series of six arms keep below 6.1; a UR5e's rows given as a UR5's have 20.
 """
 
 FRAME_OFF = 1e-5
-"""Chance below which a frame that is said to be known counts as wrong.
+"""Probability below which a frame that is stated as known counts as wrong.
 
-It is the chance that parts of the tolerance class move the whole arm as far as the rows say.
+It is the probability that parts of the tolerance class move the whole arm as far as the rows say.
 """
 
 ZEROS_OFF = 10.0
-"""Factor by which joints' zeros, which are set in the field, may be farther off than parts."""
+"""Factor on the standard deviations of joint zeros in the test of a known frame, since zeros are set in the field."""
 
 SURE_BY = 2.0
-"""Number of its own standard deviations that are taken off a link's change to have what is sure of it."""
+"""Number of standard deviations that are subtracted from a link parameter's change before it is judged."""
 
 ONE_STEP = 0.5
-"""Largest share of the remaining squares that one step at a joint's value may explain without a caution.
+"""Largest share of the remaining squared errors that a step at one joint's value may explain without a caution.
 
 Eight measured series keep below 0.16.
 """
 
 STEPS = np.linspace(0.1, 0.9, 17)
-"""Quantiles of a joint's values at which a step is looked for."""
+"""Quantiles of a joint's values at which a step in the errors is searched."""
 
 POSES = 200
-"""Number of random joint vectors over which a motion of the arm as a whole is judged."""
+"""Number of random joint vectors over which a motion of the whole arm is computed."""
 
 
 def said_against(found: Identification, data: Observations) -> Said:
-    """Cautions on statements made before measuring (drawing, frames) that the rows contradict.
+    """Yield cautions on statements made before measuring (nominal geometry, frames) that the rows contradict.
 
     Args:
         found: The identification of the geometry.
-        data: The rows that it was made from.
+        data: The rows that were fitted.
     """
     prior = found.prior
     if prior is None or not prior.proper:
@@ -330,7 +343,7 @@ def _link(found: Identification, prior: PriorModel) -> Iterator[str]:
 
 
 def _frame(found: Identification, prior: PriorModel, which: str) -> Iterator[str]:
-    """A caution if the fit moved the arm as a whole, by ``which`` (base or tool), more than its tolerances allow."""
+    """Yield a caution if the fit moved the arm's base or tool (``which``) more than the arm's tolerances allow."""
     geometry, links = found.geometry, prior.group != TERMS
     columns = prior.parameters.columns[links]
     joints = measurements.random_joints(geometry, POSES, np.random.default_rng(0))
@@ -348,7 +361,7 @@ def _frame(found: Identification, prior: PriorModel, which: str) -> Iterator[str
 
 
 def _region(found: Identification, data: Observations) -> Iterator[str]:
-    """A caution if one step at a joint's value explains most of what remains."""
+    """Yield a caution if a step at one joint's value explains most of the remaining errors."""
     if len(data.joints) < len(STEPS) or data.poses is None:
         return
     misses = data.misses(found.arm_model, unknowns_of(found, data))
@@ -364,7 +377,7 @@ def _region(found: Identification, data: Observations) -> Iterator[str]:
 
 
 def _step(values: Array, misses: Array) -> tuple[float, float, float]:
-    """Largest share of the misses' squares that one step explains, the joint's value at the step, and its size, m."""
+    """Return the largest share of squared misses that one step explains, the joint's value there, and its size, m."""
     best = (0.0, 0.0, 0.0)
     for at in np.quantile(values, STEPS).tolist():
         above = values > at

@@ -1,7 +1,7 @@
-"""Figures for errors: never one number alone, and always with its interval.
+"""Error statistics with confidence intervals.
 
-Mean, RMS of the norm, per-axis RMS, standard deviation, 95th percentile and maximum; held-out R^2. A paper's "RMSE"
-that lies below its mean cannot be the RMS of the norm (digest, fact 6): print both.
+They are mean, RMS of the norm, per-axis RMS, standard deviation, 95th percentile and maximum, and held-out R^2. A
+paper's "RMSE" that lies below its mean cannot be the RMS of the norm (digest, fact 6), so both are printed.
 """
 
 from __future__ import annotations
@@ -16,14 +16,14 @@ from pickenv.arm import Array
 from pickenv.base import Ends, mean_interval, statistic_interval
 
 LEAST_ROWS = 20
-"""Fewest single errors for an interval of their mean: with ten, such errors of arms are covered in only 92 %."""
+"""Smallest number of single errors for a 95 % interval of their mean; with ten, it covers the mean in only 92 %."""
 
 MOST_APART = 0.4
 """Largest spread between blocks for which an interval of the root mean square is given.
 
-It is the standard deviation of the logarithm of the blocks' root mean squares. Above it one block outweighs the others,
-and ten blocks do not bound the root mean square (covered in less than 93 %). The errors that calibrations of measured
-robots leave differ by 0.03 to 0.23.
+The spread is the standard deviation of the logarithm of the blocks' root mean squares. Above this value one block
+outweighs the others, and an interval from ten blocks covers the root mean square in less than 93 %. For the errors that
+calibrations of measured robots leave, the spread is 0.03 to 0.23.
 """
 
 
@@ -33,10 +33,10 @@ class ErrorStatistics:
 
     Attributes:
         mean: Mean norm.
-        mean_ci95: 95 % interval of the mean, from single errors or from blocks of them; None if there are too few.
+        mean_ci95: 95 % interval of the mean, from single errors or from blocks of them; None if these are too few.
         rms: Root mean square of the norm.
-        rms_ci95: 95 % interval of the root mean square, from blocks; None without blocks, with too few, or if they
-            differ too much.
+        rms_ci95: 95 % interval of the root mean square, from blocks; None without blocks, with too few blocks, or if
+            blocks differ by more than `MOST_APART`.
         std: Standard deviation of the norm.
         p95: 95th percentile of the norm.
         max: Largest norm.
@@ -55,17 +55,17 @@ class ErrorStatistics:
     count: int
 
     def as_dict(self) -> dict[str, Any]:
-        """The statistics by name, for JSON."""
+        """Return the statistics by name, as values for JSON."""
         return asdict(self)
 
 
 def error_statistics(errors: ArrayLike, blocks: ArrayLike | None = None) -> ErrorStatistics:
-    """Statistics of error vectors ``(N, k)``, or of norms ``(N,)`` (then ``axis_rms`` is empty).
+    """Compute statistics of error vectors, or of their norms.
 
     Args:
-        errors: The errors.
-        blocks: Number of the block that each error belongs to ``(N,)``, if errors of one block are alike; the
-            intervals then come from the differences between blocks.
+        errors: Error vectors ``(N, k)``, or norms ``(N,)``; for norms, ``axis_rms`` is empty.
+        blocks: Number of each error's block ``(N,)``, if errors within a block are correlated. The intervals then come
+            from the differences between blocks.
 
     Raises:
         ValueError: If there are no errors or some are not finite.
@@ -89,15 +89,16 @@ def error_statistics(errors: ArrayLike, blocks: ArrayLike | None = None) -> Erro
 
 
 def block_interval(values: ArrayLike, blocks: ArrayLike, *, rms: bool = False) -> Ends | None:
-    """95 % interval of the mean of values, from differences between blocks; None with fewer than ten blocks.
+    """Compute the 95 % interval of the mean of values from the differences between blocks.
 
-    Neighbouring blocks may be alike: for blocks of equal size it is the `ordered_interval` of their means.
+    The result is None with fewer than ten blocks. Neighbouring blocks may be correlated. For blocks of equal size the
+    interval is the `ordered_interval` of the blocks' means.
 
     Args:
         values: The values ``(N,)``.
         blocks: The block of each value ``(N,)``.
-        rms: Whether to give the interval of the root mean square instead of the mean. It is taken of its logarithm,
-            which is less skewed, and is None if blocks differ by more than `MOST_APART`.
+        rms: Whether the interval is that of the root mean square. It is then computed for the logarithm, which is less
+            skewed. The result is None if blocks differ by more than `MOST_APART`.
     """
     which = np.unique(np.asarray(blocks), return_inverse=True)[1]
     summed = np.asarray(values, dtype=float) ** (2 if rms else 1)
@@ -111,9 +112,13 @@ def block_interval(values: ArrayLike, blocks: ArrayLike, *, rms: bool = False) -
 
 
 def held_out_r2(truth: ArrayLike, predicted: ArrayLike) -> Array:
-    """Coefficient of determination ``(k,)`` of each column of held-out rows ``(N, k)``.
+    """Compute the coefficient of determination R^2 ``(k,)`` of each column of held-out rows.
 
-    1 is a perfect prediction; 0 is as good as the mean of the true values.
+    1 is a perfect prediction. 0 is as good as the mean of the true values.
+
+    Args:
+        truth: True values ``(N, k)``.
+        predicted: Predicted values ``(N, k)``.
     """
     truth, predicted = np.asarray(truth, dtype=float), np.asarray(predicted, dtype=float)
     unexplained = np.sum((truth - predicted) ** 2, axis=0)

@@ -1,7 +1,7 @@
-"""Is this calibration good? The verdict, and what it rests on: errors per degree of freedom, rank, condition, chi^2.
+"""Grade a calibration: the verdict, and the errors, observability and tests behind it.
 
-The chi^2 test asks whether the model is complete for the stated noise (s^2 = r^T W r / (N - p) against 1). Units: mm
-and degrees on screens, SI inside.
+The chi^2 test asks whether the model explains the residuals up to the stated noise: s^2 = r^T W r / (N - p) is
+compared with 1. Units: mm and degrees in outputs, SI inside.
 """
 
 from __future__ import annotations
@@ -24,26 +24,29 @@ from pickenv.calibration.model.observations import MISS_UNITS, Rows, equally_spa
 from pickenv.calibration.model.prior import FRAMES
 
 OPTIMISTIC = 1.5
-"""Ratio of held-out errors to training errors above which the fit does not carry over to other poses."""
+"""Ratio of held-out errors to training errors above which the fit does not generalise to other poses."""
 
 SIGNIFICANCE = 0.05
-"""Level of the chi^2 test."""
+"""Significance level of the tests."""
 
 SAME = 1e-9
-"""Variation of gains, as a share of the largest, up to which they count as equal: only rounding makes them differ."""
+"""Range of the gains, as a share of the largest, up to which they count as equal, since only rounding differs."""
 
 ALIKE = 1.2
-"""Ratio of two errors below which they count as alike."""
+"""Ratio of two errors below which they count as equal."""
 
 AXES = ("x", "y", "z", "rx", "ry", "rz")
 
 MANY_NOISES = 20.0
-"""Ratio of residuals to the stated noise above which something else than noise must be at work."""
+"""Ratio of residuals to the stated noise above which noise cannot be their cause."""
 
 NOT_CONVERGED = "the identification did not converge, so its parameters mean nothing"
 
 ENOUGH, SEVERAL = 3, 10
-"""Least numbers of held-out rows that can judge a calibration, and that can contradict what all rows together say."""
+"""Smallest number of held-out rows with which a calibration is judged.
+
+The second is the smallest number with which held-out rows can contradict the expected errors from all rows.
+"""
 
 Grade = Literal["good", "with care", "do not use"]
 
@@ -53,11 +56,11 @@ class Completeness:
     """The chi^2 test of whether model and stated noise explain the residuals.
 
     Attributes:
-        chi_square: Sum of squared residuals in stated standard uncertainties.
-        degrees_of_freedom: Equations minus parameters.
-        p_value: Chance of a chi^2 this large if the model were complete and the noise as stated.
-        p_small: Chance of a chi^2 this small if the model were complete and the noise as stated.
-        noise: Name of the noise in sentences: stated, or assumed if the files state none.
+        chi_square: Sum of squared residuals, each divided by its stated standard uncertainty.
+        degrees_of_freedom: Number of equations minus number of parameters.
+        p_value: Probability of a chi^2 at least this large if the model is complete and the noise as stated.
+        p_small: Probability of a chi^2 at most this small if the model is complete and the noise as stated.
+        noise: What sentences call the noise, which says whether it is stated or assumed.
     """
 
     chi_square: float
@@ -68,7 +71,7 @@ class Completeness:
 
     @property
     def reduced(self) -> float:
-        """chi^2 per degree of freedom; 1 is expected. NaN without spare equations."""
+        """chi^2 per degree of freedom; 1 is expected. NaN without degrees of freedom."""
         return self.chi_square / self.degrees_of_freedom if self.degrees_of_freedom > 0 else float("nan")
 
     @property
@@ -77,7 +80,7 @@ class Completeness:
         return self.p_value >= SIGNIFICANCE
 
     def sentence(self) -> str:
-        """The test in words."""
+        """Return the result of the test as a sentence."""
         if self.degrees_of_freedom <= 0:
             return "there are no spare equations, so the model cannot be tested"
         figures = f"reduced chi^2 {self.reduced:.3g}, {self.degrees_of_freedom} degrees of freedom"
@@ -92,22 +95,22 @@ class Completeness:
 
 
 def completeness(found: Identification, noise: str = "stated noise") -> Completeness:
-    """The chi^2 test of an identification."""
+    """Apply the chi^2 test to an identification; ``noise`` is what sentences call the noise."""
     chi_square, freedom = found.chi_square, found.degrees_of_freedom  # without spare equations SciPy's law gives NaN
     large, small = float(stats.chi2.sf(chi_square, freedom)), float(stats.chi2.cdf(chi_square, freedom))
     return Completeness(chi_square, freedom, large, small, noise)
 
 
 def axis_errors(errors: Array, unit: str = "mm") -> dict[str, tuple[float, float, float, float]]:
-    """Statistics of errors for each degree of freedom.
+    """Compute statistics of the errors along each axis.
 
     Args:
         errors: Errors of poses ``(N, 6)``, m and rad, of positions ``(N, 3)`` or of lengths ``(N, 1)``, m.
-        unit: "deg" if ``errors`` are misses of directions ``(N, 1 to 3)``, rad.
+        unit: "deg" if ``errors`` are misses of directions ``(N, 1 to 3)``, rad; else "mm".
 
     Returns:
-        Signed mean (bias), standard deviation, root mean square and largest size, by the name of the axis with its
-        unit, such as "x (mm)".
+        For each axis, with its unit in the name, such as "x (mm)": the signed mean (bias), the standard deviation, the
+        root mean square and the largest absolute value.
     """
     axes = ("r1", "r2", "r3") if unit == "deg" else AXES if errors.shape[1] > 1 else ("length",)
     statistics = {}
@@ -127,33 +130,35 @@ def axis_errors(errors: Array, unit: str = "mm") -> dict[str, tuple[float, float
 
 
 POSES = 400
-"""Largest number of poses that stand for a region."""
+"""Largest number of measured poses that represent the measured region."""
 
 DRAWS = 400
 """Number of arms that are drawn from the posterior."""
 
 SURE = 0.95
-"""Share of these arms that must be nearer to the calibration than to the drawing for a gain to be certain."""
+"""Share of drawn arms that must be nearer to the calibrated than to the nominal geometry for a gain to be certain."""
 
 HARDLY = 0.5
-"""Geometry's share of the error of one reach below which it hardly matters, whether the rows tell it or not."""
+"""Ratio of the geometry's expected error to the held-out RMS error below which the geometry's error is negligible."""
 
 LITTLE = 0.2
-"""Share by which the posterior must be narrower than the prior; with less, the rows tell nothing new there."""
+"""Share by which the expected error must be smaller than before measuring; with less, the rows add no information."""
 
 
 @dataclass(frozen=True)
 class RegionError:
-    """Expected errors of an arm over one region, RMS of the tool's position, m.
+    """Expected errors of an arm over one region: RMS of the tool's position error, m.
+
+    They are computed over arms that are drawn from the posterior, that is arms that agree with the measured rows.
 
     Attributes:
         region: Name of the region.
-        calibrated: Expected error of the calibrated arm.
-        calibrated_ends: 95 % interval of the calibrated arm's error, over arms that the rows allow.
-        nominal: Expected error of the arm as drawn.
-        nominal_ends: 95 % interval of the drawn arm's error, over arms that the rows allow.
-        expected: Expected error of arms of the tolerance class before anything was measured.
-        better: Share of the arms that the rows allow that are nearer to the calibration than to the drawing.
+        calibrated: Expected error of the calibrated geometry.
+        calibrated_ends: 95 % interval of the calibrated geometry's error over the drawn arms.
+        nominal: Expected error of the nominal geometry.
+        nominal_ends: 95 % interval of the nominal geometry's error over the drawn arms.
+        expected: Expected error of arms of the tolerance class before measuring.
+        better: Share of the drawn arms that are nearer to the calibrated than to the nominal geometry.
     """
 
     region: str
@@ -166,16 +171,16 @@ class RegionError:
 
     @property
     def narrowed(self) -> float:
-        """Share by which the expected error is smaller than before measuring, 0 to 1."""
+        """Share by which the calibrated geometry's expected error is smaller than `expected`, 0 to 1."""
         return float(np.clip(1.0 - self.calibrated / max(self.expected, 1e-300), 0.0, 1.0))
 
     @property
     def gain(self) -> float:
-        """Share of the drawing's error that the calibration takes away."""
+        """Share of the nominal geometry's expected error that the calibration removes."""
         return 1.0 - self.calibrated / max(self.nominal, 1e-300)
 
     def as_dict(self) -> dict[str, Any]:
-        """The expected errors for JSON and a calibration's record, mm."""
+        """Return the expected errors, in mm, as values for JSON and a calibration's record."""
         mm = {"calibrated_rms_mm": self.calibrated, "nominal_rms_mm": self.nominal, "prior_rms_mm": self.expected}
         ends = {"calibrated_ci95_mm": self.calibrated_ends, "nominal_ci95_mm": self.nominal_ends}
         sizes = {name: value * 1e3 for name, value in mm.items()}
@@ -186,13 +191,13 @@ class RegionError:
 
 @dataclass(frozen=True)
 class Workspace:
-    """Expected errors where rows were measured, and where the arm will work.
+    """Expected errors where rows were measured, and in the declared workspace, where the arm will work.
 
     Attributes:
         measured: Expected errors at the joints of the measured rows.
         declared: Expected errors over the declared workspace.
-        thin: Names of joints whose measured range covers less than half of the declared one.
-        remains: RMS error on held-out rows, m: the error of one reach, which geometry is only a part of.
+        thin: Names of joints whose measured range covers less than half of their range in the declared workspace.
+        remains: RMS error on held-out rows, m. It is the error of one reach, and the geometry causes only part of it.
     """
 
     measured: RegionError
@@ -202,7 +207,7 @@ class Workspace:
 
     @property
     def reservation(self) -> str | None:
-        """A sentence on why not to rely on the calibration in the declared workspace; None if nothing is against it."""
+        """A sentence that says why the calibration is not reliable in the declared workspace; None if it is."""
         over = self.declared
         if over.calibrated < HARDLY * self.remains:
             return None
@@ -223,7 +228,7 @@ class Workspace:
         return None
 
     def block(self) -> Block:
-        """The expected errors as a table for screens."""
+        """Return the expected errors as a table."""
         rows = []
         for region in (self.measured, self.declared):
             sizes = (
@@ -236,7 +241,7 @@ class Workspace:
         return Block("Expected errors of the tool", heads, tuple(rows), note)
 
     def as_dict(self) -> dict[str, Any]:
-        """Both regions' expected errors and the reservation, for JSON and a calibration's record."""
+        """Return both regions' expected errors and the reservation as values for JSON and a calibration's record."""
         regions = {"measured": self.measured.as_dict(), "declared": self.declared.as_dict()}
         return regions | {"reservation": self.reservation}
 
@@ -250,19 +255,20 @@ def workspace_error(
     remains: float = 0.0,
     between: NDArray[np.int64] | None = None,
 ) -> Workspace | None:
-    """Expected errors at the measured joints and over a workspace; None if the parameters have no priors.
+    """Compute expected errors at the measured joints and over a workspace.
 
-    Equal inputs always give the same result.
+    The result is None if the parameters have no priors. Random draws have a fixed seed, so equal inputs give equal
+    results.
 
     Args:
-        solution: The fit, whose parameters have priors.
-        nominal: The drawing, with base and tool aligned to the rows if they were fitted.
+        solution: The least-squares solution, whose parameters have priors.
+        nominal: The nominal geometry; if base and tool were fitted, with these.
         rows: Measured joints ``(N, n)``, rad or m.
-        joints: Joints of the workspace ``(M, n)``, rad or m.
+        joints: Joints that represent the workspace ``(M, n)``, rad or m.
         region: Name of the workspace.
         remains: RMS error on held-out rows, m.
-        between: On a whole robot, the links between which each row was measured ``(N, 2)``; the workspace's joints are
-            judged between the same links in turn.
+        between: For a whole robot, indices of the two links between which each row was measured ``(N, 2)``. The
+            workspace's joints are assigned to the same pairs of links in turn.
     """
     if solution.prior is None or not solution.prior.proper:
         return None
@@ -279,7 +285,7 @@ def workspace_error(
 def _region(
     region: str, solution: Identification, nominal: Geometry, joints: Array, between: NDArray[np.int64]
 ) -> RegionError:
-    """Expected errors over joints ``(M, n)``, without terms: the conditions that they depend on are unknown there."""
+    """Compute expected errors over joints ``(M, n)``, rad or m, without terms, whose conditions are unknown there."""
     prior, fitted = solution.prior, solution.geometry
     assert prior is not None
     names = solution.identifiability.kept_names
@@ -313,21 +319,21 @@ def _region(
 
 
 def _size(errors: Array) -> tuple[float, tuple[float, float]]:
-    """Root mean square of arms' errors, and their 95 % interval."""
+    """Return the root mean square of the errors of several arms, and their 95 % interval."""
     low, high = np.percentile(errors, [2.5, 97.5]).tolist()
     return float(np.sqrt(np.mean(errors**2))), (low, high)
 
 
 @dataclass(frozen=True, eq=False)
 class Quality:
-    """A calibration's quality.
+    """The quality of a calibration: its grade, with the findings and tests behind it.
 
     Attributes:
         grade: The verdict.
         reason: The main reason for the grade, in one clause.
-        findings: Everything that a reader must know, the gravest first, each as a weight and a sentence. The weight is
-            "fail" (do not use it), "caution" (know this before use) or "note".
-        observability: Observability indices of the kept geometric parameters on the training poses, by name.
+        findings: All findings, the most severe first, each a weight and a sentence. The weight is "fail" (do not use
+            the calibration), "caution" (know this before use) or "note".
+        observability: Observability indices, by name, of the kept geometric parameters at the training poses.
         completeness: The chi^2 test.
         workspace: Expected errors where rows were measured and where the arm will work; None without priors.
     """
@@ -341,11 +347,11 @@ class Quality:
 
     @property
     def others(self) -> tuple[tuple[Weight, str], ...]:
-        """The findings other than the one that is the reason."""
+        """All findings except the one that is `reason`."""
         return tuple((weight, text) for weight, text in self.findings if text != self.reason)
 
     def as_dict(self) -> dict[str, Any]:
-        """Grade, reason and findings for JSON and a calibration's record."""
+        """Return grade, reason and findings as values for JSON and a calibration's record."""
         findings = [{"weight": weight, "text": text} for weight, text in self.findings]
         return {"grade": self.grade, "reason": self.reason, "findings": findings}
 
@@ -369,20 +375,18 @@ def grade_quality(
 
     Args:
         found: The identification.
-        trained: Errors left on the fitted rows, without a learnt residual, ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and
-            rad.
-        before: Held-out errors of the nominal arm with base and tool fitted (unless known), ``(M, 6)`` or narrower;
-            None if no arm is calibrated (finished poses).
-        after: Held-out errors of the calibrated arm, in the form of ``before``.
-        workspace: Expected errors where the arm will work.
-        geometric: The identification without further terms, whose parameters' condition is stated; ``found`` if left
-            out.
-        parametric: Held-out errors without a learnt residual, to be compared with ``trained``; ``after`` if left out.
-        noise: Name of the instrument's noise in sentences.
-        blocks: The block or row of each held-out error ``(M,)``, if errors within one are alike.
+        trained: Errors on the fitted rows without a learnt residual: ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad.
+        before: Held-out errors of the nominal arm, with base and tool fitted unless known: ``(M, 6)``, ``(M, 3)`` or
+            ``(M, 1)``. None if there is no nominal arm, because tool poses were given in place of joint values.
+        after: Held-out errors of the calibrated arm, in the shape of ``before``.
+        workspace: Expected errors where rows were measured and where the arm will work.
+        geometric: The identification without further terms, whose condition number is stated; ``found`` if None.
+        parametric: Held-out errors without a learnt residual, to be compared with ``trained``; ``after`` if None.
+        noise: What sentences call the instrument's noise.
+        blocks: The block or row of each held-out error ``(M,)``, if errors within one are correlated.
         said: Further findings, each a weight and a sentence.
-        unit: The unit in which errors are shown: "mm", or "deg" if they are angles, rad.
-        rows: Number of held-out rows, and what they are called; if left out, "rows", one for each error.
+        unit: The unit in which errors are shown: "mm", or "deg" if the errors are angles in rad.
+        rows: Number of held-out rows, and what sentences call them. If None, "rows", one for each error.
     """
     count, called = rows or (len(after), "rows")
     bare = geometric or found
@@ -428,16 +432,17 @@ def _rms(errors: Array, unit: str) -> float:
 def no_gain(
     before: Array | None, after: Array, blocks: Rows | None, unit: str, count: int, called: str, because: str = ""
 ) -> Iterator[str]:
-    """Reasons why held-out rows do not show that the calibrated arm is better than the nominal one.
+    """Yield the reasons why held-out rows do not show that the calibrated arm is better than the nominal one.
 
     Args:
-        before: Errors of the nominal arm ``(M, 3 or more)``, m or rad; None if no arm is calibrated.
-        after: Errors of the calibrated arm ``(M, 3 or more)``, m or rad.
-        blocks: The block or row of each error ``(M,)``, if errors within one are alike.
+        before: Errors of the nominal arm ``(M, k)``, m or rad; None if there is no nominal arm. If k is larger than 3,
+            the first three columns count.
+        after: Errors of the calibrated arm ``(M, k)``, m or rad.
+        blocks: The block or row of each error ``(M,)``, if errors within one are correlated.
         unit: The unit in which errors are shown, "mm" or "deg".
         count: Number of held-out rows.
-        called: What these rows are called, in the plural.
-        because: The cause, to be added to the sentence; may be empty.
+        called: What sentences call these rows, in the plural.
+        because: The cause, which is added to the sentence; may be empty.
     """
     if count < ENOUGH:
         few = f"1 {called[:-1]} was" if count == 1 else f"{count} {called} were"
@@ -454,12 +459,12 @@ def no_gain(
 
 
 def _undecided(before: Array, after: Array, blocks: Rows | None) -> bool:
-    """Whether held-out rows leave open which arm is better: true unless the calibrated arm is significantly better."""
+    """Return whether the calibrated arm is not significantly better than the nominal arm on held-out rows."""
     return _rms(after, "mm") >= _rms(before, "mm") or _chance(before, after, blocks) > SIGNIFICANCE
 
 
 def _cause(found: Identification, before: Array, after: Array, unlearnt: Array, unit: str) -> str:
-    """The likely reason why a calibration gains nothing, and what to do about it."""
+    """Return a clause that names the likely reason why a calibration is no improvement, and the remedy."""
     was, now, plain = (_rms(errors, unit) for errors in (before, after, unlearnt))
     if found.arm_model.terms and plain > was:
         return "the further terms do not carry over to rows held out; give `terms='none'`"
@@ -473,7 +478,7 @@ def _cause(found: Identification, before: Array, after: Array, unlearnt: Array, 
 
 
 def _chance(before: Array, after: Array, blocks: Rows | None) -> float:
-    """Chance of a gain from ``before`` to ``after`` as large as this if nothing changed.
+    """Compute the p-value of the gain from ``before`` to ``after`` if both arms were equally good.
 
     It is that of a one-sided paired t test over poses, or over blocks if they are given.
     """

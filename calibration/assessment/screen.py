@@ -1,4 +1,4 @@
-"""Results as screens show them: four significant digits, units, and tables of text that terminal and page share."""
+"""Format results for people: numbers with four significant digits, units, and tables for terminal and HTML page."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import LENS_NAMES
 
 NARROW = 10
-"""Least width in characters of a column of words."""
+"""Smallest width of a column of words, in characters."""
 
 LENGTHS_OF_KINDS = ("reflector", "anchor", "socket", "point", "tip", "plane_offset", "zero")
 NUMBERS_OF_KINDS = ("scale", "normal", "axis", "down")
-"""Beginnings of the names of measurements' own unknowns that are numbers without a unit: directions and scales.
+"""Prefixes of the names of a measurement's own unknowns that have no unit: directions and scales.
 
-`LENGTHS_OF_KINDS` has the beginnings of those that are lengths.
+`LENGTHS_OF_KINDS` has the prefixes of those that are lengths.
 """
 
 
 def figure(value: float | None) -> str:
-    """A number as screens show it: four significant digits."""
+    """Format a number with four significant digits; None and NaN become "unknown"."""
     if value is None or np.isnan(value):
         return "unknown"
     if value == 0 or 1e-3 <= abs(value) < 1e4:
@@ -40,26 +40,26 @@ def figure(value: float | None) -> str:
 
 
 def error_cells(errors: ErrorStatistics) -> tuple[str, ...]:
-    """Statistics of errors as a row of a table: RMS, mean, its 95 % interval, 95th percentile and maximum."""
+    """Format error statistics as cells of a table: RMS, mean, its 95 % interval, 95th percentile and maximum."""
     interval = "none" if errors.mean_ci95 is None else " to ".join(map(figure, errors.mean_ci95))
     return figure(errors.rms), figure(errors.mean), interval, figure(errors.p95), figure(errors.max)
 
 
 def is_number(cell: str) -> bool:
-    """Whether a table's cell is a number, and so is aligned to the right."""
+    """Return whether a table's cell is a number, which is then aligned to the right."""
     return cell[:1] in tuple("+-0123456789")
 
 
 @dataclass(frozen=True)
 class Block:
-    """A titled table of text, as terminal and page show it.
+    """A table of text with a title, for terminal and HTML page.
 
     Attributes:
         title: The table's title.
         header: Column titles with units; empty for plain lines.
         rows: The cells of each row.
-        note: What a reader must know about the table, or empty.
-        key: The table's name in programs.
+        note: A remark on the table, which may be empty.
+        key: Name of the table for programs.
     """
 
     title: str
@@ -69,9 +69,10 @@ class Block:
     key: str = ""
 
     def text(self) -> str:
-        """The table as text for the terminal.
+        """Return the table as text for the terminal.
 
-        To fit the terminal's width, heads and words are broken over lines; a table still too wide is split in several.
+        To fit the terminal's width, column titles and words are broken over lines. A table that is still too wide is
+        split into several.
         """
         width = screen_width()
         return "\n".join(folded(self.title + (f": {self.note}" if self.note else ""), width) + self._lines(width))
@@ -97,12 +98,24 @@ class Block:
 
 
 def over(sizes: Sequence[int], width: int) -> int:
-    """Number of characters by which columns of these sizes, each after two spaces, are wider than a line."""
+    """Return by how many characters columns, each after two spaces, are wider than a line.
+
+    Args:
+        sizes: Width of each column, in characters.
+        width: Width of the line, in characters.
+    """
     return sum(sizes) + 2 * len(sizes) - width
 
 
 def unit_of(name: str, geometric: tuple[str, ...]) -> tuple[str, float]:
-    """Unit in which screens show a parameter, and the factor to it from SI; coefficients of effects stay in SI."""
+    """Return the unit in which a parameter is shown, and the factor to it from SI.
+
+    Coefficients of terms are shown in SI units.
+
+    Args:
+        name: Name of the parameter.
+        geometric: Names of all geometric parameters of the arm.
+    """
     if name in geometric or name.startswith(("base", "tool")):
         return screen_unit(not is_angle(name))
     if name.startswith(LENGTHS_OF_KINDS):
@@ -121,11 +134,14 @@ OWN = (
     "they belong to this unit and this session: another robot of the same model, or this one after a repair or in "
     "another set-up, needs its own"
 )
-"""A warning about harmonics: on a measured arm, the harmonics of one session made another session worse."""
+"""Note below a table of harmonics; on a measured arm, the harmonics of one session made another session worse."""
 
 
 def harmonic_rows(found: Identification) -> list[dict[str, Any]]:
-    """The identified harmonics for JSON, the largest first; orders and amplitudes (deg or mm) come with 1 sigma."""
+    """Return the identified harmonics of the drives as values for JSON, the largest first.
+
+    Orders, in cycles per turn, and amplitudes, in deg or mm, come with their standard deviations.
+    """
     geometry, rows = found.geometry, []
     for joint, order, order_std, amplitude, amplitude_std in harmonics_of(found):
         unit, scale = screen_unit(geometry.prismatic[joint])
@@ -135,7 +151,7 @@ def harmonic_rows(found: Identification) -> list[dict[str, Any]]:
 
 
 def harmonic_block(rows: Sequence[Mapping[str, Any]]) -> Block:
-    """The rows of `harmonic_rows` as a table."""
+    """Return the rows of `harmonic_rows` as a table."""
     header = ("joint", "order (cycles per turn)", "± 1 sigma", "amplitude", "± 1 sigma", "unit")
     cells = []
     for row in rows:
@@ -149,7 +165,7 @@ def harmonic_block(rows: Sequence[Mapping[str, Any]]) -> Block:
 
 
 TOLD = 2.0
-"""Number of its standard uncertainties above which a compliance gives a stiffness, and not only a lower bound of it."""
+"""Compliance, in its standard uncertainties, above which a stiffness is stated; below, only its lower bound is."""
 
 NOTE = (
     "from torques; where none are known, as at a target, those of the arm's own weight are taken, which were fitted to "
@@ -158,9 +174,10 @@ NOTE = (
 
 
 def stiffness_rows(found: Identification, data: Observations) -> list[dict[str, Any]]:
-    """The identified stiffnesses for JSON, joint by joint, with 1 sigma and, if torques were measured, their RMS.
+    """Return the identified stiffness of each joint as values for JSON, with its standard deviation.
 
-    Stiffnesses and torques are in N*m/rad and N*m for revolute joints, in N/m and N for prismatic ones.
+    Stiffnesses are in N*m/rad for revolute joints, in N/m for prismatic ones. If torques were measured, their RMS is
+    given too, in N*m or N. So is the RMS of the part of them that the arm's own weight does not explain.
 
     Args:
         found: The identification.
@@ -190,7 +207,7 @@ def stiffness_rows(found: Identification, data: Observations) -> list[dict[str, 
 
 
 def stiffness_block(rows: Sequence[Mapping[str, Any]]) -> Block:
-    """The rows of `stiffness_rows` as a table."""
+    """Return the rows of `stiffness_rows` as a table."""
     header = ("joint", "stiffness", "± 1 sigma", "unit", "torques, RMS", "of these left")
     cells = []
     for row in rows:

@@ -1,1 +1,1 @@
-"""From a wanted pose to the joint command that reaches it on the calibrated arm."""
+"""Compensation: compute the joint command that brings the calibrated arm to a wanted pose."""

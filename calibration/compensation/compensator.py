@@ -1,12 +1,12 @@
-"""From a wanted nominal pose to corrected joints: Qiao 2026 eqs (13)-(16) and Fig. 3 through the rank-aware inverse.
+"""Correct joint targets for a calibrated arm, by Qiao 2026 eqs (13)-(16) and Fig. 3 with a rank-aware inverse.
 
-q_command = q + J+ (F_nominal(q) - F_identified(q) - residual(q)), repeated at the corrected joints, J+ truncated to the
-task's rank (the paper's J^-1 does not exist for this arm), joint limits kept. An arm of fewer than six joints cannot
-have both position and attitude: it is brought to the position first (`attitude_weight`). Near joint limits and singular
-poses such steps can lead away: of the target and its corrections the one that the model expects nearest is commanded.
-One pose runs on Python floats, many on NumPy in blocks: a compensator stands in a control loop and in vector
-environments. The residual's network is most of the cost, so it is evaluated once, at the joints that geometry alone
-corrects.
+q_command = q + J+ (F_nominal(q) - F_identified(q) - residual(q)), repeated at the corrected joints. J+ is truncated to
+the task's rank, since the paper's J^-1 does not exist for this arm. Joint limits are kept. An arm of fewer than six
+joints cannot reach both position and attitude, and is brought to the position first (`attitude_weight`). Near joint
+limits and singular poses a correction can increase the error. Of the target and its corrections, the command is
+therefore the one with the smallest expected error. One pose is computed on Python floats, as in a control loop. Many
+poses are computed on NumPy in blocks, as in vector environments. The residual's network is most of the cost, so it is
+evaluated once, at joints that are corrected by geometry alone.
 """
 
 from __future__ import annotations
@@ -37,20 +37,22 @@ from pickenv.calibration.identification.extended_kalman_filter import FilterStat
 # lines run on NumPy arrays and torch tensors.
 
 RIDGE = 16.0
-"""Ridge on the diagonal of J^T J, in rounding errors of its trace, so that a singular one can be factorised."""
+"""Ridge on the diagonal of J^T J, in rounding errors of its trace, so that a singular J^T J can be factorised."""
 
 SETTLED = 1e-4
-"""Largest turn, in the last iteration, of the direction that may be cut off, as 1 - cosine."""
+"""Largest rotation, as 1 - cosine, of the singular direction in the last inverse iteration, for it to be converged."""
 
 START = (0.9, -0.4, 1.0, 0.7, -1.1, 0.6, -0.3)
-"""Start of the search for the direction that may be cut off: near no direction that symmetry makes likely."""
+"""Start vector of the inverse iteration for the singular direction; no direction that symmetry makes likely is near."""
 
 Columns = Sequence[Sequence[Scalar]]
-"""n columns of J, each six components ``(...)``; plain zeros cost nothing."""
+"""The n columns of a Jacobian J, each with six components ``(...)``; components that are the float 0.0 cost nothing."""
 
 
 class TruncatedSolver:
-    """Factorised Jacobians of N poses, to be solved for as many right-hand sides as wanted.
+    """Minimum-norm solver of J x = e for the Jacobians of N poses; small singular values are cut off.
+
+    The Jacobians are factorised once and can be solved for any number of right-hand sides.
 
     Args:
         columns: The columns of J.
@@ -91,11 +93,11 @@ class TruncatedSolver:
             self._inverses = inverse @ m.swapaxes(inverse, 1, 2)  # of J^T J
 
     def solve(self, right: Sequence[Scalar], columns: Columns | None = None) -> list[Scalar]:
-        """Solutions, n components ``(...)``, for right-hand sides of six components ``(...)``.
+        """Solve J x = e for right-hand sides e, and return x as n components ``(...)``.
 
         Args:
-            right: The right-hand sides.
-            columns: Columns of a J that has changed a little since it was factorised. With the old factors, iterations
+            right: The right-hand sides, six components ``(...)``.
+            columns: Columns of a J that has changed a little since it was factorised. Iterations with the old factors
                 then end where J^T of the changed J maps the remaining error to zero.
         """
         projected = [_dot(column, right) for column in columns or self.columns]
@@ -107,7 +109,7 @@ class TruncatedSolver:
         return solution
 
     def _in_doubt(self, values: Sequence[Scalar]) -> Scalar:
-        """Values of the doubtful poses ``(k, len(values))``; plain numbers are repeated for each pose."""
+        """Return the values of the doubtful poses ``(k, len(values))``; plain numbers are repeated for each pose."""
         return self._m.stack([(self._zeros + value)[self.doubtful] for value in values], 1)
 
     def _solve(self, right: Sequence[Scalar]) -> list[Scalar]:
@@ -155,7 +157,7 @@ def _forward(lower: list[list[Scalar]], right: Sequence[Scalar]) -> list[Scalar]
 
 
 def _inverse_trace(lower: list[list[Scalar]], inverse_diagonal: list[Scalar]) -> Scalar:
-    """Trace of the inverse of L D L^T: the squares of L^-1, weighed by D^-1."""
+    """Compute the trace of the inverse of L D L^T: the squares of L^-1, weighted by D^-1."""
     total: Scalar = 0.0
     inverse: list[list[Scalar]] = []  # of L, below its diagonal
     for i, row in enumerate(lower):
@@ -174,7 +176,15 @@ def _without(direction: Sequence[Scalar], vector: Sequence[Scalar]) -> list[Scal
 
 
 def aimed(nominal: Geometry, filters: Sequence[FilterState], joints: Array) -> Array:
-    """Joints ``(N, n)`` that bring each arm, as its filter models it, to the nominal arm's pose at ``joints``."""
+    """Compute the joint commands ``(N, n)`` that bring each of N arms to the nominal arm's pose at its target.
+
+    Each arm is modelled by the geometry that its Kalman filter estimates.
+
+    Args:
+        nominal: The nominal geometry.
+        filters: Filter states, one per arm.
+        joints: Joint targets ``(N, n)``, rad or m.
+    """
     rows = (Compensator(nominal, state.geometry)(row) for state, row in zip(filters, joints, strict=True))
     return np.stack(list(rows))
 
@@ -182,14 +192,14 @@ def aimed(nominal: Geometry, filters: Sequence[FilterState], joints: Array) -> A
 def taught(
     filters: Sequence[FilterState], joints: Array, seen: Array, noise: MeasurementNoise, wander: float, seconds: float
 ) -> list[FilterState]:
-    """Filters after a pause and one measurement of each tool.
+    """Update the Kalman filter of each arm after a pause and one measurement of its tool position.
 
     Args:
-        filters: One per arm.
-        joints: Joints ``(N, n)`` that the arms were sent to.
+        filters: Filter states before the pause, one per arm.
+        joints: Commanded joints ``(N, n)``, rad or m.
         seen: Measured tool positions ``(N, 3)``, m.
         noise: Noise of the measurement, including errors that a geometry cannot explain.
-        wander: Tolerances per root hour by which every parameter may have wandered.
+        wander: Random walk of each parameter, in its tolerances per square root of an hour.
         seconds: Time since the previous measurement, s.
     """
     return [
@@ -199,32 +209,33 @@ def taught(
 
 
 BLOCK = 2048
-"""Number of poses worked on together; so many fit into a core's first caches."""
+"""Number of poses that are computed together; so many fit into a core's first caches."""
 
 NEGLIGIBLE = 1e-6
-"""Largest expected loss by a correction that is still commanded, m or rad; single precision rounds by as much."""
+"""Increase of the expected error, m or rad, below which a correction is still used; single precision rounds so much."""
 
 
 Residual = Callable[[Array], Array]
-"""A learnt residual, as a compensator needs it: ``(..., 6)``, m and rad, world axes, at joints ``(..., n)``."""
+"""A residual model as a function: from joints ``(..., n)`` to pose errors ``(..., 6)``, m and rad, in world axes."""
 
 
 @dataclass(frozen=True, eq=False)
 class Compensator:
-    """Maps joint targets, meant for the nominal arm, to joint commands for the real one.
+    """Map from joint targets of the nominal arm to joint commands that bring the real arm to the same poses.
 
     Attributes:
         nominal: The geometry that the controller uses.
         identified: The calibrated geometry.
-        residual: Learnt residual, or None.
-        iterations: Number of corrections, each from the joints of the one before, with the factors of one Jacobian. On
-            the picking arm with the paper's network, one correction leaves 1.4 um of the predicted error on average,
-            two leave 0.9 um, because the residual changes by its own correction. Without a residual, one leaves 1 um,
-            two leave nothing.
-        single_precision: Whether many poses at once are corrected in single precision: faster, with 0.1 um more error.
+        residual: Terms and learnt residual of the calibration as one function, or None.
+        iterations: Number of corrections. Each starts from the joints of the one before, and all use the factors of one
+            Jacobian. On the picking arm with the paper's network, one correction leaves 1.4 um of the predicted error
+            on average. Two leave 0.9 um, because the residual changes by its own correction. Without a residual, one
+            leaves 1 um, two leave nothing.
+        single_precision: Whether many poses at once are corrected in single precision. This is faster, with 0.1 um more
+            error.
         reservations: Reasons against using the compensator, by name (`pickenv.base.obey`).
-        within95: Function of commands ``(..., n)`` that gives the bounds of 95 of 100 position errors, m, and attitude
-            errors, rad, as counted on held-out rows; None if they are unknown.
+        within95: Function of commands ``(..., n)`` that returns the bounds on 95 of 100 position errors, m, and
+            attitude errors, rad, as counted on held-out rows; None if they are unknown.
         caution: A sentence on the part of the workspace that the rows do not cover; None if they cover it.
     """
 
@@ -238,7 +249,7 @@ class Compensator:
     caution: str | None = None
 
     def __call__(self, joints: ArrayLike) -> Array:
-        """Joint commands ``(..., n)`` for joint targets ``(..., n)``, rad or m, within the joint limits.
+        """Compute joint commands ``(..., n)`` within the joint limits for joint targets ``(..., n)``, rad or m.
 
         Raises:
             InputError: If a target is not finite.
@@ -252,7 +263,7 @@ class Compensator:
         return np.concatenate(blocks).reshape(joints.shape) if blocks else joints.copy()
 
     def checked(self, joints: ArrayLike) -> Array:
-        """Joint targets ``(..., n)`` as an array, checked as `__call__` says."""
+        """Return joint targets ``(..., n)`` as an array, after the checks of `__call__`."""
         joints = np.asarray(joints, dtype=float)
         split_joints(self.nominal.joints, joints)  # checks the number of joints
         if not math.isfinite(joints.sum()):  # the cheapest question; no joints are so large that they overflow
@@ -263,9 +274,10 @@ class Compensator:
         return joints
 
     def compiled(self, count: int) -> Callable[[ArrayLike], Array]:
-        """This map as machine code, equal up to rounding, for repeated calls with ``count`` targets ``(count, n)``.
+        """Compile this map to machine code for repeated calls with ``count`` targets ``(count, n)``.
 
-        In single precision there is no machine code, and this compensator itself is returned.
+        The results are equal up to rounding. There is no machine code for single precision; the compensator itself is
+        then returned.
 
         Raises:
             MissingExtra: If llvmlite is not installed.
@@ -296,7 +308,7 @@ class Compensator:
         return run
 
     def predict(self, joints: ArrayLike) -> Pose:
-        """The expected pose of the real tool at joint commands ``(..., n)``: identified pose plus residual."""
+        """Predict the pose of the real tool at joint commands ``(..., n)``: identified pose plus residual."""
         pose = forward(self.identified, joints)
         return pose if self.residual is None else displace_pose(pose, self.residual(np.asarray(joints, dtype=float)))
 
@@ -305,19 +317,19 @@ class Compensator:
         return chain_of(self.nominal), chain_of(self.identified)
 
     def _block(self, rows: Array) -> Array:
-        """Commands for targets ``(N, n)``; only the corrections, which are small, are ever in single precision."""
+        """Compute commands for targets ``(N, n)``; in single precision, only the corrections are rounded."""
         target = np.ascontiguousarray(rows.T, dtype=np.float32 if self.single_precision else np.float64)
         correction = np.stack(self._corrected(np, list(target)), axis=1) - target.T
         return np.asarray(np.clip(rows + correction, self.nominal.lower, self.nominal.upper))
 
     def _corrected(self, m: ModuleType, target: Sequence[Scalar]) -> Sequence[Scalar]:
-        """Commands for targets, joint by joint: floats with ``m`` = math, arrays ``(N,)`` with ``m`` = numpy."""
+        """Compute commands, one item per joint: floats with ``m`` = math, arrays ``(N,)`` with ``m`` = numpy."""
         learnt = None if self.residual is None else partial(_learnt, m, self.residual)
         return corrected(m, self.nominal, self._chains, target, self.iterations, learnt)
 
 
 def _learnt(m: ModuleType, residual: Residual, joints: Sequence[Scalar]) -> list[Scalar]:
-    """Components of the learnt residual at joints, six numbers or arrays ``(N,)``."""
+    """Return the six components of the learnt residual at joints: numbers, or arrays ``(N,)``."""
     if m is math:
         return list(residual(np.array(joints)).tolist())
 
@@ -340,15 +352,18 @@ def corrected(
     iterations: int,
     residual: Callable[[Sequence[Scalar]], Sequence[Scalar]] | None = None,
 ) -> Sequence[Scalar]:
-    """Commands for targets, joint by joint, as `Compensator` gives them, for any array module and number of arms.
+    """Compute commands for targets as `Compensator` does, for any array module and number of arms.
 
     Args:
         m: ``math``, ``numpy`` or ``torch``.
         nominal: The geometry that the controller uses, for joint types and limits.
-        chains: The nominal chain and the identified chain; the latter may hold many arms.
-        target: Joint targets, n components, rad or m.
-        iterations: See `Compensator`.
-        residual: Learnt residual of joints, six components (m, rad), or None.
+        chains: The nominal chain and the identified chain. The identified chain may hold many arms.
+        target: Joint targets: n components ``(...)``, rad or m.
+        iterations: Number of corrections, as in `Compensator`.
+        residual: Function from joints, n components, to the residual, six components in m and rad; or None.
+
+    Returns:
+        The commands: n components ``(...)``, rad or m.
     """
     nominal_chain, identified = chains
     limits = list(zip(nominal.lower.tolist(), nominal.upper.tolist(), strict=True))
@@ -379,7 +394,7 @@ def _weighed(weight: float, parts: Sequence[Scalar]) -> Sequence[Scalar]:
 
 
 Expected = tuple[Sequence[Scalar], Scalar]
-"""Joints, and the size of the pose error expected at them, with the task's weight of attitudes."""
+"""Joints, and the norm of the pose error expected there; attitude errors are weighted as in the task."""
 
 
 def _expected(m: ModuleType, joints: Sequence[Scalar], error: Sequence[Scalar]) -> Expected:
@@ -389,7 +404,7 @@ def _expected(m: ModuleType, joints: Sequence[Scalar], error: Sequence[Scalar]) 
 
 
 def _nearer(m: ModuleType, one: Expected | None, other: Expected) -> Expected:
-    """For each pose ``other``, or ``one`` where the error of ``other`` is larger by `NEGLIGIBLE` or more."""
+    """Return ``other`` for each pose, but ``one`` where the error of ``other`` is larger by `NEGLIGIBLE` or more."""
     if one is None:
         return other
     nearer = other[1] < one[1] + NEGLIGIBLE
@@ -415,7 +430,7 @@ Solve = Callable[[Sequence[Scalar], Sequence[Sequence[Scalar]]], list[Scalar]]
 
 
 def _solver(m: ModuleType, columns: Sequence[Sequence[Scalar]]) -> Solve:
-    """The function that gives the joint steps to remove pose errors, for this Jacobian or one close to it."""
+    """Return a function that computes joint steps which remove pose errors, for this Jacobian or one close to it."""
     if m is not math:
         return TruncatedSolver(columns, m).solve
     root = truncated_inverse(np.array(columns).T)

@@ -1,1 +1,1 @@
-"""Handing a calibration over: files that robots, controllers, simulators and other programs read."""
+"""Export of a calibration to files that robots, controllers, simulators and other programs read."""

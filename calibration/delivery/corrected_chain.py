@@ -1,12 +1,12 @@
-"""Corrected places of the joints in a robot's own file; joint readings and the shapes of links stay as before.
+"""Compute corrected joint origins for a robot's own file; joint readings and the shapes of links do not change.
 
-N_i and C_i are the link frames of the arm's table before and after calibration, and D_i is the frame of the file's
-joint i, all where the file's joints are zero. K_i = N_i^-1 D_i is constant. The corrected joint stands at C_i K_i; its
-origin is that pose relative to the corrected frame before it. The chain begins at the robot's own base: where an
-instrument stood is no part of it. If the next axis is parallel, no measurement tells where along its axis a link
-stands, and a fit may put it anywhere; the link then stays where the file draws it, as in Universal Robots' own
-calibration (ur_calibration, correctAxis). The last joint can also move the tool along or about its own axis, so that
-part of the tool's correction is given to the joint. Metres and radians.
+N_i and C_i are the link frames of the arm's DH table before and after calibration. D_i is the frame of the file's joint
+i. All hold where the file's joints are zero. K_i = N_i^-1 D_i is constant. The corrected joint frame is C_i K_i, and
+its origin is that pose relative to the corrected frame before it. The chain begins at the robot's own base, so the
+instrument's place is no part of it. If the next axis is parallel, no measurement determines the place of a link along
+its axis, and a fit may put it anywhere. The link then keeps its place in the file, as in Universal Robots' own
+calibration (ur_calibration, correctAxis). The last joint can move the tool along and about its own axis. That part of
+the tool's correction is therefore given to the joint. Metres and radians.
 """
 
 from __future__ import annotations
@@ -40,20 +40,20 @@ from pickenv.calibration.pipeline.calibration import Calibration
 
 
 NEAR, TURNED = 1e-4, 2e-4
-"""Largest distance, m, and angle, rad, between two axes that count as the same; a file's last digits cause as much."""
+"""Largest distance, m, and angle, rad, between two axes that count as equal; rounding in a file causes so much."""
 LEAST_SHARE = 1e-3
-"""Share of `NEAR` and `TURNED` below which two relations fit equally well: a tenth of a micrometre."""
+"""Deviation, as a share of `NEAR` and `TURNED`, below which two relations fit equally well: 0.1 micrometre."""
 
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 POSES = 12
-"""Number of poses at which the frames of file and table are compared."""
+"""Number of poses at which the link frames of file and table are compared."""
 
 
 SameChain = tuple[Pose, Array, Array]
-"""The relation of an arm's table to a file of the same chain, as root, sign and zero.
+"""The relation of an arm's DH table to a file of the same chain: root, sign and zero.
 
-They are the pose of the table's world frame in the file's root; 1 or -1 for each joint (n,); and the table's joint
-values where the file's are zero (n,), rad or m.
+The root is the pose of the table's world frame in the file's root link. The sign is 1 or -1 for each joint (n,). The
+zero holds the table's joint values where the file's are zero (n,), rad or m.
 """
 
 
@@ -82,16 +82,16 @@ class _Axis:
 
 
 def link_frames(geometry: Geometry, joints: Array) -> list[Pose]:
-    """Poses of the links ``(...)`` in the world at joints ``(..., n)``, first to last, before the tool."""
+    """Compute the poses ``(...)`` of all links in the world at joints ``(..., n)``, rad or m, without the tool."""
     return [pose_of(frame) for frame in frames(np, chain_of(geometry), list(np.moveaxis(joints, -1, 0)))[1:]]
 
 
 def same_chain(arm: Geometry, file: Geometry, name: str, arm_name: str) -> SameChain:
-    """The relation of the arm's table to the chain of a file that must describe the same arm.
+    """Find the relation of an arm's DH table to a file that must describe the same arm.
 
     Args:
-        arm: The arm as it was before its calibration.
-        file: The chain of the file, root to tip.
+        arm: The arm's geometry before its calibration.
+        file: The geometry that the file describes, from root to tip.
         name: Name of the file, for messages.
         arm_name: Name of the arm, for messages.
 
@@ -128,7 +128,7 @@ def _axes(geometry: Geometry) -> list[_Axis]:
 def _fits(
     arm: Geometry, mine: list[_Axis], theirs: list[_Axis], worst: dict[int, tuple[float, float]]
 ) -> Iterator[SameChain]:
-    """Relations (root, signs, zeros) under which all axes of both chains agree, the plainest first.
+    """Yield the relations (root, signs, zeros) under which all axes of both chains agree, the simplest first.
 
     ``worst`` is filled with the smallest distance and angle by which each joint's axes missed in attempts that failed.
     """
@@ -136,9 +136,9 @@ def _fits(
     signs = (1.0, -1.0) if free else (1.0,)
 
     def further(i: int, by: Pose, sign: list[float], zero: list[float]) -> Iterator[tuple[list[float], list[float]]]:
-        """Signs and zeros with which axes i and later agree too, once axes 0 to i - 1 do.
+        """Yield signs and zeros with which axes i and later agree too, if axes 0 to i - 1 do.
 
-        ``by`` is the motion that has been given so far to everything behind axis i - 1.
+        ``by`` is the motion so far of all axes after axis i - 1.
         """
         if i == n:
             yield sign, [*zero, 0.0]
@@ -162,12 +162,12 @@ def _fits(
 
 
 def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose]:
-    """Candidate roots, which bring the first axes of both chains together.
+    """Yield candidate roots, which make the first axes of both chains equal.
 
-    In turn: the frames as they are, the best fit of all axes to all axes, and the first axis laid upon the first. The
-    last of these is free to shift along the axis and to turn about it: the first later axis that is not parallel fixes
-    the shift, the second axis the turn. If the arm begins with a slide, only the first two are tried, in which joints
-    read alike.
+    They are the frames as they are, the best fit of all axes, and the first axis of one chain put on that of the other.
+    The last of these leaves a shift along the axis and a turn about it. The first later axis that is not parallel fixes
+    the shift, and the second axis the turn. If the arm begins with a prismatic joint, only the first two are tried; in
+    these, joints have equal readings in both chains.
     """
     target = theirs[0].turned(turn)
     if mine[0].same(target):
@@ -187,10 +187,10 @@ def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose
 
 
 def _height(axes: list[_Axis]) -> float:
-    """The place along the first axis, m from its point, where the chain leaves it.
+    """Compute the position along the first axis, m from its point, at which the chain leaves it.
 
-    It is where the common normal of two axes stands: the last one parallel to the first axis, and the next one. This
-    does not depend on the joints' values. 0 if all axes are parallel, or if a slide comes before.
+    It is the foot of the common normal of two axes: the last one parallel to the first axis, and the next one. It does
+    not depend on joint values. It is 0 if all axes are parallel, or if a prismatic joint comes before.
     """
     first = axes[0]
     for last, following in itertools.pairwise(axes):
@@ -205,7 +205,7 @@ def _height(axes: list[_Axis]) -> float:
 
 
 def _laid(mine: list[_Axis], theirs: list[_Axis]) -> Pose:
-    """The root with which the axes agree best in least squares if joints read alike: directions first, then places."""
+    """Fit the root to all axes by least squares, directions first, then positions, at equal joint readings."""
     with warnings.catch_warnings():  # parallel axes leave it open; another root is tried then
         warnings.filterwarnings("ignore", message="Optimal rotation is not uniquely")
         turn = Rotation.align_vectors([axis.direction for axis in theirs], [axis.direction for axis in mine])[0]
@@ -220,7 +220,7 @@ def _laid(mine: list[_Axis], theirs: list[_Axis]) -> Pose:
 
 
 def _value(last: _Axis, here: _Axis, wanted: _Axis) -> float:
-    """The value of the joint on axis ``last`` that moves axis ``here`` onto ``wanted``; 0 if the axes leave it open."""
+    """Compute the value of the joint on axis ``last`` that moves axis ``here`` onto ``wanted``; 0 if undetermined."""
     if last.slides:
         if wanted.slides:
             return 0.0
@@ -240,7 +240,7 @@ def _across(vector: Array, axis: _Axis) -> Array:
 
 
 def _along(axis: _Axis, value: float) -> Pose:
-    """The motion of what stands on a joint's axis when the joint moves by ``value``, rad or m."""
+    """Return the motion of the link behind a joint's axis when the joint moves by ``value``, rad or m."""
     if axis.slides:
         return Pose(value * axis.direction, np.eye(3))
     turn = Rotation.from_rotvec(value * axis.direction).as_matrix()
@@ -248,10 +248,17 @@ def _along(axis: _Axis, value: float) -> Pose:
 
 
 def frames_apart(arm: Geometry, file: Geometry, root: Pose, sign: Array, zero: Array) -> tuple[float, float]:
-    """Largest distance, m, and angle, rad, between the link frames of table and file over several poses.
+    """Compute the largest distance, m, and angle, rad, between the link frames of table and file over several poses.
 
-    The frames are laid upon one another at the first pose. The result is the largest change from there, over poses, of
-    K_i = N_i^-1 G^-1 U_i, where N_i is a link frame of the table, U_i one of the file and G the root.
+    The frames are made equal at the first pose. The result is the largest change over the other poses of
+    K_i = N_i^-1 G^-1 U_i. N_i is a link frame of the table, U_i one of the file, and G is the root.
+
+    Args:
+        arm: The arm's geometry before its calibration.
+        file: The geometry that the file describes.
+        root: Pose of the table's world frame in the file's root link, G.
+        sign: Sign of each joint (n,), as in `SameChain`.
+        zero: The table's joint values where the file's are zero (n,), rad or m.
     """
     fractions = np.mod(GOLDEN * np.arange(1, POSES * file.joints + 1).reshape(POSES, -1), 1.0) - 0.5
     joints = np.where(file.prismatic, 1.0, np.pi) * np.vstack([np.zeros(file.joints), fractions])
@@ -269,11 +276,12 @@ Z = np.array([0.0, 0.0, 1.0])
 def corrected_chain(
     nominal: Geometry, identified: Geometry, joints: Sequence[ChainJoint], same: SameChain
 ) -> tuple[list[Pose], Pose]:
-    """The corrected origins of a file's joints, and the pose of the calibrated tool in the last joint's frame.
+    """Compute the corrected origins of a file's joints, and the calibrated tool's pose in the last joint's frame.
 
     Args:
-        nominal: The arm as it was before its calibration.
-        identified: The calibrated arm in its own base: if an instrument's frame was fitted, the base is as before.
+        nominal: The arm's geometry before its calibration.
+        identified: The calibrated geometry in the robot's own base. If base and tool were fitted, the base is that of
+            ``nominal``.
         joints: The joints of the file.
         same: The relation of ``nominal`` to the file.
     """
@@ -293,11 +301,13 @@ def corrected_chain(
 
 
 def corrected_tree(calibration: Calibration, rows: Sequence[JointRow], path: Path) -> list[tuple[ChainJoint, Pose]]:
-    """The joints of a whole robot with their corrected origins; where sensors and targets sit is no part of the robot.
+    """Compute the corrected origins of a whole robot's joints, and return each joint with its new origin.
+
+    The places of sensors and targets are no part of the robot.
 
     Args:
         calibration: The calibration.
-        rows: The file's joints up to each of the tree's named parts, in the tree's order.
+        rows: For each named part of the robot's kinematic tree, the file's joints up to it, in the tree's order.
         path: The file, for messages.
 
     Raises:
@@ -328,11 +338,11 @@ def _moved_origins(
     signs: Sequence[float],
     corrected: Mapping[str, Pose] | None = None,
 ) -> tuple[list[Pose], Pose, Pose]:
-    """The corrected origins of a file's joints, and the pose behind the last one as the file has it and as corrected.
+    """Compute the corrected origins of a file's joints, and the pose after the last joint in the file and corrected.
 
     Args:
         before: Poses of the arm's links in the file's root, at the file's zero, before the calibration.
-        after: The same, as calibrated.
+        after: These poses after the calibration.
         joints: The joints of the file.
         signs: Sense of each link's motion in the table against the file's, 1 or -1.
         corrected: Origins that are already corrected, by the joint's name.
@@ -362,7 +372,7 @@ def _moved_origins(
 
 
 def _slips(before: Sequence[Pose], link: int, joint: ChainJoint) -> bool:
-    """Whether a link may stand anywhere along its axis: true if its joint turns and the next axis is parallel."""
+    """Return whether a link's place along its axis is arbitrary: its joint is revolute and the next axis parallel."""
     if joint.slides or link + 1 == len(before):
         return False
     axis, following = (pose.rotation[:, 2] for pose in before[link : link + 2])
@@ -384,24 +394,24 @@ def _laid_upon(laid: Pose, joint: ChainJoint, sign: float) -> Pose:
 
 
 RIGID = "not in the file, because rigid links cannot hold it"
-"""Words for what a file of rigid links leaves out."""
+"""Beginning of a sentence on what a file of rigid links leaves out."""
 
 NOTHING = 1e-12
-"""Change of an origin, m or rad, up to which its text in the file is kept."""
+"""Change of an origin, m or rad, up to which its text in the file is not changed."""
 
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """New places of a file's joints and tool; of a whole robot there are joints alone.
+    """Corrected poses of a file's joints and tool; for a whole robot, joints alone.
 
     Attributes:
-        moves: Each of the file's joints and its new origin, in the frame of `ChainJoint.origin`.
-        notes: Sentences on what the file holds of the calibration and what it does not.
-        root: Pose of the arm's base frame in the file's root.
-        hand: Pose of the calibrated tool in the tip's frame, if the tip's mount stays as it was.
-        mount: New pose of the tip in the last joint's frame; None if it stays as it was.
-        frame: Pose in the tip's frame of a new frame for the calibrated tool; None if no such frame is needed or can
-            be written.
+        moves: Each of the file's joints with its new origin, in the frame of `ChainJoint.origin`.
+        notes: Sentences that say which parts of the calibration the file holds, and which it does not.
+        root: Pose of the table's world frame in the file's root link.
+        hand: Pose of the calibrated tool in the tip's frame, if the tip's own pose in the file does not change.
+        mount: New pose of the tip in the last joint's frame; None if it does not change.
+        frame: Pose of the calibrated tool in the tip's frame, for a new frame that is fixed to the tip. None if no such
+            frame is needed or can be written.
     """
 
     moves: list[tuple[ChainJoint, Pose]]
@@ -413,16 +423,16 @@ class Correction:
 
 
 def correction(calibration: Calibration, rows: Sequence[JointRow], path: Path, frame: str = "") -> Correction:
-    """The corrected places of the joints and the tool in a robot's own file.
+    """Compute the corrected poses of the joints and the tool in a robot's own file.
 
-    A link that a joint moves has its frame on that joint's axis. If the tip is such a link, and the calibrated tool
-    lies beside the axis, the tool becomes a frame of its own that is fixed to the tip.
+    A link that a joint moves has its frame on that joint's axis. If the tip is such a link, the calibrated tool can lie
+    beside the axis. It then becomes a frame of its own that is fixed to the tip.
 
     Args:
         calibration: The calibration.
-        rows: The file's joints up to its tip, or up to each of a whole robot's named parts.
+        rows: The file's joints up to its tip; for a whole robot, one item for each of its named parts.
         path: The file, for messages.
-        frame: Name of a new frame behind the tip; empty if the format has no such frames.
+        frame: Name of the new frame that is fixed to the tip; empty if the file's format has no such frames.
 
     Raises:
         InputError: If the file is of another arm.
@@ -470,38 +480,40 @@ def correction(calibration: Calibration, rows: Sequence[JointRow], path: Path, f
 
 
 def own_origin(own: Pose, whole: Pose, corrected: Pose) -> Pose:
-    """The new pose to write in an element, if fixed elements before it in the file keep theirs.
+    """Compute the new pose of an element in a file, if the fixed elements before it keep their poses.
 
     Args:
-        own: The pose that the element itself has now.
-        whole: The pose that it and the fixed elements before it, back to the joint before, have together now.
-        corrected: The pose that they are to have together.
+        own: The element's own pose now.
+        whole: The composed pose now, of the element and the fixed elements between it and the joint before.
+        corrected: The composed pose that is wanted.
     """
     return behind(behind(own, inverse_pose(whole)), corrected)
 
 
 def is_moved(old: Pose, new: Pose) -> tuple[bool, bool]:
-    """Whether the positions of two poses, and whether their rotations, differ by more than the last digits."""
+    """Return whether the positions of two poses, and whether their rotations, differ by more than `NOTHING`."""
     position, turn = apart(old, new)
     return position > NOTHING, turn > NOTHING
 
 
 def changed(old: Pose, new: Pose, place: str, attitude: str, words: Callable[[Pose], str]) -> dict[str, str]:
-    """New texts of the attributes that hold a pose's position and attitude; one that does not change is left out.
+    """Return new texts, by name, of the attributes that hold a pose's position and attitude.
+
+    An attribute that does not change is left out.
 
     Args:
         old: The pose in the file.
         new: The pose to write.
         place: Name of the position's attribute.
         attitude: Name of the attitude's attribute.
-        words: Function that writes a pose's attitude as text.
+        words: Function that returns a pose's attitude as text.
     """
     shifted, turned = is_moved(old, new)
     return ({place: numbers_text(new.position)} if shifted else {}) | ({attitude: words(new)} if turned else {})
 
 
 def _readings(calibration: Calibration, own: JointRow, same: SameChain) -> Iterator[str]:
-    """A sentence on the joints that read otherwise in the file than in the arm's table, if there are any."""
+    """Yield a sentence that names joints whose readings in the file differ from the arm's table, if there are any."""
     drivers = dict.fromkeys(joint.driver for joint in own.joints if joint.ratio)  # in the file's order
     readings = [
         f"{name} = {sign:+.0f} x {joint} {'+' if zero >= 0 else '-'} {abs(zero):.6g}"
@@ -513,7 +525,11 @@ def _readings(calibration: Calibration, own: JointRow, same: SameChain) -> Itera
 
 
 def moved_words(moves: Sequence[tuple[ChainJoint, Pose]]) -> str:
-    """A sentence on how far joints' origins move, each given as the file has it and as corrected."""
+    """Return a sentence that says how far joint origins move.
+
+    Args:
+        moves: Each joint as the file has it, with its corrected origin.
+    """
     sizes = {joint.name: apart(joint.origin, new) for joint, new in moves if any(is_moved(joint.origin, new))}
     if not sizes:
         return "no joint origin differs from what the file has; nothing is changed"
@@ -525,7 +541,14 @@ def moved_words(moves: Sequence[tuple[ChainJoint, Pose]]) -> str:
 
 
 def refuse_lost_files(path: Path, out: Path, names: Iterable[str]) -> None:
-    """Refuse a robot's file if files that it names by relative paths are missing, or lost from the new file's folder.
+    """Refuse a robot's file if files that it names by relative paths are missing.
+
+    They must exist relative to the robot's file, and relative to the new file.
+
+    Args:
+        path: The robot's own file.
+        out: The new file.
+        names: Paths or URLs that the robot's file names, such as those of meshes.
 
     Raises:
         InputError: If such a file would not be found; the message names it and what to do.

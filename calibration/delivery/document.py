@@ -1,4 +1,4 @@
-"""Documents that hold a corrected arm, with notes on what of the calibration they leave out; edits of XML as text."""
+"""Documents that exporters write, with notes on what of a calibration they leave out; and edits of XML as text."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ from pickenv.calibration.pipeline.calibration import Calibration
 
 @dataclass(frozen=True, eq=False)
 class Document:
-    """A file to be written.
+    """The content of an exported file.
 
     Attributes:
         data: Content of the file.
-        notes: Sentences on what the file holds of a calibration and what it does not.
-        beside: Path and content of further files that are written with it.
-        path: Where the file was written; empty before.
+        notes: Sentences that say which parts of the calibration the file holds, and which it does not.
+        beside: Contents, by path, of further files that are written with it.
+        path: Path of the written file; empty before it is written.
     """
 
     data: bytes
@@ -36,16 +36,16 @@ class Document:
 
 @dataclass(frozen=True, eq=False)
 class Order:
-    """What an exporter is to write: everything that it is given besides the calibration.
+    """Options of an export, which an exporter gets besides the calibration.
 
     Attributes:
         out: The file to write.
         onto: The robot's own file, in which only what the calibration corrects is changed; None for a new file.
-        tip: The tip's link, if it was named behind ``onto``; else None.
+        tip: Name of the link at the tip, if the caller gave it as in "robot.urdf#link"; else None.
         arm: The arm, if it was given.
         counts_per_turn: Encoder counts per turn, for tables of offsets.
-        sample: Number of arms that the data allow, written beside a new MJCF.
-        seed: Seed of the sample.
+        sample: Number of arms that are drawn from the calibration's posterior and written beside a new MJCF.
+        seed: Seed of these draws.
     """
 
     out: Path
@@ -57,12 +57,12 @@ class Order:
     seed: int = 0
 
     def arm_of(self, calibration: Calibration) -> Arm:
-        """The calibration's arm with its joint speeds, which a calibration does not hold.
+        """Return the calibration's arm with its joint speeds, which a calibration does not hold.
 
-        It is the arm that was given, or else the shipped arm of that name.
+        It is the arm that was given, or else the shipped arm of the calibration's name.
 
         Raises:
-            InputError: If no arm was given and it is no shipped one, or if another arm was given.
+            InputError: If another arm was given, or if none was given and no shipped arm equals the calibration's.
         """
         arm = self.arm
         if arm is None and calibration.arm_name in shipped_arms():
@@ -75,7 +75,7 @@ class Order:
 
 
 def provenance(calibration: Calibration) -> tuple[str, ...]:
-    """Lines that say where a corrected arm comes from: arm, data, identified parameters and versions."""
+    """Return lines of text on the origin of a corrected arm: arm, data, identified parameters and versions."""
     record = calibration.record
     lines = [
         f"Arm '{calibration.arm_name}' as calibrated by pickenv; do not edit, calibrate again.",
@@ -92,9 +92,13 @@ def provenance(calibration: Calibration) -> tuple[str, ...]:
 
 
 def left_out(calibration: Calibration, words: str = "not in the file, because no geometry can hold it") -> list[str]:
-    """A sentence, behind ``words``, that names the terms and the residual, which files of rigid links cannot hold.
+    """Return a sentence that names the terms and the learnt residual, which files of rigid links cannot hold.
 
-    The list is empty if the calibration has neither.
+    The sentence is the only item of a list. The list is empty if the calibration has neither.
+
+    Args:
+        calibration: The calibration.
+        words: Beginning of the sentence.
     """
     names = [type(term).__name__ for term in calibration.model.terms]
     if calibration.learnt is not None:
@@ -103,7 +107,7 @@ def left_out(calibration: Calibration, words: str = "not in the file, because no
 
 
 def xml_comment(lines: Iterable[str]) -> list[str]:
-    """The lines of an XML comment that holds ``lines``."""
+    """Return the lines of an XML comment that holds ``lines``."""
     return ["<!--", *(one_line(line).replace("--", "- -") for line in lines), "-->"]
 
 
@@ -112,7 +116,7 @@ def xml_comment(lines: Iterable[str]) -> list[str]:
 
 
 TO_TAG_END = re.compile(rb"""(?:[^>"']|"[^"]*"|'[^']*')*>""")
-"""Matches up to the ``>`` that ends a tag, past any ``>`` within quotes."""
+"""Pattern that matches up to the ``>`` that ends a tag, past any ``>`` within quotes."""
 ATTRIBUTE = re.compile(rb"""\s+([^\s=/>]+)\s*=\s*("[^"]*"|'[^']*')""")
 
 
@@ -123,9 +127,9 @@ class StartTag:
     Attributes:
         name: Name of the element.
         attributes: Values of its attributes by name.
-        start: Place in the text of the tag's first byte, its ``<``.
-        end: Place of the byte after its ``>``.
-        parent: Index in `start_tags` of the element around it; None for the root.
+        start: Index in the text of the tag's first byte, its ``<``.
+        end: Index of the byte after its ``>``.
+        parent: Index, in the list of `start_tags`, of the element around it; None for the root.
     """
 
     name: str
@@ -135,7 +139,7 @@ class StartTag:
     parent: int | None
 
     def is_named(self, kind: str, name: str) -> bool:
-        """Whether the element is of this kind and its attribute ``name`` has this value."""
+        """Return whether the element's tag is ``kind`` and its attribute "name" equals ``name``."""
         return self.name == kind and self.attributes.get("name") == name
 
 
@@ -144,7 +148,7 @@ Edit = tuple[int, int, bytes]
 
 
 def start_tags(data: bytes) -> list[StartTag]:
-    """The start tag of every element of an XML text in UTF-8, in the text's order.
+    """Return the start tag of every element of an XML text in UTF-8, in the text's order.
 
     Raises:
         xml.parsers.expat.ExpatError: If the text is no XML.
@@ -167,9 +171,15 @@ def start_tags(data: bytes) -> list[StartTag]:
 
 
 def attribute_spans(data: bytes, tag: StartTag) -> tuple[dict[str, tuple[int, int, int]], int]:
-    """Places in the text of a tag's attributes, and the place after the last attribute.
+    """Find the attributes of a start tag in an XML text.
 
-    The places of an attribute, by its name, are its start and the start and end of its value within the quotes.
+    Args:
+        data: The text.
+        tag: The tag.
+
+    Returns:
+        For each attribute by name: the index of its start, and the indices of start and end of its value within the
+        quotes. Then the index after the last attribute.
     """
     after = tag.start + 1 + len(tag.name.encode())
     spans: dict[str, tuple[int, int, int]] = {}
@@ -180,7 +190,7 @@ def attribute_spans(data: bytes, tag: StartTag) -> tuple[dict[str, tuple[int, in
 
 
 def attribute_edits(data: bytes, tag: StartTag, values: Mapping[str, str]) -> list[Edit]:
-    """Edits that give attributes of a tag new values; attributes that the tag lacks are added behind its others."""
+    """Return the edits that give a tag's attributes new values; attributes that the tag lacks are added at its end."""
     spans, after = attribute_spans(data, tag)
     new = "".join(f' {name}="{value}"' for name, value in values.items() if name not in spans)
     edits = [(*spans[name][1:], value.encode()) for name, value in values.items() if name in spans]
@@ -188,20 +198,20 @@ def attribute_edits(data: bytes, tag: StartTag, values: Mapping[str, str]) -> li
 
 
 def inserted_first(data: bytes, tag: StartTag, element: str) -> Edit:
-    """An edit that puts an element right behind a start tag, with the line break and indent of what follows there."""
+    """Return the edit that inserts an element right after a start tag, with the line break and indent found there."""
     after = data[tag.end :]
     return tag.end, tag.end, after[: len(after) - len(after.lstrip())] + element.encode()
 
 
 def inserted_before(data: bytes, tag: StartTag, *elements: str) -> Edit:
-    """An edit that puts elements before a start tag, each on a line with the tag's indent."""
+    """Return the edit that inserts elements before a start tag, each on a line with the tag's indent."""
     before = data[: tag.start]
     gap = before[len(before.rstrip()) :]
     return tag.start, tag.start, b"".join(element.encode() + gap for element in elements)
 
 
 def edited(data: bytes, edits: Iterable[Edit]) -> bytes:
-    """The text after all edits."""
+    """Apply edits to a text, and return the new text."""
     parts, after = [], 0
     for start, end, new in sorted(edits, key=itemgetter(0)):
         parts += [data[after:start], new]

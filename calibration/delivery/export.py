@@ -1,6 +1,6 @@
-"""Handing a calibration over: `export` writes it as one kind of file.
+"""Export a calibration: `export` writes it as one of several kinds of files.
 
-What the file cannot hold of the calibration is said in `Document.notes`.
+`Document.notes` says which parts of the calibration the file cannot hold.
 """
 
 from __future__ import annotations
@@ -29,10 +29,10 @@ OPSET = 17
 
 @register("exporter", "onnx")
 def onnx_document(calibration: Calibration, _: Order) -> Document:
-    """The learnt network as ONNX: input ``joints`` (N, n) in rad and m, output ``residual`` (N, 6 or 3).
+    """Make an ONNX document of the learnt network: input ``joints`` (N, n), rad and m, output ``residual`` (N, 6 or 3).
 
     If the network was learnt with conditions, they are a second input ``conditions`` (N, c). The network is in double
-    precision, so that it equals `LearntResidual.predict`.
+    precision, so that its output equals that of `LearntResidual.predict`.
 
     Raises:
         InputError: If there is no learnt residual, its kind has no ONNX form, or the package ``onnx`` is missing.
@@ -110,12 +110,12 @@ def _onnx_model(learnt: LearntResidual, network: Bpnn, geometry: Geometry, words
 
 
 BY_ENDING = {".toml": "toml", ".urdf": "urdf", ".xml": "mjcf", ".onnx": "onnx"}
-"""Kind of a new file by its name's ending."""
+"""Kind of a new file by the ending of its name."""
 
 BY_OWN_ENDING = {".urdf": "urdf", ".xml": "mjcf", ".json": "lerobot"} | dict.fromkeys(
     (".yaml", ".yml"), "kinematics-yaml"
 )
-"""Kind of file to write by the ending of the robot's own file."""
+"""Kind of the file to write by the ending of the robot's own file."""
 
 
 def export(
@@ -134,16 +134,19 @@ def export(
     Args:
         calibration: The calibration.
         out: The file to write.
-        kind: Name of a registered exporter; if left out, it follows from the name of ``onto`` or else of ``out``.
-        onto: The robot's own file (URDF, kinematics YAML, LeRobot's JSON, a description with ros2_control), in which
-            only what the calibration corrects is changed; in "robot.urdf#link" the link is the tip.
-        arm: The arm, for the joint speeds of a new arm file or URDF; a shipped one is found by its name.
+        kind: Name of a registered exporter; if None, it follows from the name of ``onto`` or else of ``out``.
+        onto: The robot's own file (URDF, MJCF, kinematics YAML, LeRobot's JSON, a description with ros2_control), in
+            which only what the calibration corrects is changed. In "robot.urdf#link", the link is the tip.
+        arm: The arm, for the joint speeds of a new arm file or URDF. It is not needed for a shipped arm.
         counts_per_turn: Encoder counts per turn, for tables of offsets.
-        sample: Number of arms that the data allow, written beside a new MJCF.
-        seed: Seed of the sample.
+        sample: Number of arms that are drawn from the calibration's posterior and written beside a new MJCF.
+        seed: Seed of these draws.
+
+    Returns:
+        The written document, with its path and its notes.
 
     Raises:
-        InputError: If the kind is unknown, cannot hold the calibration, or the robot's own file is another arm's.
+        InputError: If the kind is unknown or cannot hold the calibration, or if the robot's own file is of another arm.
     """
     out = Path(out)
     robot_file, tip = _robot_file(onto)

@@ -1,10 +1,10 @@
-"""The part of a calibration that joint offsets can hold, and what they leave out.
+"""Reduce a calibration to joint offsets, and state the errors that these cannot correct.
 
 Controllers and servos often take one number per joint: the error of its reading. Least squares finds the offsets that
-bring the nominal arm nearest to the calibrated one over the region where it was measured. Pose differences in m and rad
-weigh alike; if only positions were measured, only positions count. What offsets cannot correct is stated in mm. If base
-and tool were fitted, the data cannot tell some offsets from a shift of base or tool; that part is left to base and tool
-(for a revolute first joint, the whole offset). SI units.
+bring the nominal arm nearest to the calibrated one over the region where it was measured. Pose differences in m and in
+rad have equal weight; if only positions were measured, only positions count. The errors that offsets cannot correct are
+stated in mm. If base and tool were fitted, some offsets have the same effect as a shift of base or tool. That part is
+left to base and tool; for a revolute first joint it is the whole offset. SI units.
 """
 
 from __future__ import annotations
@@ -37,25 +37,26 @@ STEPS = 6
 """Number of Gauss-Newton steps; offsets of a few degrees need three."""
 
 LOST = 1e-6
-"""Effect of an offset, as a share of the largest one's, below which no pose tells the offset."""
+"""Effect of an offset on poses, as a share of the largest such effect, below which the offset is not determined."""
 
 SPREAD = 256
-"""Number of poses that are compared if none are given."""
+"""Number of poses at which the arms are compared if none are given."""
 
 
 @dataclass(frozen=True, eq=False)
 class JointOffsets:
-    """Offsets of the joints' readings: a joint stands at its reading plus its offset.
+    """Offsets of joint readings: the true joint value is the reading plus the offset.
 
     Attributes:
-        offsets: Offsets (n,), rad or m; an offset that the data do not tell is zero.
-        untold: Names of the joints whose offsets the data do not tell.
-        deviation: Standard deviations of the offsets (n,), rad or m; NaN if the calibration knows none.
+        offsets: Offsets (n,), rad or m; 0 if the data do not determine an offset.
+        untold: Names of the joints whose offsets the data do not determine.
+        deviation: Standard deviations of the offsets (n,), rad or m; NaN if the calibration holds no covariance or the
+            data do not determine the offset.
         without: Mean position difference between nominal and calibrated arm over the poses, m.
-        left: Mean position difference that remains with the offsets, m: what a file of offsets leaves out.
+        left: Mean position difference that remains with the offsets, m.
         left_turn: Mean attitude difference that remains with the offsets, rad; None if only positions were measured.
-        poses: Number of poses compared.
-        region: What these poses are, in words.
+        poses: Number of poses at which the arms were compared.
+        region: What sentences call these poses.
     """
 
     offsets: Array
@@ -68,7 +69,7 @@ class JointOffsets:
     region: str
 
     def note(self) -> str:
-        """A sentence on how much the offsets correct and what they leave out."""
+        """Return a sentence that says how much the offsets correct, and which difference remains."""
         turn = "" if self.left_turn is None else f" and {np.degrees(self.left_turn):.3g} deg"
         untold = f"; of {', '.join(self.untold)} these data tell none" if self.untold else ""
         return (
@@ -79,12 +80,12 @@ class JointOffsets:
 
 
 def joint_offsets(calibration: Calibration, joints: Array | None = None) -> JointOffsets:
-    """The joint offsets that bring the nominal arm nearest to a calibration.
+    """Compute the joint offsets that bring the nominal arm nearest to the calibrated arm.
 
     Args:
         calibration: A calibration of any arm.
-        joints: Joint values ``(N, n)``, rad or m, at which the arms are compared; if left out, poses that fill the
-            measured joint ranges, or the joint limits if the calibration keeps no ranges.
+        joints: Joint values ``(N, n)``, rad or m, at which the arms are compared. If None, they fill the measured
+            joint ranges, or the joint limits if the calibration holds no ranges.
 
     Raises:
         InputError: If the calibration's terms need payloads, temperatures or torques, which offsets cannot follow.
@@ -117,7 +118,7 @@ def joint_offsets(calibration: Calibration, joints: Array | None = None) -> Join
 
 
 def _way(nominal: Geometry, joints: Array, rows: slice, columns: NDArray[np.int64]) -> tuple[Array, Array, Array]:
-    """Linear maps between pose differences, joint offsets and changes of base and tool.
+    """Compute the linear maps between pose differences, joint offsets and changes of base and tool.
 
     Args:
         nominal: The geometry.
@@ -126,8 +127,8 @@ def _way(nominal: Geometry, joints: Array, rows: slice, columns: NDArray[np.int6
         columns: The parameters of base and tool that were fitted.
 
     Returns:
-        The matrix from pose differences to the offsets that correct them, without what base and tool can correct as
-        well; the effect of offsets on poses; and the effect of the base's and tool's parameters on poses.
+        Three matrices. The first maps pose differences to the offsets that correct them, without the part that base and
+        tool can correct too. The second maps offsets to poses, the third parameters of base and tool to poses.
     """
     count = len(joints) * rows.stop
     effect = joint_jacobian(nominal, joints)[:, rows].reshape(count, -1)
@@ -158,9 +159,9 @@ def _deviation(calibration: Calibration, joints: Array, rows: slice, columns: ND
 
 
 def _filling(calibration: Calibration) -> tuple[Array, str]:
-    """Joint values that fill the measured joint ranges (or else the limits) evenly, and what they are, in words.
+    """Return joint values that fill the measured joint ranges, or else the joint limits, and a text that says which.
 
-    A calibration always gives the same ones.
+    They are a Halton sequence, so a calibration always gives the same ones.
     """
     arm, ranges = calibration.arm, calibration.record.get("joint_ranges")
     low, high = (arm.lower, arm.upper) if ranges is None else np.array(ranges, dtype=float)
@@ -179,10 +180,10 @@ def _filling(calibration: Calibration) -> tuple[Array, str]:
 
 
 COUNTS = 4095
-"""Number of counts that LeRobot takes for a turn of an STS3215 servo: its resolution less one."""
+"""Number of counts that LeRobot takes for one turn of an STS3215 servo: the servo's resolution minus one."""
 
 LARGEST_HOMING = 2047
-"""Largest homing offset, in counts: the servo keeps a sign and eleven bits."""
+"""Largest homing offset of the servo, in counts; the servo stores it as a sign and eleven bits."""
 
 FIELDS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
 
@@ -208,11 +209,11 @@ def _lerobot_motors(path: Path) -> dict[str, dict[str, int]]:
 
 @register("exporter", "lerobot")
 def lerobot_document(calibration: Calibration, order: document.Order) -> document.Document:
-    """The robot's own LeRobot calibration with corrected homing offsets; nothing else in it changes.
+    """Make the robot's own LeRobot calibration file with corrected homing offsets; nothing else in it changes.
 
     Raises:
-        InputError: If no such file is given or it is unusable, a joint has no motor of its name, slides or has
-            drive_mode 1, or needs a larger homing offset than the servo keeps.
+        InputError: If no such file is given or it is unusable. Also if a joint has no motor of its name, is prismatic
+            or has drive_mode 1. Also if a homing offset is larger than the servo can hold.
     """
     path = order.onto
     if path is None:
@@ -259,9 +260,10 @@ TABLE_FORMAT = "pickenv joint offsets 1"
 
 @register("exporter", "offsets")
 def offset_table(calibration: Calibration, order: document.Order) -> document.Document:
-    """The offsets, to be added to each joint's reading, as CSV, or as JSON if the file's name ends in .json.
+    """Make a table of the offsets that are to be added to joint readings: CSV, or JSON if the file ends in .json.
 
-    If encoder counts per turn are given, revolute joints also have their offset in whole counts.
+    Offsets are in deg or mm. If encoder counts per turn are given, revolute joints also have their offset in whole
+    counts.
     """
     rows: list[dict[str, Any]] = []
     shift = joint_offsets(calibration)
@@ -294,10 +296,11 @@ def _table(
 
 @register("exporter", "ros2-control")
 def ros2_offsets(calibration: Calibration, order: document.Order) -> document.Document:
-    """The offsets as ros2_control parameters in the robot's own description, or in a new file of the joints alone.
+    """Write the offsets as ros2_control parameters into the robot's own description, or into a new file.
 
-    A joint reports its raw reading minus its parameter. Its reading is to grow by the offset that the calibration
-    found, so this offset is subtracted from the parameter that the joint has. A new file has no ids of servos.
+    A joint reports its raw reading minus its parameter "offset", rad or m. The reading must grow by the calibration's
+    offset, so this offset is subtracted from the joint's parameter. A new file holds the joints alone, without the ids
+    of servos.
 
     Raises:
         InputError: If the description is unusable, or a joint is not in it.
@@ -336,7 +339,7 @@ def ros2_offsets(calibration: Calibration, order: document.Order) -> document.Do
 
 
 def _param(offset: float) -> str:
-    """The text of the parameter "offset" for a joint that has none yet, from the offset that the calibration found."""
+    """Return the XML of the parameter "offset", for a joint that has none yet, from the calibration's offset."""
     return f'<param name="offset">{0.0 - float(offset)!r}</param>'
 
 
@@ -350,15 +353,16 @@ def _param(offset: float) -> str:
 
 DH_TABLES_TABLE_FORMAT = "pickenv DH parameters 1"
 BEHIND = ("alpha", "a", "beta")
-"""DH parameters that stand one row earlier in a standard table than in a modified one."""
+"""DH parameters that are one row earlier in a standard DH table than in a modified one."""
 KEPT = "parameters without a standard deviation were not identified and keep their nominal values; others absorb them"
 
 
 @register("exporter", "table")
 def dh_table(calibration: Calibration, order: document.Order) -> document.Document:
-    """The DH parameters before and after calibration as CSV, or as JSON if the file's name ends in .json.
+    """Make a table of the DH parameters before and after calibration: CSV, or JSON if the file ends in .json.
 
-    Angles are in degrees, lengths in mm. A parameter that kept its nominal value has no standard deviation.
+    Angles are in deg, lengths in mm. Parameters are given for the modified and for the standard convention. A
+    parameter that was not identified keeps its nominal value and has no standard deviation.
     """
     notes = (KEPT, *document.left_out(calibration, "not in the table, because no geometry can hold it"))
     sure = uncertainty_from(calibration.record)

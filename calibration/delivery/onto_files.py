@@ -1,10 +1,10 @@
-"""Writing a calibration into a robot's own files, or as new ones: arm file, URDF, MJCF, kinematics YAML, transforms.
+"""Write a calibration into a robot's own files, or into new ones: arm file, URDF, MJCF, kinematics YAML, transforms.
 
-If the tip is the last joint's own link and the calibrated tool lies beside that joint's axis, the tool becomes a new
-link `TIP_calibrated` that is fixed to the tip; in an MJCF it is a site of that name.
+If the tip is the last joint's own link, the calibrated tool can lie beside that joint's axis. It then becomes a new
+link `TIP_calibrated` that is fixed to the tip. In an MJCF it is a site of that name.
 
-Written against URDF as ROS 2 has it (https://wiki.ros.org/urdf/XML, version 1.0); xacro is expanded first. Lengths in
-metres, rpy in radians about fixed axes.
+Written against URDF as ROS 2 has it (https://wiki.ros.org/urdf/XML, version 1.0); xacro must be expanded before.
+Lengths are in metres, rpy in radians about fixed axes.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ NOTE = (
     "Arm '{arm}', {which}, in its own base frame. Geometry alone: no model of links holds terms and residual. Masses "
     "and inertias are those of rods, not measured."
 )
-"""Pattern of the comment in a new MJCF."""
+"""Template of the comment in a new MJCF."""
 
 
 # The corrected arm as an arm file that `pickenv.arm.load_arm` reads, with all its digits. Parametric terms and the
@@ -48,13 +48,14 @@ NOTE = (
 
 @register("exporter", "toml")
 def toml_document(calibration: Calibration, order: document.Order) -> document.Document:
-    """The corrected arm as a new arm file, with the base and tool of the calibration.
+    """Write the corrected arm as a new arm file, with the base and tool of the calibration.
 
-    Hayati's beta is written (``beta_deg``) only for joints where it is not zero. A link that follows another joint is
+    Hayati's beta (``beta_deg``) is written only for joints where it is not zero. A link that follows another joint is
     a joint table with ``follows`` and ``ratio``.
 
     Raises:
-        InputError: If a joint moves no link of its own kind (a rack and its pinion), which only a URDF can hold.
+        InputError: If a revolute joint moves only prismatic links or the reverse (a rack and its pinion). Also if
+            joints are in another order than their links. Only a URDF can hold such arms.
     """
     arm, geometry = order.arm_of(calibration), calibration.identified
     leaders = _leading_tables(geometry)
@@ -87,7 +88,7 @@ def toml_document(calibration: Calibration, order: document.Order) -> document.D
 
 
 def _leading_tables(geometry: Geometry) -> list[int]:
-    """Index, for each joint, of the link whose table stands for the joint.
+    """Return, for each joint, the index of the link whose table in the file represents the joint.
 
     It is a link that moves exactly as the joint does, or else the first one of the joint's kind that moves by a ratio.
     """
@@ -121,13 +122,13 @@ def _toml(value: Any) -> str:
 
 @register("exporter", "urdf")
 def urdf_document(calibration: Calibration, order: document.Order) -> document.Document:
-    """The robot's own URDF with the joint origins that the calibration found, or a new URDF of the arm as rods.
+    """Write the calibrated joint origins into the robot's own URDF, or write a new URDF with rods as links.
 
-    The rods lead from the robot's own base to the tool. Fitted frames belong to the instrument and are no part of the
-    robot: base and tool are then those of the arm before calibration.
+    The rods lead from the robot's own base to the tool. If base and tool were fitted, they belong to the instrument and
+    are no part of the robot. Base and tool of a new URDF are then those of the arm before calibration.
 
     Raises:
-        InputError: If the robot's file is unusable, of another arm, or its meshes would be lost.
+        InputError: If the robot's file is unusable or of another arm, or if the new file would not find its meshes.
     """
     if order.onto is None:
         return _new_urdf(calibration, order.arm_of(calibration))
@@ -226,14 +227,14 @@ def _moved(data: bytes, tags: list[document.StartTag], joint: int, new: Pose) ->
 
 @register("exporter", "mjcf")
 def mjcf_document(calibration: Calibration, order: document.Order) -> document.Document:
-    """The robot's own MJCF with its bodies where the calibration found them, or new MJCFs of the arm as rods.
+    """Write the calibrated poses of bodies into the robot's own MJCF, or write new MJCFs with rods as links.
 
-    Without a file of the robot, the identified arm is written, beside it the nominal one (``…_nominal``) and, if a
-    sample is asked for, arms that the data allow (``…_1`` to ``…_n``).
+    Without the robot's own file, the identified arm is written, and beside it the nominal arm (``…_nominal``). With
+    ``sample``, arms that are drawn from the posterior are written too (``…_1`` to ``…_n``).
 
     Raises:
-        InputError: If the robot's file is unusable or of another arm, if its bodies stand in an included file, or if
-            its meshes would be lost.
+        InputError: If the robot's file is unusable or of another arm. Also if its bodies are in an included file, or if
+            the new file would not find its meshes.
     """
     if order.onto is None:
         return _new_mjcf(calibration, order)
@@ -292,9 +293,13 @@ def _new_mjcf(calibration: Calibration, order: document.Order) -> document.Docum
 
 
 def mjcf_files(path: str | Path, sample: int) -> list[Path]:
-    """The files of new MJCFs: the identified arm's first, then the nominal one's, then those of a sample.
+    """Return the paths of new MJCFs: that of the identified arm, then the nominal arm, then each arm of a sample.
 
-    A path such as "/" or "..", which names no file, is returned as it is, alone.
+    A path such as "/" or "..", which names no file, is returned unchanged as the only one.
+
+    Args:
+        path: Path of the identified arm's file; ``.xml`` is appended if it has no ending.
+        sample: Number of arms in the sample.
     """
     path = Path(path)
     if path.name in ("", ".."):
@@ -359,19 +364,19 @@ def _files(tags: list[document.StartTag]) -> Iterator[str]:
 
 LENGTHS = ("x", "y", "z")
 UR_TWISTS = (0.0, math.pi / 2, 0.0, 0.0, math.pi / 2, -math.pi / 2)
-"""The alphas, rad, of a UR's modified DH table whose frames are those of ur_description."""
+"""Values of alpha, rad, in the modified DH table of a UR whose link frames are those of ur_description."""
 
 
 @register("exporter", "kinematics-yaml")
 def kinematics_yaml_document(calibration: Calibration, order: document.Order) -> document.Document:
-    """The robot's own kinematics YAML with corrected origins; its other lines and its hash stay.
+    """Write corrected origins into the robot's own kinematics YAML; its other lines and its hash do not change.
 
-    Without a file of the robot it is a new one for ur_description's ``kinematics_params``, if the arm is a UR whose
-    table has the maker's frames.
+    Without the robot's own file, a new one is written for ur_description's ``kinematics_params``. This needs a UR whose
+    DH table has the maker's link frames.
 
     Raises:
-        InputError: If the robot's file is unusable or of another arm, or if a new file is wanted and the arm's table
-            has not the frames of a UR.
+        InputError: If the robot's file is unusable or of another arm. For a new file, if the arm's DH table does not
+            have the link frames of a UR.
     """
     if order.onto is None:
         return _new_kinematics_yaml(calibration)
@@ -418,7 +423,7 @@ def _edits(data: bytes, name: str, values: dict[str, float], path: Path) -> list
 
 
 def yaml_number(value: float) -> str:
-    """The text of a number with all its digits that YAML 1.1 reads as a number: 1e-05 would be a text there."""
+    """Format a number with all its digits so that YAML 1.1 reads it as a number; there, 1e-05 would be a text."""
     text = repr(value)
     return text.replace("e", ".0e") if "e" in text and "." not in text else text
 
@@ -458,10 +463,10 @@ def _new_kinematics_yaml(calibration: Calibration) -> document.Document:
 
 @register("exporter", "transforms")
 def static_transforms(calibration: Calibration, order: document.Order) -> document.Document:
-    """A shell script that publishes two transforms in ROS 2: the measurement's frame and the calibrated tool.
+    """Write a shell script that publishes two transforms in ROS 2: the measurement's frame and the calibrated tool.
 
-    They are relative to the root and the tip of the robot's own URDF; without one, to the arm's base and tool frames
-    under the names base_link and tool0.
+    The first is relative to the root of the robot's own URDF, the second to its tip. Without a URDF, they are relative
+    to the arm's base and tool frames, under the names base_link and tool0.
 
     Raises:
         InputError: If the file is unusable, of another arm or without named frames, or if ROS does not allow a name.

@@ -1,1 +1,1 @@
-"""The one way from rows to a result, and what is done with it."""
+"""The calibration pipeline: from measured rows to a result, and the use of the result."""

@@ -1,8 +1,8 @@
-"""Applying a calibration: targets in, corrected joint commands out, each with its remaining error and uncertainty.
+"""Apply a calibration: turn targets into corrected joint commands, each with its remaining error and uncertainty.
 
-A joint target means the pose that the nominal arm would take; the inverse kinematics first bring pose targets to
-nominal joints. Then Qiao 2026 eqs (13)-(16) are applied with the rank-aware inverse and, where one was learnt, the
-residual model. SI units.
+A joint target means the pose that the nominal arm would take there. Pose targets are first turned into nominal joints
+by the inverse kinematics. Then Qiao 2026 eqs (13)-(16) are applied with a rank-aware inverse and the residual model,
+if one was learnt. SI units.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ from pickenv.calibration.pipeline.calibration import QUANTITIES, Calibration, un
 from pickenv.calibration.reading.read import Targets
 
 POSITION_TOLERANCE = 1e-5
-"""Remaining compensable position error, m, above which a target counts as not reached."""
+"""Position error that joint motion could remove, m, above which a target counts as not reached."""
 
 ATTITUDE_TOLERANCE = 2e-5
-"""Remaining compensable attitude error, rad, above which a target counts as not reached."""
+"""Attitude error that joint motion could remove, rad, above which a target counts as not reached."""
 
 PASSES = 4
-"""Number of corrections, each starting from the last command; the second already moves it by micrometres only."""
+"""Number of corrections, each of which starts from the last command; the second moves it by micrometres only."""
 
 FRAMES = ("controller", "instrument")
 
@@ -40,19 +40,20 @@ class CorrectedCommands:
     """Corrected commands for N targets.
 
     Attributes:
-        targets: The nominal joint targets ``(N, n)``, rad or m; for pose targets, what the inverse kinematics found.
-        joints: The commands ``(N, n)``, within the joint limits; not to be used where the target is not reached.
-        reached: Whether position and compensable attitude are met to 0.01 mm and 0.001 deg by prediction ``(N,)``.
-        before: Predicted pose error without calibration ``(N, 6)``, m and rad: the error when the target is commanded.
-        remaining: Predicted pose error with the command ``(N, 6)``.
+        targets: The nominal joint targets ``(N, n)``, rad or m; for pose targets, the result of the inverse kinematics.
+        joints: The commands ``(N, n)``, rad or m, within the joint limits. Do not use those of targets not reached.
+        reached: Mask ``(N,)`` of the targets that are reached. The predicted errors that joint motion could remove are
+            then at most 0.01 mm (`POSITION_TOLERANCE`) and 0.001 deg (`ATTITUDE_TOLERANCE`).
+        before: Predicted pose error ``(N, 6)``, m and rad, if the target itself were commanded.
+        remaining: Predicted pose error with the command ``(N, 6)``, m and rad.
         impossible: The part of ``remaining`` that no joint motion removes ``(N, 6)``.
-        uncertainty: Standard uncertainty of the position ``(N,)``, m, and attitude ``(N,)``, rad, that the arm reaches;
-            None if unknown.
-        within95: Bound on 95 of 100 errors of position ``(N,)``, m, and attitude ``(N,)``, rad; None if unknown.
+        uncertainty: Standard uncertainty of the reached position ``(N,)``, m, and attitude ``(N,)``, rad; each None if
+            unknown.
+        within95: Bounds on 95 of 100 errors of position ``(N,)``, m, and attitude ``(N,)``, rad; each None if unknown.
         reasons: The reason why a target is not reached, by the index of the target.
         lines: Line of each target in its file.
-        prismatic: For each joint, whether it slides.
-        caution: A sentence on the parts of the workspace that the calibration's rows say too little of; None if
+        prismatic: For each joint, whether it is prismatic.
+        caution: A sentence on the parts of the workspace that the calibration's rows determine too little; None if
             there are none.
     """
 
@@ -70,7 +71,10 @@ class CorrectedCommands:
     caution: str | None = None
 
     def table(self) -> tuple[list[str], NDArray[np.object_]]:
-        """Column names with units, and one row per target."""
+        """Return the commands as a table: the column names with units, and one row per target.
+
+        The commands of targets that are not reached are empty cells.
+        """
         commands = (self.joints * screen_units(self.prismatic)).astype(object)
         commands[~self.reached] = ""  # a cell that streams these columns must not drive to where nothing is reached
         columns = dict(zip(joint_columns(self.prismatic), commands.T, strict=True))
@@ -90,7 +94,7 @@ class CorrectedCommands:
         return write_table(path, *self.table())
 
     def report(self) -> str:
-        """A summary of a few lines for people, which names the rows that cannot be reached."""
+        """Return a summary in a few lines, which names the targets that cannot be reached."""
         rows = self.reached if self.reached.any() else np.ones_like(self.reached)
         parts = (self.before, self.remaining, self.impossible)
         before, after, never = ([float(size[rows].mean()) for size in _sizes(error)] for error in parts)
@@ -134,13 +138,14 @@ def apply_calibration(
     Args:
         calibration: The calibration of this arm.
         arm: The arm.
-        targets: Nominal joints, or tool poses.
-        frame: For pose targets: "controller" (the arm's own base, tool as in the arm file) or "instrument" (the frame
-            that the calibration was measured in, with the fitted tool).
-        conditions: Payload and temperature, one value each, where the calibration depends on them.
+        targets: Nominal joint targets, or tool poses.
+        frame: Frame of pose targets. "controller" is the arm's own base, with the tool of the arm file. "instrument"
+            is the frame in which the arm was measured, with the fitted tool.
+        conditions: Payload and temperature, one value each, if the calibration depends on them.
 
     Raises:
-        InputError: If the frame is unknown, the calibration is of another arm, or needs conditions that are not given.
+        InputError: If the frame is unknown, if the calibration is of another arm, or if it needs conditions that are
+            not given.
     """
     if frame not in FRAMES:
         raise InputError(f"frame is '{frame}'; give {' or '.join(FRAMES)}")
@@ -209,10 +214,15 @@ def _sizes(errors: Array) -> tuple[Array, Array]:
 
 
 def toward(compensator: Compensator, wanted: Pose, start: Array) -> Array:
-    """Commands ``(N, n)`` that bring the real tool to ``wanted`` poses, from joints near them; eq (15), repeated.
+    """Compute the commands ``(N, n)`` that bring the real tool to wanted poses, by repeating eq (15).
 
-    A joint that would have to go beyond its limit stays there, and the other joints take over what they can. An arm
-    with fewer than six joints puts the position first.
+    A joint that would have to go beyond its limit stays at the limit, and the other joints take over what they can. An
+    arm with fewer than six joints is brought to the position first.
+
+    Args:
+        compensator: The calibrated arm.
+        wanted: N poses in the frame of the calibrated geometry.
+        start: Joints ``(N, n)``, rad or m, from which the correction starts, near the wanted poses.
     """
     lower, upper = compensator.nominal.lower, compensator.nominal.upper
     weights = np.repeat([1.0, attitude_weight(compensator.nominal.joints)], 3)

@@ -1,4 +1,4 @@
-"""A fitted calibration: it predicts, compensates, saves and loads as one verified file, refused on another arm."""
+"""A fitted calibration of one arm: it predicts poses, compensates commands, and is saved as one verified file."""
 
 from __future__ import annotations
 
@@ -32,21 +32,25 @@ from pickenv.calibration.residuals.residual_models import LearntResidual
 # in its record, so that a command can be given with its uncertainty later. SI units.
 
 NEARBY, SPACING = 0.3, 1.5
-"""Greatest distance of joints, rad or m, at which two poses are alike in what a model leaves out; or, if it is larger,
-so many times the distance of the measured poses from their neighbours."""
+"""Largest distance between joint vectors, rad or m, at which two poses count as near each other.
+
+If it is larger, the second number times the distance of the measured poses from their neighbours is taken.
+"""
 
 VAGUE = 2.0
-"""A pose is unlike what was measured where the parameters' part of its uncertainty is more than so many times that of
-95 of 100 fitted rows."""
+"""Factor on the uncertainty that the parameters cause at 95 of 100 fitted rows.
+
+A pose with a larger uncertainty from the parameters lies outside the measured region.
+"""
 
 MEASURED_REGION = "measured_region"
 """Entry of a calibration's record that holds `PoseUncertainty.region`."""
 
 QUANTITIES = {"position": screen_unit(True), "attitude": screen_unit(False)}
-"""The uncertain parts of a pose, and the unit and factor in which screens show each."""
+"""The parts of a pose that have an uncertainty: for each the unit on screens, and the factor to it from SI."""
 
 ANCHORS = 400
-"""Most poses that stand for the region in which an arm was measured."""
+"""Largest number of poses that represent the region in which an arm was measured."""
 
 SHARE = 0.95
 
@@ -56,14 +60,14 @@ class PoseUncertainty:
     """Uncertainty of predicted poses of one calibrated arm.
 
     Attributes:
-        names: Identified parameters of the arm.
+        names: Names of the arm's identified parameters.
         covariance: Covariance of the errors of these parameters ``(p, p)``, m and rad.
         position_repeat: Standard deviation of one position coordinate that the parameters do not explain, m.
         attitude_repeat: Standard deviation of one attitude coordinate that the parameters do not explain, rad; None
-            where only positions were measured.
-        factors: For each of `QUANTITIES` of which there are enough errors: "factor", 95 of 100 errors are smaller than
-            this many times their expected root mean square; "covered", the share of the held-out errors within it, each
-            judged by a factor and a size found without its block.
+            if only positions were measured.
+        factors: For each of `QUANTITIES` with enough held-out errors, the entries "factor" and "covered". 95 of 100
+            errors are smaller than "factor" times their expected root mean square. "covered" is the share of held-out
+            errors that kept their bound, each with a bound computed without its own block.
     """
 
     names: tuple[str, ...]
@@ -73,9 +77,14 @@ class PoseUncertainty:
     factors: Mapping[str, Mapping[str, float]] = field(default_factory=dict)
 
     def pose_covariance(self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
-        """Covariance ``(..., 6, 6)`` of the tool pose, m and rad, world axes, at joints ``(..., n)``.
+        """Compute the covariance ``(..., 6, 6)`` of the tool pose, m and rad, in world axes.
 
         If only positions were measured, the attitude's part comes from the parameters' uncertainty alone.
+
+        Args:
+            model: The calibrated arm.
+            joints: Joints ``(..., n)``, rad or m.
+            conditions: Payload and temperature, if the model depends on them.
         """
         joints = np.asarray(joints, dtype=float)
         columns = [model.parameter_names.index(name) for name in self.names]
@@ -85,33 +94,51 @@ class PoseUncertainty:
 
     @property
     def scatter(self) -> Array:
-        """Variance of each coordinate of a pose that the parameters do not explain ``(6,)``, m^2 and rad^2."""
+        """Part of each pose coordinate's variance ``(6,)`` that the parameters do not explain, m^2 and rad^2."""
         return np.repeat([self.position_repeat, self.attitude_repeat or 0.0], 3) ** 2
 
     def standard(
         self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None
     ) -> tuple[Array, Array | None]:
-        """Standard uncertainties of position ``(...)``, m, and attitude ``(...)``, rad.
+        """Compute the standard uncertainties of position ``(...)``, m, and attitude ``(...)``, rad.
 
         Each is the root of the sum of its three variances. The attitude's is None if only positions were measured.
+
+        Args:
+            model: The calibrated arm.
+            joints: Joints ``(..., n)``, rad or m.
+            conditions: Payload and temperature, if the model depends on them.
         """
         return self.standard_of(np.diagonal(self.pose_covariance(model, joints, conditions), axis1=-2, axis2=-1))
 
     def standard_of(self, variance: Array) -> tuple[Array, Array | None]:
-        """The same of poses of which the variances of the six coordinates are known ``(..., 6)``, scatter included."""
+        """Compute what `standard` gives from the total variances of the six pose coordinates ``(..., 6)``."""
         position, attitude = np.sqrt(variance[..., :3].sum(-1)), np.sqrt(variance[..., 3:].sum(-1))
         return position, None if self.attitude_repeat is None else attitude
 
     def from_parameters(self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None) -> Array:
-        """Standard uncertainty of position ``(...)``, m, from the parameters alone: large far from measured poses."""
+        """Compute the standard uncertainty of position ``(...)``, m, that the parameters alone cause.
+
+        It is large far from measured poses.
+
+        Args:
+            model: The calibrated arm.
+            joints: Joints ``(..., n)``, rad or m.
+            conditions: Payload and temperature, if the model depends on them.
+        """
         return replace(self, position_repeat=0.0).standard(model, joints, conditions)[0]
 
     def within95(
         self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None
     ) -> tuple[Array | None, Array | None]:
-        """Bounds of 95 of 100 errors of position ``(...)``, m, and attitude ``(...)``, rad, at joints ``(..., n)``.
+        """Compute the bounds that 95 of 100 errors of position ``(...)``, m, and attitude ``(...)``, rad, keep.
 
-        A bound is None if there were too few held-out errors to find it.
+        A bound is None if there were too few held-out errors to compute it.
+
+        Args:
+            model: The calibrated arm.
+            joints: Joints ``(..., n)``, rad or m.
+            conditions: Payload and temperature, if the model depends on them.
         """
         return self._radii(self.standard(model, joints, conditions))
 
@@ -123,7 +150,11 @@ class PoseUncertainty:
         return position, attitude
 
     def block(self, standard: tuple[Array, Array | None]) -> Block:
-        """A table of the `bounds` of errors at such poses, and of the share of held-out errors that kept them."""
+        """Return a table of the `bounds` on errors, with the share of held-out errors that kept their bound.
+
+        Args:
+            standard: Standard uncertainties of position and attitude at N poses, each ``(N,)``, as `standard` gives.
+        """
         rows = []
         for quantity, (low, middle, high) in self.bounds(standard).items():
             cell = f"{figure(middle)} {QUANTITIES[quantity][0]} ({figure(low)} to {figure(high)})"
@@ -133,10 +164,13 @@ class PoseUncertainty:
         return Block("How far errors go", heads, tuple(rows), note, "uncertainty")
 
     def bounds(self, standard: tuple[Array, Array | None]) -> dict[str, list[float]]:
-        """What 95 of 100 errors keep within, of position (mm) and attitude (deg): at 5, 50 and 95 of 100 poses.
+        """Compute how the 95 % bounds on errors (`within95`) are distributed over poses.
 
         Args:
-            standard: Standard uncertainties of position and attitude at the poses, each ``(N,)``, as of `standard`.
+            standard: Standard uncertainties of position and attitude at N poses, each ``(N,)``, as `standard` gives.
+
+        Returns:
+            The 5th, 50th and 95th percentiles of the bound, for "position" in mm and "attitude" in deg.
         """
         radii = zip(QUANTITIES.items(), self._radii(standard), strict=True)
         return {
@@ -146,7 +180,7 @@ class PoseUncertainty:
         }
 
     def as_record(self) -> dict[str, Any]:
-        """The uncertainty for a calibration's record (JSON)."""
+        """Return the uncertainty as an entry of a calibration's record (JSON); `uncertainty_from` reads it."""
         return {
             "parameters": list(self.names),
             "covariance": self.covariance.tolist(),
@@ -165,21 +199,21 @@ class PoseUncertainty:
         unit: str = "mm",
         variance: Array | None = None,
     ) -> PoseUncertainty:
-        """The uncertainty of predicted poses, from an identification and the errors that it leaves.
+        """Compute the uncertainty of predicted poses from an identification and the errors that it leaves.
 
         Args:
             found: The identification.
-            errors: Measured minus predicted poses ``(N, 6)`` or positions ``(N, 3)``, m and rad, best of held-out rows.
-                Their RMS per coordinate is taken as u_repeat, so it includes the instrument's noise and errs on the
-                large side.
-            joints: Joints at which each error was found ``(N, n)``, rad or m; if given, bounds of 95 of 100 errors are
-                found too.
-            blocks: The block of each error ``(N,)``, if errors of one block are alike.
+            errors: Measured minus predicted poses ``(N, 6)`` or positions ``(N, 3)``, m and rad, preferably of held-out
+                rows. Their RMS per coordinate is taken as the scatter of one reach (``position_repeat`` and
+                ``attitude_repeat``). It includes the instrument's noise, so it is rather too large.
+            joints: Joints of each error's row ``(N, n)``, rad or m. If given, the bounds on 95 of 100 errors are
+                computed too.
+            blocks: The block of each error ``(N,)``, if errors within a block are correlated.
             conditions: Payload and temperature of each error's row, if known.
-            unit: "deg" if the errors are misses of directions ``(N, k)``, rad; the uncertainty of positions is then the
-                parameters' alone.
-            variance: The parameters' part of each pose's variances ``(N, 6)``; as of the arm's own base and tool if
-                left out.
+            unit: "deg" if ``errors`` are misses of directions ``(N, k)``, rad. The uncertainty of positions then
+                comes from the parameters alone.
+            variance: Part of each row's pose variances that the parameters cause ``(N, 6)``, m^2 and rad^2. If None,
+                it is computed with the arm's own base and tool.
         """
         positions, attitudes = (np.zeros((0, 3)), errors) if unit == "deg" else (errors[:, :3], errors[:, 3:])
         names = set(found.arm_model.parameter_names)
@@ -203,11 +237,14 @@ class PoseUncertainty:
         return replace(sure, factors=factors)
 
     def region(self, model: ArmModel, data: Observations) -> dict[str, Any]:
-        """A record's entry of the measured region: some rows' joints, what distance is near, and the uncertainty there.
+        """Return an entry of a calibration's record that describes the measured region; `measured_there` uses it.
+
+        It holds the joints of some rows and the joint distance that counts as near. It also holds the 95th percentile
+        of the position's uncertainty that the parameters cause at the rows, m.
 
         Args:
-            model: The arm.
-            data: The rows fitted.
+            model: The calibrated arm.
+            data: The fitted rows.
         """
         std = self.from_parameters(model, data.joints, data.conditions)
         joints = data.joints[equally_spaced(len(data.joints), ANCHORS)]
@@ -219,11 +256,13 @@ class PoseUncertainty:
 
 
 def variance_by_station(found: Identification, data: Observations) -> Array:
-    """Variances ``(N, 6)`` of the pose of each row by the parameters, in the frames of its own station, m^2 and rad^2.
+    """Compute the variances ``(N, 6)`` of each row's pose that the identified parameters cause, m^2 and rad^2.
+
+    Each row's pose is in the frames of its own station.
 
     Args:
         found: The identification.
-        data: Rows of its stations.
+        data: Rows of the stations that were identified.
     """
     kept, parts = list(found.identifiability.kept_names), []
     for station in data.stations or (InstrumentStation(data),):
@@ -240,17 +279,17 @@ def variance_by_station(found: Identification, data: Observations) -> Array:
 
 
 def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None) -> dict[str, float] | None:
-    """The factor on the expected size of errors that covers 95 of 100, and its cover of errors not used to find it.
+    """Compute the factor on the expected size of errors below which 95 of 100 errors lie.
 
     Args:
-        joints: Joints of each error ``(R, n)``.
-        squares: Squared errors ``(R,)``.
-        variance: The parameters' part of each expected square ``(R,)``.
+        joints: Joints of each error's row ``(R, n)``, rad or m.
+        squares: Squared norms of the errors ``(R,)``, m^2 or rad^2.
+        variance: Part of each expected square that the parameters cause ``(R,)``, in the unit of ``squares``.
         blocks: The block of each error ``(R,)``; if None, contiguous tenths of the poses.
 
     Returns:
-        The entries "factor" and "covered"; the latter is the share of errors that keep the bound found without their
-        own block. None if there are too few errors or blocks.
+        The entries "factor" and "covered", the share of errors that keep a bound computed without their own block.
+        None if there are too few errors or blocks.
     """
     count = len(squares)
     if count < 2 * BLOCKS:
@@ -270,24 +309,26 @@ def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None
 
 
 def _quantile(ratio: Array) -> float:
-    """The smallest ratio that is no smaller than 95 of 100 of all ratios, counting one more than there are."""
+    """Return the 95 % conformal quantile of n ratios: that of rank 0.95 (n + 1), rounded up, or else the largest."""
     rank = int(np.ceil(SHARE * (len(ratio) + 1)))
     return float(np.sort(ratio)[min(rank, len(ratio)) - 1])
 
 
 def joint_features(joints: Array, slides: tuple[bool, ...]) -> Array:
-    """Features of joints ``(N, n)``: sines and cosines of revolute joints, then prismatic joints as they are, m."""
+    """Turn joints ``(N, n)`` into features: sines, then cosines of revolute joints, then prismatic joints, m."""
     straight = np.array(slides)
     turning = joints[:, ~straight]
     return np.concatenate([np.sin(turning), np.cos(turning), joints[:, straight]], axis=1)
 
 
 def measured_there(record: Mapping[str, Any], model: ArmModel, data: Observations) -> NDArray[np.bool_] | None:
-    """A mask of the rows ``(N,)`` in the measured region: fitted rows are near, and the parameters determine the pose.
+    """Mark the rows ``(N,)`` that lie in the region where the arm was measured.
+
+    A row lies there if a fitted row is near and the parameters cause little uncertainty of its pose (`VAGUE`).
 
     Args:
-        record: The calibration's record; the result is None where it holds no region or no uncertainty.
-        model: The arm.
+        record: The calibration's record. The result is None if it holds no region or no uncertainty.
+        model: The calibrated arm.
         data: The rows.
     """
     region, sure = record.get(MEASURED_REGION), uncertainty_from(record)
@@ -301,10 +342,11 @@ def measured_there(record: Mapping[str, Any], model: ArmModel, data: Observation
 
 
 def uncertainty_from(record: Mapping[str, Any]) -> PoseUncertainty | None:
-    """The uncertainty that a calibration's record holds, or None if it holds none or had no spare equations.
+    """Read the uncertainty from a calibration's record.
 
-    Older records hold a scatter that differs from pose to pose, and a factor for that scatter; the bound on 95 of 100
-    errors is then unknown.
+    The result is None if the record holds none, or if its covariance is not finite because the fit had no more
+    equations than parameters. Older records hold a scatter that differs from pose to pose; the factors for the bounds
+    on 95 of 100 errors are then left out.
     """
     entry = record.get("uncertainty")
     if not isinstance(entry, Mapping):
@@ -324,21 +366,23 @@ def uncertainty_from(record: Mapping[str, Any]) -> PoseUncertainty | None:
 
 KIND = "calibration"
 FORMAT = 3
-"""Version of the file's content."""
+"""Version of the calibration file's content."""
 
 REMAKE = "run `pickenv calibrate` (or `pickenv demo`) to make one anew"
 GEOMETRIES = ("arm", "nominal", "identified")
-"""The geometries in a file."""
+"""Names of the geometries that a calibration file holds."""
 
 
 def remainder(model: ArmModel, learnt: LearntResidual | None, conditions: Conditions, joints: Array) -> Array:
-    """The difference of the true pose from the identified geometry ``(..., 6)``, m and rad: terms plus learnt residual.
+    """Predict how far the true pose differs from that of the identified geometry ``(..., 6)``, m and rad.
+
+    The difference is the sum of parametric terms and learnt residual.
 
     Args:
-        model: Gives the terms.
-        learnt: Learnt residual, or None; one learnt from positions turns nothing.
-        conditions: Payload and temperature, one value each (or one per pose).
-        joints: Joints ``(..., n)``.
+        model: The identified arm with its terms.
+        learnt: Learnt residual, or None. One that was learnt from positions predicts no rotation.
+        conditions: Payload and temperature, one value each or one per pose.
+        joints: Joints ``(..., n)``, rad or m.
     """
     expected = None
     if learnt is not None:
@@ -356,15 +400,15 @@ def remainder(model: ArmModel, learnt: LearntResidual | None, conditions: Condit
 
 @dataclass(frozen=True, eq=False)
 class Calibration:
-    """The calibration of one arm.
+    """The calibration of one arm: its identified geometry, terms and learnt residual, with a record of the fit.
 
     Attributes:
         arm_name: Name of the arm.
-        arm: The arm's own nominal geometry, as its file gives it; `load` refuses another arm's calibration.
-        nominal: What the controller believes; where base and tool were fitted, with the fitted base and tool.
+        arm: The arm's nominal geometry as its file gives it. It identifies the arm: `load` can refuse other arms.
+        nominal: The nominal geometry that the controller uses; if base and tool were fitted, with these.
         model: The calibrated geometry with its parametric terms.
         learnt: Learnt residual, or None.
-        record: Evidence for people and programs: data hash, seeds, versions, rank, dropped parameters.
+        record: Evidence of the fit: data hash, seeds, versions, rank, dropped parameters, verdict and uncertainty.
     """
 
     arm_name: str
@@ -376,14 +420,18 @@ class Calibration:
 
     @property
     def arm_fingerprint(self) -> str:
-        """Hash of the arm's own nominal geometry."""
+        """Hash of the arm's nominal geometry."""
         return self.arm.fingerprint()
 
     def refuse_another(self, arm: Arm, name: str = "the calibration") -> None:
-        """Refuse an arm with another geometry; ``name`` is what messages call the calibration.
+        """Check that an arm has the nominal geometry for which this calibration was made.
+
+        Args:
+            arm: The arm.
+            name: What the message calls the calibration.
 
         Raises:
-            InputError: If it is another arm.
+            InputError: If the arm has another nominal geometry.
         """
         if self.arm_fingerprint != arm.fingerprint():
             raise InputError(
@@ -392,7 +440,7 @@ class Calibration:
 
     @property
     def unit(self) -> str | None:
-        """Serial number of the robot that was measured; None where none was given."""
+        """Serial number of the robot that was measured; None if none was given."""
         unit = self.record.get("unit")
         return None if unit is None else str(unit)
 
@@ -413,11 +461,12 @@ class Calibration:
         """Make the map from joint targets to joint commands, for control loops and environments.
 
         Args:
-            with_residual: Whether the learnt residual takes part; parametric terms always do.
-            conditions: Payload and temperature, one value each, for terms and residuals that need them.
-            iterations: See `Compensator`; one is the fastest.
-            single_precision: See `Compensator`; for training in thousands of environments.
-            fast: Whether a network runs in single precision (`Bpnn.fast`).
+            with_residual: Whether the learnt residual is used. Parametric terms always are.
+            conditions: Payload and temperature, one value each, for terms and residuals that depend on them.
+            iterations: Number of corrections, as in `Compensator`; one is the fastest.
+            single_precision: Whether corrections are computed in single precision, as in `Compensator`. This is for
+                training in thousands of environments.
+            fast: Whether a residual network runs in single precision (`Bpnn.fast`).
 
         Raises:
             InputError: If the calibration is of a whole robot.
@@ -438,19 +487,25 @@ class Calibration:
     def _within95(
         self, sure: PoseUncertainty, conditions: Conditions | None, joints: Array
     ) -> tuple[Array | None, Array | None]:
-        """`PoseUncertainty.within95` at joints ``(..., n)`` under the same conditions everywhere."""
+        """Compute `PoseUncertainty.within95` at joints ``(..., n)`` under equal conditions at all of them."""
         repeated = None if conditions is None else conditions.repeated(joints.shape[:-1] or (1,))
         return sure.within95(self.model, joints, repeated)
 
     @property
     def caution(self) -> str | None:
-        """A sentence on the parts of its workspace that the fitted rows say too little of; None if there are none."""
+        """A sentence on the parts of the workspace that the fitted rows determine too little; None if there are none.
+
+        It is the "reservation" of the record's "workspace".
+        """
         workspace = self.record.get("workspace")
         sentence = workspace.get("reservation") if isinstance(workspace, Mapping) else None
         return None if sentence is None else str(sentence)
 
     def reservations(self) -> dict[str, str]:
-        """The reservations against using this calibration, by name, each a sentence that says what to do."""
+        """Return the reasons against using this calibration, by name; each is a sentence that says what to do.
+
+        There are two: the verdict "do not use", and a base and tool that were fitted.
+        """
         sentences = {}
         verdict = self.record.get("verdict")
         if isinstance(verdict, Mapping) and verdict.get("grade") == "do not use":
@@ -469,7 +524,7 @@ class Calibration:
 
     @property
     def in_own_base(self) -> Geometry:
-        """The calibrated geometry in the robot's own base; the arm's own base replaces a fitted one."""
+        """The calibrated geometry in the robot's own base frame: a fitted base is replaced by that of `arm`."""
         if self.record.get("frames") == "fitted":
             return replace(self.identified, base=self.arm.base)
         return self.identified
@@ -483,11 +538,14 @@ class Calibration:
         return self.compensator(conditions=conditions, fast=False).predict(joints)
 
     def errors(self, data: Measurements, turn: Array | None = None) -> Array:
-        """Measured minus predicted poses ``(N, 6)`` or positions ``(N, 3)``, m and rad, with terms and learnt residual.
+        """Compute measured minus predicted poses ``(N, 6)`` or positions ``(N, 3)``, m and rad.
+
+        The prediction includes terms and learnt residual.
 
         Args:
-            data: Poses or positions.
-            turn: Rotation of the base ``(3, 3)`` since the residual was learnt, which is in the axes of the base.
+            data: Measured poses or positions.
+            turn: Rotation matrix ``(3, 3)`` of the base since the residual was learnt. It turns the residual, which
+                was learnt in the axes of the base.
         """
         errors = data.difference(self.model)
         if self.learnt is not None:
@@ -500,11 +558,16 @@ class Calibration:
         return errors
 
     def without_residual(self) -> Calibration:
-        """This calibration without its learnt residual."""
+        """Return a copy of this calibration without its learnt residual."""
         return replace(self, learnt=None)
 
     def save(self, path: str | Path) -> Path:
-        """Write one verified file (see `pickenv.base.container`), whole or not at all; ``.npz`` is appended if missing.
+        """Write the calibration as one verified file (see `pickenv.base.container`), and return the file's path.
+
+        The file is written whole or not at all.
+
+        Args:
+            path: The file; ``.npz`` is appended if it is missing.
 
         Raises:
             InputError: If the file cannot be written, or `load` would refuse it.
@@ -536,15 +599,16 @@ class Calibration:
 
         Args:
             path: The file, with or without its suffix.
-            arm: If given, the arm that it must belong to, known by its nominal geometry.
-            unit: If given, the serial number of the robot that it must belong to; two robots of one model are alike
-                on paper, and only this tells them apart.
-            whole: Whether it may be of a whole robot, which has no one tool to compensate.
+            arm: If given, the arm for which the calibration must have been made. Arms are compared by their nominal
+                geometry.
+            unit: If given, the serial number of the robot for which the calibration must have been made. Two robots
+                of one model have the same nominal geometry, and only this number distinguishes them.
+            whole: Whether the calibration of a whole robot is accepted, which has no one tool to compensate.
 
         Raises:
-            InputError: If the file is missing, damaged in any byte, holds what cannot move an arm (numbers that are
-                not finite, a base that is no rotation), is of another version, of another arm or of another unit, or
-                holds a residual model that is not here; the message names its package.
+            InputError: If the file is missing, damaged in any byte, or of another version, arm or unit. Also if its
+                values cannot move an arm (numbers that are not finite, a base that is no rotation). Also if its
+                residual model is not installed; the message then names its package.
         """
         path = npz_path(path)
         content = read_container(path, KIND, remake=REMAKE, version=FORMAT)
@@ -569,7 +633,7 @@ class Calibration:
 
 
 def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Calibration:
-    """Make a calibration from a file's parts; where they make none, any exception can be raised."""
+    """Make a calibration from a file's parts; if the parts are invalid, any exception can be raised."""
     names, prismatic, record = header["joint_names"], header["prismatic"], header["record"]
     parts = {key: part_of(arrays, f"{key}/") for key in GEOMETRIES}
     arm, nominal, identified = (geometry_from_arrays(part, names, prismatic, key) for key, part in parts.items())
@@ -597,7 +661,7 @@ def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -
 
 
 def _learnt(kind: str | None, arrays: Mapping[str, NDArray[Any]], geometry: Geometry) -> LearntResidual | None:
-    """The learnt residual that the header names, tried once in the middle of the joints' ranges."""
+    """Make the learnt residual that the header names, and evaluate it once at the middle of the joint ranges."""
     if kind is None:
         if arrays:
             raise InputError("it holds a learnt residual that its header does not name")

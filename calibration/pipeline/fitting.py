@@ -1,6 +1,6 @@
-"""Fitting an arm to data of any kind: base and tool, then geometry and terms, then a model of what remains.
+"""Fit an arm to data of any kind: base and tool, then geometry and terms, then a residual model.
 
-This is the middle part of `calibrate`, for callers whose rows need no check and who want no verdict.
+This is the middle part of `calibrate`, for callers who need neither a check of the rows nor a verdict.
 """
 
 from __future__ import annotations
@@ -35,12 +35,12 @@ from pickenv.calibration.residuals.residual_models import PERIODIC_SPAN, fit_res
 
 @dataclass(frozen=True, eq=False)
 class Fit:
-    """A calibration together with how it was found.
+    """A calibration with the least-squares solutions that it comes from.
 
     Attributes:
         calibration: The calibration.
-        identification: Evidence of the least-squares stage.
-        aligned: Evidence of the base and tool fit; None if base and tool were known.
+        identification: The least-squares solution for geometry and terms.
+        aligned: The least-squares solution for base and tool alone; None if base and tool were known.
     """
 
     calibration: Calibration
@@ -59,22 +59,24 @@ def fit(
     rng: np.random.Generator | None = None,
     settings: BpnnSettings | None = None,
 ) -> Fit:
-    """Fit an arm as the papers do: least squares without priors, then a residual model on what remains.
+    """Fit an arm as the papers do: least squares without priors, then a residual model of the remaining errors.
 
     Args:
         arm: The arm.
-        data: Rows for the identification (the paper: 100), of any kind.
-        residual_measurements: Poses for the network (the paper: 200), or None for geometry alone.
-        known_frames: True if the instrument measures the arm's own tool in the arm's own base frame (registered, or
-            simulated); then the paper's 24 parameters are identified. Else base, tool and Hayati's beta are fitted too,
-            and what the arm does in its own base frame stays unknown.
-        terms: Parametric non-geometric effects to identify with the geometry.
-        residual: Residual model by name: "bpnn", "rbf" or "gp".
-        rng: Seeds the residual model; needed with ``residual_measurements``.
-        settings: Settings of the network "bpnn"; the paper's if left out.
+        data: Rows for the identification, of any kind; the paper takes 100.
+        residual_measurements: Poses from which the residual model learns, or None for no residual model; the paper
+            takes 200.
+        known_frames: True if the instrument measures the arm's own tool in the arm's own base frame, because it is
+            registered or simulated. Then the paper's 24 parameters are identified. Else base, tool and Hayati's beta
+            are fitted too, and the arm's errors in its own base frame stay unknown.
+        terms: Parametric effects that are not geometric, to be identified with the geometry.
+        residual: Name of the residual model: "bpnn", "rbf" or "gp".
+        rng: Random generator of the residual model; needed with ``residual_measurements``.
+        settings: Settings of the network "bpnn"; if None, the paper's.
 
     Raises:
         InputError: If there are too few rows, the data do not fit the arm, or the identification does not converge.
+        ValueError: If ``rng`` is missing although ``residual_measurements`` are given.
     """
     aligned = fit_frames(arm, data, known_frames)
     start = arm.nominal if aligned is None else aligned.geometry
@@ -90,7 +92,15 @@ def fit(
 
 
 def fit_frames(arm: Arm, data: Observations, known: bool) -> Identification | None:
-    """The fit of base, tool and the data's own unknowns without a first guess; None for poses in known frames.
+    """Fit base, tool and the data's own unknowns without a first guess.
+
+    Args:
+        arm: The arm.
+        data: The rows.
+        known: Whether base and tool are known. Poses and positions are then only checked against the arm.
+
+    Returns:
+        The least-squares solution; None for poses or positions with known base and tool.
 
     Raises:
         InputError: If the data do not fit the arm.
@@ -107,12 +117,12 @@ def fit_frames(arm: Arm, data: Observations, known: bool) -> Identification | No
 
 
 def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, model: PriorModel) -> Fit:
-    """The fit of geometry and terms, which starts from the base and tool of `fit_frames`.
+    """Fit geometry and terms, starting from the base and tool that `fit_frames` found.
 
     Args:
         arm: The arm.
         data: The rows.
-        aligned: Evidence of the base and tool fit; None if they are known.
+        aligned: The result of `fit_frames`; None if base and tool are known.
         model: The parameters to fit, with their priors (`pickenv.calibration.model.prior.prior_model`).
 
     Raises:
@@ -149,18 +159,21 @@ def fit_remainder(
     settings: BpnnSettings | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Fit:
-    """The fit with a learnt model of the errors that it leaves (eq (17)).
+    """Add a learnt residual model to a fit: it predicts the errors that the fit leaves (eq (17)).
 
     The model's inputs are the joints and the recorded conditions.
 
     Args:
         found: The fit.
         kind: Name of the residual model.
-        data: Poses to learn from.
-        rng: Seeds the model.
-        settings: If given, the paper's network with these settings is trained, which takes the joints as they are. Else
-            every model takes sine and cosine of joints that turn far, and thins the rows if there are very many.
-        progress: Called with (epochs done, epochs in all).
+        data: Poses or positions from which the model learns.
+        rng: Random generator of the model.
+        settings: If given, the paper's network with these settings is trained, with the joints themselves as inputs.
+            Else the inputs are sine and cosine of joints that turn far, and very many rows are thinned.
+        progress: Function that is called with the number of epochs done and the total number.
+
+    Returns:
+        The fit whose calibration has the learnt residual.
     """
     record = {
         "kind": kind,
@@ -186,7 +199,7 @@ def fit_remainder(
 
 
 def _refuse_misfit(found: Identification, data: Observations) -> None:
-    """Refuse wires, sockets and the like that still miss by a large share of their span once the frames are fitted."""
+    """Refuse rows of wires, sockets and other kinds whose misses stay a large share of their span after the fit."""
     misses = data.misses(found.arm_model, unknowns_of(found, data))
     rms = float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))
     span = data.span(ArmModel.of(found.geometry).pose(data.joints, data.conditions).position)
@@ -210,14 +223,15 @@ AS_CHOSEN = "as chosen without each block"
 
 @dataclass(frozen=True, eq=False)
 class HeldOut:
-    """Errors ``(M, 6)``, ``(M, 3)`` or ``(M, 1)``, m and rad, of rows that no fit saw.
+    """Errors of rows that were held out of the fit: ``(M, 6)``, ``(M, 3)`` or ``(M, 1)``, m and rad.
 
     Attributes:
-        errors: Errors by model: "nominal", "geometric", then those with further parts; the last model is the one used.
-        parametric: Errors of the model used, without its learnt residual.
-        used: Name of the model by which each part of the rows was judged: one, or one per block.
+        errors: Errors by the name of the model: "nominal", "geometric", then models with terms or a learnt residual.
+            The last model is the one that the calibration uses.
+        parametric: Errors of the last model without its learnt residual.
+        used: Name of the model that judged the rows; if rows were held out by blocks, one name per block.
         blocks: The block of each error ``(M,)``; None if rows were held out once.
-        pixels: For pictures, the geometry's errors in px, view by view; empty for other kinds.
+        pixels: For pictures, the geometry's errors in px, one array per view; empty for other kinds.
     """
 
     errors: dict[str, Array]
@@ -227,7 +241,7 @@ class HeldOut:
     pixels: tuple[Array, ...] = ()
 
     def text(self, rows: int, fitted: int) -> str:
-        """A sentence on how these rows were held out.
+        """Return a sentence that says how the rows were held out.
 
         Args:
             rows: Number of rows judged.
@@ -246,12 +260,12 @@ class HeldOut:
 
     @property
     def rows(self) -> str:
-        """The word for rows in sentences: "views" if they are pictures, else "rows"."""
+        """What sentences call the rows: "views" if they are pictures, else "rows"."""
         return "views" if self.pixels else "rows"
 
     @property
     def no_interval(self) -> str:
-        """The reason why there is no interval; empty if there is one."""
+        """The reason why the mean error has no 95 % interval; empty if it has one."""
         least, units = (LEAST_ROWS, "rows") if self.blocks is None else (LEAST, "blocks")
         return "" if self._values >= least else f"no interval: {self._values} {units} are fewer than {least}"
 
@@ -265,10 +279,10 @@ class HeldOut:
 
 
 def held_out_of(fits: Mapping[str, Fit], test: Observations) -> HeldOut:
-    """Errors on rows that were held out once.
+    """Compute the errors of each step of a calibration on rows that were held out once.
 
     Args:
-        fits: Calibrations by name, step by step: of the geometry alone, then each with one part more.
+        fits: The fits by name, in order: the geometry alone, then each with one part more (terms, residual model).
         test: The held-out rows.
     """
     bare, (used, best) = next(iter(fits.values())), list(fits.items())[-1]
@@ -287,12 +301,12 @@ def held_out_of(fits: Mapping[str, Fit], test: Observations) -> HeldOut:
 
 
 def by_station(held_out: HeldOut, train: Observations, folds: Sequence[tuple[Rows, Rows]]) -> HeldOut:
-    """The errors of all blocks, sorted by the station that their rows belong to.
+    """Sort held-out errors by the station of their rows.
 
     Args:
-        held_out: Errors block by block.
+        held_out: The errors, one block after the other.
         train: The rows of all stations.
-        folds: For each block the indices of the fitted rows and of the held-out rows.
+        folds: For each block, the indices of the fitted rows and of the held-out rows.
     """
     rows = np.concatenate([rows_out[train.select(rows_out).rows_of_misses] for _, rows_out in folds])
     places = np.repeat(np.arange(len(train.parts)), [len(part.joints) for part in train.parts])
@@ -303,10 +317,11 @@ def by_station(held_out: HeldOut, train: Observations, folds: Sequence[tuple[Row
 
 
 def pooled(names: Sequence[str], parts: Sequence[HeldOut]) -> HeldOut:
-    """The held-out errors of all blocks, one block after the other.
+    """Concatenate the held-out errors of all blocks.
 
-    The model was chosen anew without each block, so its steps may differ from block to block. The last model's errors
-    are those of each block's last step; a model between has those of the last step before a residual was learnt.
+    The model was chosen anew without each block, so blocks can differ in their steps (terms, residual model). The
+    errors of the last model are those of each block's last step. The errors of the models between "geometric" and the
+    last are those of each block's last step without its learnt residual.
 
     Args:
         names: Names of the steps of the calibration of all rows, in order.
@@ -326,21 +341,21 @@ def pooled(names: Sequence[str], parts: Sequence[HeldOut]) -> HeldOut:
 
 
 def without_residual(fit: Fit) -> Fit:
-    """The fit without its learnt residual."""
+    """Return a copy of the fit without its learnt residual."""
     return replace(fit, calibration=fit.calibration.without_residual())
 
 
 def what_is_left(fit: Fit, data: Observations) -> Array:
-    """A calibration's errors on data, ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad.
+    """Compute a calibration's errors on data: ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad.
 
-    Errors of several stations are in the first station's axes.
+    Terms and learnt residual are included. Errors of several stations are in the first station's axes.
     """
     tracked = tracked_rows(fit.identification, data)
     return missed_by(fit.identification, data) if tracked is None else fit.calibration.errors(tracked)
 
 
 def missed_by(found: Identification, data: Observations) -> Array:
-    """An identified arm's errors on data, in the shapes and axes of `what_is_left`."""
+    """Compute an identified arm's errors on data without a learnt residual, shaped as by `what_is_left`."""
     tracked = tracked_rows(found, data)
     if tracked is None:
         return data.misses(found.arm_model, unknowns_of(found, data))
@@ -348,9 +363,9 @@ def missed_by(found: Identification, data: Observations) -> Array:
 
 
 def tracked_rows(found: Identification, data: Observations) -> Measurements | None:
-    """The data as poses or positions, those of several stations as the first one would have measured them.
+    """Return the data as poses or positions, with those of several stations transformed into the first one's frames.
 
-    None if the data are of another kind.
+    The result is None if the data are of another kind.
     """
     rows: Measurements | None = data.from_the_first(found.arm_model, unknowns_of(found, data))
     return rows
@@ -360,12 +375,12 @@ def tracked_rows(found: Identification, data: Observations) -> Measurements | No
 
 
 def pixel_figures(fit: Fit, data: PixelObservations, held_out: HeldOut) -> dict[str, Any]:
-    """Reprojection errors for JSON: of the fit to all views, and of fits on views that they never saw.
+    """Compute reprojection errors, of the fit to all views and of fits on held-out views, as values for JSON.
 
     Args:
-        fit: The fit of geometry alone to all these views.
-        data: The views.
-        held_out: Errors of held-out views; views were held out one by one, or in blocks if they are many.
+        fit: The fit of geometry alone to all views in ``data``.
+        data: The views, that is pictures of a board.
+        held_out: Errors of held-out views. Views were held out one by one, or in blocks if they are many.
     """
     solution = fit.identification
     by_view = [position_rms(view) for view in held_out.pixels]
@@ -383,7 +398,7 @@ def pixel_figures(fit: Fit, data: PixelObservations, held_out: HeldOut) -> dict[
 
 
 def pixel_block(figures: Mapping[str, Any], names: Sequence[str]) -> Block:
-    """The figures of `pixel_figures` as a table; ``names`` are the names of the held-out views."""
+    """Return the values of `pixel_figures` as a table; ``names`` are the names of the held-out views."""
     by_view, ends = figures["leave_one_out_view_rms_px"], figures["leave_one_out_mean_ci95_px"]
     worst = int(np.argmax(by_view))
     between = "no interval: too few views"
@@ -400,7 +415,7 @@ def pixel_block(figures: Mapping[str, Any], names: Sequence[str]) -> Block:
 
 
 def view_names(views: PixelObservations) -> tuple[str, ...]:
-    """The names of views: each is that of its picture, or else the file and row where its corners begin."""
+    """Return the name of each view: that of its picture, or else the file and row where its corners begin."""
     if views.pictures is not None:
         return tuple(Path(path).name for path in views.pictures)
     return tuple(
@@ -409,10 +424,14 @@ def view_names(views: PixelObservations) -> tuple[str, ...]:
 
 
 def lens_of(fit: Fit, data: Observations) -> Lens:
-    """The lens that a fit to pictures found.
+    """Return the camera's lens with the values that a fit to pictures identified.
+
+    Args:
+        fit: The fit.
+        data: The pictures that it was fitted to.
 
     Raises:
-        InputError: If there are no pictures.
+        InputError: If the data are no pictures.
     """
     if data.views is None:
         raise InputError(f"{data.source} holds {data.kind}, no pictures, so there is no lens to write")

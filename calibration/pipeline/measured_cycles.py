@@ -1,8 +1,8 @@
-"""Accuracy of a real arm by ISO 9283:1998, from measured rows that visit a few commanded poses again and again.
+"""Pose accuracy of a real arm by ISO 9283:1998, from measured rows that visit a few commanded poses many times.
 
-The commanded poses are those of the nominal arm at the commanded joints. Where the instrument was not registered to
-the arm, its base, and with enough poses its tool, are fitted first. AP and RP are computed as in the simulated test
-(`pickenv.arm.plant.iso9283`). mm and deg.
+The commanded poses are those of the nominal arm at the commanded joints. If the instrument was not registered to the
+arm, the arm's base is fitted first, and with enough poses its tool too. Pose accuracy (AP) and repeatability (RP) are
+computed as in the simulated test (`pickenv.arm.plant.iso9283`). mm and deg.
 """
 
 from __future__ import annotations
@@ -23,20 +23,21 @@ from pickenv.calibration.pipeline.fitting import fit_frames
 
 
 def measured_iso9283(arm: Arm, rows: Measurements) -> dict[str, Any]:
-    """AP, RP and drift of a measured arm, pose by pose, with 95 % intervals over the cycles.
+    """Compute pose accuracy (AP), repeatability (RP) and drift of a measured arm, with 95 % intervals over the cycles.
 
     Rows whose joints differ by 2e-4 rad or m at most are cycles of one pose (`same_poses`), in the order of the rows.
 
     Args:
         arm: The arm.
-        rows: Measured poses or positions, in the order in which they were taken. Where their frames are fitted, base
-            and tool are fitted to the mean of each pose; that makes AP smaller than it is, and leaves RP as it is.
+        rows: Measured poses or positions, in the order in which they were taken. If their frames are not known, base
+            and tool are fitted to the mean of each pose. That makes AP smaller than it is, and leaves RP unchanged.
 
     Returns:
-        The figures in the form of JSON. poses: for each its name, P1 the first in the file, the joints, the figures of
-        `pose_performance`, and `pose_drift` as "drift". fitted: which of base and tool were fitted. fitted_numbers,
-        of_numbers: how many numbers these have, and of how many numbers the means of the poses consist; where these are
-        no more, accuracies are None. still: number of rows that follow a row of the same pose.
+        The results as values for JSON, in mm and deg. "poses" holds for each pose its name (P1 is the first in the
+        file), its joints, the results of `pose_performance`, and `pose_drift` as "drift". "fitted" says which of base
+        and tool were fitted, and "fitted_numbers" how many parameters these have. "of_numbers" is the number of
+        coordinates of all mean poses. If it is not larger than "fitted_numbers", accuracies are None. "still" is the
+        number of rows that follow a row of the same pose.
 
     Raises:
         InputError: If a pose has too few cycles, or the rows do not fit the arm.
@@ -70,7 +71,7 @@ def measured_iso9283(arm: Arm, rows: Measurements) -> dict[str, Any]:
 
 
 def _means(rows: Measurements, cycles: Sequence[Rows]) -> Measurements:
-    """The mean of each pose's cycles, as one row."""
+    """Return one row for each pose: the mean of its cycles."""
     first = rows.select([visits[0] for visits in cycles])
     rotation = None
     if rows.rotation is not None:
@@ -82,10 +83,10 @@ def _means(rows: Measurements, cycles: Sequence[Rows]) -> Measurements:
 
 
 def _placed(arm: Arm, means: Measurements) -> tuple[list[str], Geometry]:
-    """Which of base and tool were fitted to the means, and the arm's geometry with them.
+    """Fit base and tool to the mean poses, and return the names of the fitted frames and the geometry with them.
 
-    The tool is fitted where the means are twice as many numbers as both frames have. Else it is the arm's own: five
-    poses of one attitude, as the standard has them, tell nothing of it.
+    The tool is fitted if the means have at least twice as many coordinates as both frames have parameters. Else it is
+    the arm's own, since five poses of one attitude, as in the standard, do not determine it.
 
     Raises:
         InputError: If the means do not fit the arm.
@@ -100,7 +101,7 @@ def _placed(arm: Arm, means: Measurements) -> tuple[list[str], Geometry]:
 
 
 def _without_accuracy(figures: dict[str, Any]) -> dict[str, Any]:
-    """The figures of a pose, and of its drift, with None for those that need the arm's base."""
+    """Return the results of a pose, and of its drift, with None for those that need the arm's base."""
 
     def without(part: dict[str, Any]) -> dict[str, Any]:
         return {key: None if key.startswith(("accuracy", "mean_error")) else value for key, value in part.items()}

@@ -1,8 +1,8 @@
-"""The one result of a calibration: verdict, held-out errors, parameters found, rows left out.
+"""The result of a calibration: verdict, held-out errors, identified parameters, and rows left out.
 
-Whatever a screen shows of a calibration is made here, once: the terminal prints `Result.summary` or all of
-`Result.report`, the page shows the same blocks, `Result.as_dict` holds the same values, and the saved calibration
-carries the verdict in its record. Units: mm and degrees on screens, SI inside.
+All outputs are made from one `Result`. The terminal prints `Result.summary` or `Result.report`, the HTML page shows
+the tables of `Result.blocks`, and `Result.as_dict` holds the values for JSON. The saved calibration has the verdict in
+its record. Units: mm and degrees in outputs, SI inside.
 """
 
 from __future__ import annotations
@@ -33,37 +33,41 @@ from pickenv.calibration.reading.read import joints_of, read_targets
 from pickenv.calibration.residuals.gate import GateVerdict, position_rms, selected, verdicts_record
 
 CAUTIONS, CAUTION = 3, 100
-"""Of cautions, a summary prints so many, each as two lines of so many characters."""
+"""Largest number of cautions in a summary, and characters per line; each caution takes two lines at most."""
 
 SIGMAS = 2.0
-"""Number of its standard deviations by which a parameter must have changed to count as moved."""
+"""Change of a parameter, in its standard deviations, above which the parameter counts as moved."""
 
 
 def has_moved(row: Mapping[str, Any]) -> bool:
-    """Whether a parameter, a row of `Result.parameters`, changed by more than `SIGMAS` of its standard deviations."""
+    """Return whether a parameter changed by more than `SIGMAS` of its standard deviations.
+
+    Args:
+        row: The parameter, an entry of `Result.parameters`.
+    """
     return bool(abs(row["change"]) > SIGMAS * row["std"])
 
 
 @dataclass(frozen=True, eq=False)
 class Result:
-    """A calibration, judged.
+    """A calibration with its verdict and the errors on held-out rows.
 
     Attributes:
         arm: The arm.
-        fit: The calibration that will be used, and its evidence.
-        geometric: The calibration of the geometry alone, and its evidence.
+        fit: The fit whose calibration is used.
+        geometric: The fit of the geometry alone.
         train: The rows that the calibration was fitted to.
-        test: The held-out rows; all rows, block after block, if each block was judged by a fit without it.
+        test: The held-out rows. If each block was judged by a fit without it, all rows, one block after the other.
         held_out: Errors on the held-out rows.
-        quality: The verdict and what it rests on.
+        quality: The verdict and the findings behind it.
         uncertainty: Uncertainty of predicted poses.
-        base_frame: The error in the robot's own base frame; None if base and tool were known.
-        terms: How terms were chosen; None if they were not chosen from the rows.
+        base_frame: Interval of the error in the robot's own base frame; None if base and tool were known.
+        terms: The chosen terms and the errors of each candidate; None if terms were not chosen from the rows.
         gate: Verdicts on the residual models; empty if none was judged.
-        left_out: Rows that were found far off, each with whether it was kept or left out.
-        unit: Serial number of the robot; None if it was not named.
+        left_out: Outlier rows, each with whether it was kept or left out.
+        unit: Serial number of the robot; None if it was not given.
         pixels: Reprojection errors, for JSON; None if no pictures were taken.
-        stations: The frames that the caller said each file has of its own; None if the rows told it.
+        stations: Which frames each file has of its own, as the caller said; None if the rows decided it.
     """
 
     arm: Arm
@@ -89,47 +93,50 @@ class Result:
 
     @property
     def has_nominal(self) -> bool:
-        """Whether an arm with a nominal model is calibrated; false for finished poses, where only frames are fitted."""
+        """Whether the arm has a nominal model.
+
+        False if tool poses were given in place of joint values; then only frames are fitted.
+        """
         return self.arm.name != CARRIER
 
     @property
     def errors(self) -> Mapping[str, Array]:
-        """Held-out errors by model ``(M, 6)``, ``(M, 3)`` or ``(M, 1)``, m and rad; the last model will be used."""
+        """Held-out errors ``(M, 6)``, ``(M, 3)`` or ``(M, 1)``, m and rad, by model; the last model is the one used."""
         return self.held_out.errors
 
     @property
     def miss_unit(self) -> str:
-        """The unit of held-out errors on screens: "mm", or "deg" if only directions were measured."""
+        """The unit of held-out errors in outputs: "mm", or "deg" if only directions were measured."""
         return self.train.miss_unit
 
     @property
     def best_model(self) -> str:
-        """Name of the model that will be used."""
+        """Name of the model that the calibration uses, the last of `errors`."""
         last = list(self.errors)[-1]
         return "geometry" if last in (fitting.GEOMETRIC, fitting.AS_CHOSEN) else last
 
     @property
     def best(self) -> ErrorStatistics:
-        """Held-out position errors of the model that will be used, in `miss_unit`."""
+        """Statistics of the held-out position errors of the model that is used, in `miss_unit`."""
         return list(self.position.values())[-1]
 
     @cached_property
     def position(self) -> dict[str, ErrorStatistics]:
-        """Held-out position errors by model, in `miss_unit`."""
+        """Statistics of held-out position errors by model, in `miss_unit`."""
         blocks = self.held_out.blocks
         scale = MISS_UNITS[self.miss_unit]
         return {name: error_statistics(values[:, :3] * scale, blocks) for name, values in self.errors.items()}
 
     @cached_property
     def attitude(self) -> dict[str, ErrorStatistics]:
-        """Held-out attitude errors by model, deg; empty if no attitude was measured."""
+        """Statistics of held-out attitude errors by model, deg; empty if no attitude was measured."""
         wide = {name: values for name, values in self.errors.items() if values.shape[1] == 6}
         blocks = self.held_out.blocks
         return {name: error_statistics(np.degrees(values[:, 3:]), blocks) for name, values in wide.items()}
 
     @cached_property
     def calibration(self) -> Calibration:
-        """The calibration with verdict, frames and uncertainty in its record: what is saved and applied."""
+        """The calibration with verdict, base-frame error and uncertainty in its record; `save` writes this one."""
         record = {**self.fit.calibration.record, "verdict": self.quality.as_dict()}
         record["uncertainty"] = self.uncertainty.as_record()
         if np.isfinite(self.uncertainty.covariance).all() and self.arm.nominal.tree is None:
@@ -159,7 +166,7 @@ class Result:
 
     @cached_property
     def harmonics(self) -> list[dict[str, Any]]:
-        """The identified harmonics of the drives, the largest first, in units of screens; empty if there are none."""
+        """The identified harmonics of the drives, the largest first, deg or mm; empty if there are none."""
         return screen.harmonic_rows(self.fit.identification)
 
     @cached_property
@@ -171,8 +178,8 @@ class Result:
     def own_mean_ci95(self) -> Ends | None:
         """95 % interval of the arm's own mean error in the instrument's frame, mm; None if there are too few rows.
 
-        The upper end is that of the held-out errors. From the lower end the instrument's noise is subtracted if poses
-        were measured: a held-out error contains this noise, a reach of the arm does not.
+        The upper end is that of the held-out errors. If poses or positions were measured, the instrument's noise is
+        subtracted from the lower end. A held-out error contains this noise, the error of the arm does not.
         """
         if self.best.mean_ci95 is None:
             return None
@@ -184,7 +191,7 @@ class Result:
 
     @property
     def frames_text(self) -> str:
-        """A sentence on base and tool, and on the error in the robot's own base frame."""
+        """Text that says whether base and tool were fitted, and gives the error in the robot's own base frame."""
         if self.base_frame is not None:
             return self.base_frame.sentences()
         if self.arm.nominal.tree is not None:
@@ -206,7 +213,7 @@ class Result:
         return sure.standard_of(variance_by_station(self.fit.identification, test) + sure.scatter)
 
     def blocks(self) -> tuple[screen.Block, ...]:
-        """The tables that terminal and page show after verdict and frames, in order; empty ones are left out."""
+        """Return the tables that terminal and HTML page show after verdict and frames; empty ones are left out."""
         over = self.quality.workspace
         blocks = [self._errors(), instrument.set_up_block(self.set_ups, self.stations)]
         blocks += [] if over is None else [over.block()]
@@ -233,42 +240,63 @@ class Result:
         return tuple(block for block in (*blocks, sure, self._facts()) if block.rows)
 
     def __str__(self) -> str:
-        """The summary."""
+        """Return `summary`."""
         return self.summary()
 
     def compensator(self) -> Compensator:
-        """The compensator, which maps joint targets to joint commands; `Calibration.compensator` has its options."""
+        """Return the map from joint targets to joint commands; `Calibration.compensator` takes options."""
         return self.calibration.compensator()
 
     def plant(self) -> Plant:
-        """The calibrated arm as a plant for every environment; see `pickenv.calibration.pipeline.twin.twin`."""
+        """Return the calibrated arm as a plant, that is a simulated true arm for every environment.
+
+        See `pickenv.calibration.pipeline.twin.twin`.
+        """
         return twin(self.calibration, self.arm, self.train.poses)
 
     def sample(self, n: int, seed: int, tolerances: str = "medium") -> Plant:
-        """One plant of ``n`` arms that the data allow; parameters not identified are drawn from a tolerance class."""
+        """Draw arms from the posterior of the calibration, as one plant (simulated true arms) that holds all of them.
+
+        Args:
+            n: Number of arms.
+            seed: Seed of the draw.
+            tolerances: Name of the tolerance class from which parameters that were not identified are drawn.
+        """
         return draw_plants(self.plant(), load_tolerances(tolerances), n, np.random.default_rng(seed))
 
     def save(self, path: str | Path) -> Path:
-        """Write the calibration, with its verdict, as one file (.npz)."""
+        """Write the calibration with its verdict as one file (.npz), and return the file's path."""
         return self.calibration.save(path)
 
     def export(self, out: str | Path, *, kind: str | None = None, onto: str | Path | None = None) -> Path:
-        """Write the calibration for a robot, a controller or another program; see `pickenv.calibration.export`."""
+        """Write the calibration as a robot, a controller or another program reads it, and return the file's path.
+
+        Args:
+            out: The file to write.
+            kind: Name of the kind of file; if None, it follows from the name of ``onto`` or else of ``out``.
+            onto: The robot's own file, in which only what the calibration corrects is changed. See
+                `pickenv.calibration.export`.
+        """
         from pickenv.calibration.delivery.export import export
 
         return export(self.calibration, out, kind=kind, onto=onto, arm=self.arm).path
 
     def write_page(self, path: str | Path, seeds: Mapping[str, Any] | None = None) -> Path:
-        """Write the report as one HTML page; ``seeds`` holds the seeds of its random draws by name."""
+        """Write the report as one HTML page, and return the page's path.
+
+        Args:
+            path: The page.
+            seeds: Seeds of random draws by name, which the page states.
+        """
         require("jinja2", "matplotlib", "plotly")
         from pickenv.inspect import write_calibration_report
 
         return write_calibration_report(path, self, seeds)
 
     def summary(self) -> str:
-        """What a person needs first, in at most 22 lines of 100 characters; `report` has the rest.
+        """Return the most important results as text of at most 22 lines of 100 characters; `report` has the rest.
 
-        The verdict, what must be known before use, held-out errors, and the errors to expect where the arm will work.
+        These are the verdict, cautions before use, held-out errors, and the expected errors where the arm will work.
         """
         width = screen_width()
         lines = self._verdict_lines()
@@ -301,7 +329,7 @@ class Result:
         return "\n".join(lines)
 
     def report(self) -> str:
-        """Everything, for the terminal: the verdict first."""
+        """Return all results as text for the terminal, which begins with the verdict."""
         lines = self._verdict_lines()
         sentences = [f"  {weight}: {text}" for weight, text in self.quality.others] + [f"frames: {self.frames_text}"]
         lines += [line for sentence in sentences for line in folded(sentence, screen_width())]
@@ -329,19 +357,22 @@ class Result:
 
     @property
     def clocks(self) -> tuple[Clocks, ...]:
-        """The clocks of the recordings that the rows come from; empty if they come from an arm at rest."""
+        """The fitted clocks of the recordings from which the rows were read; empty if the rows are no recordings."""
         return origins_of(self.train).clocks
 
     @cached_property
     def set_ups(self) -> list[dict[str, Any]]:
-        """The set-ups of the files, in units of screens; empty if there is only one file."""
+        """The set-ups (placements of instrument and target) of the files, as `set_ups_of` gives them.
+
+        Empty if there is only one file.
+        """
         return instrument.set_ups_of(self.geometric.identification, self.train)
 
     def parameters(self) -> list[dict[str, Any]]:
-        """Each fitted parameter in units of screens: its change, its standard deviation, and how much the rows told.
+        """Return each fitted parameter: its name, its unit, its change and its standard deviation, in that unit.
 
-        ``prior_std`` is its standard deviation before measuring, and ``narrowed`` the share, 0 to 1, by which it is
-        known more narrowly since; both are None if it had no prior.
+        ``prior_std`` is the standard deviation before measuring. ``narrowed`` is the share, 0 to 1, by which the rows
+        have narrowed the prior. Both are None if the parameter had no prior.
         """
         solution, model = self.fit.identification, self.fit.calibration.model
         changes = ArmModel.of(self.fit.calibration.nominal, model.terms).difference(model)
@@ -360,7 +391,7 @@ class Result:
         return rows
 
     def plain_parameters(self) -> list[dict[str, Any]]:
-        """The rows of `parameters` except harmonics and compliances, which have tables of their own."""
+        """Return the entries of `parameters` except harmonics and compliances, which have tables of their own."""
         return [row for row in self.parameters() if not row["name"].startswith(("periodic", "compliance"))]
 
     def _parameters(self) -> screen.Block:
@@ -375,7 +406,7 @@ class Result:
 
     @property
     def prior_text(self) -> str:
-        """What was expected of the parameters before measuring, in words."""
+        """Text that names the prior of the parameters, with the factors on its standard deviations."""
         prior = self.geometric.identification.prior
         if prior is None or not prior.proper:
             return "nothing was expected of them beforehand"
@@ -408,7 +439,7 @@ class Result:
         return screen.Block("Evidence", (), tuple(rows), key="evidence")
 
     def as_dict(self) -> dict[str, Any]:
-        """The result for JSON."""
+        """Return the result as values for JSON."""
         solution = self.geometric.identification
         prior = solution.prior
         nominal, geometric, best = self.position[fitting.NOMINAL], self.position[fitting.GEOMETRIC], self.best
@@ -467,17 +498,19 @@ class Result:
 
 
 WORKSPACE_POSES, TRIALS = 400, 200_000
-"""Number of joint vectors that stand for a workspace, and number that are drawn to find those within a box."""
+"""Number of joint vectors that represent a workspace, and number of draws to find those within a box."""
 
 
 def workspace_joints(text: str | Path | None, geometry: Geometry) -> tuple[str, Array]:
-    """The name of a workspace, and joints ``(M, n)``, rad or m, spread over it; equal inputs give the same ones.
+    """Return a workspace's name, and joints ``(M, n)``, rad or m, that represent it.
+
+    Random joints are drawn with a fixed seed, so equal inputs give equal joints.
 
     Args:
-        text: A file of targets (joints or tool poses in our own columns), or ranges joined by commas: of joints in deg
-            or mm (``q1=-90:90``), and of the tool's position in the controller's base frame in mm (``x=300:900``).
-            Joints that are not named move within their limits. None for all poses within the joint limits.
-        geometry: The nominal arm.
+        text: A file of targets (joints or tool poses in our own columns), or ranges joined by commas. Ranges of joints
+            are in deg or mm (``q1=-90:90``). Ranges of the tool's position in the controller's base frame are in mm
+            (``x=300:900``). Joints without a range move within their limits. None for all poses within the limits.
+        geometry: The arm's nominal geometry.
 
     Raises:
         InputError: If a range cannot be read, or the arm hardly reaches anything in it.
@@ -531,19 +564,19 @@ def assess(
     left_out: tuple[diagnosis.LeftOut, ...] = (),
     workspace: tuple[str, Array] | None = None,
 ) -> Result:
-    """Judge a calibration on rows that it never saw.
+    """Judge a calibration on held-out rows.
 
     Args:
         arm: The arm.
-        fit: The calibration that will be used.
+        fit: The fit whose calibration is used.
         train: The rows that the calibration was fitted to.
         test: The held-out rows.
-        fits: Calibrations by name, step by step: of the geometry alone, then each with one part more; the last is
-            ``fit``. If left out, ``fit`` without and with its learnt residual.
-        held_out: Errors on the held-out rows; if left out, those of ``fits``.
-        left_out: Rows that were found far off.
-        workspace: Name of the workspace where the arm will work, and joints ``(M, n)`` spread over it; if left out,
-            the joint limits.
+        fits: The fits by name, in order: the geometry alone, then each with one part more; the last is ``fit``. If
+            None, they are ``fit`` without and with its learnt residual.
+        held_out: Errors on the held-out rows; if None, they are computed from ``fits``.
+        left_out: Outlier rows.
+        workspace: Name of the workspace where the arm will work, and joints ``(M, n)``, rad or m, that represent it.
+            If None, all poses within the joint limits.
     """
     unlearnt = fitting.without_residual(fit)
     learnt = fit.calibration.learnt

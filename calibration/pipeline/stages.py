@@ -1,9 +1,9 @@
-"""The one way from measured rows to a calibration result, for every kind of measurement and every caller.
+"""The calibration pipeline: from measured rows of any kind to a calibration result.
 
-`STAGES` lists its steps in order: check, align, identify, add terms, learn what remains; reading comes before them,
-judgement after them. "Nominal" errors are taken after base and tool were fitted: an uncalibrated arm is not blamed for
-where the instrument stood. Terms and residual model are chosen within the training rows, so that the held-out figures
-come from rows that no choice has used.
+`STAGES` lists its steps in order: check the rows, fit base and tool, identify the geometry, add terms, and learn the
+errors that remain. Reading comes before these steps, judgement after them. "Nominal" errors are those of the nominal
+arm after base and tool were fitted, so that they do not contain the instrument's placement. Terms and residual model
+are chosen within the training rows. Held-out errors therefore come from rows that no choice has used.
 """
 
 from __future__ import annotations
@@ -44,25 +44,25 @@ from pickenv.calibration.residuals.residual_models import TRIAL_FITTERS, require
 
 @dataclass(frozen=True)
 class Choices:
-    """The options of a calibration beyond its geometry.
+    """Options of a calibration: which terms, residual model, frames and priors it uses, and how it treats outliers.
 
     Attributes:
-        terms: "auto", or names of terms joined by "+", or "none".
-        residual: "auto", a residual model's name, or "none".
-        force: Whether a named residual model is used even if it does not win.
-        robust: Whether rows far off are left out; they are listed in either case.
-        seed: Seeds everything random.
-        frames: Whether base and tool are "known" or "fitted"; when None, what the data say of them.
-        learn_from: Poses for the named residual model, which is then used as it is, as the paper does; when None it
-            learns from the training rows, if it wins there.
-        settings: Settings of the network that learns from ``learn_from``; the paper's when None.
-        fit: One of `pickenv.calibration.model.prior.FIT_WORDS`: "auto", all parameters by their priors; "offsets", the
-            joints' zeros alone; "full", all parameters without priors, as the papers do.
-        tolerances: The tolerance class that parts are expected to be made to, by name or path; when None, the arm's own
-            class, or else the class of a cobot.
-        prior_scale: Factor on the widths of the priors; found from the rows when None.
-        workspace: The region that the verdict is about (`pickenv.calibration.pipeline.result.workspace_joints`); the
-            joint limits when None.
+        terms: Parametric effects that are not geometric: "auto", names joined by "+", or "none".
+        residual: "auto", the name of a residual model, or "none".
+        force: Whether a named residual model is used although it does not improve held-out errors.
+        robust: Whether outlier rows are left out. They are listed in either case.
+        seed: Seed of all random draws.
+        frames: Whether base and tool are "known" or "fitted". None takes what the data state.
+        learn_from: Poses from which the named residual model learns; it is then always used, as in the paper. None
+            lets it learn from the training rows, and uses it if it improves errors there.
+        settings: Settings of the network "bpnn" that learns from ``learn_from``; None takes the paper's settings.
+        fit: One of `pickenv.calibration.model.prior.FIT_WORDS`. "auto" fits all parameters with priors. "offsets" fits
+            the joint zeros alone. "full" fits all parameters without priors, as the papers do.
+        tolerances: Name or path of the tolerance class that sets the priors of the arm's parts. None takes the arm's
+            own class, or else that of a cobot.
+        prior_scale: Factor on the standard deviations of the priors. None estimates it from the rows.
+        workspace: The region for which the verdict holds (`pickenv.calibration.pipeline.result.workspace_joints`).
+            None takes all poses within the joint limits.
     """
 
     terms: str = "auto"
@@ -80,10 +80,14 @@ class Choices:
 
 
 def refuse_options(train: Observations, choices: Choices) -> None:
-    """Refuse options that apply only to another kind of measurement than the rows hold.
+    """Refuse options that do not apply to the kind of measurement that the rows hold.
+
+    Args:
+        train: The training rows; they are not poses or positions of one station.
+        choices: The options.
 
     Raises:
-        InputError: Names the option.
+        InputError: If such an option is set; the message names it.
     """
     learnt = choices.residual not in ("auto", "none")
     tracked = all(part.poses is not None for part in train.parts)
@@ -97,20 +101,30 @@ def refuse_options(train: Observations, choices: Choices) -> None:
 
 
 Data = Observations | str | Path | Sequence[str | Path] | Sequence[Observations]
-"""Rows: measurements, observations of any kind or several of them, or the files that hold them."""
+"""Measured rows: one data set (`Observations`, such as `Measurements`) or several, or the paths of files with them."""
 
 Columns = str | Path | Sequence[str | Path] | None
-"""Description of the files' columns, by name or path; or several, one for each file."""
+"""Name or path of a description of the files' columns, or several of these, one for each file.
+
+None means our own columns.
+"""
 
 STATIONS: dict[str, tuple[str, ...]] = {"none": (), "base": ("base",), "tool": ("tool",), "base,tool": OWN}
-"""Frames that each station can have of its own, by the word that names them."""
+"""Frames that differ from station to station, by the word that a caller gives for them."""
 
 
 def given_arm(arm: Arm | str | Path | None, columns: Columns) -> Arm:
-    """Load the arm; where the files hold finished poses, a carrier that only reproduces them takes its place.
+    """Return the arm that is given, or loaded from a file.
+
+    If the files hold tool poses in place of joint values, it is `pose_carrier`: an arm whose six joints are a pose.
+
+    Args:
+        arm: The arm, its name or its file; None if the files hold tool poses.
+        columns: Description of the files' columns.
 
     Raises:
-        InputError: If an arm is given with finished poses, or none is given without them.
+        InputError: If an arm is given although the files hold tool poses, or if none is given although they hold
+            joint values.
     """
     described = [load_description(description) for description in _each(columns)]
     if any(description.poses for description in described):
@@ -131,16 +145,19 @@ def given_rows(
     known: bool = False,
     like: Observations | None = None,
 ) -> Observations:
-    """Read the rows.
+    """Read measured rows, and join several files or data sets as stations of one arm.
+
+    A station, or set-up, is one placement of the instrument and its target.
 
     Args:
         arm: The arm.
         data: The rows, or their files.
-        columns: How the files are laid out; several descriptions are for one file each.
-        stations: What each file, or data set, has of its own, of `STATIONS`. When left out, the rows tell which files
-            of poses or positions are of one set-up, and other kinds have both frames of their own.
-        known: Whether base and tool are known; then all files are of one set-up.
-        like: The training rows, where ``data`` judge them and come from the set-ups in which they were measured.
+        columns: Description of the files' columns; if several are given, one for each file.
+        stations: Which frames each file or data set has of its own, a key of `STATIONS`. If None, files of poses or
+            positions are grouped into stations by their rows. Of other kinds, the files of one description are one
+            data set, and each data set has its own base and tool.
+        known: Whether base and tool are known; then all files belong to one station.
+        like: The training rows, if ``data`` are test rows from the stations of the training rows.
 
     Raises:
         InputError: Names the file, row, column or unit at fault.
@@ -167,12 +184,12 @@ def given_rows(
 
 
 def pool_of(path: str | Path, geometry: Geometry, columns: str | Path | None = None) -> tuple[Array, NDArray[np.int64]]:
-    """Read the joints ``(N, n)`` of a file of poses to choose from, and the line of each pose in the file ``(N,)``.
+    """Read candidate poses from a file: joints ``(N, n)``, rad or m, and the line of each pose in the file ``(N,)``.
 
     Args:
-        path: Joint targets or tool poses in our own columns; or measurements, where they are described.
-        geometry: The arm.
-        columns: Description of the columns of measurements.
+        path: Without ``columns``, a file of joint targets or tool poses in our own columns; else a measurement file.
+        geometry: The arm's nominal geometry.
+        columns: Description of the measurement file's columns.
 
     Raises:
         InputError: Names the file, row, column or unit at fault, or a pose that cannot be reached.
@@ -193,7 +210,7 @@ def _each(columns: Columns) -> list[str | Path]:
 def _joined(
     arm: Arm, sets: list[Observations], stations: str | None, known: bool, like: Observations | None
 ) -> Observations:
-    """Join several data sets as stations of one arm, as asked or as poses and positions show; leave one as it is."""
+    """Join several data sets as stations of one arm, by ``stations`` or by their rows; return a single one as it is."""
     named = any(any(origins_of(part).scene) or part.conditions.between is not None for part in sets)
     if stations is not None and named:
         raise InputError("[scene] says which files share a base or a tool; leave `stations` out")
@@ -214,10 +231,10 @@ def _joined(
 
 
 def _same_scene(like: Observations, data: Observations) -> InstrumentStation:
-    """Other rows of the sensor and the target of a station.
+    """Return the station of ``like`` with the sensor, target and kind of ``data``; its rows are replaced by ``data``.
 
     Raises:
-        InputError: If no station has them.
+        InputError: If there is no such station.
     """
     scene = origins_of(data).scene
     for station in like.stations:
@@ -229,7 +246,7 @@ def _same_scene(like: Observations, data: Observations) -> InstrumentStation:
 
 
 def _files(data: Measurements) -> list[Measurements]:
-    """The rows of each file as measurements of their own."""
+    """Split measurements by file."""
     origins = origins_of(data)
     numbers = np.unique(origins.file)
     return [replace(data.select(origins.file == i), source=origins.files[i]) for i in numbers.tolist()]
@@ -257,35 +274,38 @@ def _refuse_no_numbers(arm: Arm, data: Observations) -> None:
 
 
 GATE_ROWS = 3000
-"""Most training rows, taken evenly, that residual models are judged on."""
+"""Largest number of training rows on which residual models are judged; they are taken at equal steps."""
 
 ENOUGH_FOR_BLOCKS = 40
-"""Fewest training poses from which blocks can be held out."""
+"""Smallest number of training poses with which blocks of rows can be held out."""
 
 GEOMETRY = "geometry"
 
 SPLITS = ("random", "blocked")
 
 FEW_VIEWS, FEW_ROWS = 60, 20
-"""Up to this many pictures, or poses, are judged one by one, each by a fit to the rows of all other poses."""
+"""Largest numbers of pictures, and of poses, that are held out one by one.
+
+Each is then judged by a fit to the rows of all other poses.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class Draft:
-    """A calibration on its way through the stages.
+    """The state of a calibration between two of the `STAGES`; each stage returns a new one.
 
     Attributes:
         arm: The arm.
-        choices: What was asked for.
+        choices: The options.
         train: Rows to fit, in the order measured.
         test: Rows to judge by.
-        rng: Random generator of the residual model that will be used.
-        progress: Called with (what is done, how many are done, how many there are).
-        left_out: Rows far off that were left out.
-        aligned: Evidence of the base and tool fit; None where they are known.
-        fits: The fits so far, by name, in order; the last will be used.
-        term_choice: How terms were chosen.
-        gate: The residual models' verdicts.
+        rng: Random generator of the residual model that is used in the end.
+        progress: Function that is called with the name of the work, the number of steps done and the total number.
+        left_out: Outlier rows that were left out; with ``choices.robust`` off, they were kept and are only listed.
+        aligned: The identification of base and tool; None if these are known.
+        fits: The fits so far, by name, in order. The last one is used.
+        term_choice: The terms that were chosen, and the errors of each candidate; None if they were not chosen.
+        gate: The verdicts on the residual models.
     """
 
     arm: Arm
@@ -302,17 +322,20 @@ class Draft:
 
     @property
     def tracked(self) -> Measurements | None:
-        """Training poses or positions, all as the first station would have measured them; None for other kinds."""
+        """The training poses or positions, transformed into the first station's frames.
+
+        None for other kinds of measurement, and for a whole robot.
+        """
         whole = self.arm.nominal.tree is not None  # one residual is not for the motion between any two links
         return None if whole else fitting.tracked_rows(self.best[1].identification, self.train)
 
     @property
     def best(self) -> tuple[str, fitting.Fit]:
-        """The name of the last fit, and the fit."""
+        """The last fit: its name and the `Fit` itself."""
         return list(self.fits.items())[-1]
 
     def with_fit(self, name: str, fit: fitting.Fit) -> Draft:
-        """The draft with one more fit."""
+        """Return a copy of the draft with one more fit, which becomes the last."""
         return replace(self, fits={**self.fits, name: fit})
 
 
@@ -330,35 +353,39 @@ def calibrate(
     rng: np.random.Generator | None = None,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> Result:
-    """Calibrate an arm from measurements of any kind, and judge the result on rows that it never saw.
+    """Calibrate an arm from measurements of any kind, and judge the result on held-out rows.
 
         result = pickenv.calibrate("ur5", "tracker.csv", columns="my_tracker.toml")
         print(result)
         result.save("ur5.npz")
 
     Args:
-        arm: The arm, its name, or its file (`pickenv.arm.load_arm`); None where files hold finished poses.
-        data: Measurements, observations of any kind or several of them, or files that hold them (CSV or YAML).
-        columns: Description of the files' columns, by name or path; our own columns when left out. Several: one for
-            each file.
-        stations: What each file, or data set, has of its own: "base", "tool", "base,tool" or "none". When left out,
-            the rows tell which files of poses or positions share a set-up; other kinds have both of their own.
-        test: Rows to judge by; some of ``data`` when left out.
-        split: How rows of ``data`` are held out: "random", and the calibration is fitted to the others; or "blocked",
-            all ten contiguous tenths in turn, each judged by a model fitted and chosen without it, while the
-            calibration itself is fitted to all rows. Fewer than 40 poses are always judged so, and up to 20 one by one.
-        test_rows: How many rows are held out at random; a fifth when left out.
-        choices: Terms, residual model, frames, robustness and seed; the defaults choose by the data.
-        unit: Serial number of the robot, kept in the calibration.
-        rng: Random generator of the residual model; made from the seed when left out.
-        progress: Called with (what is done, how many are done, how many there are): residual models or blocks judged,
-            epochs of the network that learns from poses of its own.
+        arm: The arm, its name, or its file (`pickenv.arm.load_arm`); None if the files hold tool poses in place of
+            joint values.
+        data: One data set of any kind or several, or the files that hold them (CSV or YAML).
+        columns: Name or path of a description of the files' columns, or one for each file. None for our own columns.
+        stations: Which frames each file or data set has of its own: "base", "tool", "base,tool" or "none". If None,
+            files of poses or positions are grouped into set-ups by their rows. Of other kinds, the files of one
+            description are one data set, and each data set has its own base and tool.
+        test: Rows to judge by; if None, some rows of ``data`` are held out.
+        split: How rows of ``data`` are held out. "random" holds some rows out and fits the calibration to the others.
+            "blocked" holds out each of ten contiguous blocks in turn. A model that is fitted and chosen without the
+            block judges it, and the calibration itself is fitted to all rows. Fewer than 40 poses are always judged by
+            blocks, and up to 20 poses one by one.
+        test_rows: Number of rows that are held out at random; a fifth if None.
+        choices: Terms, residual model, frames, robustness and seed. The defaults choose by the data.
+        unit: Serial number of the robot; the calibration keeps it.
+        rng: Random generator of the residual model; if None, it is made from the seed.
+        progress: Function that is called with the name of the work, the number of steps done and the total number.
+            Steps are residual models or blocks judged, and epochs of a network that learns from ``choices.learn_from``.
+
+    Returns:
+        The calibration with its verdict, held-out errors and parameters.
 
     Raises:
-        InputError: Names the file, row, column, unit or joint at fault: if a file cannot be read, rows are not numbers
-            or not of one kind, rows to judge by were trained on, the data do not fit the arm, rows are far off, held
-            out or not, or show too few parameters, a name is unknown, an option does not apply to this kind of
-            measurement, or the identification does not converge.
+        InputError: If a file, a row or an option cannot be used, or if test rows are training rows. Also if the data do
+            not fit the arm or determine too few parameters, or if the identification does not converge. The message
+            names the file, row, column, unit or joint at fault.
     """
     choices = choices or Choices()
     arm = given_arm(arm, columns)
@@ -443,14 +470,14 @@ def _judged_by_blocks(draft: Draft) -> Result:
 
 
 def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
-    """The rows to fit and the rows held out, block by block; each of few pictures, or very few poses, is a block."""
+    """Return for each block the rows to fit and the rows held out; with few pictures or poses, each is a block."""
     poses, count = observations.same_poses(train.joints), pose_count(train.joints)
     few = count <= (FEW_VIEWS if train.kind == "pixels" else FEW_ROWS)
     return observations.contiguous_folds(train.groups, poses, count if few else observations.BLOCKS)
 
 
 def _chosen(checked: Draft, rows: Rows) -> str | None:
-    """Name of the residual model that the stages choose on these rows; None if they choose none or fail."""
+    """Return the name of the residual model that the stages choose on these rows; None if they choose none or fail."""
     choices, train = checked.choices, checked.train.select(rows)
     if choices.residual == "none" or choices.learn_from is not None:
         return None
@@ -463,7 +490,7 @@ def _chosen(checked: Draft, rows: Rows) -> str | None:
 
 
 def _check(draft: Draft) -> Draft:
-    """Refuse options that do not apply; leave out rows that are far off."""
+    """Refuse options that do not apply, and leave out outlier rows."""
     choices, train, test = draft.choices, draft.train, draft.test
     if choices.frames is not None and choices.frames not in FRAMES:
         raise InputError(f"frames is '{choices.frames}'; give {' or '.join(FRAMES)}")
@@ -493,12 +520,12 @@ def _check(draft: Draft) -> Draft:
 
 
 def _align(draft: Draft) -> Draft:
-    """Fit base and tool, where they are not known."""
+    """Fit base and tool, if they are not known."""
     return replace(draft, aligned=fitting.fit_frames(draft.arm, draft.train, draft.choices.frames == "known"))
 
 
 def _identify(draft: Draft) -> Draft:
-    """Identify the geometry from its priors and the rows."""
+    """Fit the geometry to the rows, with its priors."""
     choices, known_frames = draft.choices, draft.aligned is None
     start = draft.arm.nominal if draft.aligned is None else draft.aligned.geometry
     tolerances, scale = choices.tolerances or draft.arm.tolerance_class, choices.prior_scale
@@ -554,7 +581,7 @@ def _with_residual(draft: Draft, kind: str, data: Measurements, settings: BpnnSe
 
 
 def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> tuple[GateVerdict, ...]:
-    """The verdicts on residual models, judged within the training rows."""
+    """Judge residual models within the training rows, and return their verdicts."""
     data = train.select(observations.equally_spaced(len(train), GATE_ROWS))
     name, best = draft.best
     expected, fitted = best.identification.prior, best.identification.arm_model

@@ -1,9 +1,10 @@
-"""A calibrated arm as a plant: its truth is what the calibration found; its arms are drawn from what the data allow.
+"""Turn a calibrated arm into a plant, that is a simulated true arm; further arms are drawn from the posterior.
 
-Geometry and terms come with their covariance; parameters that were dropped lie anywhere in their tolerance. Errors that
-no term describes are a Gaussian process. It is the calibration's own if it learnt one, else it is fitted to the errors
-that geometry and terms leave of the rows, and stands in for the posterior that networks do not have. Errors that are no
-smooth function of the joints are scatter: the instrument's share is subtracted, the rest is the arm's own. SI units.
+Geometry and terms have the posterior covariance of their parameters. Parameters that were dropped as redundant are
+drawn from their tolerances. Errors that no term describes are a Gaussian process. It is the calibration's own if it
+learnt one. Else it is fitted to the errors that geometry and terms leave on the rows, since networks have no posterior.
+Errors that are no smooth function of the joints are scatter. The instrument's share of it is subtracted, and the rest
+is the arm's own. SI units.
 """
 
 from __future__ import annotations
@@ -28,32 +29,34 @@ from pickenv.calibration.residuals.gaussian_process import GaussianProcess, feat
 from pickenv.calibration.residuals.residual_models import JointInputs, fit_residual
 
 SMOOTH, ROUGH = 256, 8
-"""Numbers of waves (cosine and sine each) of one output: for the process, and for the arm's own scatter."""
+"""Numbers of waves, each a cosine and a sine, of one output.
+
+The first is for the Gaussian process, the second for the arm's own scatter.
+"""
 
 ROUGH_LENGTH = 1e-2
-"""Distance of poses, rad or m, beyond which they scatter independently."""
+"""Distance between joint vectors, rad or m, beyond which the arm's own scatter is independent."""
 
 SCATTER = "scatter"
-"""Entry of a calibration's record that holds what is known of the instrument's share of the scatter."""
+"""Entry of a calibration's record that holds the instrument's share of the scatter (`Scatter`)."""
 
 
 SCATTER_PARTS = ("position_std", "attitude_std", "source")
 
 Scatter = tuple[float, float, str]
-"""The instrument's share of a measurement's scatter, as standard deviations, and its source.
+"""The instrument's share of a measurement's scatter.
 
-They are the standard deviation of a position coordinate, m, that of an attitude coordinate, rad, and the source in
-words.
+It is the standard deviation of a position coordinate, m, that of an attitude coordinate, rad, and the source in words.
 """
 
 ASSUMED: Scatter = (POSITION_STD, ATTITUDE_STD, "what is assumed of an instrument of which nothing is stated")
 
 
 def scatter_of(data: Measurements, repeat: float | None = None) -> Scatter:
-    """The instrument's share of the scatter of measured rows.
+    """Estimate the instrument's share of the scatter of measured rows.
 
-    It is the instrument's stated or assumed uncertainty, or the scatter between repeats of the same command if that is
-    smaller: repeats contain the arm's repeatability too, so they are an upper bound.
+    It is the instrument's stated or assumed uncertainty, or the scatter of repeated measurements at the same command
+    if that is smaller. Repeats contain the arm's repeatability too, so their scatter is an upper bound.
 
     Args:
         data: The rows.
@@ -70,7 +73,7 @@ def scatter_of(data: Measurements, repeat: float | None = None) -> Scatter:
 
 
 def repeated_std(data: Measurements) -> float | None:
-    """Standard deviation of one position coordinate, m, between rows of equal joints; None if no joints are equal."""
+    """Standard deviation of repeated measurements at equal joints, m, per position coordinate; None without repeats."""
     _, group = np.unique(np.round(data.joints, 9), axis=0, return_inverse=True)
     group = group.ravel()
     counts = np.bincount(group)
@@ -90,22 +93,22 @@ def twin(
     seed: int = 0,
     geometry_only: bool = False,
 ) -> Plant:
-    """The plant of a calibrated arm.
+    """Make the plant, that is the simulated true arm, of a calibrated arm.
 
-    As it is, the plant is the best guess of the arm; `draw_plants` draws arms that the data allow.
+    The plant itself is the best estimate of the arm. `draw_plants` draws further arms from the posterior.
 
     Args:
         calibration: The calibration.
         arm: The arm that was calibrated.
-        rows: Poses or positions that the calibration was fitted to; needed if its learnt residual is no Gaussian
-            process.
-        name: Name of the plant.
-        seed: Seed of the waves, and of the Gaussian process if one is fitted.
-        geometry_only: Whether terms and residual stay out.
+        rows: Poses or positions that the calibration was fitted to. They are needed if its learnt residual is no
+            Gaussian process.
+        name: Name of the plant; the arm's name with "_twin" if None.
+        seed: Seed of the waves that represent the Gaussian process, and of the process if one is fitted.
+        geometry_only: Whether terms and learnt residual are left out.
 
     Raises:
-        InputError: If the calibration is another arm's, a joint moves several links, the calibration holds no
-            covariance, rows are needed, or a term needs something that a plant does not have.
+        InputError: If the calibration is of another arm or holds no covariance, or if rows are needed. Also if a term
+            needs measured torques, or if a joint moves several links and ``geometry_only`` is False.
     """
     calibration.refuse_another(arm)
     if geometry_only:
@@ -166,9 +169,10 @@ def _root(covariance: Array) -> Array:
 
 
 def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]:
-    """Indices of the geometry's dropped parameters, and how all parameters change as one of these is moved.
+    """Return the indices of the geometry's dropped parameters, and how all parameters change with each of them.
 
-    The changes are a matrix, one column per dropped parameter: it moves by 1, and those that absorbed it give way.
+    The changes are a matrix with one column per dropped parameter. In it, this parameter changes by 1, and those that
+    absorbed it change so that the poses stay equal.
     """
     parameters = calibration.identified.parameter_names
     dropped: Mapping[str, Mapping[str, float]] = calibration.record.get("dropped", {})
@@ -202,7 +206,7 @@ def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
 def _moments(
     term: GravityTerm | ComplianceTerm, geometry: Geometry
 ) -> tuple[list[tuple[int, int, str]], Array, tuple[float, float, float]]:
-    """The moments that joints yield to, their sizes per coefficient of the term ``(k, t)``, and the upward direction.
+    """Return the moments that bend the joints, their sizes per coefficient of the term ``(k, t)``, and the upward axis.
 
     Raises:
         InputError: If the term needs measured torques.
@@ -219,7 +223,7 @@ def _moments(
 
 
 def _missing(calibration: Calibration) -> Iterator[str]:
-    """Sentences on what of the calibration stays out of the plant, and on its base frame."""
+    """Yield sentences on the parts of the calibration that the plant leaves out, and on the plant's base frame."""
     if any(isinstance(term, ThermalTerm) for term in calibration.model.terms):
         yield "the arm stays at its reference temperature: of its growth only the coefficient is known"
     if calibration.record.get("frames") == "fitted":
@@ -227,7 +231,7 @@ def _missing(calibration: Calibration) -> Iterator[str]:
 
 
 def _no_more_than(noise: Array, scatter: Scatter) -> Scatter:
-    """The instrument's share of the scatter, limited to all the scatter of the rows.
+    """Limit the instrument's share of the scatter to the whole scatter of the rows.
 
     If the positions show that the instrument is better than stated, its attitudes are limited by the rows too.
 
@@ -246,7 +250,7 @@ def _no_more_than(noise: Array, scatter: Scatter) -> Scatter:
 def _process(
     calibration: Calibration, rows: Measurements | None, rng: np.random.Generator
 ) -> tuple[GaussianProcess | None, JointInputs, str]:
-    """The Gaussian process on the errors that geometry and terms leave, its inputs, and a sentence on its origin.
+    """Return the Gaussian process of the errors that geometry and terms leave, its inputs, and a note on its origin.
 
     The process is None if there are neither rows nor a learnt residual: these errors are then taken as scatter.
 
@@ -272,7 +276,7 @@ def _process(
 
 
 def _field(frequency: Array, mean: Array, offset: Array, inputs: JointInputs, turn: Array) -> ResidualField:
-    """The process's mean as a function of the joints, plus waves for the arm's own scatter with mean weights of zero.
+    """Make the residual field: the process's mean over the joints, and waves of zero mean for the arm's own scatter.
 
     Args:
         frequency: Frequencies of the process's waves, by output, input and wave.

@@ -1,7 +1,8 @@
-"""An old calibration on new rows: does it beat the nominal arm, is it as good as promised, was this region measured?
+"""Verify an old calibration on new rows.
 
-Where it is not as promised, the cause is named: frames that moved explain the rows, joints' zeros explain them, or
-nothing that happens to a robot between two measurements does. mm and degrees on screens, SI inside.
+It answers three questions. Is the calibrated arm better than the nominal arm? Are its errors as small as promised? Was
+this region measured? If errors are larger than promised, it names the cause: frames that moved, joint zeros that
+changed, a region that was not measured, or another arm. mm and degrees in outputs, SI inside.
 """
 
 from __future__ import annotations
@@ -34,33 +35,44 @@ from pickenv.calibration.residuals.gate import position_rms
 # the frames take six numbers each, and a few rows that tell them well. SI units.
 
 REFIT_ROWS = 6
-"""Rows that base and tool are found from when nobody says how many."""
+"""Default number of rows to which base and tool are refitted."""
 
 CHANGE_STD = (1.0, np.pi / 6)
-"""Prior standard deviations of a frame's change, m and rad: what the rows do not determine stays as it was."""
+"""Prior standard deviations of a frame's change, m and rad; directions that the rows do not determine do not change."""
 
 NO_RANK = 1e-12
-"""Rank tolerance, so small that no parameter counts as redundant: each has a prior."""
+"""Rank tolerance of the refit, so small that no parameter counts as redundant, since each has a prior."""
 
 TOLD = 0.1
-"""Rows determine a direction of a frame where its standard deviation is less than this share of `CHANGE_STD`."""
+"""Share of `CHANGE_STD` below which the standard deviation of a frame's direction counts as determined by the rows."""
 
 CANDIDATES = 1000
-"""Most rows, taken evenly, among which the rows for the frames are chosen."""
+"""Largest number of rows, taken at equal steps, from which the rows for the refit are chosen."""
 
 
 Moves = dict[str, tuple[float, float, int, int]]
-"""Shift, m, and turn, rad, of each frame by name, and how many of the three directions of each the rows leave open."""
+"""Change of each refitted frame by name: shift, m, turn, rad, and the numbers of undetermined directions of both.
+
+Of the three directions of shift, and of the three of turn, these are the ones that the rows do not determine.
+"""
 
 
 Restationed = tuple[Calibration, Rows, Rows, Array, Moves]
-"""A calibration with the base and tool of another station; the rows that these were found from; all rows of other
-poses; the mean square ``(R,)``, m^2, expected of the errors of those other rows, from the scatter of one reach and the
-uncertainty of the frames; and how far the frames have moved."""
+"""The result of `restationed`, five values.
+
+The first is the calibration with the base and tool of another station. The second and third are indices of rows: those
+to which the frames were fitted, and all rows of other poses. The fourth holds the expected mean square errors ``(R,)``,
+m^2, of those other rows, from the scatter of one reach and the frames' uncertainty. The last says how far the frames
+moved.
+"""
 
 
 def frames_and_rows(text: str | None, rows: int | None) -> tuple[tuple[str, ...], int]:
-    """The frames that a list such as "base,tool" names, and the number of rows they are found from.
+    """Parse the options for a refit: return the names of the frames, and the number of rows to fit them to.
+
+    Args:
+        text: Names of frames joined by commas, such as "base,tool"; None for no refit.
+        rows: Number of rows; `REFIT_ROWS` if None.
 
     Raises:
         InputError: If the list names other frames, or a number of rows is given without frames.
@@ -82,17 +94,19 @@ def restationed(
     count: int = REFIT_ROWS,
     used: Rows | None = None,
 ) -> Restationed:
-    """Find base, tool or both of a calibrated arm anew from a few rows, which are chosen by their joints alone.
+    """Refit base, tool or both of a calibrated arm to a few rows of another station.
 
-    The frames are expected where they were, within `CHANGE_STD`; this hardly matters in directions that the rows
-    determine, and in other directions the frames stay.
+    A station is one placement of the instrument and its target. The prior of the frames is their old place with the
+    standard deviations `CHANGE_STD`. It hardly matters in directions that the rows determine. In other directions the
+    frames do not change.
 
     Args:
         calibration: The calibration.
-        data: Poses or positions at the other station.
-        own: Which of "base" and "tool" are found.
-        count: Rows to find them from; they are chosen so that other positions are predicted best (I-optimal).
-        used: The rows to find the frames from, where they were chosen already.
+        data: Poses or positions measured at the other station.
+        own: Which of "base" and "tool" are refitted.
+        count: Number of rows to fit to. They are chosen by their joints alone, so that other positions are predicted
+            best (I-optimal design).
+        used: Indices of the rows to fit to, if they were chosen before.
 
     Raises:
         InputError: If there are too few rows.
@@ -135,18 +149,18 @@ def restationed(
 
 
 def own_frames_model(geometry: Geometry, own: Collection[str]) -> ErrorModel:
-    """An error model of the base, the tool or both."""
+    """Return an error model whose parameters are those of the base, the tool or both, as ``own`` names them."""
     frames = frames_model(geometry)
     return frames.some(np.array([name.startswith(tuple(own)) for name in frames.names]))
 
 
 def expected_square(data: Measurements) -> float:
-    """Mean square of a position error that is scatter alone, m^2; the rows' uncertainty is the scatter of one reach."""
+    """Return the mean square of a position error, m^2, that the rows' standard uncertainty alone causes."""
     return 3.0 * data.position_std**2
 
 
 def weighed_by_reach(calibration: Calibration, data: Measurements) -> Measurements:
-    """The data with the scatter of one reach as their uncertainty, where the calibration knows a larger one."""
+    """Return the data with a larger standard uncertainty if the calibration's scatter of one reach is larger."""
     uncertainty = calibration.record.get("uncertainty") or {}
     position = max(float(uncertainty.get("position_repeat_m") or 0.0), data.position_std)
     attitude = max(float(uncertainty.get("attitude_repeat_rad") or 0.0), data.attitude_std)
@@ -154,7 +168,7 @@ def weighed_by_reach(calibration: Calibration, data: Measurements) -> Measuremen
 
 
 def _telling(model: ArmModel, data: Measurements, frames: ErrorModel, count: int) -> Rows:
-    """The rows from which the frames are found best, for positions all over the data."""
+    """Choose the rows that determine the frames best, judged by positions at all rows of the data."""
     pool = equally_spaced(len(data), CANDIDATES)
     jacobian = model.jacobian(data.joints[pool], data.conditions.select(pool))[..., frames.columns] * frames.tolerance
     rows = jacobian[:, : data.rows_per_pose] * data.row_weights[:, None]
@@ -164,7 +178,7 @@ def _telling(model: ArmModel, data: Measurements, frames: ErrorModel, count: int
 
 
 def _starts(model: ArmModel, few: Measurements, own: Collection[str]) -> Iterator[ArmModel]:
-    """Starting points for the frames' fit: the model as it is, then with frames near the new ones."""
+    """Yield starting points for the frames' fit: the model as it is, then with frames near the new ones."""
     geometry = model.geometry
     yield model
     if set(own) == {"tool"}:
@@ -176,9 +190,14 @@ def _starts(model: ArmModel, few: Measurements, own: Collection[str]) -> Iterato
 
 
 def errors_there(there: Calibration, before: Calibration, data: Measurements) -> Array:
-    """Measured minus predicted poses ``(R, 6)`` or positions ``(R, 3)`` of rows of another station, m and rad.
+    """Compute measured minus predicted poses ``(R, 6)`` or positions ``(R, 3)`` of rows of another station, m and rad.
 
     The learnt residual turns with the base, since it was learnt in the axes of the base.
+
+    Args:
+        there: The calibration with the other station's frames.
+        before: The calibration with its old frames.
+        data: The rows of the other station.
     """
     return there.errors(data, there.identified.base.rotation @ before.identified.base.rotation.T)
 
@@ -186,13 +205,15 @@ def errors_there(there: Calibration, before: Calibration, data: Measurements) ->
 def near_rows(
     calibration: Calibration, data: Measurements, refit: Collection[str], count: int
 ) -> tuple[Measurements, tuple[LeftOut, ...]]:
-    """The rows without a few that are far off, and these; where many are far off, the arm has moved, and all stay.
+    """Remove outlier rows, and return the other rows and the outliers.
+
+    If many rows would be outliers, they are taken as a change of the arm, and all rows are kept.
 
     Args:
         calibration: The calibration.
-        data: Rows, maybe of another station.
-        refit: Which frames are that station's own; then they are fitted before rows are called far off.
-        count: Number of rows that these frames will be found from.
+        data: Measured rows, possibly of another station.
+        refit: Which frames are that station's own. They are fitted before outliers are searched.
+        count: Number of rows to which these frames will be fitted later.
     """
     model = calibration.model
     if refit:
@@ -210,17 +231,19 @@ def near_rows(
 
 
 GROWN = 1.5
-"""Errors may be up to so many times what is expected before a calibration is no longer as good as promised: rows of
-another region of the workspace are up to 1.3 times worse on four sets of one robot."""
+"""Ratio of the RMS error to the promised one above which a calibration is no longer as good as promised.
+
+Rows of another region of the workspace are up to 1.3 times worse on four sets of one robot.
+"""
 
 ELSEWHERE = 20.0
-"""Errors of more than so many times what is expected cannot come from another region of the workspace."""
+"""Ratio of the RMS error to the promised one above which another region of the workspace cannot be the cause."""
 
 MOSTLY = 5.0
-"""Moved frames explain errors beyond `ELSEWHERE` if fitting the frames makes them so many times smaller."""
+"""Factor by which refitting base and tool must shrink errors beyond `ELSEWHERE` for moved frames to be the cause."""
 
 ALIKE = 0.75
-"""With errors of more than this share of the nominal arm's errors, the calibration hardly describes this arm."""
+"""Share of the nominal arm's RMS error from which on errors without a known cause mean that it is another arm."""
 
 Status = Literal[
     "still good",
@@ -235,20 +258,21 @@ Status = Literal[
 
 @dataclass(frozen=True, eq=False)
 class Verification:
-    """The verdict on a calibration from new rows.
+    """The verdict on an old calibration from new rows.
 
     Attributes:
         status: The verdict.
         reason: The reason for the verdict, as a sentence.
-        calibrated: Errors of the calibrated arm, mm.
-        nominal: Errors of the nominal arm, with the same frames refitted on the same rows, mm.
-        expected: The RMS that the calibration promises, mm.
+        calibrated: Position errors of the calibrated arm, mm.
+        nominal: Position errors of the nominal arm, with the same frames refitted to the same rows, mm.
+        expected: RMS position error that the calibration promises, mm.
         rows: Number of rows judged.
-        refitted: Number of rows that base and tool were found from.
-        moved: How far base and tool lie from where they were.
-        since: The row from which on errors stay large, in words; None where there is no such row.
-        left_out: Rows left out because they are far off.
-        no_gain: Why the rows do not show that the calibrated arm is better than the nominal arm; None where they do.
+        refitted: Number of rows to which base and tool were refitted; 0 if they were not.
+        moved: How far the refitted base and tool moved.
+        since: Text that names the row from which on errors stay large; None if there is no such row.
+        left_out: Outlier rows that were left out.
+        no_gain: The reason why the rows do not show that the calibrated arm is better than the nominal arm; None if
+            they show it.
         measured: Share of the rows that lie in the region that the calibration measured; None if that is not known.
     """
 
@@ -267,11 +291,11 @@ class Verification:
 
     @property
     def ratio(self) -> float:
-        """Ratio of the RMS error to the RMS that was promised."""
+        """Ratio of the RMS position error to the promised one."""
         return self.calibrated.rms / self.expected
 
     def text(self) -> str:
-        """The report for the terminal, which begins with the verdict."""
+        """Return the report for the terminal, which begins with the verdict."""
         heads = ("arm", "RMS (mm)", "mean (mm)", "95 % interval (mm)", "p95 (mm)", "max (mm)")
         rows = [(name, *error_cells(s)) for name, s in (("nominal", self.nominal), ("calibrated", self.calibrated))]
         frames = "base and tool as they were"
@@ -299,14 +323,14 @@ class Verification:
         return "\n".join([f"verdict: {self.status.upper()}: {self.reason}", *(block.text() for block in blocks)])
 
     def _moved(self, name: str) -> Iterator[str]:
-        """A frame's shift (mm) and turn (deg) as texts, which say how many directions the rows leave open."""
+        """Yield a frame's shift (mm) and turn (deg) as texts that name the number of undetermined directions."""
         shift, turn, *untold = self.moved[name]
         for size, count in zip((shift * 1e3, float(np.degrees(turn))), untold, strict=True):
             some = f"{figure(size)}; {count} of 3 directions not told by these rows" if count else figure(size)
             yield "not told by these rows" if count == 3 else some
 
     def as_dict(self) -> dict[str, Any]:
-        """The verification as values for JSON."""
+        """Return the verification as values for JSON."""
         return {
             "status": self.status,
             "reason": self.reason,
@@ -340,8 +364,8 @@ def verify(
     Args:
         calibration: The calibration.
         data: New poses or positions of the same robot.
-        refit: Which of "base" and "tool" are found anew first, because the instrument or its target was moved.
-        refit_rows: Number of rows to find these frames from.
+        refit: Which of "base" and "tool" are refitted first, because the instrument or its target was moved.
+        refit_rows: Number of rows to which these frames are refitted. The other rows judge.
 
     Raises:
         InputError: If the data are not poses or positions, or too few.
@@ -379,7 +403,7 @@ def verify(
 
 
 def promised(calibration: Calibration, data: Measurements) -> Array:
-    """Mean square error ``(N,)``, m^2, that the calibration's own uncertainty promises for each row."""
+    """Compute the mean square position error ``(N,)``, m^2, that the calibration's uncertainty promises at each row."""
     sure = uncertainty_from(calibration.record)
     if sure is None:
         return np.full(len(data), expected_square(weighed_by_reach(calibration, data)))
@@ -388,7 +412,7 @@ def promised(calibration: Calibration, data: Measurements) -> Array:
 
 
 def _since(data: Measurements, rest: Rows, errors: Array, expected: Array) -> str | None:
-    """The file and row from which on all blocks have errors larger than they may be; None if there is no such row."""
+    """Return text that names the row from which on all blocks have too large errors; None if there is no such row."""
     if len(rest) < 4 * BLOCKS:
         return None
     parts = np.array_split(np.arange(len(rest)), BLOCKS)
@@ -411,7 +435,7 @@ def _cause(
     inside: NDArray[np.bool_] | None,
     refit: Collection[str],
 ) -> Cause:
-    """The cause of errors larger than promised: frames that moved, a region not measured, joints' zeros."""
+    """Find the cause of errors larger than promised: moved frames, a region not measured, or changed joint zeros."""
     most, size = GROWN * float(np.sqrt(expected.mean())), position_rms(errors)
     far = size > ELSEWHERE * most / GROWN
     if far and not refit and _left(there, data, own_frames_model(there.identified, OWN)) < size / MOSTLY:
@@ -430,7 +454,7 @@ def _cause(
 
 
 def _left(there: Calibration, data: Measurements, model: ErrorModel) -> float:
-    """RMS position error, m, after a model's parameters are fitted to the rows, corrected for what the fit takes up."""
+    """Compute the RMS position error, m, after a fit of a model to the rows, corrected for the degrees of freedom."""
     if len(data) < len(model.names):
         return np.inf
     learnt = there.errors(data) - data.difference(there.model)
@@ -444,7 +468,7 @@ def _left(there: Calibration, data: Measurements, model: ErrorModel) -> float:
 
 
 def _less(data: Measurements, learnt: Array) -> Measurements:
-    """The rows without the residual model's part; ``learnt`` ``(N, 3 or 6)`` is minus what that model adds."""
+    """Subtract the residual model's part from the rows; ``learnt`` ``(N, 3 or 6)`` is that part with a minus sign."""
     position = data.position + learnt[:, :3]
     if data.rotation is None or learnt.shape[1] < 6:
         return replace(data, position=position)

@@ -1,1 +1,1 @@
-"""Measured files of any instrument, through descriptions of their columns."""
+"""Readers of measurement files of any instrument; a description of the columns says how a file is laid out."""

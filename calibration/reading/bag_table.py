@@ -1,7 +1,7 @@
-"""Topics of ROS 2 bags, which are rosbag2 folders or .mcap files, as tables with one row per message.
+"""Read topics of ROS 2 bags (rosbag2 folders or .mcap files) as tables with one row per message.
 
-A message is read by the definition that ROS 2 has of its type. The definitions within a bag are left alone: rosbags
-would run code that it makes from them.
+Messages are decoded by the definitions of ROS 2. Definitions within a bag are not used, because rosbags would run code
+that it generates from them.
 """
 
 from __future__ import annotations
@@ -29,19 +29,26 @@ FIELDS: dict[str, tuple[str, ...]] = {
         *("transform.rotation.x", "transform.rotation.y", "transform.rotation.z", "transform.rotation.w"),
     ),
 }
-"""Types of messages that are read, and the fields of each that become columns; joints have columns by their names.
+"""Types of messages that are read, and the fields of each that become columns.
 
-All of them have a header with a stamp.
+The columns of a JointState are named after its joints. All types have a header with a stamp.
 """
 
 
 def read_log(
     path: Path, topic: str | None, separator: str = ",", decimal: str = ".", names: tuple[str, ...] | None = None
 ) -> Table:
-    """Read a topic of a bag, or, where none is named, a file as `read_table` does.
+    """Read a topic of a ROS 2 bag as a table; without a topic, read a file as `read_table` does.
 
-    Columns of a topic are ``time`` and ``log_time``, s, and the fields of its messages. The joints of a JointState have
-    columns by their names, and their efforts have ``effort.NAME``.
+    Columns of a topic are ``time`` and ``log_time``, s, and the fields of its messages. A JointState gives one column
+    per joint with the joint's name, and its efforts as ``effort.NAME``.
+
+    Args:
+        path: The bag or the file.
+        topic: Name of the topic; None for a file.
+        separator: Character between columns of a file.
+        decimal: Decimal sign of a file.
+        names: Column names of a file without a header, or None.
 
     Raises:
         InputError: If the file or topic is missing, unreadable or empty, or if its type is not read.
@@ -55,7 +62,7 @@ def read_log(
 
 
 def _bag_table(path: Path, topic: str) -> Table:
-    """The table of one topic; a publisher that sets no stamps is read by the times at which it was logged."""
+    """Read one topic as a table; if its messages have no stamps, the times at which they were logged are taken."""
     require("rosbags")
     kinds, messages = parsed(lambda: _messages(path, topic), path, "rosbag2 or MCAP of ROS 2")
     if topic not in kinds:
@@ -83,7 +90,7 @@ def _bag_table(path: Path, topic: str) -> Table:
 
 
 def _messages(path: Path, topic: str) -> tuple[dict[str, str], list[tuple[int, Any]]]:
-    """The type of each topic, and log time, ns, and content of each message of one topic, if its type is read."""
+    """Return each topic's type, and the log time, ns, and content of one topic's messages, if its type is supported."""
     from rosbags.rosbag2 import Reader
     from rosbags.typesys import Stores, get_typestore
 

@@ -1,8 +1,8 @@
-"""The text of a measurement file as columns of numbers: CSV, or YAML with nested entries named by dotted paths.
+"""Read measurement files as tables of columns: CSV, Parquet, or YAML, whose nested entries are named by dotted paths.
 
-Columns may be computed from others (+ - * / and numbers; odd names in backticks). A cell that is no number is refused,
-and the message names the file, row and column. If a file has another separator, decimal sign or encoding than
-expected, the message says which it has.
+A column can be computed from others by an expression with + - * / and numbers. Names that are no identifiers are
+written in backticks. A cell that is no number is refused, and the message names the file, row and column. If a file has
+another separator, decimal sign or encoding than expected, the message says which it has.
 """
 
 from __future__ import annotations
@@ -49,31 +49,40 @@ SAME_AS = {
     "abb_quaternion": "quaternion_wxyz",
     "ur_rotation_vector": "rotation_vector",
 }
-"""Makers' names of attitude conventions, and the name in `GENERAL` of each."""
+"""Robot makers' attitude conventions by name, and the equal convention in `GENERAL` of each."""
 
 CONVENTIONS = GENERAL | {maker: GENERAL[general] for maker, general in SAME_AS.items()}
-"""Attitude conventions by name: the kind of unit ("angle" or "none"), and the function that turns values (N, 3 or 4),
-angles in rad, into rotations."""
+"""Attitude conventions by name, each with a kind of unit ("angle" or "none") and a function.
+
+The function turns values (N, 3 or 4), angles in rad, into rotations.
+"""
 
 
 def columns_of(convention: str) -> int:
-    """Number of columns of an attitude convention: 4 for quaternions, else 3."""
+    """Return the number of columns of an attitude convention: 4 for quaternions, else 3."""
     return 4 if CONVENTIONS[convention][0] == "none" else 3
 
 
 def rotations(convention: str, values: Array) -> Array:
-    """Rotation matrices ``(N, 3, 3)`` of attitude values ``(N, 3 or 4)``: angles in rad, or quaternions."""
+    """Compute the rotation matrices ``(N, 3, 3)`` of attitude values.
+
+    Args:
+        convention: Name of the attitude convention, a key of `CONVENTIONS`.
+        values: Angles ``(N, 3)``, rad, or quaternions ``(N, 4)``.
+    """
     return np.asarray(CONVENTIONS[convention][1](values).as_matrix())
 
 
 def convention_table(geometry: Geometry, joints: Array, position: Array, values: Array, where: str) -> str:
-    """A text with one line per attitude convention, best first: the mean errors left once base and tool are fitted.
+    """Compare attitude conventions by the errors that they leave, as a text with one line for each, the best first.
+
+    A line gives the mean position error, mm, and attitude error, deg, that remain after base and tool were fitted.
 
     Args:
-        geometry: Nominal geometry.
-        joints: ``(N, n)``, rad or m.
-        position: ``(N, 3)``, m.
-        values: Attitude columns ``(N, 3 or 4)``, rad or quaternion.
+        geometry: The arm's nominal geometry.
+        joints: Joints ``(N, n)``, rad or m.
+        position: Measured positions ``(N, 3)``, m.
+        values: Values of the attitude columns: angles ``(N, 3)``, rad, or quaternions ``(N, 4)``.
         where: The file, for messages.
     """
     ranking: list[tuple[float, str]] = []
@@ -96,7 +105,7 @@ SEPARATORS = {";": "';'", "\t": "a tab", "|": "'|'", ",": "','", " ": "a space"}
 """Column separators and their names in messages, in the order in which a file is searched for them."""
 
 LONGEST_EXPRESSION = 1000
-"""Longest expression that is parsed, in characters: nobody writes a longer one, and a parser's depth is limited."""
+"""Length of an expression, in characters, up to which it is parsed; a parser's depth is limited."""
 
 
 Functions = dict[type[ast.AST], Callable[..., Any]]
@@ -106,12 +115,17 @@ SIGNS: Functions = {ast.USub: operator.neg, ast.UAdd: operator.pos}
 
 
 class Table:
-    """The cells of a file as text; turns columns and expressions into numbers, and names a cell that is at fault.
+    """The cells of a file as text, which are converted to numbers column by column.
+
+    A cell that is no finite number is refused, and the message names its file, row and column.
 
     Attributes:
         where: The file, for messages.
         header: Column names.
+        rows: The cells of each row, as text.
         lines: Line (or entry) in the file of each row, for messages.
+        decimal: Decimal sign.
+        cache: Columns that are already converted, by name.
     """
 
     def __init__(self, where: str, header: list[str], rows: list[list[str]], lines: list[int], decimal: str) -> None:
@@ -125,24 +139,24 @@ class Table:
                 )
 
     def select(self, rows: Sequence[int]) -> Table:
-        """The given rows alone."""
+        """Return a table of the rows with the given indices."""
         cells, lines = [self.rows[row] for row in rows], [self.lines[row] for row in rows]
         return Table(self.where, self.header, cells, lines, self.decimal)
 
     def texts(self, name: str) -> list[str]:
-        """The cells of a column as text, stripped; empty where a row is too short to have the column."""
+        """Return the cells of a column as text without surrounding spaces; empty where a row is too short."""
         index = self.index(name)
         return [row[index].strip() if index < len(row) else "" for row in self.rows]
 
     def column(self, name: str) -> Array:
-        """A column as finite numbers ``(N,)``."""
+        """Return a column as finite numbers ``(N,)``."""
         if name not in self.cache:
             cells = zip(self.texts(name), self.lines, strict=True)
             self.cache[name] = np.array([self._number(text, name, line) for text, line in cells])
         return self.cache[name]
 
     def index(self, name: str) -> int:
-        """Place of a column in the header."""
+        """Return the index of a column in the header, or refuse a name that is missing or occurs twice."""
         if name not in self.header:
             raise InputError(f"{self.where}: column '{shortened(name)}' is missing; the file has {listed(self.header)}")
         if (count := self.header.count(name)) > 1:
@@ -150,11 +164,14 @@ class Table:
         return self.header.index(name)
 
     def cell(self, row: int, name: object) -> str:
-        """File, line and column of a cell, in the words of messages."""
+        """Return text for messages that names a cell's file, line and column."""
         return f"{self.where}: row {self.lines[row]}, column '{name}'"
 
     def fill_blanks(self, name: str) -> Array:
-        """Mark the rows ``(N,)`` in which a column is empty or NaN, as after a lost reflector; they then read as 0."""
+        """Set a column's empty or NaN cells to 0, and return a mask ``(N,)`` of the rows with such cells.
+
+        Trackers write such cells for a lost reflector.
+        """
         texts = self.texts(name)
         blank = [text.lower() in ("", "nan", "null", "none", "na", "-") for text in texts]
         cells = zip(texts, blank, self.lines, strict=True)
@@ -172,9 +189,9 @@ class Table:
         raise InputError(f"{self.where}: row {line}, column '{shortened(name)}' {predicate}; correct or remove the row")
 
     def value(self, expression: str) -> Array:
-        """Values ``(N,)`` of a column, or of an expression of columns with + - * / and numbers.
+        """Return the values ``(N,)`` of a column, or of an expression of columns with + - * / and numbers.
 
-        Odd column names stand in backticks in an expression.
+        In an expression, column names that are no identifiers are written in backticks.
         """
         tree, quoted = expression_tree(expression)
         if expression in self.header or tree is None:
@@ -192,7 +209,7 @@ class Table:
         return values
 
     def values(self, expressions: tuple[str, ...]) -> Array:
-        """Values ``(N, k)`` of several columns or expressions."""
+        """Return the values ``(N, k)`` of k columns or expressions."""
         return np.stack([self.value(expression) for expression in expressions], -1)
 
     def _evaluate(self, node: ast.AST, expression: str, quoted: list[str]) -> Any:
@@ -213,7 +230,10 @@ class Table:
 
 
 def expression_tree(expression: str) -> tuple[ast.expr | None, list[str]]:
-    """The syntax tree of an expression of columns (None if it cannot be parsed), and the names in its backticks."""
+    """Parse an expression of columns: return its syntax tree, and the column names that it has in backticks.
+
+    The tree is None if the expression cannot be parsed.
+    """
     quoted = re.findall(r"`([^`]+)`", expression)
     text = expression
     for i, name in enumerate(quoted):
@@ -225,7 +245,7 @@ def expression_tree(expression: str) -> tuple[ast.expr | None, list[str]]:
 
 
 def refuse_repeated(paths: Sequence[str | Path]) -> None:
-    """Refuse a list of files that names the same file twice, even by different paths.
+    """Refuse a list of files that names the same file twice, by the same path or by different ones.
 
     Raises:
         InputError: If a file is named twice; the message says which.
@@ -276,7 +296,12 @@ def read_table(
 
 
 def csv_rows(text: str, path: str | Path, separator: str = ",") -> tuple[list[list[str]], list[int]]:
-    """The cells of each row of a CSV text that is not blank, and each row's line number.
+    """Split a CSV text into rows: return the cells and the line number of each row that is not blank.
+
+    Args:
+        text: The text.
+        path: The file, for messages.
+        separator: Character between columns.
 
     Raises:
         InputError: If a cell is too long or a quote is not closed; the message names the line.
@@ -341,7 +366,12 @@ def _yaml_table(path: Path, text: str) -> Table:
 
 
 def table_of_entries(where: str, entries: Sequence[Mapping[str, str]]) -> Table:
-    """The table of entries with cells by name, one row each; cells that an entry lacks are empty."""
+    """Make a table of entries, one row for each.
+
+    Args:
+        where: The file, for messages.
+        entries: The cells of each entry by column name; cells that an entry lacks become empty.
+    """
     header = list(dict.fromkeys(name for entry in entries for name in entry))
     rows = [[entry.get(name, "") for name in header] for entry in entries]
     return Table(where, header, rows, list(range(1, len(rows) + 1)), ".")

@@ -1,8 +1,8 @@
-"""Column descriptions: a small TOML file that says how a foreign measurement file is laid out.
+"""Column descriptions: a column description is a small TOML file that says how a foreign measurement file is laid out.
 
-It names separator, decimal sign, units, conventions and uncertainties. The section that it has says what was measured:
-[position] (with [rotation]: poses), [reflectors], [wire], [touches] and so on. The shipped descriptions lie in the
-folder `descriptions`.
+It names separator, decimal sign, units, conventions and uncertainties. One of its sections says what was measured:
+[position] (poses, if [rotation] is there too), [reflectors], [wire], [touches] and so on. The folder `descriptions`
+holds those that are shipped.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ LOST = ("zeros", "empty")
 
 
 DOUBT = Then(lambda word, _: inf if word == FITTED else 0.0, Annotated[str, one_of((KNOWN, FITTED))])
-"""Reader of the word known or fitted as a standard uncertainty: zero if known, infinite if fitted."""
+"""Converter of the word "known" or "fitted" into a standard uncertainty: 0 if known, infinite if fitted."""
 
 COLUMN = Check(lambda value: isinstance(value, str), "the name of a column or an expression")
 TOPIC = Check(lambda value: isinstance(value, str), "the name of a topic")
@@ -52,7 +52,11 @@ def _lost(found: Any, _context: Any) -> tuple[str, ...]:
 
 @toml_table
 class LengthsTable:
-    """[position]: columns of x, y and z, or of other lengths; their uncertainty, and columns of their repeat sigma."""
+    """Section [position]: the columns of x, y and z, with their unit.
+
+    ``std`` is the standard uncertainty of a coordinate, m. ``std_columns`` hold the standard deviation of repeated
+    measurements, one column for each coordinate.
+    """
 
     columns: Annotated[tuple[str, ...], COLUMNS]
     unit: Annotated[str, one_of(LENGTHS)]
@@ -62,7 +66,11 @@ class LengthsTable:
 
 @toml_table
 class ReflectorsTable(LengthsTable):
-    """[reflectors]: x, y and z of each reflector, how lost ones are marked, and their places on the tool if known."""
+    """Section [reflectors]: the columns of x, y and z of each reflector in turn.
+
+    ``lost`` says how the file marks a reflector that the tracker lost ("zeros", "empty"). ``places`` are the
+    reflectors' positions on the tool, m, if known, with the standard uncertainty ``places_std``, m.
+    """
 
     lost: Annotated[tuple[str, ...], Then(_lost, Any)] = ()
     places: Annotated[tuple[float, ...], MM] = ()
@@ -76,7 +84,11 @@ class ReflectorsTable(LengthsTable):
 
 @toml_table
 class ContactTable:
-    """[touches] or [plane], and the keys that all contact tables share: uncertainty, tool point, contact column."""
+    """Section [touches] or [plane], and the keys that all sections of contact measurements share.
+
+    ``std`` is the standard uncertainty of a contact, m. ``tool_point`` is the position of the touching point in the
+    tool frame, m, and ``tool_std`` its standard uncertainty, m. ``contact`` names a column that is 0 without contact.
+    """
 
     _: KW_ONLY
     std: Annotated[float, MM.positive] = 1e-4
@@ -93,7 +105,7 @@ class ContactTable:
 
 @toml_table
 class SocketsTable(ContactTable):
-    """[sockets]: the column that numbers the sockets, and the spacing of a pair if known."""
+    """Section [sockets]: the column with the sockets' numbers, and the spacing of two paired sockets, m, if known."""
 
     columns: Annotated[tuple[str, ...], Then(lambda name, _: (name,), Annotated[str, COLUMN]), Key("column")] = ()
     spacing: Annotated[float, MM.positive] | None = None
@@ -102,7 +114,7 @@ class SocketsTable(ContactTable):
 
 @toml_table
 class WireTable(ContactTable):
-    """[wire]: the length of a draw wire to an anchor."""
+    """Section [wire]: the column of the length of a draw wire from the tool to an anchor, with its scale and zero."""
 
     columns: Annotated[tuple[str, ...], COLUMNS]
     unit: Annotated[str, one_of(LENGTHS)]
@@ -113,7 +125,10 @@ class WireTable(ContactTable):
 
 @toml_table
 class DialTable(ContactTable):
-    """[dial]: the reading of a dial gauge along a fixed axis."""
+    """Section [dial]: the column of a dial gauge's reading along a fixed axis.
+
+    ``free`` is the reading without contact, m.
+    """
 
     columns: Annotated[tuple[str, ...], COLUMNS]
     unit: Annotated[str, one_of(LENGTHS)]
@@ -123,7 +138,7 @@ class DialTable(ContactTable):
 
 @toml_table
 class BarTable(ContactTable):
-    """[bar]: a ball bar; its length is fitted if it is not given."""
+    """Section [bar]: a ball bar of a given length, m; the length is fitted if it is not given."""
 
     length: Annotated[float, MM.positive] | None = None
     length_std: Annotated[float, MM.not_negative] = 0.0
@@ -131,7 +146,7 @@ class BarTable(ContactTable):
 
 @toml_table
 class RadiusTable(ContactTable):
-    """[sphere]: the radius that the tool point keeps from the centre; fitted if not given."""
+    """Section [sphere]: the distance of the tool point from a fixed centre, m; it is fitted if it is not given."""
 
     length: Annotated[float, MM.positive, Key("radius_mm")] | None = None
     length_std: Annotated[float, MM.not_negative, Key("radius_std_mm")] = 0.0
@@ -139,7 +154,10 @@ class RadiusTable(ContactTable):
 
 @toml_table
 class TiltTable:
-    """[tilt]: components of the downward direction along the axes of an inclinometer or accelerometer."""
+    """Section [tilt]: the columns of an inclinometer's or accelerometer's axes.
+
+    Each holds the component of the downward direction along the axis, in g, or the axis's inclination, in deg or rad.
+    """
 
     columns: Annotated[tuple[str, ...], COLUMNS]
     unit: Annotated[str, one_of((*ANGLES, "g"))]
@@ -152,7 +170,7 @@ class TiltTable:
 
 
 def kinds() -> tuple[str, ...]:
-    """Kinds of measurement, each a section of a description: one per registered instrument, and pixels."""
+    """Return the kinds of measurement: one per registered instrument, and "pixels"; each is a section's name."""
     return (*names("instrument"), "pixels")
 
 
@@ -170,9 +188,9 @@ COUNTS: dict[str, tuple[Callable[[int], bool], str]] = {
     "sockets": (lambda n: n <= 1, "the column that numbers the sockets"),
     "pixels": (lambda n: n in (0, 2), "two columns, across and down, where corners and not pictures are given"),
 }
-"""Test of the number of columns of each section, and that number in words; a section not listed here has no columns."""
+"""For each section with columns, a test of their number, and the right number in words for messages."""
 RECORDED = ("position", "reflectors", "wire", "dial", "tilt")
-"""Kinds whose readings change while the arm moves, so that a recording of them can be compared with a joint log."""
+"""Kinds of measurement that can be recorded while the arm moves, since their readings follow the motion."""
 
 JOINT_UNIT = one_of(LENGTHS + ANGLES)
 
@@ -184,7 +202,7 @@ def _separates(value: Any) -> bool:
 
 @toml_table
 class JointsTable:
-    """[joints]: the columns of the joints, with one unit for all of them or one for each."""
+    """Section [joints]: the columns of the joint values, with one unit for all of them or one for each."""
 
     columns: Annotated[tuple[str, ...], COLUMNS]
     unit: Annotated[str, JOINT_UNIT] | None = None
@@ -205,7 +223,7 @@ class JointsTable:
 
 @toml_table
 class PixelsTable:
-    """[pixels]: views of a board, as pictures or as a table of corners found in them."""
+    """Section [pixels]: views of a board, given as pictures or as a table of the corners detected in them."""
 
     mount: Annotated[Mount, one_of(get_args(Mount))] | None = None
     picture: Annotated[str, COLUMN] | None = None
@@ -224,9 +242,9 @@ class PixelsTable:
 
 @toml_table
 class TargetTable:
-    """[target]: x, y and z of any points that do not move against each other, in axes of their own, and their numbers.
+    """Section [target]: positions of points on a rigid target, in the target's own frame, and the points' numbers.
 
-    A body with tags on its faces is the corners of all tags. Numbers count from 0 if they are left out.
+    For a body with tags on its faces, the points are the corners of all tags. Without ``numbers``, they count from 0.
     """
 
     points: Annotated[tuple[float, ...], MM]
@@ -243,13 +261,13 @@ class TargetTable:
 
     @property
     def places(self) -> Array:
-        """The points ``(K, 3)``, m."""
+        """The points ``(K, 3)`` in the target's frame, m."""
         return np.reshape(self.points, (-1, 3))
 
 
 @toml_table
 class LensTable:
-    """[camera]: the lens, given as a file or as numbers, and whether it is to be fitted."""
+    """Section [camera]: the lens, given as a file or as numbers, and whether its numbers are fitted."""
 
     file: Annotated[str, COLUMN] | None = None
     fx: Annotated[float, PIXELS] | None = None
@@ -275,7 +293,10 @@ class LensTable:
 
 @toml_table
 class RotationTable:
-    """[rotation]: the columns of the attitude; if the convention is None, reading the measured file asks for it."""
+    """Section [rotation]: the columns of the attitude, with their unit, convention and standard uncertainty, rad.
+
+    Without a convention, a measurement file is refused with a table of the errors that each convention would leave.
+    """
 
     columns: Annotated[tuple[str, ...], COLUMNS]
     unit: Any = None
@@ -283,7 +304,7 @@ class RotationTable:
     std: Annotated[float, DEG.positive] = ATTITUDE_STD
 
     def checked_unit(self) -> str:
-        """The unit of the angles, rad for a quaternion.
+        """Return the unit of the angles; for a quaternion it is "rad", which leaves its numbers as they are.
 
         Raises:
             InputError: If there are not 3 or 4 columns, or not those of the convention, or if the unit of angles is
@@ -305,7 +326,7 @@ class RotationTable:
 
 @toml_table
 class PosesTable:
-    """[poses]: finished poses of the flange in place of joints, as the controller reports them."""
+    """Section [poses]: poses of the flange as the controller reports them, given in place of joint values."""
 
     _: KW_ONLY
     columns: Annotated[tuple[str, ...], COLUMNS]
@@ -317,7 +338,10 @@ class PosesTable:
 
 @toml_table
 class TemperatureTable:
-    """[conditions.temperature]: the column, its unit, and the reference that is subtracted, in that unit."""
+    """Section [conditions.temperature]: the column, its unit, and the reference that is subtracted, in that unit.
+
+    Without a reference, 20 degC or 0 K is subtracted.
+    """
 
     column: Annotated[str, COLUMN]
     unit: Annotated[str, one_of(("degC", "K"))]
@@ -326,7 +350,7 @@ class TemperatureTable:
 
 @toml_table
 class PayloadTable:
-    """[conditions.payload]: the column, its unit, and the reference that is subtracted, in that unit."""
+    """Section [conditions.payload]: the column, its unit, and the reference that is subtracted, in that unit."""
 
     column: Annotated[str, COLUMN]
     unit: Annotated[str, one_of(MASSES)]
@@ -335,7 +359,7 @@ class PayloadTable:
 
 @toml_table
 class TorquesTable:
-    """[conditions.torques]: the columns, with one unit for all or one for each.
+    """Section [conditions.torques]: the columns of the joint torques, with one unit for all of them or one for each.
 
     Without a unit, torques are in N*m for revolute joints and in N for prismatic ones.
     """
@@ -351,19 +375,25 @@ class TorquesTable:
 
 
 Recorded = tuple[tuple[str, ...], tuple[float, ...], float]
-"""Columns of a condition, the factor that turns each into SI, and the reference that is subtracted before scaling."""
+"""A recorded condition: its columns, the factor to SI of each column, and the reference subtracted before scaling."""
 
 
 @toml_table
 class ConditionsTable:
-    """[conditions]: the temperature, payload and torques that the file records, each optional."""
+    """Section [conditions]: the temperature, payload and joint torques that the file records, each optional."""
 
     temperature: TemperatureTable | None = None
     payload: PayloadTable | None = None
     torques: TorquesTable | None = None
 
     def recorded(self, joint_units: tuple[str, ...]) -> dict[str, Recorded]:
-        """The recorded conditions by name; torques without a unit are in N for joints in mm or m, else in N*m."""
+        """Return the recorded conditions by name: "temperature", "payload", "torque".
+
+        Torques without a unit are in N for joints in mm or m, else in N*m.
+
+        Args:
+            joint_units: Unit of each joint's column.
+        """
         recorded: dict[str, Recorded] = {}
         if (warmth := self.temperature) is not None:
             usual = 20.0 if warmth.unit == "degC" else 0.0
@@ -378,10 +408,11 @@ class ConditionsTable:
 
 @toml_table
 class RecordingTable:
-    """[recording]: times of the instrument's samples, and the log of joints that the arm wrote meanwhile.
+    """Section [recording]: the time column of the instrument's log, and the joint log that the arm wrote meanwhile.
 
-    The log's name is relative to the instrument's file, whose own name without its ending may stand in it as {file}.
-    Where a topic is named, the file of that log is a ROS bag.
+    ``joints`` is the path of the joint log, relative to the folder of the instrument's file. In it, {file} stands for
+    the name of the instrument's file without its ending. A log for which ``topic`` or ``joints_topic`` is named is a
+    ROS bag.
     """
 
     time: Annotated[str, COLUMN]
@@ -395,10 +426,11 @@ class RecordingTable:
 
 @toml_table
 class SceneTable:
-    """[scene]: names of the sensor and of its target, and the links of a whole robot that carry them.
+    """Section [scene]: names of the sensor and of its target, and the links of a whole robot that carry them.
 
-    Rows of one sensor share its place, and rows of one target that target's, from file to file; what has no name is of
-    this file alone. What no link carries stands in the world. An inclinometer has no target.
+    Files that name the same sensor share its pose, and files that name the same target share the target's. A sensor or
+    target without a name belongs to this file alone. Without a link, it stands in the world. An inclinometer has no
+    target.
     """
 
     sensor: str = ""
@@ -409,7 +441,7 @@ class SceneTable:
 
 @toml_table
 class DescriptionFile:
-    """Content of a column description, with exactly one of the sections of `kinds`."""
+    """Content of a column description; it has exactly one of the sections that `kinds` names."""
 
     joints: JointsTable | None = None
     description: str = ""
@@ -492,15 +524,15 @@ class DescriptionFile:
 
     @property
     def columns(self) -> tuple[str, ...]:
-        """Columns or expressions of the measured section: x, y, z (of each reflector), a length, a tilt, and so on.
+        """Columns or expressions of the section that says what was measured, such as x, y and z, a length, or a tilt.
 
-        Empty for a section that another package reads: only that package knows what it means.
+        Empty for a section that another package reads, because only that package knows its keys.
         """
         return getattr(self.measured, "columns", ()) if self.kind in COUNTS else ()
 
     @property
     def target_points(self) -> tuple[Array, tuple[int, ...]]:
-        """The points that a camera sees ``(K, 3)``, m, and their numbers in a table of corners."""
+        """The points of the board or target ``(K, 3)``, m, and their numbers in a table of corners."""
         if self.target is None:
             assert self.board is not None
             return self.board.corners, tuple(range(len(self.board.corners)))
@@ -508,9 +540,10 @@ class DescriptionFile:
 
     @property
     def ends(self) -> tuple[tuple[str, str], tuple[str, str]]:
-        """Names, and links, of where a pose begins and ends: at the sensor and its target, or the other way round.
+        """Names of the two ends of a measured pose, and the links that carry these ends.
 
-        It is the other way round for a camera that the arm carries, and for an inclinometer.
+        A pose leads from the sensor to the target. For a camera that the arm carries, and for an inclinometer, it leads
+        from the target to the sensor.
         """
         scene = self.scene
         names, links = (scene.sensor, scene.target), (scene.sensor_link, scene.target_link)
@@ -519,29 +552,29 @@ class DescriptionFile:
 
     @property
     def unit(self) -> str:
-        """Unit of `columns`: mm or m, for a tilt deg, rad or g; empty if the section has no unit."""
+        """Unit of `columns`: "mm" or "m", for a tilt "deg", "rad" or "g"; empty if the section has no unit."""
         return getattr(self.measured, "unit", "")
 
     @property
     def std(self) -> float:
-        """Standard uncertainty of the readings: of a coordinate, a length or a contact in m, of a tilt in rad."""
+        """Standard uncertainty of one reading: m for a coordinate, a length or a contact, rad for a tilt."""
         return getattr(self.measured, "std", None) or POSITION_STD
 
     @property
     def joint_columns(self) -> tuple[str, ...]:
-        """Columns or expressions of the joints, in joint order; empty if finished poses stand in their place."""
+        """Columns or expressions of the joint values, in joint order; empty if tool poses are given in their place."""
         return () if self.joints is None else self.joints.columns
 
     @property
     def joint_units(self) -> tuple[str, ...]:
-        """Units of `joint_columns`."""
+        """Unit of each of the `joint_columns`."""
         return () if self.joints is None else self.joints.each
 
 
 def description_file() -> type[DescriptionFile]:
-    """The class of a column description's content, including the sections of other packages' instruments.
+    """Return the class of a column description's content, with the sections of other packages' instruments added.
 
-    Such a section's class is the annotation of the parameter ``section`` of its reader.
+    The class of such a section is the annotation of the parameter ``section`` of the instrument's reader.
     """
     readers = {name: reader for name, reader in load_all("instrument").items() if not hasattr(DescriptionFile, name)}
     sections = [(name, get_type_hints(reader)["section"] | None, None) for name, reader in readers.items()]
@@ -566,12 +599,12 @@ def load_description(name: str | Path) -> DescriptionFile:
 
 
 def description_path(name: str | Path) -> Path:
-    """The file of a column description that is given by name or by path."""
+    """Return the path of a column description that is given by name or by path."""
     return toml_tables.file_named("column description", name, DESCRIPTIONS)
 
 
 def _refuse_repeats(description: DescriptionFile, path: Path) -> None:
-    """Refuse a description that gives one column for two things: a slip that the fit need not show.
+    """Refuse a description that gives one column for two quantities, which a fit need not reveal.
 
     Raises:
         InputError: If a column is given twice; the message names it and both its uses.
@@ -602,7 +635,16 @@ OWN_CONDITIONS = ("temperature_degC", "payload_kg")
 
 
 def own_description(geometry: Geometry, header: list[str], where: str) -> DescriptionFile:
-    """The column description of a file in our own CSV format, from the arm and the file's header."""
+    """Make the column description of a file in our own CSV format.
+
+    Args:
+        geometry: The arm's nominal geometry, whose joints give the names of joint columns.
+        header: Column names of the file.
+        where: The file, for messages.
+
+    Raises:
+        InputError: If a joint column is missing or its unit unknown, or if a condition's column is not of our format.
+    """
     expected = joint_columns(geometry.prismatic)
     joints, units = [], []
     for name in expected:

@@ -1,7 +1,8 @@
-"""Readers of the kinds beyond poses: reflectors, wires and bars, what a tool point touches, and inclinometers.
+"""Read measurements other than poses: reflectors, wires, bars, contacts of a tool point, inclinometers, and pictures.
 
-Rows that the instrument cannot have read are refused, and the message names file and line: a lost reflector, a tool
-that did not touch, a length in another unit, all touches in one pose, a direction that is not of unit length.
+Rows that the instrument cannot have measured are refused, and the message names file and line. Examples are a lost
+reflector, a tool without contact, a length in another unit, or a direction that is not of unit length. Contacts that
+are all in one pose are refused too.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ from pickenv.calibration.reading.csv_table import Table, read_table, rotations, 
 
 @dataclass(frozen=True, eq=False)
 class Files:
-    """Files of one layout with their descriptions and joints: the input of every kind's reader.
+    """Files of one layout with their descriptions and joints: the input of the reader of every kind of measurement.
 
     Attributes:
         tables: The columns of each file.
@@ -52,19 +53,19 @@ class Files:
 
     @property
     def first(self) -> description.DescriptionFile:
-        """The first file's description; those of the other files differ from it in units at most."""
+        """The first file's description; the other files' descriptions differ from it at most in units."""
         return self.given[0]
 
     def values(self) -> Array:
-        """The readings of all rows ``(N, k)``, m: the columns of the section that says what was measured."""
+        """Return the readings of all rows ``(N, k)``, in SI units, from the columns that say what was measured."""
         return np.concatenate([t.values(d.columns) * TO_SI[d.unit] for t, d in self.pairs()])
 
     def place(self, row: int) -> str:
-        """File and line of a row, in the words of messages."""
+        """Return text for messages that names a row's file and line."""
         return "{}: row {}".format(*self.origins.place(row))
 
     def pairs(self) -> Iterator[tuple[Table, description.DescriptionFile]]:
-        """Each file's table with its description."""
+        """Iterate over the files: each file's table with its description."""
         return zip(self.tables, self.given, strict=True)
 
 
@@ -72,16 +73,25 @@ class Files:
 
 
 QUANTITIES = {"temperature": "temperature_K", "payload": "payload_kg", "torque": "torque_Nm"}
-"""Name in `pickenv.base.limits` of each recorded condition's quantity; temperatures are relative to the reference."""
+"""For each recorded condition, the name of its limits in `pickenv.base.limits`.
+
+Temperatures are relative to the reference.
+"""
 
 FARTHEST = 1e4
-"""No instrument sees a tool from farther away than this, m."""
+"""Largest distance at which an instrument can see a tool, m."""
 
 
 def refuse_repeated_joints(layout: description.DescriptionFile, where: str, joints: Array, geometry: Geometry) -> None:
-    """Refuse two joints with the same number in every row: most likely one column read twice.
+    """Refuse two joints with equal values in every row, since most likely one column was read twice.
 
     Joints that never move, and files of two rows or fewer, are not checked.
+
+    Args:
+        layout: The column description.
+        where: Name of the description or file, for messages.
+        joints: Joints of all rows ``(N, n)``, rad or m.
+        geometry: The arm's nominal geometry.
     """
     for pair in combinations(range(geometry.joints), 2):
         one, other = (joints[:, i] for i in pair)
@@ -92,9 +102,10 @@ def refuse_repeated_joints(layout: description.DescriptionFile, where: str, join
 
 
 def refuse_unseen(table: Table, layout: description.DescriptionFile) -> None:
-    """Refuse positions that no instrument saw: beyond `FARTHEST`, or at exactly 0, 0, 0 unless all rows are there.
+    """Refuse positions that no instrument can have measured.
 
-    Trackers write zeros for a lost reflector.
+    These are positions beyond `FARTHEST`, and positions at exactly 0, 0, 0 unless all rows have it. Trackers write
+    zeros for a lost reflector.
     """
     values = table.values(layout.columns)
     for row, column in np.argwhere(np.abs(values) * TO_SI[layout.unit] > FARTHEST)[:1]:
@@ -111,7 +122,13 @@ def refuse_unseen(table: Table, layout: description.DescriptionFile) -> None:
 
 
 def refuse_duplicates(joints: Array, found: Observations, origins: Origins) -> None:
-    """Refuse rows that repeat another row to the last digit: they would count twice, and leak into held-out rows."""
+    """Refuse rows that equal another row to the last digit: they would count twice, and leak into held-out rows.
+
+    Args:
+        joints: Joints of all rows ``(N, n)``, rad or m.
+        found: The rows, whose readings are compared.
+        origins: File and line of each row.
+    """
     numbers = np.concatenate([joints, found.readings()], axis=1)
     _, first, inverse, count = np.unique(numbers, axis=0, return_index=True, return_inverse=True, return_counts=True)
     again = np.setdiff1d(np.arange(len(numbers)), first)
@@ -126,11 +143,17 @@ def refuse_duplicates(joints: Array, found: Observations, origins: Origins) -> N
 
 
 def read_joints(table: Table, layout: description.DescriptionFile, where: str, geometry: Geometry) -> Array:
-    """Joints of every row ``(N, n)``, rad or m.
+    """Read the joints of every row ``(N, n)``, rad or m.
+
+    Args:
+        table: The file.
+        layout: The column description.
+        where: Name of the description or file, for messages.
+        geometry: The arm's nominal geometry.
 
     Raises:
-        InputError: If the number or the units of the joints are not the arm's, or if a joint lies far beyond its
-            limits: almost always degrees read as radians, or millimetres as metres.
+        InputError: If the number or the units of the joint columns do not fit the arm, or if a joint lies far beyond
+            its limits. The latter is almost always a wrong unit, deg for rad or mm for m.
     """
     columns, n = [], geometry.joints
     if len(layout.joint_units) != n:
@@ -160,7 +183,7 @@ def read_joints(table: Table, layout: description.DescriptionFile, where: str, g
 
 
 def refuse_implausible_conditions(table: Table, name: str, values: Array, columns: tuple[str, ...]) -> None:
-    """Refuse temperatures, payloads or torques under which no arm works.
+    """Refuse temperatures, payloads or torques beyond the limits of `QUANTITIES`, under which no arm works.
 
     Args:
         table: The file.
@@ -175,15 +198,15 @@ def refuse_implausible_conditions(table: Table, name: str, values: Array, column
 
 
 TURNED = float(np.radians(1.0))
-"""Rows whose joints all lie within this range, rad or m, count as one pose."""
+"""Range of each joint over several rows, rad or m, below which these rows count as one pose."""
 
 UNIT_LENGTH = 0.02
-"""Largest difference from one that the length of a direction may have."""
+"""Largest allowed difference of a direction vector's length from 1."""
 
 EXPLAINED, UNEXPLAINED = 0.2, 0.5
-"""Misfit of a wire's lengths to the best anchor, as a share of their spread.
+"""Limits of the misfit of a wire's lengths to the best anchor, as a share of the lengths' spread.
 
-It is below the first value in the right unit, and at or above the second in a wrong one.
+The misfit is below the first limit if the unit is right, and at or above the second if it is wrong.
 """
 
 
@@ -269,14 +292,14 @@ def _contact(files: Files, section: description.ContactTable) -> dict[str, Any]:
 
 @register("instrument", "touches")
 def _touches(files: Files, section: description.ContactTable) -> kinds.SocketObservations:
-    """Read touches of one single place, the same in every row."""
+    """Read contacts with one fixed point, the same in every row."""
     socket, none = np.zeros(len(files.joints), dtype=np.int64), np.zeros((0, 2), dtype=np.int64)
     return _rests(files, section, socket, pairs=none, spacing=np.zeros(0), places=("point",))
 
 
 @register("instrument", "sockets")
 def _sockets(files: Files, section: description.SocketsTable) -> kinds.SocketObservations:
-    """Read touches of several sockets, and which two of them make a pair of known spacing.
+    """Read contacts with several sockets, and which two sockets are a pair of known spacing.
 
     If a column numbers the sockets, consecutive numbers make a pair. Otherwise each file holds one socket, and the two
     files of a folder make a pair.
@@ -312,7 +335,7 @@ def _rests(files: Files, section: description.ContactTable, socket: Rows, **more
 
 @register("instrument", "tilt")
 def _tilt(files: Files, section: description.TiltTable) -> kinds.TiltObservations:
-    """Read components of the downward direction along the sensor's axes; of an inclination in deg or rad, its sine."""
+    """Read the downward direction's components along the sensor's axes; an inclination gives its sine."""
     values = np.concatenate([table.values(section.columns) for table in files.tables])
     std = np.full(values.shape, section.std)
     if section.unit != "g":
@@ -371,23 +394,24 @@ def _refuse_other_unit(files: Files, data: kinds.DistanceObservations) -> None:
 
 
 STEM = "{file}"
-"""Placeholder in the pattern of a picture's path: the name, without its ending, of the file with the view's pose."""
+"""Placeholder in the pattern of a picture's path; it stands for the name, without ending, of the view's pose file."""
 
 MANY_BLIND = 0.25
-"""Share of pictures without a corner above which they are refused: something is then wrong with all of them."""
+"""Share of pictures without a detected corner above which all pictures are refused, since something is wrong."""
 
 DEFAULT_STD = 0.3
-"""Standard uncertainty, px, of corners in a table if the description states none."""
+"""Standard uncertainty, px, of corners in a table whose description states none."""
 
 
 def read_views(
     paths: Sequence[str | Path], geometry: Geometry, file: description.DescriptionFile, where: str
 ) -> PixelObservations:
-    """Read views of a board.
+    """Read views of a board: pictures, or a table of the corners detected in them.
 
     Args:
-        paths: One CSV or YAML file, or one folder, whose files are found by the description's ``files``.
-        geometry: The arm's nominal geometry, for joint count and types; not used where finished poses are given.
+        paths: A list of one CSV or YAML file, or of one folder whose files match the description's ``files``.
+        geometry: The arm's nominal geometry, for joint count and types. It is not used if tool poses are given in
+            place of joint values.
         file: The description, with [pixels], [board] and [camera].
         where: Name of the description, for messages.
 

@@ -1,4 +1,4 @@
-"""Reading measured files of any kind: our own columns, or any foreign file through a description of its columns.
+"""Read measurement files of any kind: in our own columns, or in foreign columns that a column description explains.
 
 `read_measurements` reads poses or positions. `read_observations` reads any kind, from one file or several.
 """
@@ -32,7 +32,7 @@ def read_measurements(
         path: The file.
         geometry: The arm's nominal geometry, for joint count and types.
         columns: Name or path of a column description; None for our own format.
-        repeats: As of `read_observations`.
+        repeats: Whether a row may equal another to the last digit, as in `read_observations`.
 
     Raises:
         InputError: Names the file, row, column or unit at fault.
@@ -49,15 +49,16 @@ def read_measurements(
 def read_observations(
     paths: Sequence[str | Path], geometry: Geometry, columns: str | Path | None = None, *, repeats: bool = False
 ) -> Observations:
-    """Read measurements of any kind from one file or several of one layout.
+    """Read measurements of any kind from one file, or from several files of one layout.
 
-    Files of sockets that name no socket column hold one socket each; the files of one folder make a pair.
+    Without a socket column, each file of sockets holds one socket, and the two files of a folder are a pair.
 
     Args:
         paths: The files.
         geometry: The arm's nominal geometry, for joint count and types.
         columns: Name or path of a column description; None for our own format.
-        repeats: Whether rows may repeat others to the last digit, as cycles do of an arm that repeats well.
+        repeats: Whether a row may equal another to the last digit, as repeated measurements of a pose can. If False,
+            such rows are refused.
 
     Raises:
         InputError: Names the file, row, column or unit at fault.
@@ -97,7 +98,7 @@ def read_observations(
 
 
 def _between(geometry: Geometry, links: tuple[str, str], where: str) -> Geometry:
-    """The geometry with poses between two links of a whole robot, which an empty name leaves in the world.
+    """Return the geometry whose poses lead from one link of a whole robot to another; an empty name is the world.
 
     Raises:
         InputError: If a link is none of the robot's, if both are one, or if links of a single chain are named.
@@ -119,7 +120,7 @@ def _between(geometry: Geometry, links: tuple[str, str], where: str) -> Geometry
 
 
 def _in_scene(rows: Any, geometry: Geometry, names: tuple[str, str]) -> Any:
-    """The rows with the names of where their poses begin and end, and on a whole robot with the links."""
+    """Add to rows the names of the two ends of their poses, and for a whole robot the links that carry these ends."""
     rows = replace(rows, origins=replace(origins_of(rows), scene=names))
     if geometry.tree is None:
         return rows
@@ -134,7 +135,7 @@ def _rows(
     geometry: Geometry,
     frames: Frames,
 ) -> Any:
-    """The rows of tables of one layout, of any kind but pixels."""
+    """Read the rows of tables of one layout, of any kind except pixels."""
     pairs = zip(tables, layouts, strict=True)
     joints = np.concatenate([kind_readers.read_joints(*pair, where or pair[0].where, geometry) for pair in pairs])
     source = tables[0].where if len(tables) == 1 else f"{tables[0].where} and {len(tables) - 1} more"
@@ -150,7 +151,7 @@ def _rows(
 
 
 def _frames(tables: list[csv_table.Table]) -> Frames:
-    """The word "known" or "fitted" that files in our own format have for base and tool; "fitted" if they have none.
+    """Read the word "known" or "fitted" that files in our own format have for base and tool; "fitted" if none has one.
 
     Raises:
         InputError: If a row has another word, or if the rows do not all have the same one.
@@ -172,7 +173,7 @@ def _frames(tables: list[csv_table.Table]) -> Frames:
 
 
 def _conditions(files: Files) -> Conditions:
-    """Payload, temperature relative to the reference, and torques of all rows; only those that every file records."""
+    """Read payload, temperature relative to the reference, and torques; only those that every file records."""
     conditions: dict[str, Array] = {}
     for name in ("temperature", "payload", "torque"):
         parts = []
@@ -217,7 +218,7 @@ def _poses(files: Files, _section: Any) -> Measurements:
 
 
 def _attitudes(table: csv_table.Table, described: description.RotationTable | None) -> Array:
-    """The checked values ``(N, 3 or 4)`` of a file's attitude columns: angles in rad, or quaternions."""
+    """Read and check the values ``(N, 3 or 4)`` of a file's attitude columns: angles in rad, or quaternions."""
     assert described is not None
     columns, unit = described.columns, described.checked_unit()
     values = table.values(columns) * TO_SI[unit]
@@ -235,7 +236,7 @@ def _attitudes(table: csv_table.Table, described: description.RotationTable | No
 
 
 def _repeat(tables: list[csv_table.Table], layouts: list[description.DescriptionFile]) -> float | None:
-    """RMS of a position's scatter between repeats, m, by the files' columns of repeat sigma; None without these."""
+    """Compute the RMS scatter of a repeated position, m, from the files' ``std_columns``; None without these."""
     squares = []
     for table, layout in zip(tables, layouts, strict=True):
         if std_columns := getattr(layout.measured, "std_columns", ()):
@@ -253,11 +254,11 @@ POSE_COLUMNS = ("x_mm", "y_mm", "z_mm", "rx_deg", "ry_deg", "rz_deg")
 
 @dataclass(frozen=True, eq=False)
 class Targets:
-    """The poses that the arm is to take.
+    """N targets for an arm, given as joints or as tool poses.
 
     Attributes:
         joints: Nominal joint targets ``(N, n)``, rad or m; None if poses were given.
-        pose: Tool poses, m; None if joints were given.
+        pose: N tool poses, m; None if joints were given.
         lines: Line of each target in its file ``(N,)``, from 1.
         source: The file, for messages.
     """
@@ -269,11 +270,13 @@ class Targets:
 
 
 def read_targets(path: str | Path, geometry: Geometry) -> Targets:
-    """Read joint targets if the file has all joint columns, else pose targets.
+    """Read targets from a CSV file: joint targets if it has all joint columns, else tool poses.
+
+    Joint columns are such as q1_deg or q2_mm. Pose columns are those of `POSE_COLUMNS`, with a rotation vector.
 
     Args:
         path: CSV file with a header.
-        geometry: The arm, for joint count and types.
+        geometry: The arm's nominal geometry, for joint count and types.
 
     Raises:
         InputError: Names the file, and the row and column at fault.
@@ -295,10 +298,14 @@ def read_targets(path: str | Path, geometry: Geometry) -> Targets:
 
 
 def joints_of(targets: Targets, geometry: Geometry) -> Array:
-    """The targets as joints ``(N, n)``, rad or m: as given, or from the inverse kinematics.
+    """Return targets as joints ``(N, n)``, rad or m; pose targets go through the inverse kinematics.
+
+    Args:
+        targets: The targets.
+        geometry: The arm's nominal geometry.
 
     Raises:
-        InputError: If a pose cannot be reached.
+        InputError: If a pose cannot be reached, or if poses are given for a whole robot.
     """
     if targets.joints is not None:
         return targets.joints

@@ -1,8 +1,9 @@
-"""Recordings: a joint log and an instrument's log, each with its own clock, become rows like those of an arm at rest.
+"""Turn recordings into measured rows: a recording is a joint log and an instrument's log, each with its own clock.
 
 The clocks are compared twice. First the speeds of the nominal tool and of the readings are correlated over all lags
-(Furrer et al. 2017). Then offset and rate are unknowns of the same least squares as the arm's parameters, with the
-joints' velocities in their derivatives: an arm that errs does not pull them. SI units; times in seconds.
+(Furrer et al. 2017). Then offset and rate of the clocks are unknowns of the same least squares as the arm's
+parameters, and the joint velocities enter their derivatives. The arm's errors therefore do not bias the clocks. SI
+units; times in seconds.
 """
 
 from __future__ import annotations
@@ -34,40 +35,49 @@ from pickenv.calibration.reading.bag_table import read_log
 from pickenv.calibration.reading.csv_table import Table
 
 STEM = "{file}"
-"""Placeholder in the joint log's name: the instrument file's name without its ending, or a bag folder's whole name."""
+"""Placeholder in the joint log's path.
+
+It stands for the name of the instrument's file without its ending, or for the whole name of a bag folder.
+"""
 
 LEAST_SAMPLES = 50
-"""Fewest samples of an instrument, within the joint log, that tell the clocks."""
+"""Smallest number of an instrument's samples within the joint log from which the clocks can be identified."""
 
 CHORD = 0.1
-"""Speeds are taken over this time, s: short beside a motion, long beside the noise of two samples."""
+"""Time over which speeds are computed, s: short against a motion, and long enough to suppress noise."""
 
 LEAST_OVERLAP, LEAST_CORRELATION = 0.3, 0.4
-"""Least share of the shorter log that must overlap, and least correlation of speeds, at an offset worth a trial."""
+"""Smallest overlap, as a share of the shorter log, and smallest correlation of speeds at an offset that is tried."""
 
 PEAKS, CLEAR = 5, 0.7
-"""Offsets tried by fits; and the best one's median misfit must lie below this share of any other's."""
+"""Number of clock offsets tried by fits, and a limit on the best offset's median misfit.
+
+The limit is a share of the median misfit of any other offset.
+"""
 
 TRIED, FITTED = 300, 1500
-"""Most samples with which an offset is tried, and with which the clocks are fitted."""
+"""Largest number of samples with which an offset is tried, and with which the clocks are fitted."""
 
 RATE_STD = 2e-4
-"""Expected relative difference of two clocks' rates; crystals keep 100 parts in a million."""
+"""Prior standard deviation of the relative difference of two clocks' rates; crystals keep 100 parts per million."""
 
 STEP = 1e-3
-"""Time over which readings are differentiated, s."""
+"""Time step of the numerical derivative of residuals by the clock's offset, s."""
 
 REST, SETTLING = 0.4, 0.3
-"""Shortest rest that gives a row, and the time before it in which the arm may still swing, s."""
+"""Shortest rest of the arm that gives a row, and the time at its start in which the arm may still swing, s."""
 
 SPREADS, FINEST, COARSEST = 8.0, 2e-5, 3e-3
-"""Resting joints stay within so many standard deviations of the log's noise, and between these bounds, rad or m."""
+"""Range within which joints count as resting, in standard deviations of the log's noise.
+
+The other two values are the lower and upper bound of this range, rad or m.
+"""
 
 PATH, MOST_ROWS = 0.02, 2000
-"""Way of the joints between two rows of motion, rad or m together, and the most rows of motion."""
+"""Path length in joint space between two rows of a motion, rad and m together, and the largest number of such rows."""
 
 Read = Callable[[Table, description.DescriptionFile], Observations]
-"""Reads a table of joints and readings by its description, as if an arm at rest had been measured."""
+"""Function that reads a table of joints and readings by its description, as if an arm at rest had been measured."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,9 +85,10 @@ class Timed(Observations):
     """Rows whose joints depend on two further unknowns: the offset and the rate of the instrument's clock.
 
     Attributes:
-        rows: The rows at the first guess of the clocks.
+        rows: The rows, with the joints at the first guess of the clocks.
         times: Time of each row on the instrument's clock ``(N,)``, s, from the middle of the recording.
-        joints_at: Joints ``(N, n)`` at times on the joint log's clock ``(N,)``, from the same middle.
+        joints_at: Function that gives the joints ``(N, n)``, rad or m, at times ``(N,)`` on the joint log's clock, s,
+            from the same middle.
     """
 
     rows: Observations
@@ -94,33 +105,39 @@ class Timed(Observations):
     source = worked_out(attrgetter("rows.source"))
 
     def at(self, clock: Array) -> Observations:
-        """The rows with the joints that belong to a clock's offset, s, and relative rate ``(2,)``."""
+        """Return the rows with the joints that belong to a clock: its offset, s, and relative rate ``(2,)``."""
         return replace(self.rows, joints=self.joints_at(self.times / (1.0 + clock[1]) - clock[0]))  # type: ignore[type-var]
 
     def unknowns(self) -> tuple[str, ...]:
-        """Names of the rows' own unknowns, then of the clock's two."""
+        """Return the names of the rows' own unknowns, then those of the clock's offset and rate."""
         return (*self.rows.unknowns(), "clock_offset", "clock_rate")
 
     def tolerances(self) -> Array:
-        """Scales of the unknowns."""
+        """Return the scale of each of the `unknowns`."""
         return np.concatenate([self.rows.tolerances(), [1e-3, 1e-5]])
 
     def start(self, model: ArmModel) -> Array:
-        """Starting values of the rows' own unknowns, and zero for the clock's."""
+        """Return starting values of the rows' own unknowns, then zeros for the clock's offset and rate."""
         return np.concatenate([self.rows.start(model), np.zeros(2)])
 
     def equations(self) -> tuple[Rows, Rows]:
-        """Row and channel of each equation; the last one, of the rate, belongs to no row."""
+        """Return the row and the channel of each equation.
+
+        The last equation is the prior of the clock's rate; its row is -1.
+        """
         rows, channels = self.rows.equations()
         return np.r_[rows, -1], np.r_[channels, 0]
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Whitened residual of the rows, then of the expected rate."""
+        """Compute the whitened residuals of the rows, then that of the prior of the clock's rate."""
         own, clock = np.split(unknowns, [-2])
         return np.concatenate([self.at(clock).residual(model, own), -clock[1:] / RATE_STD])
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Whitened derivatives by the arm, and by the unknowns; the clock's come from the joints' velocities."""
+        """Compute the whitened derivatives with respect to the arm's parameters, and to the `unknowns`.
+
+        Those of the clock come from the joint velocities.
+        """
         own, clock = np.split(unknowns, [-2])
         rows = self.at(clock)
         by_arm, by_own = rows.jacobian(model, own)
@@ -132,36 +149,38 @@ class Timed(Observations):
         return np.vstack([by_arm, np.zeros(by_arm.shape[1])]), by_unknowns
 
     def drift(self, model: ArmModel, unknowns: Array) -> Array:
-        """Change of the rows' whitened residual ``(E,)`` per second of the clock's offset."""
+        """Compute the derivative of the rows' whitened residuals ``(E,)`` with respect to the clock's offset, 1/s."""
         own, clock = np.split(unknowns, [-2])
         late, early = (self.at(clock + np.array([step, 0.0])).residual(model, own) for step in (STEP, -STEP))
         return np.asarray((late - early) / (2.0 * STEP))
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
-        """Misses of the rows with the clock's unknowns."""
+        """Compute the misses of the rows, with the joints that belong to the clock in ``unknowns``."""
         own, clock = np.split(unknowns, [-2])
         return self.at(clock).misses(model, own)
 
     def select(self, rows: Any) -> Self:
-        """The given rows (indices or a mask) alone."""
+        """Return the rows with the given indices, or those that a mask marks."""
         return replace(self, rows=self.rows.select(rows), times=self.times[np.asarray(rows)])
 
 
 @dataclass(frozen=True, eq=False)
 class Logs:
-    """An instrument's samples and a joint log.
+    """A recording: an instrument's samples and a joint log.
 
     Attributes:
-        table: The instrument's file, without samples that were lost.
-        layout: Its description.
+        table: The instrument's log without lost samples.
+        layout: The column description of the recording.
         geometry: The arm's nominal geometry.
-        times: Time of each sample on the instrument's clock ``(T,)``, s, from the first one.
-        values: Columns of the instrument's file that are read, and their numbers ``(T, k)``, in the file's units.
-        log: Time of each entry of the joint log ``(M,)``, s, from the first one.
-        joints: Joints of each entry ``(M, n)``, rad or m.
-        entries: Columns of the joint log that are read, and their numbers ``(M, j)``, in the file's units.
-        first: First time of the instrument's clock, s.
-        began: First time of the instrument's clock minus that of the joint log's, s.
+        times: Time of each sample on the instrument's clock ``(T,)``, s, from the first sample.
+        values: Names of the columns that are read from the instrument's log, and their values ``(T, k)``, in the file's
+            units.
+        log: Time of each entry of the joint log ``(M,)``, s, from the first entry.
+        joints: Joints of each entry of the joint log ``(M, n)``, rad or m.
+        entries: Names of the columns that are read from the joint log, and their values ``(M, j)``, in the file's
+            units.
+        first: Time of the first sample on the instrument's clock, s.
+        began: The instrument's clock at its first sample minus the joint log's clock at its first entry, s.
     """
 
     table: Table
@@ -177,23 +196,28 @@ class Logs:
 
     @cached_property
     def spline(self) -> CubicSpline:
-        """The joint log's numbers over time, in the file's units."""
+        """Spline of the joint log's columns over time, in the file's units."""
         return CubicSpline(self.log, self.entries[1])
 
     @cached_property
     def joint_spline(self) -> CubicSpline:
-        """The joints over time, rad or m."""
+        """Spline of the joints over time, rad or m."""
         return CubicSpline(self.log, self.joints)
 
     def covered(self, times: Array) -> NDArray[np.bool_]:
-        """Which times on the joint log's clock ``(T,)`` lie within it, and in none of its gaps."""
+        """Return a mask ``(T,)`` of the times, on the joint log's clock, that lie within the log and not in a gap."""
         steps = np.diff(self.log)
         place = np.clip(np.searchsorted(self.log, times) - 1, 0, len(steps) - 1)
         inside = (times >= self.log[0]) & (times <= self.log[-1])
         return np.asarray(inside & (steps[place] <= np.maximum(5.0 * np.median(steps), STEP)))
 
     def rows(self, times: Array, groups: Sequence[Rows]) -> Table:
-        """A table with one row per group of samples: the means of their readings, and of the joints at their times."""
+        """Make a table with one row per group of samples: the means of the readings, and of the joints at their times.
+
+        Args:
+            times: Time of each sample on the joint log's clock ``(T,)``, s.
+            groups: Indices of the samples of each group.
+        """
         names, values = self.values
         rotation = self.layout.rotation
         turned = np.isin(names, () if rotation is None else rotation.columns)
@@ -217,21 +241,26 @@ def _table(where: str, names: tuple[str, ...], numbers: Array, lines: list[int])
 def read_recording(
     table: Table, path: Path, layout: description.DescriptionFile, where: str, geometry: Geometry, read: Read
 ) -> tuple[Table, description.DescriptionFile, Clocks]:
-    """Turn an instrument's log and its joint log into rows of an arm at rest, or, if it hardly rested, of its motion.
+    """Turn an instrument's log and its joint log into rows.
+
+    Each rest of the arm gives a row with the mean of its samples. If the arm rested too rarely, rows are single samples
+    of its motion.
 
     Args:
         table: The instrument's log.
-        path: Its file.
-        layout: Its description, with [recording].
+        path: The file of the instrument's log.
+        layout: The column description, with [recording].
         where: Name of the description, for messages.
         geometry: The arm's nominal geometry.
-        read: Reads rows as if the arm had been at rest.
+        read: Function that reads rows as if the arm had been at rest.
 
     Returns:
-        The rows, the description with the uncertainty that they have, and what was found of the clocks.
+        The rows; the description, whose stated uncertainties of single samples are larger by that of the clocks; and
+        the clocks.
 
     Raises:
-        InputError: If a time is out of order, the logs do not belong together, or nothing tells their offset.
+        InputError: If a time is out of order, if the logs do not belong together, or if their offset cannot be
+            determined.
     """
     logs = _logs(table, path, layout, where, geometry)
     timed, found, first, middle = _first_guess(logs, read)
@@ -270,7 +299,7 @@ def read_recording(
 
 
 def _with_std(layout: description.DescriptionFile, factors: list[float]) -> description.DescriptionFile:
-    """The description with stated uncertainties times the factor of their channel: readings, then attitudes."""
+    """Multiply the description's stated uncertainties by one factor for readings and one for attitudes."""
     measured = layout.measured
     if measured.std is not None:
         layout = replace(layout, **{layout.kind: replace(measured, std=measured.std * factors[0])})
@@ -280,7 +309,7 @@ def _with_std(layout: description.DescriptionFile, factors: list[float]) -> desc
 
 
 def _logs(table: Table, path: Path, layout: description.DescriptionFile, where: str, geometry: Geometry) -> Logs:
-    """Both logs, with times checked and lost samples left out."""
+    """Read both logs, check their times, and leave out lost samples."""
     told = layout.recording
     assert told is not None
     home = path.parent / told.joints.replace(STEM, path.name if path.is_dir() else path.stem)
@@ -318,7 +347,7 @@ def _logs(table: Table, path: Path, layout: description.DescriptionFile, where: 
 
 
 def _seen(table: Table, layout: description.DescriptionFile, names: tuple[str, ...]) -> Table:
-    """The table without samples that have an empty cell or lie at 0, 0, 0: those that the instrument lost."""
+    """Return the table without lost samples, that is samples with an empty cell or a position at 0, 0, 0."""
     lost = np.zeros(len(table.lines), dtype=bool)
     for name in {part for text in names for part in _plain(text, table.header)}:
         lost |= table.fill_blanks(name)
@@ -332,7 +361,7 @@ def _seen(table: Table, layout: description.DescriptionFile, names: tuple[str, .
 
 
 def _complete(log: Table, names: tuple[str, ...]) -> Table:
-    """The messages of a joint log that have all these columns, without those of a gripper alone."""
+    """Return the messages of a joint log that have all these columns; others can be those of a gripper alone."""
     lacking = np.zeros(len(log.lines), dtype=bool)
     for name in {part for text in names for part in _plain(text, log.header)}:
         lacking |= np.array([not cell for cell in log.texts(name)])
@@ -342,14 +371,14 @@ def _complete(log: Table, names: tuple[str, ...]) -> Table:
 
 
 def _plain(text: str, header: list[str]) -> Iterator[str]:
-    """The columns of a file that an expression is computed from."""
+    """Yield the columns of a file that an expression uses."""
     tree, quoted = csv_table.expression_tree(text)
     words = [] if tree is None else [node.id for node in ast.walk(tree) if isinstance(node, ast.Name)]
     yield from (name for name in (text, *words, *quoted) if name in header)
 
 
 def _times(table: Table, name: str, unit: str) -> Array:
-    """The times of a log ``(T,)``, s, in strictly rising order."""
+    """Read the times of a log ``(T,)``, s, and check that they are strictly increasing."""
     times = table.value(name) * description.SECONDS[unit]
     steps = np.diff(times)
     if len(times) < 4:
@@ -365,9 +394,9 @@ def _times(table: Table, name: str, unit: str) -> Array:
 
 
 def _speeds(logs: Logs) -> tuple[Array, Array, float]:
-    """Speeds of the nominal tool and of the readings, each over its own log, and the time between two of them, s.
+    """Compute the speeds of the nominal tool and of the readings, each over its own log, and their time step, s.
 
-    With attitudes they are angular, else linear; both are the same from any base, and nearly so for any tool.
+    Speeds are angular if attitudes were measured, else linear. They do not depend on the base, and hardly on the tool.
     """
     step = max(float(np.median(np.diff(logs.times))), float(np.median(np.diff(logs.log))), 2e-3)
     width = max(round(CHORD / step), 2)
@@ -391,7 +420,7 @@ def _speeds(logs: Logs) -> tuple[Array, Array, float]:
 
 
 def _lags(one: Array, other: Array) -> tuple[Array, Array]:
-    """The correlation of two signals at every lag, and the number of samples that overlap there.
+    """Compute the correlation of two signals at every lag, and the number of samples that overlap there.
 
     Entry k is of ``one[i]`` with ``other[i - k + len(other) - 1]``.
     """
@@ -413,7 +442,7 @@ def _lags(one: Array, other: Array) -> tuple[Array, Array]:
 
 
 def _peaks(logs: Logs) -> list[float]:
-    """Time of the instrument's first sample on the joint log, s from its first entry, at the lags worth a trial."""
+    """Return candidate times of the instrument's first sample on the joint log's clock, s from its first entry."""
     one, other, step = _speeds(logs)
     where = logs.table.where
     if np.ptp(one) < 1e-6 or np.ptp(other) == 0.0:
@@ -437,7 +466,7 @@ def _peaks(logs: Logs) -> list[float]:
 
 
 def _timed(logs: Logs, start: float, most: int, read: Read) -> tuple[Timed, float, float] | None:
-    """Up to ``most`` samples with the joints of a guess of the clocks, that guess, and the middle of the times."""
+    """Return up to ``most`` samples with joints at a clock offset, that offset, s, and the mean sample time, s."""
     times = logs.times + start
     usable = np.flatnonzero(logs.covered(times))
     if len(usable) < LEAST_SAMPLES:
@@ -453,7 +482,7 @@ def _timed(logs: Logs, start: float, most: int, read: Read) -> tuple[Timed, floa
 
 
 def _first_guess(logs: Logs, read: Read) -> tuple[Timed, Identification, float, float]:
-    """Samples, the fit of frames and clocks, the first guess of the offset, and the middle of the samples' times.
+    """Fit frames and clocks: return samples, the fit, the first guess of the offset, s, and the mean sample time, s.
 
     Raises:
         InputError: If no offset fits, or another one fits nearly as well.
@@ -489,7 +518,7 @@ def _first_guess(logs: Logs, read: Read) -> tuple[Timed, Identification, float, 
 
 
 def _fitted(nominal: Geometry, timed: Timed, start: Geometry | None) -> Identification:
-    """Base, tool and clocks fitted to samples."""
+    """Fit base, tool and clocks to samples."""
     start = start or rough_start(nominal, timed.rows)
     return identify(frames_model(nominal), start, [timed], max_iterations=60)
 
@@ -498,7 +527,7 @@ def _fitted(nominal: Geometry, timed: Timed, start: Geometry | None) -> Identifi
 
 
 def _rests(logs: Logs, times: Array, usable: Rows) -> list[Rows]:
-    """The samples of each rest of the arm, without the time in which it settles."""
+    """Return the indices of the samples of each rest of the arm, without the time in which the arm settles."""
     step = np.median(np.diff(logs.log))
     width = max(round(REST / step), 3)
     if len(logs.log) <= width:
@@ -523,7 +552,7 @@ def _rests(logs: Logs, times: Array, usable: Rows) -> list[Rows]:
 
 
 def _thinned(logs: Logs, times: Array, usable: Rows) -> list[Rows]:
-    """Single samples, each a way of the joints apart from the one before."""
+    """Return indices of single samples, spaced by a path length in joint space (`PATH`)."""
     joints = logs.joint_spline(times[usable])
     way = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(joints, axis=0), axis=1))]
     _, first = np.unique(np.floor(way / max(PATH, way[-1] / MOST_ROWS)), return_index=True)
