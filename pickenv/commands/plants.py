@@ -56,7 +56,9 @@ def effects(
     seed: Annotated[int, Option(min=0)] = 0,
     json_file: Annotated[Path | None, Option("--json")] = None,
 ) -> None:
-    """Compute each effect's share of a simulated arm's tip error, mm: alone, left without it, and all together.
+    """Compute each effect's share of the tip error of a simulated arm, mm.
+
+    Three errors are compared: with the effect alone, with all effects but this one, and with all effects.
 
     Args:
         plant: Plant preset or plant file (.toml).

@@ -199,8 +199,7 @@ class ExperimentFile:
 def _widen(rows: list[dict[str, Any]], measured: Rows, draws: str, asked: tuple[Any, ...]) -> None:
     """Replace intervals over units by intervals over draws of constants; the former stay in the row as "sampled".
 
-    The least and the largest of K numbers hold a further one with probability (K - 1) / (K + 1), whatever they are
-    distributed like.
+    The range of K numbers contains one further number with probability (K - 1) / (K + 1), for any distribution.
     """
     drawn: dict[tuple[Any, ...], list[float]] = {}
     for (draw,) in measured.levels(draws):

@@ -195,14 +195,16 @@ def run_policies(
             so on by name.
 
     Returns:
-        For reaching, one row per episode: plant, compensation, feedback, policy, seed and training (number of the file,
-        for a policy with several); whether the policy was ``learned``; ``arm`` (no two seeds share a number) and
-        ``episode``; ``error_mm`` and ``attitude_deg`` at the end; ``way_mm``, the error after each step (NaN after the
-        last); ``cycle_steps``, the steps until the tool stays within `CYCLE_MM` (NaN if it never does);
-        ``chance_NAME``, the probability that gripper NAME takes the fruit; and the fields of `pickenv.agents.Reaches`.
-        For picking, one row per arm, gripper and training, over all canopies: grasps ``attempted``, fruit ``collected``
-        undamaged, time taken (``duration_s``), and two sums over grasps. ``error_sum_mm`` sums the distance between
-        fruit and true tool, ``tilt_sum_deg`` the angle between tool and vertical.
+        For reaching, one row per episode. It has plant, compensation, feedback, policy, seed, and training (number of
+        the file, for a policy with several). ``learned`` says whether the policy was learned. ``arm`` is the number of
+        the arm (no two seeds share one), ``episode`` that of the arm's episode. ``error_mm`` and ``attitude_deg`` are
+        the errors at the end. ``way_mm`` is the position error after each step (NaN after the last). ``cycle_steps`` is
+        the number of steps until the tool stays within `CYCLE_MM` (NaN if it never does). ``chance_NAME`` is the
+        probability that gripper NAME takes the fruit. The fields of `pickenv.agents.Reaches` are columns, too. For
+        picking, one row per arm, gripper and training, over all canopies. It has the numbers of grasps ``attempted``
+        and of fruit ``collected`` undamaged, and the time taken (``duration_s``). Two columns are sums over grasps:
+        ``error_sum_mm`` of the distance between fruit and true tool, ``tilt_sum_deg`` of the angle between tool and
+        vertical.
 
     Raises:
         InputError: If a name is unknown, no policy can be run as asked, or a kept file is damaged.

@@ -31,10 +31,10 @@ NOTE = (
 def bench_json(bench: Bench) -> dict[str, Any]:
     """Return every result in one format for JSON; reductions are fractions, None where there is no such number.
 
-    Keys of an entry of "rows": "robot", "split" ("random" or "blocks"), "model", "nominal_mm" (base and tool fitted)
-    and "held_out_mm"; "measured_reduction" (of the error of the model that "before" names) and its interval "ci95";
-    "predicted_reduction" (by twins of other rows) and "predicted_ci95" (the interval for one more arm); "statistic"
-    ("rms") and the number of "rows" judged.
+    An entry of "rows" has "robot", "split" ("random" or "blocks"), "model", and the number of "rows" judged. Its errors
+    are "nominal_mm" (base and tool fitted) and "held_out_mm"; "statistic" is "rms". "measured_reduction" is relative to
+    the error of the model that "before" names; its interval is "ci95". "predicted_reduction" is that of twins of other
+    rows. "predicted_ci95" is the interval in which one more arm's reduction would lie.
 
     "models" is the table of measured robots, with one entry per number: "value_mm" with its ends "low_mm" and
     "high_mm", and "used", the models that were used.

@@ -140,9 +140,9 @@ def fold_errors(
         data: Folder of the data sets.
 
     Returns:
-        Columns: "drawn" (0 for the measured arm, else the number of the drawn arm), "at" (number of the held-out row),
-            the
-        squared error of each model, m^2, and the counts "refused", "rows" and "rows_in_file".
+        Columns. "drawn" is 0 for the measured arm, else the number of the drawn arm. "at" is the number of the held-out
+        row. Each model has a column of its squared errors, m^2. The counts are "refused" (drawn arms that could not be
+        calibrated), "rows" and "rows_in_file".
     """
     name, split = GAINS[row]
     arm, rows, _ = SETS[name].load(data)
@@ -202,8 +202,8 @@ def judged_fold(
         seed: Seed of all random numbers.
 
     Returns:
-        A list of squared errors, of the measured rows and then of each drawn arm; and the number of drawn arms that
-        could not be calibrated and were replaced by others.
+        Squared errors of the measured rows and then of each drawn arm; and the number of drawn arms that were replaced
+        because they could not be calibrated.
 
     Raises:
         InputError: If the measured rows, or too many of the drawn arms, cannot be calibrated.

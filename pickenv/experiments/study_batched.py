@@ -43,9 +43,9 @@ IN_TIME = 8
 
 
 Commands: TypeAlias = tuple[Sequence[Tensor], NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]
-"""For N arms: joint commands, one array ``(M, N)`` per joint, rad or m; number of fruit out of each arm's reach
-``(N,)``, as its calibration predicts; number of least-squares steps ``(N,)``; and whether each arm was calibrated here
-``(N,)``. The other arms are calibrated one by one."""
+"""Corrected commands of N arms, as a tuple of four: joint commands, one array ``(M, N)`` per joint, rad or m; number of
+fruit out of each arm's reach ``(N,)``; number of least-squares steps ``(N,)``; and whether each arm was calibrated here
+``(N,)``. Reach is what the arm's calibration predicts. The other arms are calibrated one by one."""
 
 
 def evaluate_batch(protocol: study.Protocol, chunk: int, rng: object = None, device: str = "cpu") -> Rows:
@@ -195,8 +195,8 @@ def identify_batch(
         place: Function that moves an array to where torch computes.
 
     Returns:
-        The identified geometries, with link parameters ``(N, n)``; the number of least-squares steps of each arm
-        ``(N,)``; and whether the usual parameters and undamped steps led to its minimum ``(N,)``.
+        The identified geometries, with link parameters ``(N, n)``; the number of least-squares steps ``(N,)``; and for
+        each arm whether the usual parameters and undamped steps led to its minimum ``(N,)``.
     """
     nominal, count, poses = protocol.nominal, len(around), setting.poses
     design, instrument = protocol.design, protocol.instrument(setting)

@@ -1,9 +1,9 @@
 """Run or continue a tolerance study, and read its folder: yields and quantiles per setting.
 
-A folder holds `study.toml` (the configuration, with its hash), `rows` (an experiment whose units are chunks of arms,
-with one row for each arm and setting) and, when the study is complete, `summary.json`. Each is checked against the
-others when it is read: the files of an experiment have the hash of their study in their names, and the summary contains
-the hashes of study and rows.
+A folder contains `study.toml`, that is the configuration with its hash, and `rows`. These are an experiment whose units
+are chunks of arms, with one row for each arm and setting. When the study is complete, there is `summary.json` too. Each
+part is checked against the others when it is read. The files of the experiment have the hash of their study in their
+names, and the summary contains the hashes of study and rows.
 """
 
 from __future__ import annotations

@@ -55,8 +55,8 @@ def variance_indices(first: Array, second: Array, mixed: Array, names: Sequence[
         names: Names of the causes.
 
     Returns:
-        For each cause ``group``, ``first_order`` (its share alone), ``total`` (with all its interactions, never less),
-        and their 95 % intervals ``first_order_low`` and so on; None where there are too few blocks for an interval.
+        For each cause its name ``group``, ``first_order`` (its share alone), and ``total`` (with all its interactions,
+        never less). The 95 % intervals are ``first_order_low`` and so on; None where there are too few blocks.
 
     Raises:
         InputError: If nothing varies.
@@ -291,9 +291,10 @@ def sensitivities_of(rows: Dataset, setting: int = 0) -> pa.Table:
         setting: Number of the setting; failed arms are left out.
 
     Returns:
-        One row per parameter and per kind, largest share first: ``parameter`` (or the kind's name), ``kind``, ``level``
-        (parameter or kind), ``share`` of the variance (by chance below zero if there is none) with its 95 % interval
-        ``share_low``, ``share_high``, and the whole regression's ``r2``, ``r2_adjusted`` and ``arms``.
+        One row per parameter and per kind, largest share first. ``level`` is parameter or kind, ``parameter`` its name,
+        and ``kind`` the kind that it belongs to. ``share`` is the share of the variance, which may be estimated below
+        zero if there is none; its 95 % interval is ``share_low``, ``share_high``. ``r2``, ``r2_adjusted`` and ``arms``
+        are those of the whole regression.
 
     Raises:
         InputError: If nothing varies, or there are too few arms for the number of deviations.
@@ -355,11 +356,11 @@ def tolerance_kind(column: str) -> str:
 
 
 def _moments(rows: Dataset, setting: int) -> tuple[list[str], Array]:
-    """The sums that a regression needs, of a setting's rows read twice: for means and spreads, and for the products.
+    """Compute the sums that a regression needs. A setting's rows are read twice: for means and spreads, and for products.
 
     Returns:
-        The k deviations that vary, and sums of products ``(BLOCKS, 2 k + 2, 2 k + 2)`` of 1, x, x^2 and the squared
-        error in mm^2, where x is the deviation minus its mean, over its standard deviation.
+        The names of the k deviations that vary, and sums of products ``(BLOCKS, 2 k + 2, 2 k + 2)`` of 1, x, x^2 and
+        the squared error in mm^2. x is the deviation minus its mean, over its standard deviation.
     """
     names = [name for name in rows.schema.names if DEVIATION.fullmatch(name)]
     selection = (pc.field("setting") == setting) & (pc.field("status") == OK)
@@ -419,12 +420,12 @@ def _explained(slopes: Array, covariance: Array, group: Sequence[int]) -> Array:
 
 
 def _interval(share: float, chance: float, pseudo: Array) -> tuple[float, float]:
-    """95 % interval of a share, after what chance adds to it is taken off.
+    """Return the 95 % interval of a share, after what chance adds to the share is subtracted.
 
-    The root of a share is a length in the space of slopes, and its standard error the same everywhere, so that the
-    share over that error squared is noncentral chi-square, as if of ``chance / error**2`` degrees of freedom. The
-    interval holds the noncentralities that such a share does not contradict. It begins at zero where zero is one of
-    them, and holds the estimate where that is below zero.
+    The root of a share is a length in the space of slopes, with the same standard error everywhere. The share over that
+    error squared is therefore noncentral chi-square, as if with ``chance / error**2`` degrees of freedom. The interval
+    contains the noncentralities that do not contradict such a share. It begins at zero if zero is one of them, and
+    contains the estimate if that is below zero.
 
     Args:
         share: The share, including what chance adds.
