@@ -356,7 +356,7 @@ def tolerance_kind(column: str) -> str:
 
 
 def _moments(rows: Dataset, setting: int) -> tuple[list[str], Array]:
-    """Compute the sums that a regression needs. A setting's rows are read twice: for means and spreads, and for products.
+    """Compute the sums that a regression needs; rows are read twice, for means and spreads and for products.
 
     Returns:
         The names of the k deviations that vary, and sums of products ``(BLOCKS, 2 k + 2, 2 k + 2)`` of 1, x, x^2 and
