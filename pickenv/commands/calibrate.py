@@ -50,8 +50,8 @@ def calibrate(
         files: Files of measurements (CSV, YAML, Parquet, ROS 2 bags) of one layout, or a folder of pictures.
         arm: Arm name, or file ({arm_format}; .urdf#link, .xml#body; .urdf#link,link for a whole robot); not for
             tool poses given in place of joint values.
-        columns: Column description, by name or path; pickenv's own if left out. Repeat it, for one per file.
-        stations: Frames that each file has for itself, as a station; poses and positions decide if left out.
+        columns: Column description, by name or path; pickenv's own if left out. Repeat it to give one per file.
+        stations: Frames that each file has of its own; if left out, poses and positions tell, other kinds have both.
         frames: known: the instrument measures the arm's own tool in its own base frame; fitted: base and tool are
             fitted too. As the files say if left out, which is fitted unless they have a column 'frames'.
         test_rows: Number of rows to hold out at random; a fifth if left out.
@@ -68,8 +68,8 @@ def calibrate(
             joint limits if left out.
         terms: Parametric terms: auto, none, or compliance (of joints whose torques were measured), gravity (the arm's
             own weight), periodic (harmonics of the drives, of orders that the data show), thermal joined by +.
-        residual: Residual model: auto (the best of ours, if it improves held-out rows), none, {residual}.
-        force: Use the named residual model also if it does not improve held-out rows.
+        residual: Residual model: auto (the best of ours, if it wins in cross-validation), none, {residual}.
+        force: Use the named residual model also if it does not win in cross-validation.
         robust: List outliers, held out or not, and leave them out (--robust) or keep them (--no-robust).
         lens_out: Write the camera's lens as ROS camera_info (.yaml).
         unit: Serial number of the robot, kept in the calibration.
