@@ -68,7 +68,7 @@ def check(
     Args:
         paths: Calibrations, policies, checkpoints, chunks, traces, or whole folders.
         details: Print a line for every sound file, however many there are.
-        json_file: Write what was found to this file.
+        json_file: Write the findings to this file.
 
     Examples:
         pickenv check runs/demo

@@ -133,10 +133,9 @@ def verify(
 ) -> None:
     """Judge an old calibration on new rows: is it better than nominal, as good as promised, and used within its data?
 
-    The verdict is one of: still good, worse than nominal, drifted, outside what was measured, another station, another
-    arm.
+    Verdicts: still good, worse than nominal, drifted, outside what was measured, another station, another arm.
 
-    It comes first; unless it is "still good" the exit code is 3.
+    The verdict comes first; unless it is "still good" the exit code is 3.
 
     Args:
         calibration: Calibration file (.npz).
@@ -241,7 +240,7 @@ def export(
         counts_per_turn: Encoder counts per turn, for --as offsets.
         sample: With --as mjcf: number of arms to draw that the data allow, …_1 and on.
         seed: Seed of --sample.
-        json_file: Write what was said of the file to this one.
+        json_file: Write the names of the files written, and the notes about them, to this file.
         unit: Serial number of the robot, which must be the calibration's.
         allow: Use the calibration in spite of this reservation: do-not-use.
 
@@ -289,7 +288,7 @@ def twin(
         rows: Poses or positions that it was fitted to, if it has no Gaussian process.
         columns: Column description of --rows; pickenv's own if left out.
         seed: Seed of the random waves that represent the residual.
-        json_file: Write what was said of the plant to this file.
+        json_file: Write the plant's summary and notes to this file.
         unit: Serial number of the robot, which must be the calibration's.
         allow: Use the calibration in spite of this reservation: do-not-use.
 

@@ -76,7 +76,7 @@ class PolicySettings:
         compensations: Methods as for `calibrate_arm`, and "raw".
         feedback: Kinds of feedback: "encoders" (open loop) and "camera".
         plants: Plant presets, or rungs of the ladder such as "rung:orchard". A rung has arms of its own for judging;
-            every seed takes others of them.
+            each seed takes different ones.
         grippers: Names of grippers.
         arms: Number of arms drawn for each plant and seed.
         episodes: Number of fruit per arm.
@@ -179,14 +179,15 @@ def run_policies(
     progress: Progress | None = None,
     fits: Callable[..., bool] = lambda **levels: True,
 ) -> Rows:
-    """Run episodes of policies, or of picking, on the same arms and fruit for every compensation, and return the rows.
+    """Run policies on reaching, or on picking, with the same arms and fruit for every compensation, and return the rows.
 
     Args:
         settings: What is compared.
         folder: Folder that keeps rows for later runs, or None.
         task: "reaching" runs every policy with every kind of feedback that it can use. "picking" runs each of
             `PICKERS`, and every learned policy that picks or has a memory, on the canopies of `pickenv/Pick-v0`. All
-            get the same plants and canopies. Of several trainings of a policy, each seed's arms meet one, in turn.
+            get the same plants and canopies. If a policy has several trainings, each seed's arms meet one of them, in
+            turn.
         cache: Folder that keeps calibrations for later runs; None for "calibrations" below ``folder``, if given.
         backend: Backend that computes the pieces, as for `pickenv.experiments.run`.
         workers: Number of processes.
@@ -200,11 +201,12 @@ def run_policies(
         the arm (no two seeds share one), ``episode`` that of the arm's episode. ``error_mm`` and ``attitude_deg`` are
         the errors at the end. ``way_mm`` is the position error after each step (NaN after the last). ``cycle_steps`` is
         the number of steps until the tool stays within `CYCLE_MM` (NaN if it never does). ``chance_NAME`` is the
-        probability that gripper NAME takes the fruit. The fields of `pickenv.agents.Reaches` are columns, too. For
-        picking, one row per arm, gripper and training, over all canopies. It has the numbers of grasps ``attempted``
-        and of fruit ``collected`` undamaged, and the time taken (``duration_s``). Two columns are sums over grasps:
-        ``error_sum_mm`` of the distance between fruit and true tool, ``tilt_sum_deg`` of the angle between tool and
-        vertical.
+        probability that gripper NAME takes the fruit. The fields of `pickenv.agents.Reaches` are columns, too.
+
+        For picking, one row per arm, gripper and training, over all canopies. It has the numbers of grasps
+        ``attempted`` and of fruit ``collected`` undamaged, and the time taken (``duration_s``). Two columns are sums
+        over grasps: ``error_sum_mm`` of the distance between fruit and true tool, ``tilt_sum_deg`` of the angle between
+        tool and vertical.
 
     Raises:
         InputError: If a name is unknown, no policy can be run as asked, or a kept file is damaged.

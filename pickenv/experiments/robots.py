@@ -439,7 +439,7 @@ def predicted_gain(after: Array, before: Array) -> tuple[float, Ends | None]:
     """Compute the mean gain of drawn arms, and the interval in which one more arm's gain would lie.
 
     The folds have different twins, whose arms are drawn independently. The variance of one arm's gain is therefore the
-    sum of the variances between the arms of each fold's twin (first order in the squares). It has folds (draws - 1)
+    sum of the variances between the arms of each fold's twin (first order in the squares). It has folds * (draws - 1)
     degrees of freedom.
 
     Args:

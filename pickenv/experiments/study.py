@@ -152,7 +152,7 @@ class StudyConfig:
         it_grades: ISO 286-1 grades, each of which replaces the grade of the classes; None for the classes' own grades.
         methods: Methods of calibration, of `METHODS`.
         poses: Numbers of calibration poses.
-        noise: Standard deviations of the tracker's readings, which include its errors of range and centring.
+        noise: Standard deviations of the tracker's readings, which include the errors of range and centring.
         instrument: Instrument that measures the arms, and how long it waits; a name of `pickenv.arm.load_instrument`,
             or a path.
         residual_poses: Number of further poses for a learnt residual.
