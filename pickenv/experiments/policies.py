@@ -179,7 +179,7 @@ def run_policies(
     progress: Progress | None = None,
     fits: Callable[..., bool] = lambda **levels: True,
 ) -> Rows:
-    """Run policies on reaching, or on picking, with the same arms and fruit for every compensation, and return the rows.
+    """Run policies on reaching, or on picking, on the same arms and fruit for every compensation; return the rows.
 
     Args:
         settings: What is compared.

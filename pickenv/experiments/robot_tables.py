@@ -97,11 +97,11 @@ def agreement(gains: Sequence[dict[str, Any]]) -> dict[str, Any]:
         gains: Rows of `Bench.gains`.
 
     Returns:
-        "sets" and "gains": numbers of sets and gains on blocks. "models": for each model its "robots", and the distance
-        between predicted and measured gain in percentage points. "median_points" and "worst_points" are the twin's
-        distance. "null_median_points" and "null_worst_points" are the null prediction's, None if there is only one
-        robot. "learnt_on_blocks": number of gains of learnt residuals. "sign_right": the share of these whose sign is
-        predicted right.
+        A mapping for JSON. "sets" and "gains" are the numbers of sets and of gains on blocks. "models" has for each
+        model its "robots", and distances between predicted and measured gain in percentage points. "median_points" and
+        "worst_points" are those of the twins. "null_median_points" and "null_worst_points" are those of the null
+        prediction, None if there is only one robot. "learnt_on_blocks" is the number of gains of learnt residuals, and
+        "sign_right" the share of these whose sign is predicted right.
     """
     blocks = [gain for gain in gains if gain["split"] != "random"]
     models = []
