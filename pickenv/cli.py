@@ -1,4 +1,4 @@
-"""The front door: `pickenv COMMAND`. Thin commands; what they do lives in the rooms."""
+"""The command line `pickenv COMMAND`; commands read options and print, and other modules do the work."""
 
 from __future__ import annotations
 
@@ -49,13 +49,13 @@ def demo(
     no_network: Annotated[bool, Option("--no-network")] = False,
     details: Annotated[bool, Option("--details")] = False,
 ) -> None:
-    """Calibrate the simulated picking arm, pick with it raw and calibrated; write figures and a recording.
+    """Calibrate the simulated picking arm, and pick with it raw and calibrated; write figures and a recording.
 
     Args:
         out: Run folder to write.
-        seed: Seed of everything random.
-        quick: Fewer reaches and epochs; worse figures, sooner.
-        no_network: Least squares alone, as where torch is missing.
+        seed: Seed of all random numbers.
+        quick: Fewer reaches and training epochs: sooner, with worse results.
+        no_network: Calibrate by least squares alone, as is done without torch.
         details: Print RMS, 95th percentiles, floors, and what a network gains on other arms as well.
 
     Examples:
@@ -83,7 +83,7 @@ def demo(
 
 
 DETAILS = ("RMS (mm)", "p95 (mm)", "floor (deg)")
-"""Columns of the demonstration's table that are printed with details alone."""
+"""Columns of the demonstration's table that are printed only with `--details`."""
 
 
 def _print_demo(summary: dict[str, Any], *, details: bool = True) -> None:
@@ -175,7 +175,7 @@ COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
     ),
     "Look at what came out": (inspection.inspect, comparing.film, inspection.figures, inspection.report),
 }
-"""Commands by what they are for, in the order in which `pickenv --help` shows them."""
+"""Commands by their purpose, in the order in which `pickenv --help` shows them."""
 
 for _purpose, _commands in COMMANDS.items():
     for _command in _commands:
@@ -185,7 +185,7 @@ app.add_typer(bench, rich_help_panel="Simulate, learn and judge")
 
 
 def main() -> None:
-    """Run the command line; `pickenv.commands.guard` says how it may end."""
+    """Run the command line; `pickenv.commands.guard` lists the exit codes."""
     sys.exit(guarded(_run))
 
 

@@ -1,7 +1,7 @@
-"""The main job: calibrate the arm, compensate it, pick with it, look at the error (Qiao 2026's protocol, simulated).
+"""Demonstrate Qiao 2026's protocol in simulation: calibrate the arm, compensate it, pick, and measure the error.
 
-100 poses identify the geometry, 200 train the network, 100 test both; then the same scripted policy reaches the same
-seeded fruit raw, with least squares (LS) and with least squares and network (LS+BPNN).
+100 poses identify the geometry, 200 train the network, and 100 test both. Then the same scripted policy reaches for the
+same seeded fruit three times: raw, with least squares (LS), and with least squares and network (LS+BPNN).
 """
 
 from __future__ import annotations
@@ -40,17 +40,17 @@ from pickenv.orchard import misalignment
 from pickenv.wrappers import CompensationWrapper
 
 OTHER = "orchard"
-"""The plant with every effect, on which the demonstration shows what the same calibration is worth for picks."""
+"""The plant with every effect, on which the demonstration shows how the same calibration changes picks."""
 
 PLANT, POSES = "qiao2026", {"identification": 100, "network": 200, "test": 100}
-"""The simulated arm, and numbers of poses by what they are for: the paper's."""
+"""The simulated arm, and the numbers of poses by their purpose, as in the paper."""
 
 TOLERANCES = (1.0, 10.0)
-"""Errors that a success may have, mm and deg. The radius is tighter than any gripper's, since the raw arm's error is
+"""Largest errors of a success, mm and deg. The radius is smaller than any gripper's, since the raw arm's error is
 itself within the 5 mm that Li's cup forgives."""
 
 Compensators = dict[str, Compensator | None]
-"""By policy; None where commands go to the arm as they are."""
+"""Compensators by policy; None where commands go to the arm unchanged."""
 
 
 @dataclass(frozen=True)
@@ -58,12 +58,12 @@ class DemoSettings:
     """Sizes of the demonstration; the defaults are the paper's protocol.
 
     Attributes:
-        seed: Seed of everything random.
-        reaches: Seeded fruit targets.
-        epochs: Passes of the network's training.
+        seed: Seed of all random numbers.
+        reaches: Number of fruit to reach for.
+        epochs: Training epochs of the network.
         grid_step: Cell size of the error field, m.
-        gain_poses: Poses of the grid on which gains are judged by blocks held out; none are judged when 0.
-        network: Whether a network learns what least squares leave, for which torch is needed.
+        gain_poses: Number of grid poses on which a network's gain is judged by held-out blocks; 0 skips this.
+        network: Whether a network learns the residuals of least squares, which needs torch.
     """
 
     seed: int = 0
@@ -75,7 +75,7 @@ class DemoSettings:
 
     @staticmethod
     def quick(seed: int) -> DemoSettings:
-        """A shorter run for trying things out; its figures are worse than the paper protocol's."""
+        """Return settings of a shorter run for trying things out, with worse results than the paper's protocol."""
         return DemoSettings(seed=seed, reaches=20, epochs=100, grid_step=0.2)
 
     @property
@@ -84,7 +84,7 @@ class DemoSettings:
         return replace(self, network=True) == DemoSettings.quick(self.seed)
 
     def command(self) -> str:
-        """The command line, or the call, that makes the same numbers."""
+        """Return the command line, or the call, that computes the same numbers."""
         if not self.is_quick and replace(self, network=True) != DemoSettings(self.seed):
             return f"run_demo({self!r})"
         return command_line("pickenv", "demo", seed=self.seed, quick=self.is_quick, no_network=not self.network)
@@ -92,18 +92,21 @@ class DemoSettings:
 
 @dataclass(frozen=True, eq=False)
 class DemoResult:
-    """Everything that the demonstration found.
+    """All results of the demonstration.
 
     Attributes:
-        settings: What was run.
-        plant: The simulated arm.
+        settings: The settings of the run.
+        plant: The plant, that is the simulated true arm.
         calibrated: The calibration, judged.
-        sets: Measurements by what they are for, as in `POSES`: least squares, the network, or held out to test both.
-        test_errors: Per policy, true against wanted pose at the test poses ``(N, 6)``, m and rad.
-        reaches: Per policy, the reaches.
-        comparison: For recording and figures.
-        gains: What a network gains on blocks held out, on arms drawn from this plant and from the plant `field`.
-        cases: What calibration does to picks, on this plant and on `OTHER`.
+        sets: Measurements by their purpose, as in `POSES`: for least squares, for the network, or held out to test
+            both.
+        test_errors: For each policy, errors of the true pose against the wanted pose at the test poses ``(N, 6)``, m
+            and rad.
+        reaches: For each policy, how the reaches ended.
+        comparison: Reaches and error field, for recording and figures.
+        gains: Share of the error that a network removes on held-out blocks, on arms drawn from this plant and from the
+            plant `field`.
+        cases: How calibration changes picks, on this plant and on `OTHER`.
     """
 
     settings: DemoSettings
@@ -118,11 +121,11 @@ class DemoResult:
 
 
 def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoResult:
-    """Run the protocol; nothing is written.
+    """Run the protocol and return its results; no file is written.
 
     Args:
         settings: Sizes and seed.
-        progress: Told how far each stage is.
+        progress: Called with (stage, done, total).
     """
     report = progress or (lambda stage, done, total: None)
     plant = load_plant(PLANT)
@@ -212,7 +215,7 @@ def _comparison(
 
 
 def summarise(result: DemoResult) -> dict[str, Any]:
-    """The machine-readable summary: `summary.json`."""
+    """Return the summary of a demonstration, as `summary.json` contains it."""
     settings, calibration = result.settings, result.calibrated.calibration
     rank = result.calibrated.fit.identification.identifiability
     policies, r2 = {}, None
@@ -265,10 +268,15 @@ def _figures(error: Array, impossible: Array) -> dict[str, Any]:
 
 
 def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -> list[Path]:
-    """Write the run folder and return what was written.
+    """Write the run folder, and return the files written.
 
-    It holds data, calibration and summary. Figures, page and recording are made where the extra `inspect` is there;
-    `pickenv report` and `pickenv inspect` make them of the folder later on.
+    It contains data, calibration and summary. Figures, page and recording are written where the extra `inspect` is
+    installed. Without it, `pickenv report` and `pickenv inspect` can make them from the folder later.
+
+    Args:
+        result: Results of `run_demo`.
+        out: The run folder.
+        progress: Called with (stage, done, total).
     """
     labelled = {policy_label(key): error for key, error in result.test_errors.items()}
     trace, settings = trace_of(result.calibrated.fit, result.sets, labelled), result.settings

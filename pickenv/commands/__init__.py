@@ -1,1 +1,1 @@
-"""The commands of `pickenv.cli`, a file per room; each is a thin function over it."""
+"""The commands of `pickenv.cli`, one file per subject; each command is a thin function over the library."""

@@ -1,4 +1,4 @@
-"""`pickenv bench`: measured robots, beside what was predicted; policies, by their errors."""
+"""`pickenv bench`: benchmarks of calibrations on measured robots, and of policies on simulated arms."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ def calibration(
     seed: Annotated[int, Option(min=0)] = 0,
     workers: Annotated[int, Option(min=1)] = 1,
 ) -> None:
-    """What calibrations leave of every measured robot, and what twins of other rows predicted.
+    """Compute errors that calibrations leave on measured robots, beside predictions by twins made from other rows.
 
     Args:
         json_file: Write the rows to this file.
-        out: Folder for tables and what is done; a run that was cut off goes on.
-        only: Only these rows; a wrong name lists them all.
+        out: Folder for tables and finished work; an interrupted run continues.
+        only: Compute only these rows; a wrong name lists them all.
         quick: The UR5 alone, on few rows: a minute.
         data: Folder of the measured data sets.
-        seed: Seed of everything random.
-        workers: Processes; they do not change the figures.
+        seed: Seed of all random numbers.
+        workers: Number of processes; it does not change the results.
     """
     from datetime import date
 
@@ -88,24 +88,24 @@ def policies(
     executor: Literal["serial", "joblib"] = "serial",
     workers: Annotated[int | None, Option(min=1)] = None,
 ) -> None:
-    """Policies raw and calibrated on every rung of the ladder, on arms that no two seeds share; picks per hour too.
+    """Compare policies, raw and calibrated, on the ladder's rungs, with other arms for every seed; picks per hour too.
 
     Args:
         policy: A policy to judge as well: a file of `pickenv train` (.npz), a zip of SB3 or Python, both executed.
         json_file: Write the rows to this file.
-        out: Folder for the table and what is done; what was cut off goes on.
+        out: Folder for the table and finished work; an interrupted run continues.
         plant: Plant preset in place of the ladder; may be repeated.
-        rung: Rung of the ladder with its arms to be judged on; all if left out; may be repeated.
-        arms: Arms drawn for each seed.
-        episodes: Fruits per arm.
-        canopies: Canopies for each arm of the picking task; 0 leaves it out.
-        split: Arms of a rung to be judged on; those of train are for tuning, and to check these figures.
+        rung: Rung (difficulty) of the ladder, with its arms for judging; all if left out; may be repeated.
+        arms: Number of arms drawn for each seed.
+        episodes: Number of fruit per arm.
+        canopies: Number of canopies for each arm of the picking task; 0 leaves the task out.
+        split: A rung's arms to judge on: test, or train for tuning and for checking these results.
         seed: The first seed.
-        seeds: How many seeds; at least 5.
-        trainings: Trainings of each learned policy, made first; 5 if left out.
-        quick: Three policies on one arm a seed: a minute.
-        executor: What computes; it does not change the figures.
-        workers: Processes; one per core if left out.
+        seeds: Number of seeds; at least 5.
+        trainings: Number of trainings of each learned policy, made first; 5 if left out.
+        quick: Three policies on one arm per seed: a minute.
+        executor: Where pieces are computed; it does not change the results.
+        workers: Number of processes; one per core if left out.
     """
     from pickenv.experiments import policy_tables
     from pickenv.inspect.colours import policy_label

@@ -1,4 +1,4 @@
-"""`pickenv calibrate`: from measured files of any kind to a calibrated arm, judged on rows it never saw."""
+"""`pickenv calibrate`: calibrate an arm from measured files of any kind, and judge it on rows that no fit has seen."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from pickenv.base import command_line, npz_path, require, separate, write_json
 from pickenv.commands.showing import command_of, deliver, fields_among, progress_bars
 
 NOT_GOOD = 3
-"""Exit code of a verdict "do not use", of unreachable targets, and of an old calibration that is not what it was."""
+"""Exit code of a verdict "do not use", of unreachable targets, and of an old calibration that is no longer good."""
 
 
 def calibrate(
@@ -42,39 +42,39 @@ def calibrate(
     report: Path | None = None,
     run: Path | None = None,
 ) -> None:
-    """Identify a real arm from measurements of any kind and judge it on held-out rows.
+    """Identify a real arm from measurements of any kind, and judge the result on held-out rows.
 
-    The verdict comes first: good, with care, or do not use; then the exit code is 3.
+    The verdict comes first: good, with care, or do not use. The exit code is 3 for "do not use".
 
     Args:
         files: Files of measurements (CSV, YAML, Parquet, ROS 2 bags) of one layout, or a folder of pictures.
         arm: Arm name, or file ({arm_format}; .urdf#link, .xml#body; .urdf#link,link for a whole robot); not for
-            finished poses.
-        columns: Column description, by name or path; ours if left out. Repeat it, for one per file.
-        stations: Each file is a station with these frames of its own; if left out, poses and positions tell.
+            tool poses given in place of joint values.
+        columns: Column description, by name or path; pickenv's own if left out. Repeat it to give one per file.
+        stations: Frames that each file has of its own; if left out, poses and positions tell, other kinds have both.
         frames: known: the instrument measures the arm's own tool in its own base frame; fitted: base and tool are
             fitted too. As the files say if left out, which is fitted unless they have a column 'frames'.
-        test_rows: Rows to hold out at random; a fifth if left out.
-        split: random: some rows are drawn and held out; blocked: each contiguous tenth of the rows in turn, and the
+        test_rows: Number of rows to hold out at random; a fifth if left out.
+        split: random: some random rows are held out; blocked: each contiguous tenth of the rows in turn, and the
             calibration is fitted to all rows.
-        seed: Seed of everything random.
+        seed: Seed of all random numbers.
         test: Held-out rows from other files instead.
-        fit: auto: all parameters, each expected within its tolerance class; offsets: the joints' zeros alone; full: all
-            parameters without expectations, as the papers do.
-        tolerances: Tolerance class that the arm's parts are made to, by name or file; as the arm's file says, or a
-            cobot's, if left out.
-        prior_scale: Factor on the class; found from the rows if left out.
+        fit: auto: all parameters, each with its tolerance class as prior; offsets: the joints' zeros alone; full: all
+            parameters without prior, as in the papers.
+        tolerances: Tolerance class of the arm's parts, by name or file; if left out the one in the arm's file, or a
+            cobot's.
+        prior_scale: Factor on the class's tolerances; estimated from the rows if left out.
         workspace: Where the arm will work: a file of targets, or ranges such as q1=-90:90,x=300:900 (deg, mm); the
             joint limits if left out.
         terms: Parametric terms: auto, none, or compliance (of joints whose torques were measured), gravity (the arm's
-            own weight), periodic (drives' harmonics, of orders that the data show), thermal joined by +.
-        residual: Residual model: auto (the best of ours, if it wins), none, {residual}.
-        force: Use the named residual model even if it does not win.
-        robust: Rows far off, held out or not, are listed and left out, or listed and kept.
+            own weight), periodic (harmonics of the drives, of orders that the data show), thermal joined by +.
+        residual: Residual model: auto (the best of ours, if it wins in cross-validation), none, {residual}.
+        force: Use the named residual model also if it does not win in cross-validation.
+        robust: List outliers, held out or not, and leave them out (--robust) or keep them (--no-robust).
         lens_out: Write the camera's lens as ROS camera_info (.yaml).
         unit: Serial number of the robot, kept in the calibration.
         details: Print parameters, terms, harmonics, notes and evidence as well.
-        json_file: Write the figures to this file.
+        json_file: Write the results to this file.
         out: Write the fitted calibration to this file (.npz).
         report: Write a one-page report (.html).
         run: Run folder: calibration, report, and what `pickenv figures` draws.
@@ -136,7 +136,13 @@ def calibrate(
 
 
 def next_step(arm: str | None, out: Path | None, refused: bool) -> str:
-    """What to do with the calibration, with a command to copy; empty for finished poses, which have no arm."""
+    """Return what to do with the calibration next, with a command to copy; empty if there is no arm.
+
+    Args:
+        arm: Arm name or file; None for tool poses in place of joint values, which have no arm.
+        out: File of the calibration; None if it was not written.
+        refused: Whether the verdict is "do not use".
+    """
     if arm is None:
         return ""
     path, _, links = arm.partition("#")
@@ -154,7 +160,7 @@ def next_step(arm: str | None, out: Path | None, refused: bool) -> str:
 
 
 def write_run(folder: Path, command: str, seed: int, result: pickenv.Result, seeds: dict[str, Any]) -> list[Path]:
-    """Write the run folder of `pickenv calibrate --run`: calibration, figures, report, and what figures are made of."""
+    """Write the run folder of `pickenv calibrate --run`: calibration, results, report, and the data of figures."""
     from pickenv.inspect.runs.calibration_trace import trace_of, views_of
     from pickenv.inspect.runs.run_folder import REPORT, recorded_run, save_part
 

@@ -1,4 +1,4 @@
-"""Commands about files: `pickenv check`, is it what was written, to the bit? `pickenv schema`, what may it hold?"""
+"""Commands about files: `pickenv check` verifies them to the bit, `pickenv schema` prints what they may contain."""
 
 from __future__ import annotations
 
@@ -18,11 +18,11 @@ import pickenv
 from pickenv.base import InputError, check_sealed_parquet, read_container, refusing_damage, separate, write_json
 
 REFUSED = 3
-"""Exit code where something is damaged or foreign."""
+"""Exit code if a file is damaged or foreign."""
 
 REMAKE = "make it anew with the command that made it"
 BENCH_FILES = ("measured_gains.json", "leaderboard.md")
-"""What `pickenv bench` writes before the list of its folder's files."""
+"""Files that `pickenv bench` writes before the list of its folder's files."""
 
 SEALED = (".npz", ".pt", ".parquet")
 """Suffixes of the files that carry a seal."""
@@ -30,13 +30,13 @@ SEALED = (".npz", ".pt", ".parquet")
 
 @dataclass(frozen=True)
 class Finding:
-    """What was found about one file.
+    """The result of checking one file.
 
     Attributes:
         path: The file.
-        what: What it is, as far as that could be read: "calibration", "file of a run".
-        version: Version of its content; None where it has none of its own.
-        about: Whose it is, in a few words.
+        what: Kind of the file, as far as it could be read: "calibration", "file of a run".
+        version: Version of its content; None if it has none of its own.
+        about: What the file belongs to, in a few words.
         reason: Why it is refused, in one sentence; None if it is sound.
     """
 
@@ -47,7 +47,7 @@ class Finding:
     reason: str | None = None
 
     def line(self) -> str:
-        """One line for a person."""
+        """Return the finding as one line of text."""
         if self.reason is not None:
             return f"REFUSED  {self.reason if self.path in self.reason else f'{self.path}: {self.reason}'}"
         version = "" if self.version is None else f", format {self.version}"
@@ -55,7 +55,7 @@ class Finding:
 
 
 SHOWN = 20
-"""Sound files that have a line each without details."""
+"""Number of sound files that have a line each without `--details`."""
 
 
 def check(
@@ -68,7 +68,7 @@ def check(
     Args:
         paths: Calibrations, policies, checkpoints, chunks, traces, or whole folders.
         details: Print a line for every sound file, however many there are.
-        json_file: Write what was found to this file.
+        json_file: Write the findings to this file.
 
     Examples:
         pickenv check runs/demo
@@ -95,7 +95,7 @@ def check(
 
 
 def findings_of(path: Path) -> list[Finding]:
-    """What is found about a file, or about every file of a folder.
+    """Check a file, or every file of a folder, and return the findings.
 
     Raises:
         InputError: If there is no such file or folder.
@@ -108,7 +108,7 @@ def findings_of(path: Path) -> list[Finding]:
 
 
 def folder_findings(folder: Path) -> list[Finding]:
-    """What is found about every file of a run, of a study, or of another folder that holds runs or sealed files."""
+    """Check every file of a run, of a study, or of another folder that contains runs or sealed files."""
     from pickenv.experiments.engine import RECORD as EXPERIMENT
     from pickenv.experiments.policy_tables import EPISODES
     from pickenv.inspect.runs.run_folder import LIST, PARTS, RECORD, STUDY
@@ -142,7 +142,7 @@ def _faults(what: str, faults: Iterable[tuple[Path, str | None]]) -> list[Findin
 
 
 def listed_findings(folder: Path) -> list[Finding]:
-    """What is found about a run's record, or a folder's list, and every file that it names or that lies beside it."""
+    """Check a folder's record or list of files, the files that it names, and the files beside it."""
     from pickenv.inspect.runs.run_folder import FORMAT, LIST, RECORD, faults_of, faults_of_list
 
     is_run = (folder / RECORD).exists()
@@ -162,7 +162,7 @@ def listed_findings(folder: Path) -> list[Finding]:
 
 
 def file_finding(path: Path) -> Finding:
-    """What is found about one file."""
+    """Check one file, and return the finding."""
     kind = "file"
     try:
         kind, version = _kind_of(path)
@@ -234,7 +234,7 @@ def _calibration(path: Path) -> str:
 
 
 def schema(kind: str) -> None:
-    """Print the JSON schema of a kind of TOML file; an unknown kind is answered with the known ones.
+    """Print the JSON schema of a kind of TOML file; an unknown kind lists the known kinds.
 
     Args:
         kind: arm, plant, description, study, …
@@ -288,11 +288,12 @@ FILES: Mapping[str, str | tuple[str, Mapping[str, str]]] = {
         },
     ),
 }
-"""Kinds of files, and the place of the class of each, or of what makes it; of several classes, a name and sections."""
+"""For each kind of file, where its class, or a function that returns the class, is defined. A kind with several
+sections has a name, and such a place for each section."""
 
 
 def class_of_file(kind: str) -> Any:
-    """The class of a kind of file; of orchard presets a file of one's own is meant."""
+    """Return the class of a kind of file; for kinds with shipped presets, the class of a user's own file."""
     from pickenv.base import toml_table
 
     place = FILES[kind]

@@ -1,4 +1,4 @@
-"""`pickenv compare`: policies for the same fruit, told apart; `pickenv film`: two of them as a moving picture."""
+"""`pickenv compare` compares policies on the same fruit; `pickenv film` makes a film of two of them."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ SEVERAL = ("--compensate", "--label")
 
 
 class SeveralValues(CommandOfNames):
-    """A command whose options `SEVERAL` take all values up to the next option, or may be repeated."""
+    """A command whose options `SEVERAL` take all values up to the next option; these options may also be repeated."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Repeat such an option for each of its values."""
+        """Parse arguments in which each of `SEVERAL` was repeated for each of its values."""
         spread: list[str] = []
         option = ""
         for word in args:
@@ -50,21 +50,21 @@ def compare(
     out: Path | None = None,
     json_file: Annotated[Path | None, Option("--json")] = None,
 ) -> None:
-    """Compare policies, raw or calibrated, for the same fruit: who ends nearer, where, by how much, does it matter.
+    """Compare policies, raw or calibrated, on the same fruit: which ends nearer, where, by how much, does it matter?
 
     Args:
         policies: {policy}, a shipped baseline, a policy file (.npz), a model of Stable-Baselines3 (.zip), a Python file
-            with make_policy(env, seed), a calibration (the scripted policy behind it), or the folder of a training.
+            with make_policy(env, seed), a calibration (the scripted policy with it), or the folder of a training.
         compensate: A calibration for each policy, in the same order: none, a file, or a file and #ls for its least
             squares alone; one policy is taken with each of several.
         label: A name for each policy.
         env: Id of the environment.
-        episodes: Episodes of each policy.
-        seed: Seed of fruit, and of policies that draw.
-        gripper: Gripper that says whether a reach picks; a name, or a file of kind {gripper}.
+        episodes: Number of episodes of each policy.
+        seed: Seed of fruit, and of policies with random actions.
+        gripper: Gripper that decides whether a reach picks; a name, or a file of kind {gripper}.
         plant: Plant preset or file; the environment's if left out.
         feedback: encoders or camera.
-        camera_noise: Noise of what the camera sees, mm per axis.
+        camera_noise: Standard deviation of what the camera sees, mm per axis.
         grid_step: Distance of the error field's goals, m.
         allow: Use a calibration in spite of this: fitted-frames, do-not-use.
         details: Print medians, 95th percentiles, and the differences fruit by fruit as well.
@@ -111,7 +111,7 @@ def compare(
 
 
 BRIEF = (0, 1, 4, 6)
-"""Columns of the table of policies that are printed without details: misses, attitude, what was picked."""
+"""Columns of the table of policies that are printed without `--details`: errors, attitude, and what was picked."""
 
 
 def _print_comparison(episodes: pickenv.inspect.RecordedEpisodes, details: bool) -> None:
@@ -143,12 +143,12 @@ def film(
     fps: int = 10,
     dark: Annotated[bool, Option("--dark")] = False,
 ) -> None:
-    """Make a film of a comparison: two policies side by side at the same fruit, with misses in mm and fruit picked.
+    """Make a film of a comparison: two policies side by side at the same fruit, with errors in mm and fruit picked.
 
     Args:
         run: Run folder of `pickenv compare`.
         out: File to write, .gif or .mp4.
-        policy: Policy to show, as the run names it, left first; its first and last if left out.
+        policy: Policy to show, as the run names it; the first is on the left. The run's first and last if left out.
         seconds: Length of the film, s.
         fps: Frames per second.
         dark: Draw on a dark background.

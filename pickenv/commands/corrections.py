@@ -1,4 +1,4 @@
-"""Commands around a calibration: a board and poses before it; verify, apply, export and twin after it."""
+"""Commands before a calibration (a board, poses to measure) and after it (verify, apply, export and twin)."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pickenv.commands.showing import deliver, limited
 
 
 def board(file: str, out: Path = Path("board.pdf")) -> None:
-    """Print a calibration board to true scale, with a rule to check the printer by.
+    """Print a calibration board to true scale, with a ruler to check the printer by.
 
     Args:
         file: Board file (.toml, or a description with [board]), or charuco_a4, chessboard_a4, apriltags_a4.
@@ -58,27 +58,27 @@ def plan_poses(
     out: Path | None = None,
     json_file: Annotated[Path | None, Option("--json")] = None,
 ) -> None:
-    """Choose poses to measure that tell the most about an arm, within its joint limits, ordered for short travel.
+    """Choose the most informative poses to measure an arm at, within its joint limits, ordered for short travel.
 
     Args:
         arm: Arm name or file ({arm_format}).
-        n: Poses to measure.
+        n: Number of poses to measure.
         kind: What will be measured: pose if left out.
-        criterion: test-poses: to be accurate at the poses of --at, as is the default with --at.
+        criterion: test-poses: be accurate at the poses of --at, which is the default with --at.
         at: CSV of joints or tool poses where accuracy matters.
         frames: fitted: base and tool will be fitted too; known: the arm's own parameters alone.
-        candidates: Poses to choose from.
+        candidates: Number of random poses to choose from.
         pool: Choose from the poses of this file (CSV of joints or tool poses) instead.
         like: Plan more poses like those of this first measurement, of any kind (touches, wire, pictures, …).
-        columns: Column description of the file of --like or --from; ours if left out.
-        noise_mm: What one position coordinate will scatter by.
-        fit: What will be fitted, as `pickenv calibrate` says it.
-        tolerances: Tolerance class that parts are made to, by name or file.
-        prior_scale: Factor on the class: how much better or worse parts are made.
-        curve: Say what half to eight times --n would bring.
+        columns: Column description of the file of --like or --from; pickenv's own if left out.
+        noise_mm: Expected standard deviation of one measured position coordinate, mm.
+        fit: What will be fitted, with the values of `pickenv calibrate`.
+        tolerances: Tolerance class of the arm's parts, by name or file.
+        prior_scale: Factor on the class's tolerances: below 1 for parts that are made better.
+        curve: Print what half to eight times --n would bring.
         seed: Seed of candidates and exchange.
         out: Write the joints in measuring order (.csv).
-        json_file: Write the figures to this file.
+        json_file: Write the results to this file.
 
     Examples:
         pickenv plan-poses --arm ur5e --n 40 --out poses.csv
@@ -131,19 +131,19 @@ def verify(
     refit_rows: Annotated[int | None, Option(min=3)] = None,
     json_file: Annotated[Path | None, Option("--json")] = None,
 ) -> None:
-    """Judge an old calibration on new rows: does it beat the nominal arm, is it as good as promised, was this measured?
+    """Judge an old calibration on new rows: is it better than nominal, as good as promised, and used within its data?
 
-    Still good, worse than nominal, drifted, outside what was measured, another station or another arm.
+    Verdicts: still good, worse than nominal, drifted, outside what was measured, another station, another arm.
 
     The verdict comes first; unless it is "still good" the exit code is 3.
 
     Args:
         calibration: Calibration file (.npz).
         files: New poses or positions of the same robot.
-        columns: Column description, by name or path; ours if left out.
-        refit: Find base, tool or base,tool anew first: the instrument or its target was moved.
-        refit_rows: Rows to find them from; the others judge. 6 if left out.
-        json_file: Write the figures to this file.
+        columns: Column description, by name or path; pickenv's own if left out.
+        refit: Fit base, tool or base,tool again first, because the instrument or its target was moved.
+        refit_rows: Number of rows to fit them from; the others judge. 6 if left out.
+        json_file: Write the results to this file.
 
     Examples:
         pickenv verify my_arm.npz new_poses.csv --refit base
@@ -177,18 +177,18 @@ def apply(
     unit: str | None = None,
     allow: list[str] | None = None,
 ) -> None:
-    """Turn nominal joint or pose targets into corrected joint commands, with the error and uncertainty to expect.
+    """Convert nominal joint or pose targets to corrected joint commands, with the expected error and its uncertainty.
 
-    Where a target cannot be reached its command stays empty, and the exit code is 3.
+    If a target cannot be reached, its command stays empty, and the exit code is 3.
 
     Args:
         calibration: Calibration file (.npz).
         targets: CSV of joint targets (q1_deg, …) or tool poses (x_mm … rz_deg).
         arm: Arm name or file ({arm_format}).
         out: Write the corrected commands (.csv).
-        frame: Frame of pose targets; instrument: where the calibration was measured.
-        payload_kg: Mass held, where the calibration asks for it.
-        temperature_k: Temperature rise above the reference, likewise.
+        frame: Frame of pose targets; instrument: the frame in which the calibration was measured.
+        payload_kg: Mass held at the tool, kg, if the calibration needs it.
+        temperature_k: Temperature rise above the reference, K, if the calibration needs it.
         unit: Serial number of the robot, which must be the calibration's.
         allow: Use the calibration in spite of this reservation: do-not-use.
 
@@ -228,19 +228,19 @@ def export(
     unit: str | None = None,
     allow: list[str] | None = None,
 ) -> None:
-    """Hand the calibration over to the robot's own files, its controller, or other programs.
+    """Write the calibration into the robot's own files, for its controller, or for other programs.
 
     Args:
         calibration: Calibration file (.npz).
         out: File to write.
-        kind: {exporter}; told by the file's name if left out.
+        kind: {exporter}; inferred from the file's name if left out.
         onto: The robot's own file (URDF, kinematics YAML, LeRobot JSON, …), corrected in place and written to --out;
             robot.urdf#link names the tip.
-        arm: Arm name or arm file, if no shipped one.
+        arm: Arm name or arm file, if it is not a shipped arm.
         counts_per_turn: Encoder counts per turn, for --as offsets.
-        sample: With --as mjcf: so many arms that the data allow, …_1 and on.
+        sample: With --as mjcf: number of arms to draw that the data allow, …_1 and on.
         seed: Seed of --sample.
-        json_file: Write what was said of the file to this one.
+        json_file: Write the names of the files written, and the notes about them, to this file.
         unit: Serial number of the robot, which must be the calibration's.
         allow: Use the calibration in spite of this reservation: do-not-use.
 
@@ -277,18 +277,18 @@ def twin(
     unit: str | None = None,
     allow: list[str] | None = None,
 ) -> None:
-    """Make a plant from a calibration: its truth is the arm found, and its arms are drawn from what the data allow.
+    """Make a plant from a calibration: its true arm is the calibrated one; further arms are drawn from the posterior.
 
     Environments take it as plant="my_arm.npz"; with arms="per_episode" each episode has another of its arms.
 
     Args:
         calibration: Calibration file (.npz).
         out: Write the plant (.npz).
-        arm: Arm name or arm file; by its name in the calibration if left out.
-        rows: Poses or positions that it was fitted to, where it has no Gaussian process.
-        columns: Column description of --rows; ours if left out.
-        seed: Seed of the residual's waves.
-        json_file: Write what was said of the plant to this file.
+        arm: Arm name or arm file; the arm named in the calibration if left out.
+        rows: Poses or positions that it was fitted to, if it has no Gaussian process.
+        columns: Column description of --rows; pickenv's own if left out.
+        seed: Seed of the random waves that represent the residual.
+        json_file: Write the plant's summary and notes to this file.
         unit: Serial number of the robot, which must be the calibration's.
         allow: Use the calibration in spite of this reservation: do-not-use.
 

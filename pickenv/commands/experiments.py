@@ -1,4 +1,4 @@
-"""`pickenv experiment`: units × factors → rows → numbers with intervals; `pickenv study`: the yields of a design."""
+"""`pickenv experiment`: units × factors → rows → numbers with intervals. `pickenv study`: the yields of a design."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pickenv.base import InputError, locked, require, screen_width, separate, un
 from pickenv.commands import showing
 
 TERMINAL = 80
-"""Characters of a line of the usual terminal."""
+"""Number of characters in a line of the usual terminal."""
 
 
 def experiment(
@@ -35,11 +35,11 @@ def experiment(
     Args:
         file: Experiment (.toml); the Python code that it names is executed.
         quick: The file's own small sizes: minutes.
-        seed: Seed of everything random; the file's if left out.
-        change: A unit, factor or setting: arm=20, method=["raw"]; may be repeated.
-        executor: What computes; no number changes.
-        workers: Processes; one per core if left out.
-        out: Folder for what is done; what was cut off goes on. runs/NAME if left out.
+        seed: Seed of all random numbers; the file's if left out.
+        change: Replace a unit, factor or setting: arm=20, method=["raw"]; may be repeated.
+        executor: Where pieces are computed; it does not change the results.
+        workers: Number of processes; one per core if left out.
+        out: Folder for finished work; an interrupted run continues. runs/NAME if left out.
         json_file: Write the numbers to this file.
         table: Write the rows as .csv or .parquet.
         figures: Folder for the file's figures.
@@ -127,21 +127,21 @@ def study(
     samples: Annotated[int, Option(min=0, callback=showing.limited("samples"))] = 2048,
     details: Annotated[bool, Option("--details")] = False,
 ) -> None:
-    """What share of arms is good enough: draw a population, calibrate every arm, send it to fruit, count.
+    """Estimate the share of arms within specification: draw a population, calibrate every arm, and send it to fruit.
 
     Args:
         config: Study (.toml); scripts/tolerance_study.toml shows every key.
         quick: 40 arms and 20 fruit at most.
-        seed: Of everything random; the study's own if left out.
-        executor: What computes the arms.
-        workers: Processes; one per core if left out.
-        device: Where batched computes.
-        out: Results folder; a study that it holds already goes on.
+        seed: Seed of all random numbers; the study's own if left out.
+        executor: How the arms are computed: one by one in this process or in several, or many at once (batched).
+        workers: Number of processes; one per core if left out.
+        device: Device of the batched executor.
+        out: Results folder; a study that it contains already is continued.
         json_file: Write the summary to this file.
         report: Figures, report.html and arms.rrd in the results folder.
         sobol: Sobol indices of the tolerances, which need further arms.
-        samples: Rows of the Sobol sample: a power of two. Each takes an arm per group, and two.
-        details: Print every setting, and where the differences between arms come from.
+        samples: Rows of the Sobol sample, a power of two; each needs an arm per group of tolerances, and two more.
+        details: Print every setting, and the causes of the differences between arms.
 
     Examples:
         pickenv study scripts/tolerance_study.toml --quick --out runs/study

@@ -1,7 +1,7 @@
-"""How a command ends: with its exit code, and with one sentence where something went wrong.
+"""How a command ends: with an exit code, and with one sentence if something went wrong.
 
-Exit codes: 0 done, 2 bad input, 70 a fault of this program, 74 nobody takes what it prints, 130 interrupted; the last
-three as sysexits.h and shells have them.
+Exit codes: 0 done, 2 bad input, 70 a fault of this program, 74 output cannot be printed, 130 interrupted. The last
+three are those of sysexits.h and of shells.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from pickenv.base.extras import missing
 BAD_INPUT, FAULT, NOT_PRINTED, INTERRUPTED = 2, 70, 74, 130
 
 UNHEARD = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-"""What printing fails with: nobody reads it any more, or the disk behind it is full."""
+"""Error numbers with which printing fails: nobody reads the output any more, or the disk behind it is full."""
 
 SHOWN = 300
-"""Characters of an unexpected error's own words that are repeated."""
+"""Largest number of characters of an unexpected error's message that are repeated."""
 
 
 def guarded(command: Callable[[], Any]) -> int:
-    """Run ``command`` to its end, whatever that is; one sentence on standard error says so where it is a bad one.
+    """Run ``command`` to its end, and return its exit code; a bad end prints one sentence on standard error.
 
     Args:
-        command: Does everything; what it returns is an exit code, or None for 0.
+        command: Function that does everything, and returns an exit code, or None for 0.
 
     Returns:
         The exit code.

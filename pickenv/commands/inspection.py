@@ -1,4 +1,4 @@
-"""Looking at finished runs: `pickenv inspect`, `pickenv figures` and `pickenv report`."""
+"""Commands that show finished runs: `pickenv inspect`, `pickenv figures` and `pickenv report`."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pickenv
 from pickenv.base import InputError, separate, write_text
 
 MADE_FROM_NUMBERS = (".html", ".svg", ".png", ".pdf")
-"""Suffixes of pages and pictures, which may be made again."""
+"""Suffixes of pages and pictures, which can be made again from a run's numbers."""
 
 
 def inspect(
@@ -21,13 +21,13 @@ def inspect(
     serve: int | None = None,
     policy: str | None = None,
 ) -> None:
-    """Open a run's recording in the Rerun viewer; it is made from the run's numbers where there is none yet.
+    """Open a run's recording in the Rerun viewer; if there is none yet, it is made from the run's numbers.
 
     Args:
         run: Run folder, or a recording (.rrd).
-        web: Serve it to a browser on this machine.
-        connect: Send it to the viewer at this address.
-        serve: Serve it to viewers that connect to this port.
+        web: Serve the recording to a browser on this machine.
+        connect: Send the recording to the viewer at this address.
+        serve: Serve the recording to viewers that connect to this port.
         policy: Policy of an evaluation to show; its first if left out.
 
     Examples:
@@ -54,7 +54,11 @@ def inspect(
 
 
 def recordings_of(run: Path, policy: str | None = None) -> list[Path]:
-    """The recordings of a run folder, made where there is none; or the file itself.
+    """Return the recordings of a run folder; one is made if there is none. A recording (.rrd) is returned itself.
+
+    Args:
+        run: Run folder, or a recording.
+        policy: Policy of an evaluation, whose recording is then made; its first if None.
 
     Raises:
         InputError: If there is no such run, or nothing in it that can be recorded.
@@ -111,7 +115,7 @@ def _record_evaluation(run: pickenv.inspect.Run, policy: str | None) -> Path:
 
 
 def figures(run: Path, out: Path | None = None, formats: Annotated[str, Option("--format")] = "svg,png") -> None:
-    """Draw every figure that a run's numbers allow, for papers and reports; say what is left out.
+    """Draw every figure that a run's numbers allow, for papers and reports; say which figures are left out.
 
     Args:
         run: Run folder.
@@ -144,12 +148,12 @@ def report(
     out: Path | None = None,
     picture: Annotated[bool, Option("--picture/--no-picture")] = True,
 ) -> None:
-    """Write a run's report: one HTML file that needs no network, verdict first, then the evidence.
+    """Write a run's report: one HTML file that needs no network, with the verdict first, then the evidence.
 
     Args:
         run: Run folder.
         out: File to write (.html); RUN/report.html if left out.
-        picture: Show the recording as its viewer draws it.
+        picture: Include a picture of the recording as the viewer draws it.
 
     Examples:
         pickenv report runs/demo

@@ -37,25 +37,25 @@ def train(
     out: Path = Path("runs/train"),
     resume: Annotated[bool, Option("--resume")] = False,
 ) -> None:
-    """Train a policy; the folder gets its file, checkpoints, evaluations and TensorBoard's logs.
+    """Train a policy; write its file, checkpoints, evaluations and TensorBoard logs to a folder.
 
     Args:
         context: The command line as it was typed.
-        algo: Algorithm; the last two remember past picks and learn on many fruit of one arm.
+        algo: Algorithm; ppo_lstm and ppo_history remember past picks and learn on many fruit of one arm.
         env: Id of the environment; on pickenv/ReachTool-v0 any arm is learnt.
-        compensate: Calibration file (.npz) to train behind.
-        allow: Train behind the calibration in spite of this: fitted-frames, do-not-use.
+        compensate: Calibration file (.npz) that corrects the arm in training.
+        allow: Use the calibration in spite of this: fitted-frames, do-not-use.
         plant: Plant preset or plant file; the environment's if left out. May be repeated with ppo_lstm, ppo_history.
-        feedback: What the policy sees beside its joints.
-        camera_noise: Noise of the camera's view of the gap, mm per axis.
-        fruit_noise: Noise of the fruit's position, mm per axis.
-        randomise: Tolerance class: a new arm of it in every episode (domain randomisation).
-        steps: Environment steps; the tuned number if left out.
-        seed: Seed of everything random.
-        checkpoint_every: Steps between checkpoints.
-        evaluate_every: Steps between evaluations.
+        feedback: What the policy sees besides its joints.
+        camera_noise: Standard deviation of the gap between tool and fruit as the camera sees it, mm per axis.
+        fruit_noise: Standard deviation of the fruit's position, mm per axis.
+        randomise: Tolerance class from which each episode draws a new arm (domain randomisation).
+        steps: Number of environment steps; the tuned number if left out.
+        seed: Seed of all random numbers.
+        checkpoint_every: Number of steps between checkpoints.
+        evaluate_every: Number of steps between evaluations.
         out: Run folder to write.
-        resume: Go on from the folder's checkpoint, as it was begun.
+        resume: Continue from the folder's checkpoint, with the options of its start.
 
     Examples:
         pickenv train --steps 100000 --compensate my_arm.npz --out runs/policy
@@ -149,8 +149,9 @@ def evaluate(
 ) -> None:
     """Compare policies, raw and calibrated, open loop and with a camera, on the same arms and fruit.
 
-    On each of 64 arms, least squares take 0.1 s of processor time, a Gaussian process 3 s and a network 3 s: with all
-    defaults about ten minutes on two cores; fewer --arms or --compensation take less, --cache keeps them.
+    With all defaults it takes about ten minutes on two cores. On each of 64 arms, least squares take 0.1 s of processor
+    time, a Gaussian process 3 s and a network 3 s. Fewer --arms or --compensation take less; --cache keeps
+    calibrations.
 
     Args:
         context: The command line as it was typed.
@@ -159,17 +160,17 @@ def evaluate(
         feedback: encoders, camera; may be repeated.
         plant: Plant preset; may be repeated.
         gripper: Gripper, by name or as a file of kind {gripper}; may be repeated.
-        arms: Arms drawn for each plant.
-        episodes: Fruits per arm.
+        arms: Number of arms drawn for each plant.
+        episodes: Number of fruit per arm.
         tolerances: Tolerance class of the arms.
-        camera_noise: Noise of the camera's view of the gap, mm per axis.
-        fruit_noise: Noise of the fruit's position, mm per axis.
-        epochs: Epochs of each arm's network.
+        camera_noise: Standard deviation of the gap between tool and fruit as the camera sees it, mm per axis.
+        fruit_noise: Standard deviation of the fruit's position, mm per axis.
+        epochs: Training epochs of each arm's network.
         seed: Seed of arms, fruit, pictures and calibrations.
         json_file: Write the rows to this file.
         cache: Folder that keeps the arms' calibrations.
-        workers: Processes; one per core if left out.
-        details: Print medians, success by gripper, cycle times, and what each compensation is worth as well.
+        workers: Number of processes; one per core if left out.
+        details: Print medians, success by gripper, cycle times, and what each compensation changes as well.
         out: Run folder for `pickenv figures` and `pickenv report`.
 
     Examples:
@@ -251,15 +252,15 @@ def datasets(
     json_file: Annotated[Path | None, Option("--json")] = None,
     out: Path = Path("runs/datasets"),
 ) -> None:
-    """Record Minari data sets of good, middling and random policies; those that are there are kept.
+    """Record Minari data sets of expert, medium and random policies; existing data sets are kept.
 
     Args:
         task: reach, pick, scene, sight; may be repeated. Reach if left out.
         quality: expert, medium, random; may be repeated. All if left out.
         episodes: Episodes of each; 256 reaches, 32 canopies, 64 scenes or 150 sights if left out.
-        seed: Seed of everything random.
-        json_file: Write the cards to this file.
-        out: Folder to write, as Minari's.
+        seed: Seed of all random numbers.
+        json_file: Write the data sets' cards (summaries) to this file.
+        out: Folder to write, in Minari's layout.
 
     Examples:
         pickenv datasets --out runs/datasets

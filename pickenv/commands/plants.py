@@ -1,4 +1,4 @@
-"""Commands about arms and the simulated true arm: `pickenv arms`, `effects`, `iso9283` and `conditions`."""
+"""Commands about arms and plants (simulated true arms): `pickenv arms`, `effects`, `iso9283` and `conditions`."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ def arms(
     details: Annotated[bool, Option("--details")] = False,
     json_file: Annotated[Path | None, Option("--json")] = None,
 ) -> None:
-    """List the arms that come with pickenv: name, joints (R turns, P slides), reach and where the numbers come from.
+    """List the arms that come with pickenv: name, joints (R revolute, P prismatic), reach and source of the numbers.
 
     Args:
-        details: Print where the numbers come from as well.
-        json_file: Write the figures to this file.
+        details: Print the source of the numbers as well.
+        json_file: Write the numbers to this file.
 
     Examples:
         pickenv arms
@@ -56,15 +56,17 @@ def effects(
     seed: Annotated[int, Option(min=0)] = 0,
     json_file: Annotated[Path | None, Option("--json")] = None,
 ) -> None:
-    """Each effect's share of the tip error of a simulated arm, in mm: alone, what is left without it, and all.
+    """Compute each effect's share of the tip error of a simulated arm, mm.
+
+    Three errors are compared: with the effect alone, with all effects but this one, and with all effects.
 
     Args:
         plant: Plant preset or plant file (.toml).
-        reaches: Reaches to average over.
+        reaches: Number of reaches to average over.
         dwell: Waiting time after arrival, s.
         hours: Time since the machine was switched on, h.
         seed: Seed of the reaches.
-        json_file: Write the figures to this file.
+        json_file: Write the numbers to this file.
 
     Examples:
         pickenv effects --plant orchard
@@ -100,25 +102,27 @@ def iso9283(
     json_file: Annotated[Path | None, Option("--json")] = None,
     out: Path | None = None,
 ) -> None:
-    """Accuracy AP, repeatability RP and drift by ISO 9283: of a simulated arm, raw and calibrated, or of measured rows.
+    """Compute accuracy AP, repeatability RP and drift by ISO 9283, of a simulated arm or of measured rows.
+
+    A simulated arm is tested raw, and with --calibration calibrated as well.
 
     Args:
         plant: Plant preset or plant file (.toml).
-        rows: File of measured poses or positions instead, each commanded pose visited again and again; rows whose
-            joints differ by 2e-4 rad or m at most are of one pose. Of the options below, --arm, --columns, --frames,
-            --details and --json go with it.
+        rows: File of measured poses or positions instead, in which each commanded pose is visited several times. Rows
+            whose joints differ by 2e-4 rad or m at most are of one pose. Of the options below, --arm, --columns,
+            --frames, --details and --json go with it.
         arm: Arm of the rows: its name, or file ({arm_format}).
-        columns: Column description of the rows, by name or path; ours if left out.
+        columns: Column description of the rows, by name or path; pickenv's own if left out.
         frames: known: the instrument measures the arm's own tool in its own base frame; fitted: base and tool are
             fitted to the rows. As the file says if left out.
         calibration: Fitted calibration (.npz) to test as well.
         allow: Test the calibration in spite of this: fitted-frames, do-not-use.
-        cycles: Measurements per pose; 30 by the standard.
+        cycles: Number of measurements per pose; 30 by the standard.
         speed: Share of the largest speed.
         dwell: Waiting time before each measurement, s.
         seed: Seed of friction and instrument noise.
         details: Print every pose of the rows, and its drift.
-        json_file: Write the figures to this file.
+        json_file: Write the results to this file.
         out: Run folder for `pickenv figures` and `pickenv report`.
 
     Examples:
@@ -175,7 +179,7 @@ def deliver_measured(
     details: bool,
     json_file: Path | None,
 ) -> None:
-    """Compute, write and print AP, RP and drift of measured rows."""
+    """Compute, write and print AP, RP and drift of measured rows; the arguments are those of `iso9283`."""
     from pickenv.calibration import measured_iso9283, read_measurements
 
     separate({"--rows": rows, "--arm": arm, "--columns": columns}, {"--json": json_file})
@@ -192,7 +196,7 @@ def deliver_measured(
 
 
 def show_measured(result: dict[str, Any], details: bool) -> None:
-    """Print AP, RP and drift of measured rows: the worst, reservations, and a table of the poses."""
+    """Print AP, RP and drift of measured rows: the worst values, reservations, and a table of the poses."""
     from pickenv.inspect.runs.number_words import said
 
     poses = result["poses"]
@@ -257,10 +261,10 @@ def _reservations(result: dict[str, Any], cycles: int) -> Iterator[str]:
 
 
 NARROW = 100
-"""Characters of a line about measured rows."""
+"""Number of characters in a line about measured rows."""
 
 WIDE = 170
-"""Characters of a table of five levels with their intervals."""
+"""Number of characters in a line of a table of five levels with their intervals."""
 
 
 def conditions(
@@ -280,23 +284,23 @@ def conditions(
     json_file: Annotated[Path | None, Option("--json")] = None,
     out: Path | None = None,
 ) -> None:
-    """How accuracy changes with payload, temperature and hour, and what a calibration that is told them leaves.
+    """Compute how accuracy changes with payload, temperature and hour, for calibrations with and without these inputs.
 
     Args:
         subject: Plant preset or plant file (.toml), or fitted calibration (.npz).
         plant: The simulated arm that a calibration is judged on.
         payload: Largest payload, kg.
-        weather: How much cooler or warmer a day may be, K.
+        weather: Largest deviation of a day's temperature from the usual one, K.
         hours: Length of a working day, h.
-        arms: Drawn arms; fewer than 10 have no intervals.
+        arms: Number of drawn arms; fewer than 10 have no intervals.
         tolerances: Tolerance class that arms are drawn from.
-        sessions: Training sessions, each under other conditions.
-        poses: Poses of a session.
-        residual: What learns the rest: {residual}.
+        sessions: Number of training sessions, each under other conditions.
+        poses: Number of poses of a session.
+        residual: Residual model: {residual}.
         allow: Judge the calibration in spite of this: fitted-frames, do-not-use.
-        seed: Seed of everything random.
+        seed: Seed of all random numbers.
         details: Print the errors by payload, weather and hour as well.
-        json_file: Write the figures to this file.
+        json_file: Write the results to this file.
         out: Run folder with figure and page.
 
     Examples:

@@ -1,9 +1,10 @@
-"""The words of commands: progress bars on standard error, so that standard output stays clean, tables, names in help.
+"""What commands share on the screen: help, progress bars, verdicts, tables and the list of files written.
 
-A command's docstring is its help (`CommandOfNames`). The library names its parameters, in backticks; commands print
-options in their place (`with_options`). Results are saved first, then printed, so that a screen that fails costs
-nothing (`deliver`). A screen has at most 25 lines of 100 characters: the verdict, the one table that matters, what was
-written, what to do next; `--details` prints the rest.
+A command's docstring is its help (`CommandOfNames`). In messages the library names its parameters in backticks;
+commands print options in their place (`with_options`). Results are saved first and then printed, so a failing screen
+loses nothing (`deliver`). Progress goes to standard error, so standard output stays clean. A screen has at most 25
+lines of 100 characters: the verdict, the one table that matters, what was written, and what to do next. `--details`
+prints the rest.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ from pickenv.base.registry import names
 
 
 def pages_address() -> str:
-    """Where the pages stand: the address that the package itself names, or the folder of a checkout."""
+    """Return the address of the documentation pages that the package names, or the folder of a checkout."""
     try:
         addresses = metadata.metadata("pickenv").get_all("Project-URL") or []
     except metadata.PackageNotFoundError:
@@ -50,21 +51,21 @@ def pages_address() -> str:
 
 
 WIDTH = 150
-"""Characters of a table that goes elsewhere than to a terminal."""
+"""Number of characters in a table's line if the output is not a terminal."""
 
 
 MOST = 8
-"""Rows of a table that are printed without details."""
+"""Largest number of rows of a table that are printed without `--details`."""
 
 
 class CommandOfNames(TyperCommand):
-    """A command whose help is its docstring: options by "Args:", and "Examples:" and "More:" at the end.
+    """A command whose help is its docstring: "Args:" explains the options, "Examples:" and "More:" are at the end.
 
-    It says ``{residual}`` where the names of all registered residual models belong.
+    In the text, a name in braces such as ``{residual}`` stands for the names of everything registered of that kind.
     """
 
     def __init__(self, *args: Any, help: str | None, params: list[Any], **more: Any) -> None:
-        """Take the docstring apart."""
+        """Take the docstring apart into help, options and epilog."""
         text, _, end = (help or "").partition("\n\nExamples:\n")
         text, _, options = text.partition("\n\nArgs:\n")
         helps = dict(re.findall(r"^    (\w+): (.*(?:\n {8}.*)*)", options, re.MULTILINE))
@@ -77,14 +78,14 @@ class CommandOfNames(TyperCommand):
         super().__init__(*args, help=text, params=params, **more)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Put the names in, which are looked for only now."""
+        """Replace names in braces by registered names, which are looked up only now, and format the help."""
         for param in self.params:
             if isinstance(param, TyperOption | TyperArgument) and param.help:
                 param.help = re.sub(r"\{(\w+)\}", lambda match: ", ".join(names(match[1])), param.help)
         super().format_help(ctx, formatter)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run it; its errors and warnings, and what `with_options` is given meanwhile, name its options."""
+        """Run the command; its errors and warnings, and what `with_options` is given meanwhile, name its options."""
         before = dict(_options)
         _options.clear()
         siblings = {} if ctx.parent is None else getattr(ctx.parent.command, "commands", {})
@@ -103,7 +104,7 @@ class CommandOfNames(TyperCommand):
 
 
 _options: dict[str, TyperOption] = {}
-"""Options of the running command by the names of their parameters."""
+"""Options of the running command, by the names of their parameters."""
 
 PARAMETERS = {
     "algorithm": "algo",
@@ -117,14 +118,14 @@ PARAMETERS = {
     "plants": "plant",
     "policies": "policy",
 }
-"""Parameters of the library that have another name in commands."""
+"""Parameters of the library that have another name in commands, each with that name."""
 
 
 def with_options(text: str) -> str:
-    """A text of the library for a person at the command line: parameters in backticks become the command's options.
+    """Return a text of the library for the command line: parameters in backticks become the command's options.
 
-    ``give `terms` or `test='b.csv'`` `` reads "give --terms or --test b.csv"; a list repeats its option. What the
-    running command has no option for, nor `pickenv calibrate`, loses its backticks.
+    ``give `terms` or `test='b.csv'`` `` becomes "give --terms or --test b.csv"; a list repeats its option. A name loses
+    its backticks if neither the running command nor `pickenv calibrate` has such an option.
     """
     return re.sub(r"`([A-Za-z_]\w*)(?:=([^`]*))?`", _option, text)
 
@@ -151,11 +152,11 @@ def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
 
 
 WRITTEN = ("json_file", "lens_out", "out", "report", "run")
-"""Parameters of commands that name what is written."""
+"""Parameters of commands that name files or folders to write."""
 
 
 def command_of(command: Callable[..., None], values: Mapping[str, Any]) -> str:
-    """The command with the values of its parameters as a shell reads it, less what it writes.
+    """Return the command line with the values of the parameters, for a shell, without what it writes.
 
     Args:
         command: The function of the command; its annotations name its options.
@@ -178,13 +179,18 @@ def command_of(command: Callable[..., None], values: Mapping[str, Any]) -> str:
 
 
 def fields_among(kind: Any, values: Mapping[str, Any]) -> dict[str, Any]:
-    """The fields of a dataclass that a command's parameters give: their values, less those that are left out."""
+    """Return the fields of a dataclass that a command's parameters set, with their values; others are left out.
+
+    Args:
+        kind: The dataclass.
+        values: Values of the command's parameters, by name.
+    """
     typed = {field.name: values.get(PARAMETERS.get(field.name, field.name)) for field in fields(kind)}
     return {name: value for name, value in typed.items() if value not in (None, [])}
 
 
 def limited(quantity: str) -> Callable[[CallbackParam, Any], Any]:
-    """What an option calls back to refuse a number beyond the limits of its quantity (`pickenv.base.LIMITS`)."""
+    """Return an option callback that refuses numbers outside the limits of a quantity (`pickenv.base.LIMITS`)."""
 
     def checked(param: CallbackParam, value: Any) -> Any:
         if value is not None:
@@ -195,17 +201,19 @@ def limited(quantity: str) -> Callable[[CallbackParam, Any], Any]:
 
 
 Save: TypeAlias = tuple[Path | None, Callable[[Path], Path | Iterable[Path]] | str | Mapping[str, Any] | list[Any]]
-"""A file or folder, None where it was not asked for; and its text, its content for JSON, or what writes it."""
+"""A file or folder, None if it was not asked for; and its text, its content for JSON, or a function that writes it."""
 
 
 def deliver(saves: Iterable[Save], show: Callable[[], object] | str, next_step: str = "", more: str = "") -> None:
-    """Save results, then print them; where saving fails they are printed all the same, before the error is raised.
+    """Save results, then print them; if saving fails, they are printed all the same before the error is raised.
 
     Args:
-        saves: The files to write, each with its content, or with what writes it and returns the paths written.
-        show: A text to print, whose first line is the verdict, or what prints the results; "wrote …" follows.
+        saves: The files to write, each with its content, or with a function that writes it and returns the paths
+            written.
+        show: A text to print, whose first line is the verdict, or a function that prints the results. "wrote …"
+            follows.
         next_step: What the reader can do next, with a command to copy.
-        more: What the command's details are, where they were not printed.
+        more: What `--details` prints, if it was not printed.
     """
     lines: list[str] = []
     try:
@@ -241,7 +249,8 @@ def _print_result(text: str) -> None:
 
 
 FILES_OF_A_LINE = 4
-"""So many files of one save have a line each; of more, one line names the folder and the first."""
+"""Largest number of files of one save that have a line each. If there are more, one line names the folder and the
+first."""
 
 
 def _lines_of_files(place: Path, paths: Sequence[Path]) -> Iterator[str]:
@@ -256,11 +265,16 @@ def _lines_of_files(place: Path, paths: Sequence[Path]) -> Iterator[str]:
 
 
 BORDER = 4
-"""Characters of a line that a panel's edges take."""
+"""Number of characters that a panel's edges take from a line."""
 
 
 def print_verdict(text: str, width: int | None = None) -> None:
-    """Print what a command comes to, a sentence a line: a panel on a terminal, elsewhere plain, folded to ``width``."""
+    """Print the verdict of a command, a sentence per line: in a panel on a terminal, else as plain text.
+
+    Args:
+        text: The verdict.
+        width: Number of characters in a line if the output is not a terminal.
+    """
     from rich.console import Console
     from rich.panel import Panel
     from rich.text import Text
@@ -274,10 +288,10 @@ def print_verdict(text: str, width: int | None = None) -> None:
 
 @contextmanager
 def progress_bars(unit: str = "") -> Iterator[Callable[[str, int, int], None]]:
-    """One progress bar per stage; what it yields is told the stage, how many are done, and how many there are.
+    """Show one progress bar per stage; yield a function that is called with (stage, done, total).
 
     Args:
-        unit: What is counted, where the rate is to be shown.
+        unit: What is counted, if the rate is to be shown.
     """
     from rich import progress
     from rich.console import Console
@@ -308,11 +322,15 @@ def progress_bars(unit: str = "") -> Iterator[Callable[[str, int, int], None]]:
 
 
 LINE_SECONDS, QUICK = 10.0, 2.0
-"""Seconds between two lines on a stage, where standard error is a file, and of work that is over before one is due."""
+"""Seconds between two lines about a stage if standard error is no terminal. Seconds after its start during which
+nothing is printed."""
 
 
 def progress_lines() -> Callable[[str, int, int], None]:
-    """What prints a line to standard error as a stage begins, every `LINE_SECONDS`, and as it ends; for log files."""
+    """Return a function of (stage, done, total) that prints lines of progress to standard error, for log files.
+
+    A line is printed as a stage begins, every `LINE_SECONDS`, and as it ends.
+    """
     printed: dict[str, float] = {}
     start = time.monotonic()
 
@@ -338,16 +356,16 @@ def print_table(
     width: int = WIDTH,
     most: int | None = None,
 ) -> None:
-    """Print a table; one wider than the terminal (or COLUMNS) in several, one below another.
+    """Print a table; a table wider than the terminal (or COLUMNS) is printed in parts, one below another.
 
     Args:
-        title: Above it.
+        title: Text above it.
         heads: Names of the columns, with units.
-        rows: Cells.
-        words: Names of the columns that hold words; the others are set to the right.
-        caption: Below it.
-        width: Characters of a line, where they go elsewhere than to a terminal.
-        most: Rows printed; of more it is said how many there are. All if left out.
+        rows: Cells, row by row.
+        words: Names of the columns that contain words; the other columns are aligned to the right.
+        caption: Text below it.
+        width: Number of characters in a line if the output is not a terminal.
+        most: Largest number of rows printed, after which the number of further rows is printed; None prints all.
     """
     from rich import box
     from rich.console import Console

@@ -1,14 +1,17 @@
-"""Experiments: units × factors → rows → numbers with intervals; tolerance studies among them.
+"""Run experiments and estimate numbers with 95 % intervals from their rows; tolerance studies are experiments too.
+
+An experiment measures units that were drawn, such as arms, at every combination of its factors:
 
     experiment = Experiment("gains", {"arm": range(20)}, {"method": ("raw", "ls")}, measure, seed=0)
-    rows = run(experiment, "runs/gains", backend="loky")              # kept piece by piece; what was cut off goes on
+    rows = run(experiment, "runs/gains", backend="loky")              # keeps its results; an interrupted run continues
     estimate(rows.columns, "error_mm", by=("method",), over=("arm",))  # a mean over arms, with its 95 % interval
 
-A tolerance study draws, calibrates and sends to fruit a population of arms: what share of them is good enough?
+A tolerance study draws a population of arms, calibrates each arm and sends it to fruit. It estimates the yield, that
+is the share of arms within specification:
 
     study = load_study("scripts/tolerance_study.toml").quick()
-    summary = run_study(study, Path("runs/study"), executor="batched")        # goes on where it was stopped
-    table = yields_of(read_rows("runs/study"), study.share)                   # arms within specification, by setting
+    summary = run_study(study, Path("runs/study"), executor="batched")        # continues an interrupted study
+    table = yields_of(read_rows("runs/study"), study.share)                   # the yield of every setting
     write_outputs("runs/study")                                               # figures, report.html, arms.rrd
 """
 

@@ -1,10 +1,12 @@
-"""How a calibration's accuracy changes with payload, temperature and hour of day: the future work of Qiao 2026.
+"""Study how a calibration's accuracy changes with payload, temperature and hour of day: the future work of Qiao 2026.
 
-An arm is calibrated in two ways: as usual, at the reference (empty, cool, in the morning), and over sessions under
-other conditions, which are recorded. The records can be inputs of terms (payload: weight; temperature: growth) and of a
-learnt residual (payload, temperature, hour). All calibrations are judged on poses and conditions that no fit has seen.
+An arm is calibrated in two ways: as usual, at the reference (no payload, cool, in the morning), and over sessions under
+other conditions, which are recorded. The recorded conditions can be inputs of parametric terms (payload: weight;
+temperature: thermal growth) and of a learnt residual (payload, temperature, hour). All calibrations are judged at poses
+and under conditions that no fit has seen.
 
-The arm is moved to every pose from another one and held for a minute, so friction and backlash are in what is measured.
+The arm moves to every pose from another one and is held there for a minute. What is measured thus includes friction and
+backlash.
 """
 
 from __future__ import annotations
@@ -31,9 +33,9 @@ from pickenv.experiments.engine import Experiment, Progress, Rows, joined, run
 from pickenv.inspect.reports.conditions_report import HELD_OUT
 
 HELD = 60.0
-"""Time for which the arm stands at a pose before it is measured, s."""
+"""Time for which the arm stays at a pose before it is measured, s."""
 LEVELS = 5
-"""Number of levels of each condition at which a calibration is judged."""
+"""Number of values of each condition at which a calibration is judged."""
 REFERENCE, BLIND, TOLD, TERMS, BOTH = (
     "calibrated at the reference",
     "over sessions, not told",
@@ -50,7 +52,7 @@ class ConditionRanges:
 
     Attributes:
         payload: Largest mass held at the tool, kg.
-        weather: How much cooler or warmer than usual a day may be, K.
+        weather: Largest deviation of a day's temperature from the usual one, K, in either direction.
         hours: Length of a working day, h.
     """
 
@@ -65,12 +67,12 @@ class ConditionsSettings:
 
     Attributes:
         ranges: Ranges of the conditions.
-        arms: Arms drawn from the tolerance class.
+        arms: Number of arms drawn from the tolerance class.
         tolerances: Name of the tolerance class.
-        sessions: Training sessions, each under conditions of its own.
-        poses: Poses of a session; at the reference an arm is measured at as many as in all sessions together.
-        residual: Residual model by name.
-        seed: Seed of everything random.
+        sessions: Number of training sessions, each under conditions of its own.
+        poses: Number of poses of a session. At the reference an arm is measured at as many as in all sessions together.
+        residual: Name of the residual model.
+        seed: Seed of all random numbers.
     """
 
     ranges: ConditionRanges = ConditionRanges()
@@ -84,11 +86,11 @@ class ConditionsSettings:
 
 @dataclass(frozen=True, eq=False)
 class State:
-    """Conditions of poses, each ``(N,)``.
+    """Conditions at N poses; each attribute has shape ``(N,)``.
 
     Attributes:
         payload: Mass held at the tool, kg.
-        weather: How much warmer than usual the day is, K.
+        weather: Temperature of the day minus the usual one, K.
         hour: Time since the start of work, h.
     """
 
@@ -98,12 +100,19 @@ class State:
 
     @staticmethod
     def same(count: int, **known: float) -> State:
-        """The reference conditions at ``count`` poses, except for the conditions given in ``known``."""
+        """Return the reference conditions at ``count`` poses, with those in ``known`` replaced."""
         return State(*(np.full(count, known.get(name, 0.0)) for name in ("payload", "weather", "hour")))
 
     @staticmethod
     def drawn(ranges: ConditionRanges, sessions: int, poses: int, rng: np.random.Generator) -> State:
-        """The states of random sessions, pose by pose; sessions spread evenly over every range (a Latin hypercube)."""
+        """Draw the conditions of random sessions (a Latin hypercube over the ranges), and return them pose by pose.
+
+        Args:
+            ranges: Ranges of the conditions.
+            sessions: Number of sessions.
+            poses: Number of poses of a session.
+            rng: Random numbers.
+        """
         share = (np.array([rng.permutation(sessions) for _ in range(3)]) + rng.random((3, sessions))) / sessions
         low = np.array([0.0, -ranges.weather, 0.0])[:, None]
         high = np.array([ranges.payload, ranges.weather, ranges.hours])[:, None]
@@ -111,7 +120,7 @@ class State:
 
 
 def warming(plant: Plant) -> Plant:
-    """The plant, with the growth of its tolerance class "medium" where it has none of its own."""
+    """Return the plant; if it has no thermal growth, with that of the tolerance class "medium"."""
     if plant.effect("thermal_growth") is not None:
         return plant
     usual = load_tolerances("medium")
@@ -121,13 +130,13 @@ def warming(plant: Plant) -> Plant:
 
 
 def rises(plant: Plant, state: State) -> Array:
-    """Temperature of the links above the reference ``(N,)``, K: the day's warm-up plus the weather."""
+    """Return the temperature of the links above the reference ``(N,)``, K: the day's warm-up plus the weather."""
     thermal = plant.effect("thermal_growth")
     return np.asarray(warmed(np, thermal, thermal.initial_rise, 3600.0 * state.hour) + state.weather)
 
 
 def under(plant: Plant, state: State) -> Plant:
-    """The plant in the state of each pose; what the state changes has one entry per pose."""
+    """Return the plant under the conditions of each pose; parameters that depend on them have one entry per pose."""
     rise, tilt = rises(plant, state), plant.effect("base_tilt")
     changed = [replace(plant.effect("thermal_growth"), initial_rise=rise, final_rise=rise)]
     if tilt is not None:  # sunk as far as it is by then, and no further while a pose is measured
@@ -139,7 +148,10 @@ def under(plant: Plant, state: State) -> Plant:
 
 
 def measured_under(plant: Plant, state: State, rng: np.random.Generator) -> Measurements:
-    """Tracker readings of the plant in these states, payload and heat recorded; each pose is reached from another."""
+    """Simulate tracker readings of the plant under these conditions, with payload and temperature recorded.
+
+    Poses are random, and the arm moves to each of them from another random pose.
+    """
     nominal, count = plant.arm.nominal, len(state.payload)
     joints, before = random_joints(nominal, count, rng), random_joints(nominal, count, rng)
     machine = under(plant, state)
@@ -159,26 +171,35 @@ def measured_under(plant: Plant, state: State, rng: np.random.Generator) -> Meas
 
 
 Left: TypeAlias = Callable[[Measurements, State], Array]
-"""The pose errors ``(N, 6)`` that a calibration leaves of what was measured in these states, m and rad."""
+"""Function that returns the pose errors ``(N, 6)`` that a calibration leaves in given measurements, m and rad. Its
+arguments are the measurements and their conditions."""
 
 
 def left_by(
     data: Measurements, state: State, *, model: ArmModel, learnt: LearntResidual | None = None, inputs: bool = False
 ) -> Array:
-    """What geometry and terms leave, and a learnt residual, which may take payload, temperature and hour as inputs."""
+    """Return the pose errors ``(N, 6)`` that a model and a learnt residual leave in measurements, m and rad.
+
+    Args:
+        data: The measurements.
+        state: Their conditions.
+        model: Geometry and terms.
+        learnt: The learnt residual, if any.
+        inputs: Whether the residual takes payload, temperature and hour as inputs.
+    """
     missed = data.difference(model)
     return missed if learnt is None else missed - learnt.predict(data.joints, told(data, state) if inputs else None)
 
 
 def told(data: Measurements, state: State) -> Array:
-    """Payload, temperature and hour as columns ``(N, 3)``."""
+    """Return payload, temperature and hour as columns ``(N, 3)``, the inputs of a learnt residual; kg, K, h."""
     inputs = data.conditions.inputs()
     assert inputs is not None
     return np.column_stack([inputs, state.hour])
 
 
 def calibrated(plant: Plant, settings: ConditionsSettings, rng: np.random.Generator) -> dict[str, Left]:
-    """The arm calibrated in every way, each from the same number of poses, by method."""
+    """Calibrate the arm in every way, each from as many poses, and return the errors that each leaves, by method."""
     arm, nominal = plant.arm, plant.arm.nominal
     apart = State.drawn(settings.ranges, settings.sessions, settings.poses, rng)
     varied, usual = measured_under(plant, apart, rng), measured_under(plant, State.same(len(apart.hour)), rng)
@@ -203,21 +224,28 @@ def calibrated(plant: Plant, settings: ConditionsSettings, rng: np.random.Genera
 
 
 def levels_of(ranges: ConditionRanges) -> dict[str, Array]:
-    """Levels of each varied condition, by name; a condition whose range is zero is left out."""
+    """Return the values at which each condition is judged, by its name; a condition without a range is left out."""
     ends = {"payload": (0.0, ranges.payload), "temperature": (-ranges.weather, ranges.weather)}
     ends["hour"] = (0.0, ranges.hours)
     return {name: np.linspace(low, high, LEVELS) for name, (low, high) in ends.items() if high > low}
 
 
 def state_at(condition: str, level: float, count: int) -> State:
-    """The reference conditions at ``count`` poses, with one condition at ``level``."""
+    """Return the reference conditions at ``count`` poses, with one condition set to ``level``."""
     return State.same(count, **{"weather" if condition == "temperature" else condition: level})
 
 
 def judged_on(
     plant: Plant, calibrations: Mapping[str, Left], settings: ConditionsSettings, rng: np.random.Generator
 ) -> Rows:
-    """Errors left at new poses under held-out conditions: a row for each sweep, level, method and pose."""
+    """Compute the errors that calibrations leave at new poses under held-out conditions.
+
+    A sweep varies one condition over its levels while the others stay at the reference. One more sweep, `HELD_OUT`,
+    draws all conditions at random.
+
+    Returns:
+        A row for each sweep, level (its number), method and pose.
+    """
     levels, count = levels_of(settings.ranges), 2 * settings.poses
     states = [(name, k, state_at(name, level, count)) for name in levels for k, level in enumerate(levels[name])]
     parts = []
@@ -235,14 +263,14 @@ def judged_on(
 def judged_arm(
     rng: np.random.Generator, arm: int, plants: Plant, settings: ConditionsSettings, calibration: Calibration | None
 ) -> Rows:
-    """Judge one drawn arm, calibrated in every way, or the very arm that a calibration is of.
+    """Judge one arm: a drawn arm that is calibrated in every way, or the arm that a given calibration belongs to.
 
     Args:
-        rng: Not used: every arm has the stream of the study's seed and its number.
-        arm: Its number.
+        rng: Not used; every arm has a random stream from the study's seed and its number.
+        arm: The arm's number.
         plants: The drawn arms, or the one arm of the calibration.
         settings: What is measured.
-        calibration: Judged instead of the calibrations made here.
+        calibration: If given, it is judged instead of calibrations made here.
     """
     if calibration is not None:
         both: dict[str, Left] = {"raw": partial(left_by, model=ArmModel.of(plants.arm.nominal))}
@@ -259,21 +287,21 @@ def _stream(seed: int, *place: int) -> np.random.Generator:
 def conditions_study(
     plant: Plant, settings: ConditionsSettings, calibration: Calibration | None = None, progress: Progress | None = None
 ) -> dict[str, Any]:
-    """How accuracy changes with payload, temperature and hour, as numbers for table, figure and page.
+    """Compute how accuracy changes with payload, temperature and hour, as numbers for table, figure and page.
 
     Args:
-        plant: The design that arms are drawn from; with a calibration, the very arm that it is of.
+        plant: The design that arms are drawn from; with ``calibration``, the true arm that it belongs to.
         settings: What is measured.
-        calibration: Judged instead of the calibrations made here.
-        progress: Told the stage, how many arms are done, and of how many.
+        calibration: If given, it is judged instead of calibrations made here.
+        progress: Called with (name of the experiment, arms done, number of arms).
 
     Returns:
         ``{"plant", "settings", "interval_over", "sweeps": {name: {"levels", "methods": {method: [{"mean_mm",
         "ci95_mm"}]}}}}``.
 
     Raises:
-        InputError: If the plant has no masses for a payload to join, the residual model is unknown, or the calibration
-            is another arm's.
+        InputError: If the plant has no link masses for a payload to act on, the residual model is unknown, or the
+            calibration belongs to another arm.
     """
     if plant.load is None and settings.ranges.payload > 0.0:
         raise InputError(

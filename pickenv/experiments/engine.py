@@ -1,11 +1,13 @@
-"""The one engine for experiments: units × factors → rows, kept piece by piece, computed anywhere.
+"""Run experiments: measure units at every combination of factors, and keep the resulting rows in a folder.
 
-An experiment measures each unit (an arm, a seed, a fold of a file) at every combination of its factors. A piece of work
-is one such combination; it gives any number of rows. Everything that a piece draws comes from the seed and its unit
-alone, so that two levels of a factor meet the same arms, fruit and noise, and no backend changes a number.
+An experiment measures each unit (an arm, a seed, a fold of a file) at every combination of its factors. One combination
+of units and factors is a piece of work, or piece; it gives any number of rows. The random numbers of a piece depend on
+the seed and on its unit alone. Two levels of a factor are therefore measured with the same arms, fruit and noise, and
+the backend changes no number.
 
-In a folder every piece is a Parquet file with a seal, named by the hash of all that its rows depend on: inputs, levels
-and the code that makes numbers. A piece that is there is not computed again; `check_experiment` verifies all.
+In a folder, every piece is a Parquet file with a seal, that is a checksum of its content. The file's name contains a
+hash of everything that the rows depend on: inputs, levels and the code that computes numbers. A piece whose file exists
+is not computed again. `check_experiment` verifies a whole folder.
 """
 
 from __future__ import annotations
@@ -48,77 +50,78 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 RECORD = "experiment.json"
-"""File in a folder of pieces that lists them, with their keys and the versions that made them."""
+"""File in an experiment's folder that lists the pieces, with their keys and the versions of the packages that made
+them."""
 
 AGAIN = "run the experiment again, which makes it anew"
 
 Levels = Mapping[str, Any]
 Columns = Mapping[str, NDArray[Any]]
 Progress = Callable[[str, int, int], None]
-"""Called with (name of the experiment, pieces done, pieces in all)."""
+"""Function called with (name of the experiment, pieces done, total number of pieces)."""
 
 Refused = Callable[[Levels, InputError], None]
 
 
 @dataclass(frozen=True)
 class Rows:
-    """Rows as columns: arrays whose first axes have one length.
+    """A table of rows, stored as one array per column; all columns have the same number of rows.
 
     Attributes:
-        columns: The columns by name, ``(N, ...)``.
+        columns: Array of each column ``(N, ...)``, by the column's name.
     """
 
     columns: Columns
 
     def __len__(self) -> int:
-        """How many rows there are."""
+        """Return the number of rows."""
         return len(next(iter(self.columns.values()), ()))
 
     def __getitem__(self, name: str) -> NDArray[Any]:
-        """A column by its name."""
+        """Return the column with this name."""
         return self.columns[name]
 
     def where(self, **levels: Any) -> Rows:
-        """The rows at the given levels of columns; a tuple of levels selects the rows at any of them."""
+        """Return the rows whose columns have the given levels; a tuple of levels selects the rows at any of them."""
         taken = np.ones(len(self), dtype=np.bool_)
         for name, level in levels.items() if self.columns else ():
             taken &= np.isin(self.columns[name], level if isinstance(level, tuple) else (level,))
         return Rows({name: values[taken] for name, values in self.columns.items()})
 
     def levels(self, *names: str) -> list[tuple[Any, ...]]:
-        """The different combinations of levels of these columns, in the order of their first rows."""
+        """Return the distinct combinations of levels of these columns, in order of first appearance."""
         columns = [self.columns[name].tolist() for name in names] if self.columns else []
         return list(dict.fromkeys(zip(*columns, strict=True)))
 
     def dicts(self) -> list[dict[str, Any]]:
-        """The rows one by one, as plain values."""
+        """Return each row as a dict of plain Python values."""
         lists = {name: values.tolist() for name, values in self.columns.items()}
         return [dict(zip(lists, row, strict=True)) for row in zip(*lists.values(), strict=True)]
 
     def pandas(self) -> pd.DataFrame:
-        """The rows as a table of pandas; a column of arrays becomes one of lists."""
+        """Return the rows as a pandas table; a column with more than one dimension becomes a column of lists."""
         import pandas as pd
 
         flat = {name: values if values.ndim == 1 else list(values) for name, values in self.columns.items()}
         return pd.DataFrame(flat)
 
     def arrow(self) -> pa.Table:
-        """The rows as a table of pyarrow; a column of arrays becomes one of nested lists of fixed lengths."""
+        """Return the rows as a pyarrow table; a column with more than one dimension becomes nested fixed-size lists."""
         import pyarrow as pa
 
         return pa.table({name: _arrow_of(values) for name, values in self.columns.items()})
 
     @staticmethod
     def of_arrow(table: pa.Table) -> Rows:
-        """Rows from a table that `arrow` made."""
+        """Make rows from a table that `arrow` returned."""
         return Rows({name: _array_of(table.column(name).combine_chunks()) for name in table.column_names})
 
     @staticmethod
     def of(rows: Columns | Rows | Sequence[Mapping[str, Any]]) -> Rows:
-        """Make rows from columns, or from one mapping per row.
+        """Make rows from columns, or from a sequence of mappings, one for each row.
 
         Raises:
-            ValueError: If columns differ in length, or rows in their names.
+            ValueError: If columns differ in length, or mappings in their names or the order of these.
         """
         if isinstance(rows, Rows):
             return rows
@@ -134,7 +137,10 @@ class Rows:
 
 
 def joined(parts: Sequence[Rows]) -> Rows:
-    """All parts as one; where a part lacks a column or has shorter arrays, NaN or empty text fills the gap."""
+    """Concatenate tables of rows.
+
+    A column that a part lacks is filled with NaN or empty text there; so is the end of arrays that are shorter there.
+    """
     filled = [part for part in parts if len(part)]
     names = dict.fromkeys(name for part in filled for name in part.columns)
     return Rows({name: _stacked([part.columns.get(name) for part in filled], list(map(len, filled))) for name in names})
@@ -158,20 +164,21 @@ def _stacked(columns: Sequence[NDArray[Any] | None], lengths: Sequence[int]) -> 
 
 @dataclass(frozen=True)
 class Experiment:
-    """Units that are measured at every combination of factors.
+    """An experiment: units that are measured at every combination of factors.
 
     Attributes:
         name: Name in file names and messages.
-        units: What is drawn, and what an interval is over: names and values, such as ``{"arm": range(64)}``.
-        factors: What is compared: names and levels, such as ``{"method": ("raw", "ls")}``.
-        measure: Called with ``rng`` and one level of each unit and factor by name; gives rows: columns, or a mapping
-            for each row. ``rng`` is the unit's own, and the same at every level of the factors. For other processes to
-            call it, it must be a function of a module, or a `functools.partial` of one.
-        seed: Seed of everything random.
-        inputs: What the rows depend on beside levels, seed and code: settings, plants, hashes of files; or a function
-            of the levels that gives it.
-        fits: Called with one level of each unit and factor by name; says whether to measure this
-            combination. All are measured when it is left out.
+        units: Names and values of what is sampled, such as ``{"arm": range(64)}``; intervals are computed over units.
+        factors: Names and levels of what is compared, such as ``{"method": ("raw", "ls")}``.
+        measure: Function that returns the rows of a piece: columns, or one mapping per row. It is called with ``rng``
+            and one level of each unit and factor by name. ``rng`` depends on the unit, and is the same at every level
+            of the factors. For use in other processes it must be a module-level function, or a `functools.partial` of
+            one.
+        seed: Seed of all random numbers.
+        inputs: Everything that the rows depend on besides levels, seed and code: settings, plants, hashes of files. Or
+            a function that returns it, called with the levels by name.
+        fits: Function that returns whether a combination is measured, called with one level of each unit and factor by
+            name. None: all combinations are measured.
     """
 
     name: str
@@ -183,7 +190,7 @@ class Experiment:
     fits: Callable[..., bool] | None = field(default=None, compare=False)
 
     def pieces(self) -> list[Piece]:
-        """The pieces of work: factors vary slowest, in their order."""
+        """Return the pieces of work that `fits` accepts: the first factor varies slowest, the last unit fastest."""
         pieces = []
         for levels in product(*self.factors.values()):
             for places in product(*(range(len(values)) for values in self.units.values())):
@@ -194,7 +201,7 @@ class Experiment:
         return pieces
 
     def measured(self, piece: Piece) -> Rows:
-        """The rows of one piece, with its levels in front."""
+        """Measure one piece, and return its rows with its levels as the first columns."""
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=piece.place))
         with single_threaded():
             rows = Rows.of(self.measure(rng=rng, **piece.levels))
@@ -202,13 +209,16 @@ class Experiment:
         return Rows(levels | dict(rows.columns))
 
     def key(self, piece: Piece) -> str:
-        """The hash of all that a piece's rows depend on."""
+        """Return the hash of everything that the rows of a piece depend on."""
         inputs = self.inputs(**piece.levels) if callable(self.inputs) else self.inputs
         return input_key(self.name, self.seed, inputs, dict(piece.levels), piece.place)
 
 
 def input_key(*inputs: Any) -> str:
-    """The hash of inputs and of the code that makes numbers; a result kept under this hash is not computed again."""
+    """Return the hash of these inputs and of the code that computes numbers.
+
+    A result that is kept under this hash is not computed again.
+    """
     return content_sha256(*inputs, code_fingerprint())
 
 
@@ -217,8 +227,8 @@ class Piece:
     """One combination of units and factors.
 
     Attributes:
-        levels: Level of each factor and unit by name.
-        place: Numbers of its units, which seed the piece's random numbers.
+        levels: Level of each factor and unit, by its name.
+        place: Index of the level of each unit, from 0; it seeds the piece's random numbers.
     """
 
     levels: Levels
@@ -226,7 +236,7 @@ class Piece:
 
     @property
     def label(self) -> str:
-        """The levels as part of a file's name."""
+        """The levels as text for a file name."""
         return re.sub(r"[^A-Za-z0-9.]+", "-", "_".join(str(level) for level in self.levels.values())).strip("-")[-80:]
 
 
@@ -239,22 +249,22 @@ def run(
     progress: Progress | None = None,
     refused: Refused | None = None,
 ) -> Rows:
-    """Measure the pieces that are not measured yet, and return all rows in the order of the pieces.
+    """Measure the pieces that are not measured yet, and return the rows of all pieces in order.
 
-    A damaged file is made anew, with a warning.
+    A damaged file is computed again, with a warning.
 
     Args:
-        experiment: What is measured.
-        folder: Where pieces are kept for the next time; nowhere when None.
-        backend: "serial", or "loky" (processes of this machine).
-        workers: Processes; as many as there are cores when None.
-        progress: Told how many pieces are done.
-        refused: Told the levels of pieces that cannot be measured, and why; they have no rows, and are tried again by
-            the next run. The first of them ends the run when None.
+        experiment: The experiment.
+        folder: Folder that keeps the pieces for later runs; None keeps nothing.
+        backend: "serial" (this process), or "loky" (processes of this machine).
+        workers: Number of processes; None for one per core.
+        progress: Called with (name of the experiment, pieces done, total number of pieces).
+        refused: Called with the levels of a piece that cannot be measured, and with the `InputError` that says why.
+            Such a piece has no rows, and the next run tries it again. None: the first such piece ends the run.
 
     Raises:
-        InputError: If the backend is unknown or not installed, the folder is being worked in, processes keep dying, or
-            a piece cannot be measured and ``refused`` is None.
+        InputError: If the backend is unknown or not installed, another process works in the folder, worker processes
+            keep dying, or a piece cannot be measured and ``refused`` is None.
     """
     if folder is not None:
         keep(experiment, folder, backend=backend, workers=workers, progress=progress, refused=refused)
@@ -273,9 +283,10 @@ def keep(
     progress: Progress | None = None,
     refused: Refused | None = None,
 ) -> list[Path]:
-    """Measure the pieces that a folder lacks, and return the files of all pieces in order; arguments as for `run`.
+    """Measure the pieces that a folder lacks, and return the files of all measured pieces in order.
 
-    Rows pass through memory piece by piece; pyarrow reads the files as one data set of any size.
+    The arguments are those of `run`. Rows are written piece by piece, so they need not fit into memory together;
+    pyarrow reads the files as one data set of any size.
     """
     folder, pieces = Path(folder), experiment.pieces()
     require("pyarrow")
@@ -338,16 +349,18 @@ def _measured(experiment: Experiment, pieces: Sequence[Piece], ends: bool, numbe
 
 
 def kept_rows(folder: str | Path) -> Rows:
-    """The rows of an experiment's last run in this folder, each piece verified.
+    """Read the rows of the last run of an experiment in this folder, and verify each piece.
 
     Raises:
-        InputError: If there is no such run, it is not complete, or a file is damaged or was edited.
+        InputError: If the folder holds no such run, the run is incomplete, or a file is damaged or was edited.
     """
     return joined([Rows.of_arrow(table) for _, table in kept_tables(folder)])
 
 
 def kept_tables(folder: str | Path) -> Iterator[tuple[Path, pa.Table]]:
-    """The file and the table of each piece of an experiment's last run, verified; only one at a time is in memory.
+    """Yield the file and the table of each piece of the last run in this folder.
+
+    Each piece is verified when it is read; only one table is in memory at a time.
 
     Raises:
         InputError: As `kept_rows`.
@@ -375,7 +388,14 @@ def _read_record(path: Path) -> dict[str, Any]:
 
 
 def write_piece(path: Path, rows: Rows, name: str, key: str) -> None:
-    """Write rows as one sealed file, whole or not at all; `piece_table` needs the same key to read it."""
+    """Write rows as one sealed Parquet file, whole or not at all.
+
+    Args:
+        path: The file.
+        rows: The rows.
+        name: Name of the experiment.
+        key: Text that identifies the rows, usually `Experiment.key`; `piece_table` needs the same text to read them.
+    """
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -387,10 +407,14 @@ def write_piece(path: Path, rows: Rows, name: str, key: str) -> None:
 
 
 def piece_table(path: Path, key: str) -> pa.Table:
-    """The rows of one piece as a table.
+    """Read the file of one piece as a table, and verify it.
+
+    Args:
+        path: The file.
+        key: The key that the file must have been written with.
 
     Raises:
-        InputError: If the file is missing or damaged, or is another piece than its name says.
+        InputError: If the file is missing or damaged, or was written with another key.
     """
     import pyarrow as pa
     import pyarrow.parquet as pq
@@ -409,11 +433,11 @@ def piece_table(path: Path, key: str) -> pa.Table:
 
 
 def check_experiment(folder: str | Path) -> list[tuple[Path, str | None]]:
-    """Verify a folder of pieces from end to end.
+    """Verify every file in an experiment's folder.
 
     Returns:
-        The record, every piece that it names and every other file beside them: each with None, or the sentence that
-        says why it is refused.
+        (path, fault) for the record, every piece that it names and every other file in the folder. The fault is None
+        for a sound file, else the sentence that says why the file is refused.
     """
     folder = Path(folder)
     record = folder / RECORD
@@ -436,7 +460,7 @@ def check_experiment(folder: str | Path) -> list[tuple[Path, str | None]]:
 
 
 def refusal(read: Callable[..., object], *arguments: Any) -> str | None:
-    """The sentence with which a reader refuses what it is given; None if it takes it."""
+    """Call ``read``, and return the message of the `InputError` that it raises; None if it raises none."""
     try:
         read(*arguments)
     except InputError as error:
@@ -465,7 +489,7 @@ def _array_of(column: Any) -> NDArray[Any]:
 
 
 def write_rows(path: Path, rows: Rows) -> Path:
-    """Write rows as .csv or .parquet, whole or not at all.
+    """Write rows as a .csv or .parquet file, whole or not at all.
 
     Raises:
         InputError: If the file has any other suffix.
@@ -481,7 +505,14 @@ def write_rows(path: Path, rows: Rows) -> Path:
 def pivot(
     rows: Sequence[Mapping[str, Any]], names: Sequence[str], across: str, cell: Callable[[Mapping[str, Any]], str]
 ) -> tuple[list[str], list[list[str]]]:
-    """Heads and cells of a table: a line for each combination of ``names``, a column for each level of ``across``."""
+    """Return the heads and the cells of a pivot table, as text.
+
+    Args:
+        rows: One mapping for each cell.
+        names: Keys whose values begin each line; every combination of them has one line.
+        across: Key whose values are the heads of the other columns.
+        cell: Function that returns the text of a row's cell.
+    """
     columns = list(dict.fromkeys(row[across] for row in rows))
     lines: dict[tuple[str, ...], dict[Any, str]] = {}
     for row in rows:

@@ -1,4 +1,4 @@
-"""Who computes the pieces of an experiment: this process, or several processes of this machine."""
+"""Backends that compute the pieces of an experiment: this process, or several processes of this machine."""
 
 from __future__ import annotations
 
@@ -15,25 +15,26 @@ from typing import Any
 from pickenv.base import InputError, require
 
 BACKENDS = ("serial", "loky")
-"""This process, or processes of this machine."""
+"""Names of the backends: this process, and several processes of this machine."""
 
 ATTEMPTS = 4
-"""Number of times a piece is tried when the processes that work on it die."""
+"""Number of attempts to compute the remaining pieces when worker processes die."""
 
 
 def spread(
     work: Callable[[int], Any], numbers: Sequence[int], backend: str = "serial", workers: int | None = None
 ) -> Iterator[tuple[int, Any]]:
-    """Do some work for each number, and yield (number, result) in any order.
+    """Call ``work`` with each number, and yield (number, result) in any order.
 
-    After a piece that fails none is begun any more; those that are being done are still yielded, and then its error is
-    raised. (loky's own way is to kill the other workers, in which its managing thread may die with a KeyError.)
+    When a call raises an exception, no other call is started. Calls in progress are finished and their results yielded;
+    then the exception is raised. (loky alone would kill the other workers, and its managing thread may then die with a
+    KeyError.)
 
     Args:
-        work: What is done; a function of a module where other processes are to do it.
+        work: Function to call; a module-level function if other processes are to call it.
         numbers: The numbers that ``work`` is called with.
         backend: One of `BACKENDS`.
-        workers: Processes; as many as there are cores when None.
+        workers: Number of processes; None for one per core.
 
     Raises:
         InputError: If the backend is unknown or not installed, or its processes keep dying.

@@ -1,4 +1,6 @@
-"""Experiments as files: units to draw, factors to compare, a function that measures, and numbers to make of the rows.
+"""Read experiments from TOML files: units to draw, factors to compare, a measuring function, and numbers to estimate.
+
+An example:
 
 title = "What least squares leave"
 measure = "gains.py:left"                 # a function of a file beside this one, or of an installed "package:function"
@@ -67,7 +69,7 @@ def _is_named(value: Any) -> bool:
 
 
 LEAST_DRAWS = 39
-"""Number of draws of constants whose range holds a further draw with probability 95 %."""
+"""Fewest draws of a design's constants for an interval: with probability 95 % their range contains one further draw."""
 
 FUNCTION = Check(_is_named, '"file.py:function" or "package.module:function"')
 
@@ -78,25 +80,28 @@ class Number:
 
     Attributes:
         title: Title above the table, with the unit.
-        value: The column that the numbers are made of; several for a function of several columns.
-        by: Columns that name a number.
-        over: One or two columns of units, which the intervals are over.
-        of: What to estimate, as `pickenv.base.intervals.estimate` takes it; a function is given by its name.
-        against: Levels that the others are compared with, pair by pair.
-        where: Levels of the rows that count.
-        across: The column of ``by`` whose levels stand side by side; when left out, every level has its own line.
-        margin: Differences whose whole interval lies within this margin "carry over"; where given, each has a verdict.
-        least: Fewest units for an interval of a mean, where the units are runs whose means are nearly normal.
-        lost: Values above this limit count as lost; their share stands beside the mean of the others.
-        draws: The unit whose level 0 is a design as shipped and whose others are draws of its constants
-            (`pickenv.arm.plant.plant_file.with_drawn_constants`): of a number that was measured at `LEAST_DRAWS` of
-            them or more, the interval holds what another draw gives.
+        value: Column that the numbers are estimated from; several columns for a function of them.
+        by: Columns that identify a number: each combination of their levels has one number.
+        over: One or two columns of units; the intervals are over these units.
+        of: Statistic to estimate, as `pickenv.base.intervals.estimate` takes it; a function is given by its name.
+        against: Reference levels of some of ``by``, by column; the numbers compare the other rows with these, pair by
+            pair.
+        where: Levels, by column, of the rows to use; None uses all rows.
+        across: Column of ``by`` whose levels become columns of the table; None gives every level its own line.
+        margin: If given, each number has a verdict. A difference whose whole interval lies within plus or minus this
+            margin "carries over".
+        least: Fewest units for an interval of a mean; fewer suffice where units are runs whose means are nearly normal.
+        lost: Limit above which a value counts as lost. The mean leaves lost values out; their share is printed beside
+            it.
+        draws: Unit whose level 0 is the design with its shipped constants, and whose other levels are draws of these
+            constants (`pickenv.arm.plant.plant_file.with_drawn_constants`). The interval of a number then contains the
+            number of one further draw with probability 95 %. It needs `LEAST_DRAWS` draws.
         spread: Whether the standard deviation and the range of the units' means are shown beside each number.
         digits: Digits after the point.
-        scale: Factor on what is shown, such as 100 for percent.
-        figure: Name of the table's figure; no figure when left out.
-        x: The column of ``by`` that lines are drawn along in the figure; whiskers when left out.
-        panels: The column of ``by`` whose levels have a panel each.
+        scale: Factor on the printed numbers, such as 100 for percent.
+        figure: Name of the table's figure; None for no figure.
+        x: Column of ``by`` on the x axis of the figure, which then has lines; None for whiskers.
+        panels: Column of ``by``; each of its levels has a panel of the figure.
         log: Whether the figure's axis of numbers is logarithmic.
     """
 
@@ -146,10 +151,10 @@ class ExperimentFile:
     Attributes:
         path: The file.
         title: The question that the experiment asks.
-        experiment: What is measured.
-        numbers: What is made of its rows.
-        functions: The functions that it names, by the words that name them.
-        figures: Functions that draw its rows, by the names of the figures.
+        experiment: The experiment.
+        numbers: The tables of numbers to estimate from its rows.
+        functions: The functions that the file names, by the text that names them ("file.py:function").
+        figures: The functions that draw the rows, by the names of their figures.
     """
 
     path: Path
@@ -160,10 +165,15 @@ class ExperimentFile:
     figures: Mapping[str, Callable[[Rows], Any]]
 
     def estimates(self, rows: Rows) -> list[dict[str, Any]]:
-        """The tables of numbers: "title" and "rows", each row with its levels and "estimate".
+        """Estimate the tables of numbers from the experiment's rows.
+
+        Returns:
+            For each of ``numbers`` a dict with "title" and "rows". Each row has its levels and "estimate", and the
+            other keys that `pickenv.base.intervals.estimate` gives.
 
         Raises:
-            InputError: If a table names a column that no row has, or rows that do not pair.
+            InputError: If a table names a column that the rows lack, or a comparison needs pairs of rows that do not
+                match.
         """
         tables = []
         for number in self.numbers:
@@ -189,8 +199,7 @@ class ExperimentFile:
 def _widen(rows: list[dict[str, Any]], measured: Rows, draws: str, asked: tuple[Any, ...]) -> None:
     """Replace intervals over units by intervals over draws of constants; the former stay in the row as "sampled".
 
-    The least and the largest of K numbers hold a further one with probability (K - 1) / (K + 1), whatever they are
-    distributed like.
+    The range of K numbers contains one further number with probability (K - 1) / (K + 1), for any distribution.
     """
     drawn: dict[tuple[Any, ...], list[float]] = {}
     for (draw,) in measured.levels(draws):
@@ -207,16 +216,16 @@ def _widen(rows: list[dict[str, Any]], measured: Rows, draws: str, asked: tuple[
 def load_experiment(
     path: str | Path, *, quick: bool = False, seed: int | None = None, changes: Mapping[str, Any] | None = None
 ) -> ExperimentFile:
-    """Read an experiment's file; the code that it names is loaded, and so executed.
+    """Read an experiment from a file; the code that the file names is imported, and thereby executed.
 
     Args:
         path: The file (.toml).
-        quick: Whether the values under its ``quick`` take the places of those of units, factors and settings.
-        seed: Seed that replaces the file's own.
-        changes: Further values of units, factors and settings by name.
+        quick: Whether the values under the key ``quick`` replace those of units, factors and settings.
+        seed: Seed in place of the file's own; None keeps the file's.
+        changes: Values in place of those of units, factors and settings, by name.
 
     Raises:
-        InputError: If it is missing, or an entry is impossible; the message names file, line and key.
+        InputError: If the file is missing or an entry is impossible; the message names file, line and key.
     """
     path = Path(path)
     content, text = toml_of(path)
@@ -314,13 +323,15 @@ def _origin(function: Callable[..., Any]) -> str:
 
 
 MADE = ("estimate", "units", "runs", "lost", "sampled")
-"""Keys of a row of estimates other than its levels."""
+"""Keys of a row of estimates that are not names of levels."""
 
 
 def plain_estimates(tables: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
-    """The tables of `ExperimentFile.estimates` as JSON has them: "value", "ci95", "no_interval", "std" and "range".
+    """Return the tables of `ExperimentFile.estimates` with plain values, for JSON.
 
-    A row whose "ci95" is over draws of constants also has "sampled95", over units of the design as shipped.
+    Each row has its levels, "value", its interval "ci95", and "no_interval", which says why there is none. Where they
+    apply it also has "runs" (each run's mean), "lost" and "lost_ci95", and "std" and "range" of the units' means. A row
+    whose "ci95" is over draws of constants has "sampled95" too: the interval over units of the design as shipped.
     """
 
     def plain(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -345,7 +356,12 @@ def _levels_of(row: Mapping[str, Any]) -> tuple[Any, ...]:
 
 
 def number_table(number: Number, rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
-    """The column heads and the cells of one table of numbers; levels of ``across`` stand side by side."""
+    """Return the column heads and the cells of one table of numbers; the levels of ``across`` become columns.
+
+    Args:
+        number: The table's definition.
+        rows: Its rows, from `ExperimentFile.estimates`.
+    """
     sign = "+" if number.against and number.of != "removed" else ""
     form = f"{sign}.{number.digits}f"
 

@@ -1,8 +1,8 @@
-"""Errors that models leave on rows that no fit saw, mostly of simulated arms, and the share that they remove.
+"""Errors of calibration models on held-out rows, mostly of simulated arms, and the share of the error that they remove.
 
-A network interpolates between neighbours, so poses beside those it learnt from flatter it. On held-out blocks of a grid
-it removes little or nothing of a measured arm's errors, but most of a smooth simulated arm's. Units: m, rad; mm where
-names say so.
+A network interpolates between neighbouring poses, so test poses close to training poses make it look too good. On
+held-out blocks of a grid it removes little or nothing of a measured arm's errors. Of a smooth simulated arm's errors it
+removes most. Units: m, rad; mm where names say so.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ from pickenv.inspect.runs.recorded_episodes import field_grid
 
 NOMINAL, LS, TERMS = "nominal", "LS", "LS + terms"
 LEARNT = {"LS + BPNN": "bpnn", "LS + GP": "gp"}
-"""Residual models by name."""
+"""Name of the residual model that each learnt model adds to least squares."""
 
 Squares = dict[str, Array]
-"""Squared position errors of the rows held out ``(M,)``, by model, m^2."""
+"""Squared position errors of the held-out rows ``(M,)``, m^2, by model."""
 
 
 def left_by_models(
@@ -45,21 +45,24 @@ def left_by_models(
     attitudes: bool = False,
     **choices: Any,
 ) -> tuple[Squares, Result]:
-    """Errors on held-out rows of the nominal arm, of least squares, and of models added to these; no model is gated.
+    """Fit several models, and return their position errors on held-out rows.
+
+    The models are the nominal arm, least squares, and models added to least squares. No gate rejects a model that does
+    not improve on the one before.
 
     Args:
         arm: The arm.
-        train: Rows that everything is fitted to.
-        test: Rows held out.
-        rng: Seeds what learns.
-        terms: Names of the least-squares fits, and the terms of each as `Choices` has them.
-        learnt: Names of the learnt models, and the residual model that each adds to least squares.
-        epochs: Passes of the paper's network; None for a network as `fit_remainder` has it by itself.
-        attitudes: Whether residuals are learnt of attitudes too.
+        train: Rows that every model is fitted to.
+        test: Held-out rows.
+        rng: Random numbers for the learnt models.
+        terms: For each least-squares fit its name, and its parametric terms as `Choices` takes them.
+        learnt: For each learnt model its name, and the residual model that it adds to least squares.
+        epochs: Training epochs of the paper's network; None trains the default network of `fit_remainder`.
+        attitudes: Whether attitude residuals are learnt too.
         choices: Further fields of `Choices`.
 
     Returns:
-        Squared errors by model, and the calibration with the last of the terms.
+        Squared position errors of the held-out rows by model, and the calibration with the last entry of ``terms``.
 
     Raises:
         InputError: If the rows cannot be calibrated.
@@ -79,13 +82,20 @@ def left_by_models(
 def random_sets(
     plant: Plant, counts: Sequence[int], rng: np.random.Generator, instrument: str = TRACKER
 ) -> list[Measurements]:
-    """Sets of random poses, one for each of ``counts``, as an instrument sees them (`simulated_tracker`)."""
+    """Simulate measurements of a plant at random poses, one set for each number of poses in ``counts``.
+
+    Args:
+        plant: The true arm.
+        counts: Number of poses of each set.
+        rng: Random numbers for poses and instrument.
+        instrument: Instrument that measures, as `simulated_tracker` takes it.
+    """
     nominal = plant.arm.nominal
     return [simulated_tracker(plant, random_joints(nominal, count, rng), rng, instrument) for count in counts]
 
 
 def as_measured(plant: Plant, rows: Measurements, rng: np.random.Generator) -> Measurements:
-    """Readings of an arm by the instrument at the joints of these rows, with attitudes where the rows have them."""
+    """Simulate tracker readings of a plant at the joints of ``rows``, with attitudes if ``rows`` has attitudes."""
     reading = simulated_tracker(plant, rows.joints, rng)
     return replace(rows, position=reading.position, rotation=None if rows.rotation is None else reading.rotation)
 
@@ -93,17 +103,24 @@ def as_measured(plant: Plant, rows: Measurements, rng: np.random.Generator) -> M
 # Blocks of a grid of poses.
 
 ROWS, STEP, SEED = 400, 0.093, 20260
-"""Points of the grid, their distance in m, and the seed of the joints that find the workspace's extent."""
+"""Number of points of the grid, their distance in m, and the seed of the joints that give the workspace's extent."""
 
 WRIST = 0.3
-"""Largest random move of turning joints at each point of the grid, rad; slides stay."""
+"""Largest random offset of each revolute joint at a point of the grid, rad; prismatic joints get none."""
 
 FIELD = "field"
-"""Name of the plant whose remainder is made like the remainder of measured arms."""
+"""Name of the plant whose residual errors after least squares are made like those of measured arms."""
 
 
 def grid_joints(nominal: Geometry, rows: int, rng: np.random.Generator) -> Array:
-    """Joints ``(rows, n)`` of a grid of tool positions, line by line as a measuring run visits it, turned at each.
+    """Return joints ``(rows, n)`` of a grid of tool positions, line by line as a measuring run visits it, rad or m.
+
+    Each revolute joint is offset by up to `WRIST` at random.
+
+    Args:
+        nominal: Nominal geometry of the arm.
+        rows: Number of points, which are taken from the middle of the grid.
+        rng: Random numbers for the offsets.
 
     Raises:
         InputError: If the grid has fewer than ``rows`` points.
@@ -118,7 +135,12 @@ def grid_joints(nominal: Geometry, rows: int, rng: np.random.Generator) -> Array
 
 
 def blocks_apart(rows: Measurements, pair: tuple[int, int]) -> tuple[Measurements, Measurements]:
-    """Rows to fit, and held-out rows: those in two of ten contiguous blocks."""
+    """Split rows into rows to fit and held-out rows; two of ten contiguous blocks are held out.
+
+    Args:
+        rows: The rows.
+        pair: Numbers of the two held-out blocks, from 0 to 9.
+    """
     judging = np.isin(np.arange(len(rows)) * BLOCKS // len(rows), pair)
     return rows.select(np.flatnonzero(~judging)), rows.select(np.flatnonzero(judging))
 
@@ -126,15 +148,15 @@ def blocks_apart(rows: Measurements, pair: tuple[int, int]) -> tuple[Measurement
 def left_of_blocks(
     arm: Arm, rows: Measurements, number: int, apart: int, rng: np.random.Generator, **models: Any
 ) -> dict[str, float]:
-    """RMS position errors that models leave on two held-out blocks of a set, mm, by model.
+    """Return the RMS position error of each model on two held-out blocks of a set of rows, mm, by model.
 
     Args:
         arm: The arm.
         rows: The set.
-        number: Number of the set: every one has another pair of blocks.
+        number: Number of the set, which determines the pair of held-out blocks.
         apart: Distance between the two blocks, in tenths of the set.
-        rng: Seeds what learns.
-        models: Which models, as `left_by_models` takes them.
+        rng: Random numbers for the learnt models.
+        models: Arguments of `left_by_models` that select the models.
     """
     train, test = blocks_apart(rows, (number % BLOCKS, (number + apart) % BLOCKS))
     squares, _ = left_by_models(arm, train, test, rng, **models)
@@ -144,7 +166,7 @@ def left_of_blocks(
 # What a network removes, as the demonstration shows it.
 
 ARMS = 5
-"""Number of arms drawn from a design; several, since the gain of a network differs much between arms."""
+"""Number of arms drawn from each design; several, since the error that a network removes differs much between arms."""
 
 NETWORK: dict[str, Any] = {
     "terms": {LS: "none"},
@@ -154,19 +176,20 @@ NETWORK: dict[str, Any] = {
     "fit": "full",
     "frames": "fitted",
 }
-"""Models to compare: the paper's calibration and its network, with base and tool fitted."""
+"""Arguments of `left_by_models` for the paper's calibration and its network, with base and tool fitted."""
 
 
 @dataclass(frozen=True)
 class BlockedGain:
-    """The error of least squares on rows far from those fitted, and the share of it that a model removes.
+    """The error of least squares on rows far from the fitted ones, and the share of it that a model removes.
 
     Attributes:
-        arm: Name of the arms.
-        ls_mm: Error that least squares leaves, mm RMS, mean over arms.
+        arm: Name of the design, or of the measured arm.
+        ls_mm: RMS position error of least squares, mm, mean over arms.
         removed: Share of this error that a model removes, mean over arms, or over all rows of a measured arm.
-        lowest: The least share of any arm, or the lower 95 % end over ten blocks of a measured arm; None without one.
-        highest: The largest share, or the upper end.
+        lowest: Smallest share of any drawn arm. For a measured arm, lower end of the 95 % interval over ten blocks;
+            None without an interval.
+        highest: Largest share of any drawn arm, or the upper end of that interval.
     """
 
     arm: str
@@ -181,9 +204,10 @@ MEASURED = Path(__file__).with_name("measured_gains.json")
 
 
 def measured_gains(model: str = "LS + BPNN") -> tuple[BlockedGain, ...]:
-    """Shares of measured arms' errors that a model removes; each contiguous fifth of a file is held out in turn.
+    """Return the share of each measured arm's error that a model removes.
 
-    UR5 and WAM: Jacobi 2025; UR10: Landgraf et al. 2021. The models are not gated.
+    Each contiguous fifth of an arm's file is held out in turn.
+    UR5 and WAM: Jacobi 2025; UR10: Landgraf et al. 2021. No gate rejects a model that increases the error.
 
     Args:
         model: "LS + BPNN", "LS + GP" or "LS + terms".
@@ -198,13 +222,13 @@ def blocked_gains(
     arms: int = ARMS,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> list[BlockedGain]:
-    """Shares of the errors on held-out blocks that a network removes, on arms drawn from each design.
+    """Return the share of the error on held-out blocks that a network removes, for arms drawn from each design.
 
     Args:
-        designs: Names of plants, each with the seed of its arms, noise and networks.
-        joints: Joint commands in the order in which they are measured ``(N, n)``, as from `grid_joints`.
+        designs: For each plant its name, and the seed of its arms, noise and networks.
+        joints: Joint commands in the order in which they are measured ``(N, n)``, rad or m, as from `grid_joints`.
         arms: Number of arms drawn from each design.
-        progress: Told how many designs are done.
+        progress: Called with (name of the experiment, designs done, number of designs).
     """
     measure = partial(_left_on_design, designs=designs, joints=joints, arms=arms)
     rows = run(Experiment("gains on blocks held out", {"design": list(designs)}, {}, measure), progress=progress)

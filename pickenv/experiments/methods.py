@@ -1,7 +1,7 @@
-"""Simulated arms and their calibrations by a method's name, each arm measured by a tracker run of its own.
+"""Calibrate simulated arms by the name of a method; each arm is measured in its own simulated tracker run.
 
-"raw" is no calibration and "ls" least squares; "ls+MODEL" adds any registered residual model to them. Two have names of
-their own: "ls_bpnn" adds the paper's network, "best" a Gaussian process.
+"raw" is no calibration, and "ls" is least squares. "ls+MODEL" adds any registered residual model to least squares. Two
+such methods have names of their own: "ls_bpnn" adds the paper's network, "best" a Gaussian process.
 """
 
 from __future__ import annotations
@@ -34,10 +34,10 @@ METHODS: tuple[str, ...] = ("raw", "ls", "ls_bpnn", "best")
 """Methods that are compared by default."""
 
 RESIDUALS = {"ls": None, "ls_bpnn": "bpnn", "best": "gp"}
-"""The residual model that each method with a name of its own adds to least squares."""
+"""Residual model that each of these methods adds to least squares; None where it adds none."""
 
 ORIGIN = "evaluated_arm_sha256"
-"""Key in a kept calibration's record: the hash of the arm and of how it was calibrated."""
+"""Key in the record of a kept calibration: the hash of the arm and of how it was calibrated."""
 
 
 @dataclass(frozen=True)
@@ -45,10 +45,10 @@ class CalibrationPlan:
     """How each arm is measured and fitted.
 
     Attributes:
-        identification_poses: Poses for least squares (the paper: 100).
-        residual_poses: Poses for the residual model (the paper: 200).
-        epochs: Passes of the network's training (the paper: 500).
-        seed: Seed of poses, noise and networks; every arm has its own stream.
+        identification_poses: Number of poses for least squares (the paper: 100).
+        residual_poses: Number of poses for the residual model (the paper: 200).
+        epochs: Training epochs of the network (the paper: 500).
+        seed: Seed of poses, noise and networks; every arm has its own random stream.
         instrument: Instrument that measures the poses; a name of `pickenv.arm.load_instrument`, or a path.
     """
 
@@ -60,7 +60,7 @@ class CalibrationPlan:
 
 
 def check_method(method: str) -> None:
-    """Refuse an unknown method.
+    """Raise an error if a method is unknown.
 
     Raises:
         InputError: If it is none of `METHODS` and not "ls+" with a registered residual model.
@@ -76,7 +76,7 @@ def calibrate_arm(plant: Plant, method: str, plan: CalibrationPlan | None = None
     """Measure a simulated arm with a simulated tracker and calibrate it; equal arguments give equal calibrations.
 
     Args:
-        plant: The arm.
+        plant: The plant, that is the true arm.
         method: "ls", "ls_bpnn", "best", or "ls+" and the name of a registered residual model, such as "ls+rbf".
         plan: How the arm is measured and fitted; a default `CalibrationPlan` if left out.
         number: The arm's number in a population; every arm has its own poses and noise.
@@ -104,12 +104,12 @@ def calibrate_arm(plant: Plant, method: str, plan: CalibrationPlan | None = None
 
 
 def residual_of(method: str) -> str | None:
-    """The residual model that a method adds to least squares; None for "raw" and "ls"."""
+    """Return the name of the residual model that a method adds to least squares; None for "raw" and "ls"."""
     return RESIDUALS.get(method, method.partition("+")[2] or None)
 
 
 def sources_of(method: str, plan: CalibrationPlan) -> tuple[Any, ...]:
-    """Inputs that names alone do not fix: the source of a method's residual model, and the instrument's numbers."""
+    """Return what names do not determine: the source of the method's residual model, and the instrument's numbers."""
     residual = residual_of(method)
     return None if residual is None else str(origin("residual", residual)), load_instrument(plan.instrument)
 
@@ -118,12 +118,13 @@ def sources_of(method: str, plan: CalibrationPlan) -> tuple[Any, ...]:
 
 
 def kept_calibration(folder: Path, plant: Plant, method: str, plan: CalibrationPlan, number: int) -> Calibration:
-    """The calibration of an arm from a folder, made and kept there if it is missing; arguments as for `calibrate_arm`.
+    """Return the calibration of an arm from a folder; if it is not there, calibrate the arm and keep the result.
 
-    A file belongs to the arm's own numbers, to the plan and to the code that fits; its record says so as well.
+    The arguments after ``folder`` are those of `calibrate_arm`. The file name contains a hash of the arm's parameters,
+    the method, the plan and the fitting code. The file's record contains the same hash.
 
     Raises:
-        InputError: If the kept file is damaged, or belongs to another arm or plan than its name says.
+        InputError: If the kept file is damaged, or its record has another hash than its name.
     """
     key = input_key(plant, method, sources_of(method, plan), plan, number)
     path = folder / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', plant.name)}-{method}-{key[:16]}.npz"
@@ -144,7 +145,13 @@ def kept_calibration(folder: Path, plant: Plant, method: str, plan: CalibrationP
 def compensators(
     plants: Plant, method: str, plan: CalibrationPlan, folder: Path | None = None
 ) -> list[Compensate] | None:
-    """One compensator per arm of a population (or of a single arm), from the folder if there is one; None for "raw".
+    """Return one compensator for each arm of a population, or for a single arm; None for the method "raw".
+
+    Args:
+        plants: A single arm, or a population, that is a plant whose parameters are arrays over arms.
+        method: Method as for `calibrate_arm`, or "raw".
+        plan: How each arm is measured and fitted.
+        folder: Folder that keeps calibrations, as for `kept_calibration`; None keeps none.
 
     Raises:
         InputError: As `kept_calibration` does, or if there is no such method.
@@ -169,22 +176,23 @@ def reaches_behind(
     seed: int = 0,
     **arguments: Any,
 ) -> dict[str, Reaches]:
-    """Let a policy reach for the same fruit raw and calibrated.
+    """Let a policy reach for the same fruit with the arm raw and with the arm calibrated.
 
     Args:
-        act: Takes observations of all episodes at once, ``(N, ...)`` or a dict of them, and gives actions ``(N, n)``.
+        act: Function that maps the observations of all episodes, ``(N, ...)`` or a dict of such arrays, to actions
+            ``(N, n)``.
         compensations: Methods as for `calibrate_arm`, and "raw"; each calibrates the arm anew with a simulated tracker.
-        id: A reach environment with a native vector.
-        plant: The arm as it is.
-        episodes: N, one fruit each.
-        seed: Seed of fruit and calibrations; no two seeds share any.
+        id: Id of a reach environment that has a vectorised implementation of its own.
+        plant: The true arm: a plant preset or a plant file.
+        episodes: Number of episodes N, each with its own fruit.
+        seed: Seed of fruit and calibrations; two different seeds share neither.
         arguments: Further arguments of the environment.
 
     Returns:
-        The ends of the episodes for each compensation.
+        How the episodes ended, by compensation.
 
     Raises:
-        InputError: If a compensation or an argument is unknown, or the environment has no native vector.
+        InputError: If a compensation or an argument is unknown, or the environment has no vectorised implementation.
     """
     check_count("episodes", episodes)
     for name in compensations:

@@ -1,8 +1,9 @@
-"""Policies compared: policies × compensations × feedback × plants, on the same arms and fruit, one row an episode.
+"""Compare policies: policies × compensations × feedback × plants, on the same arms and fruit, with one row per episode.
 
-Arms are drawn from a population that no policy was trained on. Fruit, arms, pictures and calibrations depend on the
-seed alone, so that any two policies of one plant can be compared pair by pair; another seed shares nothing with it.
-`pickenv evaluate` is one seed, `pickenv bench policies` several. Calibrations are made first, once per arm and method.
+Arms are drawn from a population on which no policy was trained. Fruit, arms, pictures and calibrations depend on the
+seed alone, so any two policies on one plant can be compared pair by pair. Two different seeds share none of these.
+`pickenv evaluate` uses one seed, `pickenv bench policies` several. Each arm is calibrated once per method, before the
+episodes.
 """
 
 from __future__ import annotations
@@ -46,10 +47,10 @@ from pickenv.inspect.runs.run_folder import listed_files
 from pickenv.orchard import load_gripper
 
 RUNG = "rung:"
-"""Prefix of a ladder rung's name, where a plant's name may stand as well."""
+"""Prefix of the name of a rung, that is a difficulty of the ladder; such a name may replace a plant's name."""
 
 CYCLE_MM = 2.0
-"""Distance to the fruit within which a cycle counts as over, mm, for the cycle time."""
+"""Distance to the fruit within which a cycle counts as finished, mm, for the cycle time."""
 
 PICKERS: Mapping[str, Callable[[Any], Policy]] = {
     "scripted": ScriptedPick,
@@ -57,11 +58,12 @@ PICKERS: Mapping[str, Callable[[Any], Policy]] = {
     "oracle": OraclePick,
     "adaptive": lambda env: FeelingPick(env, AdaptiveReach(env, camera_std=2e-3, prior=2.0)),
 }
-"""The picking policies by name: one is gentle and waits for the arm to settle, the next does neither. The others wait;
-they aim by the true arm, or by what the gripper felt of the fruit before."""
+"""Functions that make the picking policies, by name. "scripted" is gentle and waits for the arm to settle; "hasty" does
+neither. The other two wait. "oracle" aims by the true arm, "adaptive" by what the gripper felt at earlier fruit."""
 
 RAW_PICKERS = ("oracle", "adaptive")
-"""Those whom a compensator would only stand in the way."""
+"""Picking policies that run on raw arms only: they correct the arm's errors themselves, so a compensator would disturb
+them."""
 
 
 @dataclass(frozen=True)
@@ -72,18 +74,18 @@ class PolicySettings:
         policies: Names of registered policies or of shipped baselines, policy files, or folders of one training with
             several seeds.
         compensations: Methods as for `calibrate_arm`, and "raw".
-        feedback: "encoders" (open loop) and "camera".
-        plants: Plant presets; or "rung:orchard" and so on: a rung of the ladder with its own arms for judging, of which
-            every seed takes others.
+        feedback: Kinds of feedback: "encoders" (open loop) and "camera".
+        plants: Plant presets, or rungs of the ladder such as "rung:orchard". A rung has arms of its own for judging;
+            each seed takes different ones.
         grippers: Names of grippers.
-        arms: Arms drawn for each plant and seed.
-        episodes: Fruits per arm.
+        arms: Number of arms drawn for each plant and seed.
+        episodes: Number of fruit per arm.
         seeds: Seeds of arms, fruit, pictures and calibrations.
-        tolerances: Class of the arms' tolerances.
-        camera_noise_mm: Standard deviation per axis of the camera's view of the gap.
-        fruit_noise_mm: Standard deviation per axis of the fruit's position as seen.
-        plan: How arms are calibrated; its seed is the comparison's.
-        canopies: Canopies that each picking policy clears with each arm and gripper, one after the other.
+        tolerances: Tolerance class of the arms.
+        camera_noise_mm: Standard deviation, per axis, of the vector from tool to fruit as the camera measures it.
+        fruit_noise_mm: Standard deviation, per axis, of the fruit's position in the observation.
+        plan: How arms are calibrated; its seed is replaced by the seed of the comparison.
+        canopies: Number of canopies that each picking policy clears with each arm and gripper, one after the other.
         split: Arms of a rung: "test", on which policies are judged, or "train".
     """
 
@@ -116,9 +118,15 @@ class PolicySettings:
         check_limit("epochs", self.plan.epochs, "epochs")
 
     def world(self, plant: str, seed: int, feedback: str = "encoders", task: str = "Reach") -> dict[str, Any]:
-        """Arguments of a task for a plant whose arms the seed draws, or for a rung of the ladder.
+        """Return the environment's arguments for a plant whose arms the seed draws, or for a rung of the ladder.
 
-        On a rung with eyes of its own, a policy that uses no camera sees the fruit as they do.
+        A rung may fix the perception errors. A policy without a camera then has the rung's fruit noise alone.
+
+        Args:
+            plant: Plant preset, or name of a rung.
+            seed: Seed of the comparison.
+            feedback: "encoders" or "camera".
+            task: "Reach" or "Pick".
 
         Raises:
             InputError: If there is no such rung, or it has fewer arms than all seeds take.
@@ -134,23 +142,29 @@ class PolicySettings:
         return own | arms | (sight if own and feedback == "encoders" else {})
 
     def first_arm(self, plant: str, seed: int) -> int:
-        """Number, in its population, of the first arm that a seed takes; on a rung all seeds share one population."""
+        """Return the index, in its population, of the first arm that a seed takes.
+
+        On a rung all seeds share one population; a plant has a population for each seed.
+        """
         return self.levels("seeds").index(seed) * self.arms if plant.startswith(RUNG) else 0
 
     def population(self, plant: str, seed: int) -> Plant:
-        """The arms of a plant that a seed draws, as the environments draw them; for a rung, those that it takes."""
+        """Return the arms of a plant that a seed takes, as one plant with arrays over arms.
+
+        The arms are drawn as the environments draw them.
+        """
         world, first = self.world(plant, seed), self.first_arm(plant, seed)
         draws = np.random.default_rng(world["population_seed"])
         drawn = draw_arms(world["plant"], world["tolerances"], first + self.arms, draws)
         return plants_on(drawn, lambda values: values[first:])
 
     def levels(self, name: str) -> tuple[Any, ...]:
-        """The values of the field ``name``, without repeats."""
+        """Return the distinct values of the field ``name``, in order."""
         return tuple(dict.fromkeys(getattr(self, name)))
 
 
 def population_seed(seed: int) -> int:
-    """The seed of the arms of a comparison, from the seed of the comparison."""
+    """Return the seed from which a comparison's arms are drawn, given the seed of the comparison."""
     return seed_words(stream(seed, "arms"), 1)[0]
 
 
@@ -165,29 +179,34 @@ def run_policies(
     progress: Progress | None = None,
     fits: Callable[..., bool] = lambda **levels: True,
 ) -> Rows:
-    """Let policies reach, or pick, with the same arms behind every compensation.
+    """Run policies on reaching, or on picking, on the same arms and fruit for every compensation; return the rows.
 
     Args:
         settings: What is compared.
-        folder: Where rows are kept for the next time, or None.
-        task: "reaching", for every policy with every feedback that it can use; "picking", where each of `PICKERS`, and
-            every learned policy that picks or remembers, clears canopies of `pickenv/Pick-v0` on the same plants, the
-            same for all. Of several trainings each seed's arms meet one, in turn.
-        cache: Where calibrations are kept for the next time; when None, in "calibrations" below ``folder``, if given.
-        backend: Where pieces are computed, as for `pickenv.experiments.run`.
-        workers: Processes.
-        progress: Called with (stage, done, in all).
-        fits: Called with plant, compensation, policy, seed and so on by name: whether that is measured.
+        folder: Folder that keeps rows for later runs, or None.
+        task: "reaching" runs every policy with every kind of feedback that it can use. "picking" runs each of
+            `PICKERS`, and every learned policy that picks or has a memory, on the canopies of `pickenv/Pick-v0`. All
+            get the same plants and canopies. If a policy has several trainings, each seed's arms meet one of them, in
+            turn.
+        cache: Folder that keeps calibrations for later runs; None for "calibrations" below ``folder``, if given.
+        backend: Backend that computes the pieces, as for `pickenv.experiments.run`.
+        workers: Number of processes.
+        progress: Called with (stage, done, total).
+        fits: Function that returns whether a combination is measured, called with plant, compensation, policy, seed and
+            so on by name.
 
     Returns:
-        Of reaching a row for each episode: plant, compensation, feedback, policy, seed and training (number of the file
-        of one with several), whether it was ``learned``, ``arm`` (no two seeds share a number) and ``episode``;
-        ``error_mm`` and ``attitude_deg`` at the end, ``way_mm`` after each step (NaN after the last), ``cycle_steps``
-        until the tool is within `CYCLE_MM` to stay (NaN where it never is), ``chance_NAME`` that a gripper takes the
-        fruit, and the fields of `pickenv.agents.Reaches`. Of picking a row for each arm, gripper and training, over all
-        canopies: grasps ``attempted``, fruit ``collected`` undamaged, the time taken (``duration_s``), and sums over
-        grasps of the distance between fruit and true tool (``error_sum_mm``) and of the tool's angle with the vertical
-        (``tilt_sum_deg``).
+        For reaching, one row per episode. It has plant, compensation, feedback, policy, seed, and training (number of
+        the file, for a policy with several). ``learned`` says whether the policy was learned. ``arm`` is the number of
+        the arm (no two seeds share one), ``episode`` that of the arm's episode. ``error_mm`` and ``attitude_deg`` are
+        the errors at the end. ``way_mm`` is the position error after each step (NaN after the last). ``cycle_steps`` is
+        the number of steps until the tool stays within `CYCLE_MM` (NaN if it never does). ``chance_NAME`` is the
+        probability that gripper NAME takes the fruit. The fields of `pickenv.agents.Reaches` are columns, too.
+
+        For picking, one row per arm, gripper and training, over all canopies. It has the numbers of grasps
+        ``attempted`` and of fruit ``collected`` undamaged, and the time taken (``duration_s``). Two columns are sums
+        over grasps: ``error_sum_mm`` of the distance between fruit and true tool, ``tilt_sum_deg`` of the angle between
+        tool and vertical.
 
     Raises:
         InputError: If a name is unknown, no policy can be run as asked, or a kept file is damaged.
@@ -218,7 +237,7 @@ def _calibrations(settings: PolicySettings, kept: Path, experiment: Experiment) 
 
 
 BEHIND = ("plant", "compensation", "seed")
-"""Levels that tell one calibrated population from another."""
+"""Columns whose levels identify a population of calibrated arms."""
 
 
 def _calibrated(
@@ -357,7 +376,7 @@ def _reaches(
 
 
 def reaches_in(rows: Rows) -> Reaches:
-    """How each episode in one plant's rows ended; joint columns that are not finite in every row are left out."""
+    """Return how the episodes of one plant ended; joint columns that are not finite in every row are left out."""
     columns: dict[str, Any] = {attribute.name: rows[attribute.name] for attribute in fields(Reaches)}
     commands = rows["joint_command"]
     return Reaches(**columns | {"joint_command": commands[:, np.isfinite(commands).all(axis=0)]})

@@ -1,4 +1,4 @@
-"""Tables, pages, figures and run folders of compared policies, all made from rows by `estimate`."""
+"""Tables, pages, figures and run folders of compared policies, all made from the rows of `run_policies`."""
 
 from __future__ import annotations
 
@@ -40,31 +40,43 @@ from pickenv.inspect.runs.number_words import between, said
 from pickenv.inspect.runs.run_folder import TakePicture, recorded_run, unedited
 
 EPISODES = "episodes.parquet"
-"""File in an evaluation's run folder that holds its episodes, one row each."""
+"""File in an evaluation's run folder that contains its episodes, one row each."""
 
 ROWS = "rows.json"
-"""File in an evaluation's run folder that holds its table, for people and other programs."""
+"""File in an evaluation's run folder that contains its table, for people and other programs."""
 
 CELL = ("policy", "compensation", "feedback", "plant")
-"""Columns whose levels say what a number of the table belongs to."""
+"""Columns whose levels identify a cell, that is the episodes behind one number of the table."""
 
 KEYS = (*CELL, "gripper")
 
 HEADS = ("mean (mm)", "95 % interval (mm)", "median arm (mm)", "95th arm (mm)", "success (%)", "cycle (s)")
-"""Heads of the columns beside `KEYS`; an interval without a column of its own follows its number in brackets."""
+"""Heads of the columns besides `KEYS`; an interval without a column of its own follows its number in brackets."""
 
 STATISTICS: Mapping[str, str | float] = {"mean": "mean", "median arm": 0.5, "95th percentile arm": 0.95}
 
 
 def estimates(rows: Rows, value: str, of: str | float = "mean", by: Sequence[str] = CELL) -> dict[Any, Estimate]:
-    """Estimates over arms, and over trainings where there are several, by the levels of the columns ``by``."""
+    """Estimate a number for each combination of levels of the columns ``by``.
+
+    The intervals are over arms, and over trainings if there are several.
+
+    Args:
+        rows: The rows.
+        value: Column that the numbers are estimated from.
+        of: Statistic, as `pickenv.base.intervals.estimate` takes it.
+        by: Columns that identify a number.
+
+    Returns:
+        The estimates by their levels of ``by``.
+    """
     over = ("arm", "training") if "training" in rows.columns else ("arm",)
     lines = estimate(rows.columns, value, by=by, over=over, of=of)
     return {tuple(line[name] for name in by): line["estimate"] for line in lines}
 
 
 def cell_of(rows: Rows, key: Sequence[Any], by: Sequence[str] = CELL) -> Rows:
-    """The rows whose columns ``by`` are at the levels ``key``."""
+    """Return the rows whose columns ``by`` have the levels ``key``."""
     return rows.where(**dict(zip(by, key, strict=True)))
 
 
@@ -72,12 +84,17 @@ def cell_of(rows: Rows, key: Sequence[Any], by: Sequence[str] = CELL) -> Rows:
 
 
 def evaluation_content(settings: PolicySettings, rows: Rows) -> dict[str, Any]:
-    """The table of an evaluation and the comparison of its compensations, for JSON."""
+    """Return the table of an evaluation and the comparisons of its compensations, for JSON."""
     return {"rows": evaluation_rows(settings, rows), "comparisons": compensations_compared(rows)}
 
 
 def evaluation_rows(settings: PolicySettings, rows: Rows) -> list[dict[str, Any]]:
-    """One row per policy × compensation × feedback × plant × gripper."""
+    """Return one row of numbers for each policy × compensation × feedback × plant × gripper.
+
+    Args:
+        settings: What was compared.
+        rows: The episodes, from `run_policies`.
+    """
     means, medians, worst = (estimates(rows, "error_mm", of) for of in STATISTICS.values())
     successes = {name: estimates(rows, f"chance_{name}", "share") for name in settings.grippers}
     table = []
@@ -113,7 +130,15 @@ def evaluation_rows(settings: PolicySettings, rows: Rows) -> list[dict[str, Any]
 
 
 def compensations_compared(rows: Rows) -> list[dict[str, Any]]:
-    """Comparisons of every compensation with each one listed before it, pair by pair."""
+    """Compare every compensation with each one before it, pair by pair on the same arms and fruit.
+
+    Args:
+        rows: The episodes, from `run_policies`.
+
+    Returns:
+        For each policy, feedback and plant, and each pair of compensations "from" and "to": "difference_mm" of the mean
+        error, its "ci95", and whether it is "significant".
+    """
     steps, names = [behind for (behind,) in rows.levels("compensation")], ("policy", "feedback", "plant")
     pairs = {}
     for number, base in enumerate(steps):
@@ -131,7 +156,7 @@ def compensations_compared(rows: Rows) -> list[dict[str, Any]]:
 
 
 def cells_of(row: Mapping[str, Any]) -> list[str]:
-    """The cells of a row as people are shown them: those of `KEYS` and of `HEADS`."""
+    """Return the cells of a row of `evaluation_rows` as text, in the order of `KEYS` and `HEADS`."""
     trained = {None: "", 1: " (one training)"}.get(row["trainings"], f" ({row['trainings']} trainings)")
     return [
         f"{row['policy']}{trained}",
@@ -146,13 +171,13 @@ def cells_of(row: Mapping[str, Any]) -> list[str]:
 
 
 def nearest_words(rows: Sequence[Mapping[str, Any]], comparisons: Sequence[Mapping[str, Any]]) -> list[str]:
-    """A sentence for each plant: which policy ends nearest, and by how much nearer than the same on the raw arm.
+    """Return a sentence for each plant: which policy ends nearest to the fruit, and its difference from the raw arm.
 
-    The oracle, which knows the true arm, is passed over.
+    The oracle, which knows the true arm, is left out.
 
     Args:
-        rows: Those of `evaluation_rows`.
-        comparisons: Those of `compensations_compared`.
+        rows: Rows of `evaluation_rows`.
+        comparisons: Rows of `compensations_compared`.
     """
     sentences = []
     for plant in dict.fromkeys(row["plant"] for row in rows):
@@ -169,11 +194,12 @@ def nearest_words(rows: Sequence[Mapping[str, Any]], comparisons: Sequence[Mappi
 
 
 def pivoted(rows: Sequence[Mapping[str, Any]], shares: bool = False) -> tuple[list[str], list[list[str]]]:
-    """Heads and cells of a table with a column for each compensation.
+    """Return heads and cells of a table with a column for each compensation.
 
     Args:
-        rows: Those of `evaluation_rows`.
-        shares: The shares of fruit taken, in percent, with a line for each gripper; if not, mean errors in mm.
+        rows: Rows of `evaluation_rows`.
+        shares: Whether the cells are shares of fruit taken, percent, with a line for each gripper; else mean errors,
+            mm.
     """
     keys = ["policy", "feedback", "plant", *(["gripper"] if shares else [])]
 
@@ -189,7 +215,7 @@ def _interval(row: Mapping[str, Any], sign: str = "") -> str:
 
 
 def gain_words(line: Mapping[str, Any]) -> tuple[str, str, str]:
-    """A comparison's difference, its interval, and whether it is significant."""
+    """Return a comparison's difference, its interval, and whether it is significant, as texts."""
     return (
         f"{line['difference_mm']:+.3f}",
         _interval(line, "+"),
@@ -201,7 +227,7 @@ def gain_words(line: Mapping[str, Any]) -> tuple[str, str, str]:
 
 
 def write_evaluation(settings: PolicySettings, rows: Rows, folder: Path) -> list[Path]:
-    """Write the run folder of an evaluation: every episode, and the table as JSON."""
+    """Write the run folder of an evaluation: every episode, and the table as JSON. Return the files."""
     names = {"policy": settings.policies, "compensation": settings.compensations, "feedback": settings.feedback}
     names |= {"plant": settings.plants, "gripper": settings.grippers}
     sizes = {"arms": settings.arms, "episodes": settings.episodes, "tolerances": settings.tolerances}
@@ -214,7 +240,11 @@ def write_evaluation(settings: PolicySettings, rows: Rows, folder: Path) -> list
 
 
 def read_episodes(run: Run) -> Rows:
-    """The episodes of an evaluation, to the bit; raises `InputError` if they were edited or exchanged."""
+    """Read the episodes of an evaluation, exactly as they were written.
+
+    Raises:
+        InputError: If they were edited or exchanged.
+    """
     return Rows.of_arrow(piece_table(unedited(run, EPISODES), run.command))
 
 
@@ -222,7 +252,12 @@ def read_episodes(run: Run) -> Rows:
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
-    """The page of an evaluation: its compensations compared, every cell with its interval, and figures."""
+    """Return the page of an evaluation: compensations compared, every cell with its interval, and figures.
+
+    Args:
+        run: Run folder of the evaluation.
+        picture: Not used; an evaluation's page has no picture of its recording.
+    """
     path = unedited(run, ROWS)
     with refusing_damage(path, "an evaluation's table", f"`{run.made_by}` makes it anew"):
         content = json.loads(path.read_text(encoding="utf-8"))
@@ -261,12 +296,12 @@ def _labelled(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def drawings(run: Run) -> Drawings:
-    """The figures of an evaluation's run folder."""
+    """Return the figures of an evaluation's run folder."""
     return evaluation_drawings(read_episodes(run))
 
 
 def evaluation_drawings(rows: Rows) -> Drawings:
-    """Every figure of an evaluation."""
+    """Return every figure of an evaluation, drawn from its episodes."""
     figures: list[Drawing] = []
 
     def add(name: str, caption: str, draw: Callable[..., Figure], *data: Any, **options: Any) -> None:
@@ -292,7 +327,7 @@ def evaluation_drawings(rows: Rows) -> Drawings:
 
 
 def aggregate_figure(rows: Rows) -> Figure:
-    """Mean, median and 95th percentile over arms of every cell with 95 % intervals, one panel row per plant."""
+    """Draw mean, median and 95th percentile over arms of every cell, with 95 % intervals; a row of panels per plant."""
     panels: dict[str, dict[str, dict[str, dict[str, plot_policies.Estimated]]]] = {}
     for title, of in STATISTICS.items():
         for (policy, compensation, feedback, plant), number in estimates(rows, "error_mm", of).items():
@@ -303,7 +338,7 @@ def aggregate_figure(rows: Rows) -> Figure:
 
 
 def success_curves(rows: Rows, plant: str) -> Figure:
-    """Success against lateral error for each gripper, and where the scripted policy lies on it, with its interval."""
+    """Draw success against lateral error for each gripper, with the scripted policy's place on each curve."""
     scripted = rows.where(policy="scripted", plant=plant)
     errors = estimates(scripted, "error_mm")
     grippers = tuple(name.removeprefix("chance_") for name in rows.columns if name.startswith("chance_"))
@@ -316,9 +351,9 @@ def success_curves(rows: Rows, plant: str) -> Figure:
 
 
 def cycle_figure(rows: Rows, plant: str) -> Figure:
-    """Accuracy against cycle time: mean error if the pick were made after each step, and the Pareto front of all.
+    """Draw accuracy against cycle time: mean error if the pick were made after each step, and the Pareto front of all.
 
-    Policies with a camera are shown on raw arms only, for there all compensations look alike.
+    Policies with a camera are shown on raw arms only, since all compensations look alike with a camera.
     """
     curves = {}
     for key in rows.where(plant=plant).levels(*CELL):
@@ -332,7 +367,7 @@ def cycle_figure(rows: Rows, plant: str) -> Figure:
 # The leaderboard: every policy on every rung of the ladder, on arms that no two seeds share.
 
 LEAST_SEEDS = 5
-"""Fewest seeds that a leaderboard may have."""
+"""Smallest number of seeds of a leaderboard."""
 
 _CAMERA = {"feedback": "camera", "camera_noise_mm": 1.0}
 RECIPES: Mapping[str, Training] = {
@@ -343,9 +378,9 @@ RECIPES: Mapping[str, Training] = {
     "recurrent_camera": Training("ppo_lstm"),
     "ppo_pick": Training("ppo", "pickenv/Pick-v0"),
 }
-"""Trainings of the leaderboard's learned policies, by their names on it; each is repeated with several seeds. PPO
-learns to reach on the ideal arm, the others on the smooth arm or, those that remember, on many like it. None knew a
-delay."""
+"""Trainings of the leaderboard's learned policies, by their names on it; each is repeated with several seeds. "ppo"
+learns to reach on the ideal arm. The policies with a memory ("window_camera", "recurrent_camera") learn on many arms
+like the smooth one, the others on the smooth arm. No training has a delay."""
 
 LEADERBOARD = PolicySettings(
     policies=("scripted", "servo", "adaptive", "oracle"), compensations=("raw", "ls", "best"), arms=12, episodes=10,
@@ -355,25 +390,25 @@ QUICK = replace(
     LEADERBOARD, policies=("scripted", "servo", "ppo_encoders"), plants=(f"{RUNG}orchard",), arms=1, episodes=4,
     plan=CalibrationPlan(epochs=20), canopies=0,
 )  # fmt: skip
-"""Minutes less, to try things out."""
+"""Settings of a smaller leaderboard for trying things out, which takes minutes less."""
 
 PICK_BEHIND = ("raw", "ls")
-"""Compensations behind which picks are counted; residual models change a pick no further."""
+"""Compensations with which picks are counted; residual models hardly change picks any further."""
 
 
 def rungs(names: Sequence[str]) -> tuple[str, ...]:
-    """Rungs of the ladder as `PolicySettings.plants` has them; "all" for each that has more than one arm."""
+    """Return rungs as `PolicySettings.plants` takes them; "all" gives every rung of the ladder with several arms."""
     return tuple(plant for name in names for plant in (LEADERBOARD.plants if name == "all" else [f"{RUNG}{name}"]))
 
 
 def trained(folder: Path, trainings: int, picking: bool = True, **how: Any) -> tuple[str, ...]:
-    """Train every recipe that the folder does not hold yet, and return the folders of the trainings, one a recipe.
+    """Train every recipe that the folder does not contain yet, and return the folders of the trainings, one per recipe.
 
     Args:
-        folder: Where trainings are kept.
-        trainings: Trainings of each recipe.
-        picking: Whether those of `pickenv/Pick-v0` are trained as well.
-        how: Where pieces are computed.
+        folder: Folder that keeps trainings.
+        trainings: Number of trainings of each recipe.
+        picking: Whether recipes of `pickenv/Pick-v0` are trained as well.
+        how: Arguments of `pickenv.experiments.run`, such as the backend.
     """
     recipes = tuple(name for name, recipe in RECIPES.items() if picking or recipe.env_id != "pickenv/Pick-v0")
     pieces = Experiment("trainings", {"training": range(trainings)}, {"policy": recipes}, partial(_train, folder))
@@ -391,13 +426,16 @@ def _train(folder: Path, *, rng: np.random.Generator, policy: str, training: int
 
 
 def run_leaderboard(settings: PolicySettings, folder: Path, trainings: int = 0, **how: Any) -> dict[str, Any]:
-    """Run the parts that were not run yet, and return the rows of both tasks; arguments as for `run_policies`.
+    """Run the parts of a leaderboard that were not run yet, and return the rows of both tasks.
 
     Args:
         settings: What is compared.
-        folder: Where trainings, calibrations and rows are kept.
-        trainings: Trainings of each of `RECIPES`, whose policies join those of ``settings``.
-        how: Where pieces are computed.
+        folder: Folder that keeps trainings, calibrations and rows.
+        trainings: Number of trainings of each of `RECIPES`, whose policies join those of ``settings``; 0 for none.
+        how: Further arguments of `run_policies`, such as the backend.
+
+    Returns:
+        "reach" and "pick": rows of numbers, one per policy and cell.
 
     Raises:
         InputError: If there are too few seeds, or as `run_policies` does.
@@ -433,7 +471,12 @@ def _worth_judging(compensation: str, feedback: str, **levels: Any) -> bool:
 
 
 def distance_within(cell: Rows, share: float) -> Estimate:
-    """Distance within which a share of an arm's reaches end, mm: the mean over arms, and trainings, of one policy."""
+    """Estimate the distance within which a share of an arm's reaches end, mm, as a mean over arms and trainings.
+
+    Args:
+        cell: Episodes of one policy.
+        share: The share, from 0 to 1.
+    """
     order, fruit = np.lexsort((cell["training"], cell["arm"])), len(cell) // len(cell.levels("arm", "training"))
     units = {name: cell[name][order][::fruit] for name in ("arm", "training")}
     distance = np.quantile(cell["error_mm"][order].reshape(-1, fruit), share, axis=1)
@@ -441,7 +484,13 @@ def distance_within(cell: Rows, share: float) -> Estimate:
 
 
 def picking_rows(rows: Rows) -> list[dict[str, Any]]:
-    """One row per picker, compensation, plant and gripper; intervals are over arms, each with one training."""
+    """Return one row of numbers per picking policy, compensation, plant and gripper.
+
+    Intervals are over arms, each with one training.
+
+    Args:
+        rows: Rows of `run_policies` for picking.
+    """
     by = ("plant", "policy", "compensation", "gripper")
     numbers = {
         "error_mm": estimate(rows.columns, ("error_sum_mm", "attempted"), by, of="ratio"),
@@ -465,7 +514,13 @@ def picking_rows(rows: Rows) -> list[dict[str, Any]]:
 
 
 def leaderboard_tables(board: Mapping[str, Any]) -> dict[str, tuple[list[str], list[list[str]]]]:
-    """Heads and cells of the leaderboard's tables by title: one for each plant of both tasks, and of all trainings."""
+    """Return heads and cells of the leaderboard's tables, by title.
+
+    Each plant has a table for each task; policies with several trainings have further tables.
+
+    Args:
+        board: Result of `run_leaderboard`.
+    """
     tables: dict[str, tuple[list[str], list[list[str]]]] = {}
     for plant, group in groupby(board["reach"], lambda row: row["plant"]):
         rows = [row for row in group if row["gripper"] == board["reach"][0]["gripper"]]
@@ -519,7 +574,7 @@ def _percent(share: float, ends: Sequence[float | None] | None) -> str:
 
 
 def leaderboard_summary(board: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """Heads and cells of a screen's one table: mean errors (mm), raw and behind the last compensation, by rung."""
+    """Return heads and cells of a table for a screen: mean errors, mm, raw and with the last compensation, by rung."""
     rows = []
     for plant, group in groupby(board["reach"], lambda row: row["plant"]):
         for mine in _by_policy(list(group)):
@@ -530,7 +585,7 @@ def leaderboard_summary(board: Mapping[str, Any]) -> tuple[list[str], list[list[
 
 
 def leaderboard_page(board: Mapping[str, Any]) -> str:
-    """The leaderboard's tables in Markdown."""
+    """Return the leaderboard's tables in Markdown."""
     parts = []
     for title, (heads, cells) in leaderboard_tables(board).items():
         lines = (f"| {' | '.join(line)} |" for line in (heads, ["---"] * len(heads), *cells))

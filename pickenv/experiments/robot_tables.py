@@ -1,4 +1,4 @@
-"""The output of `pickenv bench calibration`: rows for programs (JSON), and tables for people."""
+"""Format the results of `pickenv bench calibration`: rows for programs (JSON), and tables for people."""
 
 from __future__ import annotations
 
@@ -29,13 +29,15 @@ NOTE = (
 
 
 def bench_json(bench: Bench) -> dict[str, Any]:
-    """Every row in one format; reductions are fractions, None where there is no such figure.
+    """Return every result in one format for JSON; reductions are fractions, None where there is no such number.
 
-    Keys of a row: "robot", "split" ("random" or "blocks"), "model", "nominal_mm" (base and tool fitted), "held_out_mm",
-    "measured_reduction" (of the error of the model that "before" names), its "ci95", "predicted_reduction" (by twins of
-    other rows) and "predicted_ci95" (where one more arm would lie), "statistic" ("rms") and "rows" judged. "models" are
-    the table of measured robots, a row for each number: "value_mm" with its ends "low_mm" and "high_mm", and what is
-    "used" by it.
+    An entry of "rows" has "robot", "split" ("random" or "blocks"), "model", and the number of "rows" judged. Its errors
+    are "nominal_mm" (base and tool fitted) and "held_out_mm"; "statistic" is "rms". "measured_reduction" is relative to
+    the error of the model that "before" names; its interval is "ci95". "predicted_reduction" is that of twins of other
+    rows. "predicted_ci95" is the interval in which one more arm's reduction would lie.
+
+    "models" is the table of measured robots, with one entry per number: "value_mm" with its ends "low_mm" and
+    "high_mm", and "used", the models that were used.
     """
     return {
         "rows": bench.gains,
@@ -47,7 +49,7 @@ def bench_json(bench: Bench) -> dict[str, Any]:
 
 
 def blocked_json(bench: Bench, made: str) -> dict[str, Any]:
-    """The shares of errors that models remove on held-out blocks: the demonstration's `measured_gains.json`.
+    """Return the shares of errors that models remove on held-out blocks, as the demonstration's `measured_gains.json`.
 
     Args:
         bench: The finished bench.
@@ -86,16 +88,20 @@ def _ends(model: dict[str, Any]) -> list[float | None]:
 
 
 def agreement(gains: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """How well the gain of every model on blocks was predicted, beside a guess that knows only the other robots.
+    """Compute how well twins predicted every model's gain on blocks, beside a null prediction from the other robots.
+
+    The null prediction is the mean measured gain of the other robots. Other series of the same robot are left out of
+    it.
 
     Args:
-        gains: Rows of the table "gains".
+        gains: Rows of `Bench.gains`.
 
     Returns:
-        "sets" and "gains" counted on blocks; "models", for each its "robots" and how far, in percentage points, the
-        twin is from what was measured, "median_points" and "worst_points", beside the mean of the other robots,
-        "null_median_points" and "null_worst_points" (None of a single one; other series of the same robot are left
-        out); "learnt_on_blocks" and "sign_right", how often a learnt residual's sign is.
+        A mapping for JSON. "sets" and "gains" are the numbers of sets and of gains on blocks. "models" has for each
+        model its "robots", and distances between predicted and measured gain in percentage points. "median_points" and
+        "worst_points" are those of the twins. "null_median_points" and "null_worst_points" are those of the null
+        prediction, None if there is only one robot. "learnt_on_blocks" is the number of gains of learnt residuals, and
+        "sign_right" the share of these whose sign is predicted right.
     """
     blocks = [gain for gain in gains if gain["split"] != "random"]
     models = []
@@ -128,7 +134,7 @@ def agreement(gains: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def agreement_words(bench: Bench) -> str:
-    """A few sentences on how well gains were predicted; empty where no gains were asked for."""
+    """Return a few sentences on how well gains were predicted; empty if no gains were asked for."""
     if not bench.gains:
         return ""
     found = agreement(bench.gains)
@@ -145,7 +151,7 @@ def agreement_words(bench: Bench) -> str:
 
 
 def points_words(found: Mapping[str, Any]) -> str:
-    """The figures of `agreement` in words; empty where no blocks were held out."""
+    """Return the numbers of `agreement` as sentences; empty if no blocks were held out."""
     if not found["gains"]:
         return ""
     medians: list[str] = []
@@ -169,7 +175,7 @@ def points_words(found: Mapping[str, Any]) -> str:
 
 
 def gain_cells(bench: Bench) -> list[tuple[str, ...]]:
-    """The cells of the table of predicted and measured reductions."""
+    """Return the cells of the table of predicted and measured reductions, line by line."""
     cells: list[tuple[str, ...]] = []
     for gain in bench.gains:
         predicted, measured = gain["predicted_reduction"], gain["measured_reduction"]
@@ -182,7 +188,7 @@ def gain_cells(bench: Bench) -> list[tuple[str, ...]]:
 
 
 def csv_files(bench: Bench) -> dict[str, str]:
-    """The tables of gains and of measured robots as CSV texts by file name, as pages show them; none without rows."""
+    """Return the tables of gains and of measured robots as CSV texts, by file name; an empty table is left out."""
     tables = {GAINS_FILE: (GAIN_HEADS, gain_cells(bench)), ROBOTS_FILE: (SPREAD_HEADS, spread_cells(bench.models))}
     texts: dict[str, str] = {}
     for name, (heads, rows) in tables.items():
@@ -193,7 +199,7 @@ def csv_files(bench: Bench) -> dict[str, str]:
 
 
 def spread_cells(models: Rows) -> list[tuple[str, ...]]:
-    """The cells of the table of measured robots, for the rows that were judged."""
+    """Return the cells of the table of measured robots, line by line, for the rows that were judged."""
     table: list[tuple[str, ...]] = []
     for (name,) in models.levels("row"):
         nominal, ls, best = models.where(row=name).dicts()

@@ -1,9 +1,9 @@
-"""Errors that calibrations leave on measured robots: beside twins' predictions, and in the table of results.
+"""Errors that calibrations leave on measured robots, beside the errors that twins (arms fitted to the data) predict.
 
-Two experiments, each in a folder of its own. "gains" are of folds of a robot's rows: squared errors of the rows held
-out, measured, and on arms drawn from the twin of the other rows. "models" are rows of the table of measured robots,
-each model with its spread. Every piece has a random stream of its own, so that figures are the same whatever is run
-beside it. SI units; mm where names say so.
+There are two experiments, each in a folder of its own. "gains" is over folds of a robot's rows. It computes squared
+errors of the held-out rows, as measured and on arms drawn from the twin of the other rows. "models" is over the rows of
+the table of measured robots; each has the error of several models with its spread. Every piece has a random stream of
+its own, so its results do not depend on what else is run. SI units; mm where names say so.
 """
 
 from __future__ import annotations
@@ -36,16 +36,17 @@ from pickenv.experiments.gains import LEARNT, LS, NOMINAL, TERMS, Squares, as_me
 
 @dataclass(frozen=True)
 class RealSet:
-    """The data files of one robot.
+    """The data files of one measured robot.
 
     Attributes:
         robot: Name of the robot in tables.
-        arm: Arm name or file; {} is the folder of the data sets.
+        arm: Arm name or file; {} stands for the folder of the data sets.
         columns: Column description.
-        files: Rows, as a pattern below the folder of the data sets.
-        poses: Files with rows of other poses to judge by, as such a pattern; empty where there are none.
-        published: Mean error that others published for these poses, or for the rows where there are no such poses, mm.
-        twinned: Whether twins are made of the set and residuals learnt; it then has poses or positions for five folds.
+        files: Files of the rows, as a glob pattern below the folder of the data sets.
+        poses: Files of separate test poses, as such a pattern; empty if there are none.
+        published: Published mean error at the test poses, or at the rows if there are no test poses, mm.
+        twinned: Whether twins are made of the set and residuals learnt, which needs enough poses or positions for five
+            folds.
     """
 
     robot: str
@@ -57,10 +58,10 @@ class RealSet:
     twinned: bool = False
 
     def paths(self, data: Path) -> tuple[list[Path], list[Path]]:
-        """The files of the rows, and the files of the other poses.
+        """Return the files of the rows, and the files of the test poses.
 
         Raises:
-            InputError: If there are none.
+            InputError: If a pattern matches no file.
         """
         both = [sorted(data.glob(pattern)) if pattern else [] for pattern in (self.files, self.poses)]
         for pattern, files in zip((self.files, self.poses), both, strict=True):
@@ -69,7 +70,9 @@ class RealSet:
         return both[0], both[1]
 
     def load(self, data: Path) -> tuple[Arm, Observations, Observations | None]:
-        """The arm, the rows and the other poses; no twin knows what a file says of its repeats, as most say nothing.
+        """Read the arm, the rows and the test poses (None if there are none).
+
+        What a file says about repeated measurements is discarded, since most files say nothing about them.
 
         Raises:
             InputError: If there are no such files, or they cannot be read.
@@ -84,32 +87,32 @@ class RealSet:
 
 TABLES: dict[str, Any] = tomllib.loads(Path(__file__).with_name("robots.toml").read_text(encoding="utf-8"))
 SETS = {name: RealSet(**entry) for name, entry in TABLES["sets"].items()}
-"""Every measured robot, by name."""
+"""The data files of every measured robot, by name."""
 
 
 # Folds of a set, and arms drawn from the twin of each.
 
 SPLITS = ("random", "blocks")
 GAINS = {f"gain_{name}_{split}": (name, split) for name in SETS if SETS[name].twinned for split in SPLITS}
-"""Rows of predicted beside measured gains: each name with the robot's set and the split."""
+"""Rows that compare predicted with measured gains: robot's data set and split of each, by the row's name."""
 
 BEFORE = {LS: NOMINAL, TERMS: LS, **dict.fromkeys(LEARNT, LS)}
-"""For each model, the model whose error its reduction is a share of."""
+"""For each model, the model to whose error its reduction is relative."""
 
 BATCHES = 4
-"""Largest ratio of arms drawn to arms wanted, where some cannot be calibrated."""
+"""Largest number of batches of arms drawn from a twin; later batches replace arms that cannot be calibrated."""
 
 
 @dataclass(frozen=True)
 class BenchSettings:
-    """Settings that say how much is computed.
+    """How much the bench computes.
 
     Attributes:
-        rows: Most rows of a set for predicted and measured gains, equally spaced in its file.
-        folds: Parts of these rows that are held out in turn.
-        draws: Arms drawn from each fold's twin.
-        splits: Random splits of those rows.
-        seed: Seed of everything random.
+        rows: Largest number of rows of a set for predicted and measured gains, equally spaced in its file.
+        folds: Number of parts of these rows, each held out in turn.
+        draws: Number of arms drawn from each fold's twin.
+        splits: Number of random splits of a set in the table of measured robots.
+        seed: Seed of all random numbers.
     """
 
     rows: int = 600
@@ -120,14 +123,27 @@ class BenchSettings:
 
     @staticmethod
     def quick() -> BenchSettings:
-        """Settings with which the UR5 takes about a minute."""
+        """Return settings with which the UR5 takes about a minute."""
         return BenchSettings(rows=160, folds=2)
 
 
 def fold_errors(
     rng: np.random.Generator, row: str, fold: int, settings: BenchSettings, data: Path
 ) -> Mapping[str, Any]:
-    """Squared errors of one fold's held-out rows, by model: as measured ("drawn" is 0), and of each drawn arm."""
+    """Compute squared errors of one fold's held-out rows, for the measured arm and for arms drawn from the fold's twin.
+
+    Args:
+        rng: Not used; random numbers depend on the seed, the row and the fold.
+        row: Name of the row in `GAINS`.
+        fold: Number of the fold, from 0.
+        settings: How much is computed.
+        data: Folder of the data sets.
+
+    Returns:
+        Columns. "drawn" is 0 for the measured arm, else the number of the drawn arm. "at" is the number of the held-out
+        row. Each model has a column of its squared errors, m^2. The counts are "refused" (drawn arms that could not be
+        calibrated), "rows" and "rows_in_file".
+    """
     name, split = GAINS[row]
     arm, rows, _ = SETS[name].load(data)
     used = learnable(arm, rows, settings.rows)
@@ -142,10 +158,10 @@ def fold_errors(
 
 
 def learnable(arm: Arm, rows: Observations, most: int) -> Measurements:
-    """Poses or positions for a comparison of models: at most so many, equally spaced, without those that are far off.
+    """Return poses or positions for a comparison of models: at most ``most``, equally spaced, without outliers.
 
     Raises:
-        InputError: If something else was measured, from which no residual is learnt and no twin is made.
+        InputError: If the rows are of another kind, from which no residual is learnt and no twin is made.
     """
     if not isinstance(rows, Measurements):
         raise InputError(f"{rows.source} holds {rows.kind}: only of poses and positions a twin is made")
@@ -156,7 +172,14 @@ def learnable(arm: Arm, rows: Observations, most: int) -> Measurements:
 def folds_of(
     poses: RowNumbers, split: str, folds: int, rng: np.random.Generator
 ) -> list[tuple[RowNumbers, RowNumbers]]:
-    """Rows to fit and held-out rows of each fold: random parts of a file, or contiguous ones, as ``split`` says."""
+    """Return the rows to fit and the held-out rows of each fold.
+
+    Args:
+        poses: Number of the pose of each row ``(N,)``; rows of one pose stay in one fold.
+        split: "random" for random parts of a file, else contiguous ones.
+        folds: Number of folds.
+        rng: Random numbers for the split.
+    """
     count = int(poses.max()) + 1
     place = np.argsort(rng.permutation(count)) if split == "random" else np.arange(count)
     return contiguous_folds(np.zeros_like(poses), place[poses], folds)
@@ -165,18 +188,25 @@ def folds_of(
 def judged_fold(
     arm: Arm, data: Measurements, rows: tuple[RowNumbers, RowNumbers], draws: int, seed: np.random.SeedSequence
 ) -> tuple[list[Squares], int]:
-    """Calibrate the measured arm and arms drawn from its twin on ``rows[0]``, and judge them on ``rows[1]``.
+    """Calibrate the measured arm, and arms drawn from its twin, on the fitted rows; judge them on the held-out rows.
 
-    The twin is made of the fitted rows alone. Its arms are draws from the posterior of geometry, terms and remainder,
-    with the arm's own scatter, measured at the same joints with the instrument's scatter; a mean of the posterior
-    would flatter every model.
+    The twin is made from the fitted rows alone. Its arms are drawn from the posterior of geometry, terms and remainder,
+    with the arm's own scatter. They are measured at the same joints with the instrument's scatter. A mean of the
+    posterior would make every model look too good.
+
+    Args:
+        arm: The arm.
+        data: Its rows.
+        rows: Numbers of the fitted rows, and of the held-out rows.
+        draws: Number of arms drawn from the twin.
+        seed: Seed of all random numbers.
 
     Returns:
-        A list of squared errors, of the measured rows and then of each drawn arm; and the number of arms for which no
-        calibration was found, and which other draws replaced.
+        Squared errors of the measured rows and then of each drawn arm; and the number of drawn arms that were replaced
+        because they could not be calibrated.
 
     Raises:
-        InputError: If the measured rows cannot be calibrated, or too many of the arms drawn.
+        InputError: If the measured rows, or too many of the drawn arms, cannot be calibrated.
     """
     first, drawing, *others = seed.spawn(2 + draws)
     fitted, held_out = (data.select(part) for part in rows)
@@ -205,11 +235,11 @@ class SpreadRow:
     """One row of the table of measured robots.
 
     Attributes:
-        name: Name of the set.
-        how: Which rows judge: "random", "blocks", or "poses" of files of their own.
-        terms: Terms, as `Choices` has them.
-        residual: Residual model, as `Choices` has it.
-        statistic: "rms" or "mean".
+        name: Name of the robot's data set.
+        how: Rows that judge: "random" (random splits), "blocks" (each in turn), or "poses" (separate test poses).
+        terms: Parametric terms, as `Choices` takes them.
+        residual: Residual model, as `Choices` takes it.
+        statistic: Statistic of the position errors: "rms" or "mean".
         remark: Remark beside the best model.
     """
 
@@ -222,21 +252,28 @@ class SpreadRow:
 
     @property
     def real(self) -> RealSet:
-        """The robot's set that the row is about."""
+        """The robot's data set."""
         return SETS[self.name]
 
     @property
     def published(self) -> float | None:
-        """What others published of these rows, mean in mm: of the other poses, where there are such."""
+        """Published mean error, mm, at the test poses if there are some, else at the rows; None for other rows."""
         return self.real.published if self.how == ("poses" if self.real.poses else "random") else None
 
 
 SPREAD = {name: SpreadRow(**entry) for name, entry in TABLES["rows"].items()}
-"""The rows of the table of measured robots by name, in its order."""
+"""The rows of the table of measured robots by name, in the table's order."""
 
 
 def model_errors(rng: np.random.Generator, row: str, settings: BenchSettings, data: Path) -> list[dict[str, Any]]:
-    """Errors that nominal, geometric and best model leave, mm, with the ends of their spread; NaN for missing ones."""
+    """Return errors of nominal arm, geometry and best model, mm, with the ends of their spread; missing ends are NaN.
+
+    Args:
+        rng: Not used; random numbers depend on the seed alone.
+        row: Name of the row in `SPREAD`.
+        settings: How much is computed.
+        data: Folder of the data sets.
+    """
     spread = SPREAD[row]
     arm, rows, poses = spread.real.load(data)
     choices = Choices(terms=spread.terms, residual=spread.residual)
@@ -271,20 +308,20 @@ def _stated(statistic: str, result: Result) -> Array:
 # All of them.
 
 ROWS = (*GAINS, *SPREAD)
-"""Every row that can be asked for."""
+"""Names of every row that can be asked for."""
 
 QUICK = ("gain_ur5_random", "gain_ur5_blocks", "ur5_random")
 
 
 @dataclass(frozen=True, eq=False)
 class Bench:
-    """The results of a bench: errors that calibrations leave.
+    """The results of a bench: errors that calibrations leave on measured robots.
 
     Attributes:
         settings: How much was computed.
         gains: Predicted beside measured gains, as rows of the JSON file.
-        models: Rows of measured robots: row, model, value and ends of each.
-        skipped: Rows that were not made, and why.
+        models: Rows of the table of measured robots: row, model, value and ends of its spread.
+        skipped: Rows that were not computed, each with the reason.
     """
 
     settings: BenchSettings
@@ -302,18 +339,18 @@ def run_bench(
     workers: int = 1,
     progress: Progress | None = None,
 ) -> Bench:
-    """Make the given rows, or go on making them.
+    """Compute the given rows; an interrupted run continues.
 
     Args:
-        rows: Some of `ROWS`.
+        rows: Names from `ROWS`.
         settings: How much is computed.
         data: Folder of the data sets.
         out: Folder for results.
-        workers: Processes.
-        progress: Called with (experiment, pieces done, pieces in all).
+        workers: Number of processes.
+        progress: Called with (name of the experiment, pieces done, total number of pieces).
 
     Raises:
-        InputError: If a row has no such name, or none has data.
+        InputError: If a name is unknown, or none of the rows has data.
     """
     skipped: dict[str, str] = {}
     for name in rows:
@@ -355,13 +392,14 @@ def _inputs(row: str, settings: BenchSettings, data: Path, **_: int) -> tuple[An
 
 
 def gains_of(folds: Rows) -> list[dict[str, Any]]:
-    """The gain of every model over all folds of one set and split, as rows of the JSON file.
+    """Compute the gain of every model over all folds of one set and split, as rows of the JSON file.
 
-    All intervals are at 95 %. That of the measured gain is over rows for random folds, or over ten blocks of the file,
-    since neighbours in a block are alike; that of the predicted gain is for one more drawn arm.
+    All intervals are at 95 %. The interval of a measured gain is over rows for random folds. For contiguous folds it is
+    over ten blocks of the file, since neighbouring rows are alike. The interval of a predicted gain is for one more
+    drawn arm.
 
     Args:
-        folds: Rows of `fold_errors`.
+        folds: Rows of `fold_errors`, of all folds.
     """
     name, split = GAINS[folds["row"][0]]
     measured, arm_numbers = folds.where(drawn=0), range(1, int(folds["drawn"].max()) + 1)
@@ -398,15 +436,19 @@ def _interval(pairs: Array, split: str) -> Ends | None:
 
 
 def predicted_gain(after: Array, before: Array) -> tuple[float, Ends | None]:
-    """The mean gain of drawn arms, and the interval in which one more arm's gain would lie.
+    """Compute the mean gain of drawn arms, and the interval in which one more arm's gain would lie.
 
-    The twins of the folds differ and their arms are drawn apart, so the gain of one arm varies by the sum of what it
-    varies by from arm to arm of each fold's twin (first order in the squares), with folds (draws - 1) degrees of
-    freedom.
+    The folds have different twins, whose arms are drawn independently. The variance of one arm's gain is therefore the
+    sum of the variances between the arms of each fold's twin (first order in the squares). It has folds * (draws - 1)
+    degrees of freedom.
 
     Args:
-        after: Sums of squared errors that the model leaves ``(folds, draws)``.
-        before: Sums of squared errors that the step before leaves.
+        after: Sums of squared errors that the model leaves ``(folds, draws)``, m^2.
+        before: Sums of squared errors of the reference model ``(folds, draws)``, m^2.
+
+    Returns:
+        The gain, a share from 0 to 1 (below 0 for a loss), and the ends of its interval; None with fewer than two
+        draws.
     """
     folds, draws = after.shape
     gain = float(np.mean(1.0 - np.sqrt(after.sum(axis=0) / before.sum(axis=0))))

@@ -1,14 +1,14 @@
-"""A tolerance study: its settings, read from a TOML file, and the arms that it draws, with what each arm meets.
+"""Tolerance studies: their settings, read from a TOML file, and the arms that they draw, calibrate and judge.
 
-A study is a list of settings: populations of arms, how they are calibrated, and what they carry. Files and columns are
-in mm, deg and kg, and every name says so; inside it is SI.
+A study is a list of settings. A setting is a population of arms, the way they are calibrated, and the payload that they
+carry. Files and columns are in mm, deg and kg, and every name says so; inside it is SI.
 
-Everything follows from the study's seed and the arm's own number alone, never from chunks, workers or settings: arm 17
+All random numbers follow from the study's seed and the arm's number, never from chunks, workers or settings. Arm 17
 deviates in the same direction in every grade, reaches for the same fruit and is measured at the same poses. No two arms
-share anything, so that they are independent, and a yield is that of the design over its workspace.
+share fruit, poses or noise, so arms are independent, and a yield is that of the design over its workspace.
 
-Arms are worked on one by one with arrays of the same shapes and one thread, so that their numbers are the same to the
-bit whatever the executor, the workers and the chunks. Errors are m and rad; the columns of rows are mm and deg.
+Arms are computed one by one with arrays of the same shapes and one thread. Their numbers are thus the same to the bit
+for any number of workers and any size of chunks. Errors are m and rad; the columns of rows are mm and deg.
 """
 
 from __future__ import annotations
@@ -63,16 +63,17 @@ from pickenv.envs.shared.task import GOAL_MARGIN
 from pickenv.experiments.engine import Rows
 
 VERSION = 3
-"""Version of the rows; it is raised when a configuration gives other rows, so that old and new results do not mix."""
+"""Version of the rows. It is raised when a configuration gives other rows, so that old and new results are never
+mixed."""
 
 RAW, LS = "raw", "ls"
 METHODS = (RAW, LS, *(f"{LS}+{kind}" for kind in names("residual")))
-"""Ways of calibration: none, least squares, and least squares with each kind of learnt residual."""
+"""Ways of calibration: none, least squares, and least squares with each registered residual model."""
 
 
 @toml_table
 class Noise:
-    """Standard deviation of the tracker, per axis.
+    """Standard deviations of the tracker's readings, per axis.
 
     Attributes:
         position_mm: Standard deviation of a position, mm.
@@ -88,21 +89,21 @@ DEFAULT_NOISE = Noise(POSITION_STD * 1e3, math.degrees(ATTITUDE_STD))
 
 
 SETTING = ("setting", "tolerances", "it_grade", "poses", "noise_mm", "noise_deg", "payload_kg", "method")
-"""Columns that name a setting."""
+"""Columns that identify a setting."""
 
 
 @dataclass(frozen=True)
 class Setting:
-    """One cell of a study: a population, how its arms are calibrated, and what they carry.
+    """One setting of a study: a population of arms, how they are calibrated, and the payload that they carry.
 
     Attributes:
         number: Position in the study's list, from 0.
         tolerances: Tolerance class.
         it_grade: ISO 286-1 grade of the lengths.
-        poses: Calibration poses; 0 without calibration.
-        noise_mm: Noise of the tracker's positions; zero without calibration.
-        noise_deg: Noise of its attitudes.
-        payload_kg: Mass held at the tool while picking; calibrations are made with the plant's own.
+        poses: Number of calibration poses; 0 without calibration.
+        noise_mm: Standard deviation of the tracker's positions, mm; 0 without calibration.
+        noise_deg: Standard deviation of the tracker's attitudes, deg; 0 without calibration.
+        payload_kg: Mass held at the tool while picking, kg; during calibration it is the plant's own payload.
         method: One of `METHODS`.
     """
 
@@ -116,12 +117,12 @@ class Setting:
     method: str
 
     def columns(self) -> dict[str, Any]:
-        """The columns that name this setting."""
+        """Return the columns that identify this setting, by name."""
         return dict(zip(SETTING, astuple(self), strict=True))
 
     @property
     def calibration(self) -> Setting:
-        """What arms are told in this setting: the same in all that differ in payload alone."""
+        """This setting without number and payload; settings that differ in payload alone have the same calibration."""
         return replace(self, number=0, payload_kg=0.0)
 
 
@@ -136,24 +137,25 @@ PAYLOAD, RADIUS = Unit("kg").within(*LIMITS["payload_kg"]), Unit("mm").within(*L
 
 @toml_table
 class StudyConfig:
-    """A study; `load_study` reads it.
+    """Configuration of a tolerance study; `load_study` reads it.
 
     Attributes:
         plant: Plant preset, or path to a plant file.
         seed: Seed of arms, noise, fruit and poses.
-        arms: Arms N of every setting.
-        chunk: Number of arms that are worked on and stored together.
-        fruit: Fruit M that every arm reaches for.
-        payload_kg: Payloads.
-        radius_mm: An arm gets a fruit when its tool ends within this distance of it.
-        share: An arm is within specification when it gets at least this share of the fruit.
+        arms: Number of arms N in every setting.
+        chunk: Number of arms that are computed and stored together.
+        fruit: Number of fruit M that every arm reaches for.
+        payload_kg: Masses held at the tool while picking, kg.
+        radius_mm: An arm gets a fruit when its tool ends within this distance of it, mm.
+        share: An arm is within specification when it gets at least this share of its fruit.
         tolerances: Tolerance classes, by name or path.
-        it_grades: ISO 286-1 grades, each instead of the class's own; None for the class's own.
-        methods: Calibrations, of `METHODS`.
+        it_grades: ISO 286-1 grades, each of which replaces the grade of the classes; None for the classes' own grades.
+        methods: Methods of calibration, of `METHODS`.
         poses: Numbers of calibration poses.
-        noise: Standard deviations of the tracker's readings, range and centring within.
-        instrument: What measures the arms, and how long it waits; a name of `pickenv.arm.load_instrument`, or a path.
-        residual_poses: Further poses for a learnt residual.
+        noise: Standard deviations of the tracker's readings, which include the errors of range and centring.
+        instrument: Instrument that measures the arms, and how long it waits; a name of `pickenv.arm.load_instrument`,
+            or a path.
+        residual_poses: Number of further poses for a learnt residual.
     """
 
     _: KW_ONLY
@@ -174,7 +176,10 @@ class StudyConfig:
     instrument: Annotated[str, INSTRUMENT, IN_CALIBRATION] = TRACKER
 
     def settings(self) -> tuple[Setting, ...]:
-        """All cells: populations first, payloads last; an arm without calibration has neither poses nor tracker."""
+        """Return all settings; populations vary slowest, payloads fastest.
+
+        An arm without calibration has neither poses nor tracker noise.
+        """
         classes = self.load_tolerances().items()
         populations = [
             (name, grade) for name, tolerances in classes for grade in (self.it_grades or (tolerances.it_grade,))
@@ -191,22 +196,22 @@ class StudyConfig:
         )
 
     def chunks(self) -> range:
-        """Numbers of the chunks."""
+        """Return the numbers of all chunks."""
         return range(-(-self.arms // self.chunk))
 
     def arms_of(self, chunk: int) -> range:
-        """Numbers of the arms of a chunk."""
+        """Return the numbers of the arms of a chunk."""
         return range(chunk * self.chunk, min((chunk + 1) * self.chunk, self.arms))
 
     def quick(self) -> StudyConfig:
-        """A small version for trying things out: the same settings on 40 arms and 20 fruit at most."""
+        """Return a smaller study for trying things out: the same settings with at most 40 arms and 20 fruit."""
         return replace(self, arms=min(self.arms, 40), fruit=min(self.fruit, 20), chunk=min(self.chunk, 20))
 
     def load_plant(self) -> Plant:
-        """The design that arms are drawn from.
+        """Load the design that arms are drawn from.
 
         Raises:
-            InputError: If the plant is unknown or impossible, or cannot carry the payloads.
+            InputError: If the plant is unknown or impossible, or has no link masses for the payloads to act on.
         """
         plant = load_plant(self.plant)
         if plant.load is None and any(self.payload_kg):
@@ -216,7 +221,7 @@ class StudyConfig:
         return plant
 
     def load_tolerances(self) -> dict[str, Tolerances]:
-        """The tolerance classes by name.
+        """Load the tolerance classes, by name.
 
         Raises:
             InputError: If one is unknown or impossible.
@@ -224,7 +229,7 @@ class StudyConfig:
         return {name: load_tolerances(name) for name in self.tolerances}
 
     def sha256(self) -> str:
-        """Hash of everything that the rows depend on, including the numbers of plant, instrument and tolerance classes.
+        """Return the hash of all that the rows depend on: configuration, plant, instrument and tolerance classes.
 
         Raises:
             InputError: If plant, instrument or tolerance class are unknown or impossible.
@@ -233,7 +238,7 @@ class StudyConfig:
         return content_sha256(VERSION, self, *parts)
 
     def toml(self) -> str:
-        """This configuration as a TOML file that `load_study` reads."""
+        """Return this configuration as the text of a TOML file that `load_study` reads."""
         noise = ", ".join(
             f"{{ position_mm = {n.position_mm!r}, attitude_deg = {n.attitude_deg!r} }}" for n in self.noise
         )
@@ -267,30 +272,32 @@ def load_study(path: str | Path) -> StudyConfig:
 # What is drawn.
 
 ARM_STREAM, TRACKER_STREAM, FRUIT_STREAM, POSES_STREAM, RESIDUAL_STREAM = range(5)
-"""First part of the key of each random stream."""
+"""First part of the spawn key of each random stream."""
 
 MAX_TILT = math.radians(30.0)
 """Largest angle of the tool with the vertical when it reaches for fruit, rad, as in `pickenv/Reach-v0`."""
 
 DRAWS = 1000
-"""Joints drawn for every fruit before an arm counts as unable to hold its tool upright."""
+"""Number of random joint vectors for every fruit after which an arm counts as unable to hold its tool upright."""
 
 AT_ONCE = 4
-"""Joints drawn for every fruit at a time; with shipped arms two in five or more hold the tool upright."""
+"""Number of random joint vectors drawn for every fruit at a time; with shipped arms two in five or more hold the tool
+upright."""
 
 TRIED = 5
-"""Number of arms on which a study's numbers of poses are tried before it begins."""
+"""Number of arms on which the numbers of poses are tried before a study begins."""
 
 
 @dataclass(frozen=True, eq=False)
 class Circumstances:
-    """The fruit, poses and tracker errors that one arm meets in every setting.
+    """The fruit, calibration poses and tracker errors of one arm, which are the same in every setting.
 
     Attributes:
         number: The arm's number.
         fruit: Nominal joints that bring the tool to each of its fruit ``(M, n)``, rad or m.
-        poses: Calibration poses ``(P, n)``, spread evenly; a setting with fewer uses the first ones.
-        tracker: Errors of the tracker at these poses, and effects of the arm's friction, in standard deviations.
+        poses: Joints of the calibration poses ``(P, n)``, rad or m, from a Halton sequence; a setting with fewer poses
+            uses the first ones.
+        tracker: Standard normal draws for the tracker's errors at these poses, and for the arm's friction.
     """
 
     number: int
@@ -300,7 +307,7 @@ class Circumstances:
 
     @property
     def perfect(self) -> Circumstances:
-        """These circumstances with nothing left to chance, neither in the tracker nor in the friction."""
+        """These circumstances without random errors of tracker and friction."""
         return replace(self, tracker=NormalDraws(*(np.zeros_like(part) for part in self.tracker)))
 
 
@@ -309,12 +316,12 @@ class Protocol:
     """A study that is ready to run.
 
     Attributes:
-        config: What is studied.
+        config: The study's configuration.
         settings: The settings of the study.
         design: The plant that arms are drawn from.
         tolerances: Tolerance classes by name.
-        model: What least squares identifies.
-        tracker: The instrument that measures the arms, without its errors.
+        model: Error model whose parameters least squares identifies.
+        tracker: Instrument that measures the arms; each setting gives it another noise.
     """
 
     config: StudyConfig
@@ -326,25 +333,25 @@ class Protocol:
 
     @property
     def nominal(self) -> Geometry:
-        """The geometry that the controller believes in: the design's nominal one."""
+        """The nominal geometry of the design, which the controller assumes."""
         return self.design.arm.nominal
 
     def populations(self) -> list[list[Setting]]:
-        """The settings grouped by population: settings of one group draw the same arms."""
+        """Return the settings grouped by population; the settings of one group draw the same arms."""
         groups = groupby(self.settings, key=lambda setting: (setting.tolerances, setting.it_grade))
         return [list(group) for _, group in groups]
 
     def draw(self, setting: Setting, arms: range) -> Plant:
-        """Draw the arms with the numbers ``arms`` from a setting's population, as a batch."""
+        """Draw the arms with the numbers ``arms`` from a setting's population, as one plant with arrays over arms."""
         parent = np.random.SeedSequence(self.config.seed, spawn_key=(ARM_STREAM,), n_children_spawned=arms.start)
         tolerances = replace(self.tolerances[setting.tolerances], it_grade=setting.it_grade)
         return draw_plants(self.design, tolerances, len(arms), np.random.default_rng(parent))
 
     def circumstances(self, arm: int) -> Circumstances:
-        """The circumstances of the arm with this number.
+        """Return the circumstances of the arm with this number.
 
         Raises:
-            InputError: If no joints are found that hold the tool upright.
+            InputError: If too few joints are found that hold the tool upright.
         """
         count = max((setting.poses for setting in self.settings), default=0)
         return Circumstances(
@@ -355,17 +362,17 @@ class Protocol:
         )
 
     def instrument(self, setting: Setting) -> Instrument:
-        """The instrument that measures the arms of a setting."""
+        """Return the instrument that measures the arms of a setting, with the setting's noise."""
         noise = MeasurementNoise(setting.noise_mm * 1e-3, math.radians(setting.noise_deg))
         return replace(self.tracker, noise=noise)
 
     def stream(self, purpose: int, arm: int) -> np.random.Generator:
-        """A generator of an arm's random numbers for a purpose: any ``..._STREAM`` of this module but `ARM_STREAM`."""
+        """Return the random generator of an arm for a purpose: any ``..._STREAM`` of this module but `ARM_STREAM`."""
         return np.random.default_rng(np.random.SeedSequence(self.config.seed, spawn_key=(purpose, arm)))
 
 
 def prepared_study(config: StudyConfig) -> Protocol:
-    """Load what a study needs, and try its first arms.
+    """Load everything that a study needs, and try its fruit and its numbers of poses on the first arms.
 
     Raises:
         InputError: If plant or tolerance class are unknown, poses are too few to calibrate with, or no fruit is found.
@@ -383,18 +390,21 @@ def prepared_study(config: StudyConfig) -> Protocol:
 
 
 def measured(protocol: Protocol, arm: Plant, setting: Setting, around: Circumstances) -> Measurements:
-    """Readings of an arm by the setting's tracker at its calibration poses."""
+    """Simulate the readings of an arm at its calibration poses by the setting's tracker."""
     instrument, poses = protocol.instrument(setting), setting.poses
     return tracked(arm, instrument, around.poses[:poses], around.tracker.first(poses))
 
 
 def carrying(plant: Plant, payload_kg: float) -> Plant:
-    """The plant with a mass held at its tool; a plant without masses stays as it is."""
+    """Return the plant with a mass held at its tool; a plant without link masses is returned unchanged."""
     return plant if plant.load is None else replace(plant, load=replace(plant.load, payload=payload_kg))
 
 
 def spread_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> Array:
-    """Joints ``(count, n)`` spread evenly over their ranges (scrambled Halton); so is any first part of them."""
+    """Return joints ``(count, n)`` that cover their ranges uniformly, from a scrambled Halton sequence, rad or m.
+
+    The first joints of the sequence cover the ranges uniformly, too.
+    """
     if not count:
         return np.empty((0, nominal.joints))
     return np.asarray(qmc.scale(qmc.Halton(nominal.joints, rng=rng).random(count), nominal.lower, nominal.upper))
@@ -437,18 +447,19 @@ SIZES: Mapping[str, tuple[str, Callable[[Any], tuple[Any, ...]]]] = {
     "creep": ("base_tilt", lambda effect: (effect.creep,)),
     "settlement": ("base_tilt", lambda effect: (effect.settlement,)),
 }
-"""Which numbers of which effect each column holds; effects of random numbers of their own have columns by name."""
+"""For each column, the effect that it belongs to, and a function that returns the column's parameters of that effect.
+Effects with random numbers of their own have columns named after them."""
 
 
 def deviations(design: Plant, arms: Plant) -> dict[str, Array]:
-    """The columns of drawn deviations for a batch of arms.
+    """Return the deviations of drawn arms from their design, as columns.
 
     Args:
         design: The plant that the arms were drawn from.
-        arms: N arms.
+        arms: The N arms, as one plant with arrays over arms.
 
     Returns:
-        Columns ``(N,)`` by name. Numbers that are zero in the design, and so in every arm, have no column.
+        Columns ``(N,)`` by name. Parameters that are zero in the design, and so in every arm, have no column.
     """
     nominal = design.arm.nominal
     names = iter(nominal.parameter_names)
@@ -484,11 +495,11 @@ def deviations(design: Plant, arms: Plant) -> dict[str, Array]:
 
 
 OK = "ok"
-"""Status of an arm that was calibrated and judged; any other is a sentence that says why it was not."""
+"""Status of an arm that was calibrated and judged; any other status is a sentence that says why it was not."""
 NOT_FINITE = "the simulated arm has no finite pose at some fruit"
 ERROR = "error_mean_mm"
 FIGURES = (ERROR, "error_rms_mm", "error_p50_mm", "error_p95_mm", "error_max_mm", "attitude_mean_deg")
-"""Columns of errors over an arm's fruit, NaN where the status is not `OK`; so is ``share_within``."""
+"""Columns of errors over an arm's fruit. They, and ``share_within``, are NaN where the status is not `OK`."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -498,9 +509,11 @@ class Outcomes:
     Attributes:
         setting: The setting.
         status: For each arm, `OK` or why it could not be judged ``(N,)``.
-        iterations: Least-squares steps of each arm ``(N,)``.
-        position: Distance of true and wanted tool at each fruit ``(N, M)``, m; arbitrary where the status is not OK.
-        attitude: Angle between true and wanted attitude at each fruit ``(N, M)``, rad; arbitrary likewise.
+        iterations: Number of least-squares steps of each arm ``(N,)``.
+        position: Distance between true and wanted tool at each fruit ``(N, M)``, m; arbitrary where the status is not
+            OK.
+        attitude: Angle between true and wanted attitude at each fruit ``(N, M)``, rad; arbitrary where the status is
+            not OK.
     """
 
     setting: Setting
@@ -522,11 +535,14 @@ def gathered(outcomes: Sequence[Outcomes]) -> Outcomes:
 
 
 Judge: TypeAlias = Callable[[Sequence[Setting], Plant, Sequence[Circumstances]], list[Outcomes]]
-"""Judges a batch of arms, each in its own circumstances, in some settings: their outcomes in each."""
+"""Function that judges a batch of arms, each in its own circumstances, and returns their outcomes in each setting."""
 
 
 def evaluate_chunk(protocol: Protocol, chunk: int, rng: object = None) -> Rows:
-    """The rows of a chunk of arms; what they draw follows from the study's seed and their numbers, not from ``rng``."""
+    """Compute the rows of a chunk of arms, one arm at a time.
+
+    ``rng`` is not used: random numbers follow from the study's seed and the arms' numbers.
+    """
 
     def judge(settings: Sequence[Setting], plants: Plant, around: Sequence[Circumstances]) -> list[Outcomes]:
         outcomes = [evaluate_arm(protocol, settings, plant_at(plants, i), met) for i, met in enumerate(around)]
@@ -537,7 +553,7 @@ def evaluate_chunk(protocol: Protocol, chunk: int, rng: object = None) -> Rows:
 
 
 def judged_chunk(protocol: Protocol, chunk: int, judge: Judge) -> Rows:
-    """The rows of a chunk of arms, population by population, as ``judge`` finds them."""
+    """Compute the rows of a chunk of arms with the function ``judge``, population by population."""
     arms = protocol.config.arms_of(chunk)
     around = [protocol.circumstances(arm) for arm in arms]
     populations = []
@@ -554,10 +570,10 @@ def evaluate_arm(protocol: Protocol, settings: Sequence[Setting], arm: Plant, ar
         protocol: The study.
         settings: The settings; the arm need not be of their populations.
         arm: The true arm.
-        around: Its fruit, its calibration poses and how its tracker errs.
+        around: Its fruit, its calibration poses and the tracker's errors.
 
     Returns:
-        For each setting, the outcomes of one arm.
+        For each setting, the outcomes of this one arm.
     """
     command = cache(lambda calibration: arm_commands(protocol, calibration, arm, around))
     outcomes = []
@@ -571,10 +587,11 @@ def evaluate_arm(protocol: Protocol, settings: Sequence[Setting], arm: Plant, ar
 
 
 def arm_commands(protocol: Protocol, setting: Setting, arm: Plant, around: Circumstances) -> tuple[Array, str, int]:
-    """Calibrate one arm as the setting says, and correct its commands.
+    """Calibrate one arm as the setting says, and return its corrected joint commands for the fruit.
 
     Returns:
-        Joint commands ``(M, n)``, rad or m; `OK`, or why the arm could not be calibrated; steps of the least squares.
+        Joint commands ``(M, n)``, rad or m; `OK`, or why the arm could not be calibrated; and the number of
+        least-squares steps.
     """
     if setting.method == RAW:
         return around.fruit, OK, 0
@@ -608,7 +625,12 @@ def _calibrated(protocol: Protocol, setting: Setting, arm: Plant, around: Circum
 
 
 def reach_status(missed: int, config: StudyConfig) -> str:
-    """Status of an arm whose commands, as its own calibration says, end far from ``missed`` of its fruit."""
+    """Return `OK`, or why an arm cannot be judged: by its own calibration, too many fruit are out of its reach.
+
+    Args:
+        missed: Number of fruit from which the corrected commands end too far, as the arm's calibration predicts.
+        config: The study's configuration.
+    """
     if (config.fruit - missed) / config.fruit >= config.share:
         return OK
     return (
@@ -618,7 +640,13 @@ def reach_status(missed: int, config: StudyConfig) -> str:
 
 
 def figures(position: Array, attitude: Array, radius_mm: float) -> dict[str, Array]:
-    """Error columns ``(N,)`` of arms with these errors ``(N, M)``, m and rad."""
+    """Compute the error columns ``(N,)`` of arms from their errors at the fruit.
+
+    Args:
+        position: Position errors ``(N, M)``, m.
+        attitude: Attitude errors ``(N, M)``, rad.
+        radius_mm: The specified radius, mm.
+    """
     position_mm = 1e3 * np.ascontiguousarray(position)
     median, p95 = np.percentile(position_mm, [50, 95], axis=1)
     values = (
@@ -633,7 +661,7 @@ def figures(position: Array, attitude: Array, radius_mm: float) -> dict[str, Arr
 
 
 def chunk_rows(protocol: Protocol, arms: range, populations: Sequence[tuple[Plant, Sequence[Outcomes]]]) -> Rows:
-    """The rows of a chunk, one for each arm and setting, sorted by both.
+    """Return the rows of a chunk, one for each arm and setting, sorted by arm and then by setting.
 
     Args:
         protocol: The study.

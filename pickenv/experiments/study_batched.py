@@ -1,10 +1,9 @@
-"""Calibrate and judge thousands of arms of a study at once, in torch: the arms are the last axis of every component.
+"""Calibrate and judge thousands of arms of a study at once, in torch; arms are the last axis of every component.
 
-Physics, least squares and compensation are the same as arm by arm (`pickenv.experiments.study`), so that the rows
-agree. All arms start at the nominal geometry. Which parameters are redundant
-follows from each arm's poses, and is nearly always the same; an arm with other ones, or one that needs more than
-undamped steps, is handed over to the code for single arms. Components are ``(M, N)`` at
-fruit and ``(P, N)`` at poses, arms last. SI.
+Physics, least squares and compensation are those of single arms (`pickenv.experiments.study`), so the rows agree. All
+arms start at the nominal geometry. Which parameters are redundant follows from an arm's poses, and is nearly always the
+same. An arm with other redundant parameters, or one for which undamped steps do not suffice, is computed by the code
+for single arms. Components have shapes ``(M, N)`` at M fruit and ``(P, N)`` at P poses, for N arms. SI units.
 """
 
 from __future__ import annotations
@@ -37,20 +36,29 @@ from pickenv.experiments.engine import Rows
 from pickenv.experiments.study import measured
 
 BLOCKS = {"cpu": 2**14, "cuda": 2**22}
-"""Number of poses worked on together on each device: as many as a core's caches hold, or as keep a GPU busy."""
+"""Number of poses computed together on each device: as many as fit a core's caches, or as keep a GPU busy."""
 
 IN_TIME = 8
-"""Factor on the number of poses worked on together where the arms are measured in time."""
+"""Factor on the number of poses computed together for a plant with state, whose measuring is simulated in time."""
 
 
 Commands: TypeAlias = tuple[Sequence[Tensor], NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]
-"""For N arms: joint commands, one array ``(M, N)`` per joint, rad or m; fruit out of each arm's reach ``(N,)``, as far
-as its calibration can say; least-squares steps ``(N,)``; and whether each arm was calibrated here ``(N,)``, where the
-others are calibrated one by one."""
+"""Corrected commands of N arms, as a tuple of four: joint commands, one array ``(M, N)`` per joint, rad or m; number of
+fruit out of each arm's reach ``(N,)``; number of least-squares steps ``(N,)``; and whether each arm was calibrated here
+``(N,)``. Reach is what the arm's calibration predicts. The other arms are calibrated one by one."""
 
 
 def evaluate_batch(protocol: study.Protocol, chunk: int, rng: object = None, device: str = "cpu") -> Rows:
-    """The rows of a chunk of arms; what they draw follows from the study's seed and their numbers, not from ``rng``."""
+    """Compute the rows of a chunk of arms, many arms at a time.
+
+    ``rng`` is not used: random numbers follow from the study's seed and the arms' numbers.
+
+    Args:
+        protocol: The study.
+        chunk: Number of the chunk.
+        rng: Not used.
+        device: "cpu" or "cuda".
+    """
     return study.judged_chunk(protocol, chunk, partial(judge_batch, protocol, device=device))
 
 
@@ -61,7 +69,18 @@ def judge_batch(
     around: Sequence[study.Circumstances],
     device: str = "cpu",
 ) -> list[study.Outcomes]:
-    """Judge any batch of arms in settings of one population, each arm in its own circumstances: outcomes by setting."""
+    """Judge a batch of arms, each in its own circumstances, in settings of one population.
+
+    Args:
+        protocol: The study.
+        settings: The settings.
+        plants: The arms, as one plant with arrays over arms.
+        around: Circumstances of each arm.
+        device: "cpu" or "cuda".
+
+    Returns:
+        For each setting, the outcomes of all arms.
+    """
     place = partial(torch.as_tensor, dtype=torch.float64, device=device)
     poses = BLOCKS[device] * (IN_TIME if protocol.design.has_state else 1)
     size = max(1, poses // max(protocol.config.fruit, *(setting.poses for setting in protocol.settings)))
@@ -74,7 +93,7 @@ def judge_batch(
 
 
 def check_device(device: str) -> None:
-    """Refuse a device that this machine lacks.
+    """Raise an error if this machine lacks a device.
 
     Raises:
         InputError: If it is not "cpu" or "cuda", or there is no such GPU.
@@ -145,13 +164,14 @@ def _norms(components: Sequence[Tensor], count: int) -> Array:
 # Rank-aware least squares of many arms, step by step as `least_squares` takes them.
 
 STEPS = 10
-"""Most undamped steps for an arm here; an arm that needs more is handed over. Three or four are usual."""
+"""Largest number of undamped steps for an arm here; three or four are usual. An arm that needs more is computed
+alone."""
 
 
 def visited_frames(
     protocol: study.Protocol, plants: Plant, around: Sequence[study.Circumstances], place: Place
 ) -> list[Tensor]:
-    """True tool frames ``(P, N)`` when the tracker reads them, at all calibration poses that the study has."""
+    """Return the true tool frames ``(P, N)`` when the tracker reads them, at all calibration poses of the study."""
     visits = np.stack([met.poses for met in around], axis=1)
     stops = np.stack([met.tracker.stops for met in around], axis=-1)
     frame = visited(plants, torch, visits, protocol.tracker, stops, place)
@@ -165,18 +185,18 @@ def identify_batch(
     around: Sequence[study.Circumstances],
     place: Place,
 ) -> tuple[Geometry, NDArray[np.int64], NDArray[np.bool_]]:
-    """Read and identify many arms.
+    """Simulate the tracker's readings of many arms, and identify their geometries by least squares.
 
     Args:
         protocol: The study.
-        setting: Poses and tracker.
-        read: Frames from `visited_frames`; a setting of fewer poses takes the first.
-        around: What each arm meets.
-        place: Puts arrays where torch computes.
+        setting: Setting that gives the number of poses and the tracker's noise.
+        read: Frames from `visited_frames`; a setting of fewer poses takes the first ones.
+        around: Circumstances of each arm.
+        place: Function that moves an array to where torch computes.
 
     Returns:
-        The identified geometries, with link parameters ``(N, n)``; how many least-squares steps each arm took ``(N,)``;
-        and whether the usual parameters and undamped steps led to its minimum ``(N,)``.
+        The identified geometries, with link parameters ``(N, n)``; the number of least-squares steps ``(N,)``; and for
+        each arm whether the usual parameters and undamped steps led to its minimum ``(N,)``.
     """
     nominal, count, poses = protocol.nominal, len(around), setting.poses
     design, instrument = protocol.design, protocol.instrument(setting)

@@ -1,7 +1,7 @@
 """The findings of a finished study: its worst, median and best arms, the verdict in words, and figures.
 
-Each figure takes rows of yields, quantiles or sensitivities; mm, degrees, percent. `study_drawings` says which of them
-a study allows, with their captions, and why others are left out.
+Each figure is drawn from rows of yields, quantiles or sensitivities; mm, degrees, percent. `study_drawings` lists the
+figures that a study allows, with captions, and says why others are left out.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ from pickenv.inspect.reports.report_page import PageVerdict
 from pickenv.inspect.runs.number_words import percent
 
 DENSE = tuple(float(p) for p in np.linspace(0.01, 0.99, 99))
-"""Probabilities of the distributions that are drawn."""
+"""Probabilities of the quantiles from which distributions are drawn."""
 
 
 @dataclass(frozen=True, eq=False)
 class Findings:
-    """What a study found, computed once for figures and report.
+    """The findings of a study, computed once for figures and report.
 
     Attributes:
-        protocol: The study made ready.
+        protocol: The study, ready to run.
         rows: Its rows, verified.
         yields: Rows of `yields_of`.
         quantiles: Rows of `quantiles_of`.
-        dense: Quantiles of the mean position error at `DENSE`.
-        sensitivities: For one setting of each method, all else in the middle of what was varied, the rows of
-            `sensitivities_of`, by number; or why there are none.
+        dense: Quantiles of the mean position error at the probabilities `DENSE`.
+        sensitivities: Rows of `sensitivities_of`, or why there are none, by number of setting. There is one setting for
+            each method; everything else that was varied is at its middle value.
     """
 
     protocol: study.Protocol
@@ -56,12 +56,12 @@ class Findings:
     sensitivities: dict[int, list[dict[str, Any]] | str]
 
     def label(self, setting: int) -> str:
-        """A setting in a few words, with units."""
+        """Return a setting in a few words, with units."""
         return setting_label(self.yields[setting])
 
 
 def gather(folder: str | Path) -> Findings:
-    """Analyse a study's rows.
+    """Analyse the rows of a study's folder, and return the findings.
 
     Raises:
         InputError: If the folder holds no study or no rows.
@@ -89,7 +89,7 @@ def _sensitivities(rows: Dataset, setting: int) -> list[dict[str, Any]] | str:
 
 
 def ranked(rows: Dataset, setting: int) -> dict[str, tuple[int, float]]:
-    """Number and mean error in mm of the worst, the median and the best arm of a setting.
+    """Return number and mean position error, mm, of a setting's arms "worst", "median" and "best".
 
     Raises:
         InputError: If no arm of the setting has a result.
@@ -107,15 +107,15 @@ def ranked(rows: Dataset, setting: int) -> dict[str, tuple[int, float]]:
 # The verdict: which way of making and calibrating arms is enough, at which payload, and how surely.
 
 REQUIRED_YIELD = 0.95
-"""Share of arms for which a way of making and calibrating arms counts as sufficient."""
+"""Yield from which a way of making and calibrating arms counts as sufficient."""
 CHOICES = ("tolerances", "it_grade", "method", "poses", "noise_mm", "noise_deg")
-"""What a maker chooses; the payload is what the arms then meet."""
+"""Columns that a maker of arms chooses; the payload is what the arms then carry."""
 FEW = 200
-"""Number of arms below which the verdict says how little they tell."""
+"""Number of arms below which the verdict says how uncertain the yields are."""
 
 
 def study_verdict(config: study.StudyConfig, rows: Sequence[Row]) -> PageVerdict:
-    """Whether a way of making and calibrating arms suffices at its hardest payload, and the least demanding such way.
+    """Return the verdict: the least demanding way to make and calibrate arms that suffices at its hardest payload.
 
     Args:
         config: The study.
@@ -159,17 +159,17 @@ def study_verdict(config: study.StudyConfig, rows: Sequence[Row]) -> PageVerdict
 
 
 def specified(config: study.StudyConfig) -> str:
-    """The specification in words: when an arm is good enough."""
+    """Return the specification in words: when an arm is good enough."""
     return f"at least {100 * config.share:g} % of the fruit within {config.radius_mm:g} mm"
 
 
 def method_label(method: str) -> str:
-    """A method's name for people: LS for ls, LS+BPNN for ls+bpnn; raw stays."""
+    """Return a method's name for people: LS for ls, LS+BPNN for ls+bpnn; raw stays."""
     return method if method == study.RAW else method.upper()
 
 
 def setting_label(row: Row) -> str:
-    """A setting in a few words, with units."""
+    """Return a setting in a few words, with units."""
     calibration = method_label(row["method"])
     if row["method"] != study.RAW:
         calibration += f", {row['poses']} poses, noise {row['noise_mm']:g} mm"
@@ -221,21 +221,21 @@ AXES: Mapping[str, tuple[str, str, str]] = {
     "noise_mm": ("the tracker's noise", "tracker noise, standard deviation per axis (mm)", "noise {:g} mm"),
     "payload_kg": ("the payload", "payload (kg)", "payload {:g} kg"),
 }
-"""Columns that a study may vary along an axis, each with its words, the axis's label and the format of a value."""
+"""Columns that may vary along a figure's axis; for each its name in words, the axis label and the format of a value."""
 ERROR_LABEL = "arm's mean position error (mm)"
 NOTE = 7.5
-"""Size of the line below a figure that says how to read it, points."""
+"""Font size of the line below a figure that says how to read it, points."""
 NOTE_LETTER, LEGEND = 0.062, 1.8
-"""Widths of a letter of the note below a figure, and of a legend beside the panels, inches."""
+"""Width of a letter of the note below a figure, and width of a legend beside the panels, inches."""
 NEAREST, ALIKE = 0.015, 0.015
-"""Largest distance of curves that are drawn as one, about the width of a line: as a share of the range shown, and on a
-logarithmic axis as a share of their values."""
+"""Largest distance of curves that are drawn as one, about a line's width. The first is a share of the range shown, the
+second, for a logarithmic axis, a share of the values."""
 LONGEST = 16
-"""Most parameters in a tornado figure; the rest are as good as zero."""
+"""Largest number of parameters in a tornado figure; the others explain almost nothing."""
 
 
 def study_drawings(findings: Findings) -> Drawings:
-    """The figures of a study."""
+    """Return the figures of a study with captions; for a figure that the study does not allow, the reason."""
     rows, specification = findings.yields, specified(findings.protocol.config)
     has_results = any(row["failed"] < row["arms"] for row in rows)
     drawings: list[Drawing] = []
@@ -266,7 +266,10 @@ def study_drawings(findings: Findings) -> Drawings:
 
 
 def varied(rows: Sequence[Row]) -> list[str]:
-    """Names of the `AXES` that take several values among calibrated settings (payload and grade: among all)."""
+    """Return the names of the `AXES` that take several values.
+
+    Poses and noise count among calibrated settings, payload and grade among all.
+    """
     calibrated = [row for row in rows if row["method"] != study.RAW]
     return [
         name for name in AXES if len({row[name] for row in (calibrated if name in ("poses", "noise_mm") else rows)}) > 1
@@ -274,12 +277,12 @@ def varied(rows: Sequence[Row]) -> list[str]:
 
 
 def yield_curves(yields: Sequence[Row], along: str, specification: str) -> Figure:
-    """Share of arms within specification against one of `AXES`, with Wilson's 95 % bands.
+    """Draw the share of arms within specification against one of `AXES`, with Wilson's 95 % bands.
 
     Args:
         yields: Rows of `yields_of`.
-        along: The axis, which the study varied; other things that vary are shown by colour and line, or kept at their
-            middle value, which is named.
+        along: The axis, which the study varied. Colour and line style show other quantities that vary, or these are
+            held at their middle value, which the legend names.
         specification: When an arm is good enough, in words.
     """
     keys = ("yield", "yield_low", "yield_high")
@@ -288,7 +291,7 @@ def yield_curves(yields: Sequence[Row], along: str, specification: str) -> Figur
 
 
 def error_curves(quantiles: Sequence[Row], along: str) -> Figure:
-    """Median of the arms' errors against one of `AXES`; the band holds 90 % of the arms.
+    """Draw the median of the arms' errors against one of `AXES`; the band contains the middle 90 % of the arms.
 
     Args:
         quantiles: Rows of `quantiles_of`, with probabilities 0.05, 0.5 and 0.95.
@@ -303,11 +306,11 @@ def error_curves(quantiles: Sequence[Row], along: str) -> Figure:
 
 
 def distributions(quantiles: Sequence[Row], radius_mm: float) -> Figure:
-    """Cumulative distribution of the arms' errors, one curve per grade and method.
+    """Draw the cumulative distribution of the arms' errors, one curve per grade and method.
 
     Args:
         quantiles: Rows of `quantiles_of` with many probabilities, such as 0.01 to 0.99.
-        radius_mm: The specified radius, drawn as a line.
+        radius_mm: The specified radius, mm, drawn as a line.
     """
     rows = held(_judged(quantiles), ("it_grade", "method"))
     settings = {row["setting"]: row for row in rows}
@@ -332,7 +335,7 @@ def distributions(quantiles: Sequence[Row], radius_mm: float) -> Figure:
 
 
 def tornado(sensitivities: Sequence[Row], setting: str) -> Figure:
-    """Figure of the tolerances that matter: shares of the variance between arms by parameter and kind, with intervals.
+    """Draw the share of the variance between arms that each tolerance explains, by parameter and kind, with intervals.
 
     Args:
         sensitivities: Rows of `sensitivities_of`.

@@ -1,8 +1,8 @@
 """Outputs in a study's folder: a report in one HTML file that needs no network, figures, and a recording for Rerun.
 
-The page: verdict first, then yields, errors, what matters, origin. The recording: a setting's worst, median and best
-arm side by side, each calibrated at its own poses; all reach for the fruit of the worst one, so that they can be
-compared.
+The page has the verdict first, then yields, errors, what matters, and origin. The recording shows a setting's worst,
+median and best arm side by side. Each is calibrated at its own poses, but all reach for the fruit of the worst one, so
+that they can be compared.
 """
 
 from __future__ import annotations
@@ -52,11 +52,11 @@ MATTERS = 8
 
 
 def write_outputs(folder: str | Path, sobol_samples: int = 0) -> list[Path]:
-    """Write a finished study's figures, report and recording into its folder; returns what was written.
+    """Write a finished study's figures, report and recording into its folder, and return the paths written.
 
     Args:
-        folder: The study's results.
-        sobol_samples: A power of two, for Sobol indices of the shown settings; with 0 none are computed.
+        folder: The study's folder.
+        sobol_samples: Rows of the sample for Sobol indices, a power of two; 0 computes no indices.
     """
     folder, written = Path(folder), []
     findings = study_findings.gather(folder)
@@ -72,12 +72,16 @@ def write_outputs(folder: str | Path, sobol_samples: int = 0) -> list[Path]:
 
 
 def drawings(run: Run) -> Drawings:
-    """The figures of a study's folder."""
+    """Return the figures of a study's folder."""
     return study_findings.study_drawings(study_findings.gather(run.folder))
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
-    """The report of a study's folder as HTML.
+    """Return the report of a study's folder as HTML.
+
+    Args:
+        run: The study's folder, read as a run.
+        picture: Not used; a study's report has no picture of its recording.
 
     Raises:
         InputError: If the folder holds no finished study.
@@ -87,7 +91,11 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
 
 
 def study_page(folder: str | Path, findings: study_findings.Findings) -> str:
-    """The report as HTML.
+    """Return a study's report as HTML.
+
+    Args:
+        folder: The study's folder.
+        findings: Its findings, from `pickenv.experiments.gather`.
 
     Raises:
         InputError: If the study is not finished.
@@ -245,10 +253,10 @@ GRID_STEP = 0.1
 
 
 def record_study(folder: str | Path, setting: int, path: str | Path) -> Path:
-    """Write the recording of three arms of a setting (.rrd), whole or not at all.
+    """Write a recording (.rrd) of a setting's worst, median and best arm, whole or not at all.
 
     Args:
-        folder: A study's results.
+        folder: The study's folder.
         setting: Number of the setting.
         path: The file to write, usually `arms.rrd`.
 
@@ -261,7 +269,7 @@ def record_study(folder: str | Path, setting: int, path: str | Path) -> Path:
 
 
 def arms_compared(folder: str | Path, setting: int) -> Comparison:
-    """A comparison with a setting's worst, median and best arm in the place of policies; see `record_study`."""
+    """Return a comparison of a setting's worst, median and best arm in the place of policies; see `record_study`."""
     protocol = prepared_study(study_of(folder))
     config, nominal = protocol.config, protocol.nominal
     if not 0 <= setting < len(protocol.settings):

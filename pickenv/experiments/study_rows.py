@@ -1,8 +1,9 @@
-"""Run a tolerance study or go on with one, and read its folder: yields and quantiles per setting.
+"""Run or continue a tolerance study, and read its folder: yields and quantiles per setting.
 
-A folder holds `study.toml` (the configuration, with its hash), `rows` (an experiment whose units are chunks of arms,
-one row for each arm and setting) and, when the study is complete, `summary.json`. Each is checked against the others
-when it is read: the pieces of an experiment are named by the hash of their study, and the summary states theirs.
+A folder contains `study.toml`, that is the configuration with its hash, and `rows`. These are an experiment whose units
+are chunks of arms, with one row for each arm and setting. When the study is complete, there is `summary.json` too. Each
+part is checked against the others when it is read. The files of the experiment have the hash of their study in their
+names, and the summary contains the hashes of study and rows.
 """
 
 from __future__ import annotations
@@ -38,13 +39,13 @@ from pickenv.experiments.engine import RECORD, Experiment, Rows, check_experimen
 Row = Mapping[str, Any]
 
 ROWS, SUMMARY, SOBOL = "rows", "summary.json", "sobol.json"
-"""Parts of a study's folder."""
+"""Names of the parts of a study's folder: rows, summary and Sobol indices."""
 SOBOL_AGAIN = "run `pickenv study` with `sobol` again"
 
 BATCHED = "batched"
-"""Name of the executor that works on all arms of a chunk at once; the others work arm by arm."""
+"""Name of the executor that computes all arms of a chunk at once; the others compute arm by arm."""
 EXECUTORS = {"serial": "serial", "joblib": "loky", BATCHED: "loky"}
-"""The backend of each executor: where chunks are worked on."""
+"""The backend that computes the chunks, for each executor."""
 
 
 def run_study(
@@ -60,17 +61,17 @@ def run_study(
 
     Args:
         config: The study.
-        folder: Results; chunks already there are kept, damaged ones computed again with a warning.
+        folder: Folder for results. Chunks that are there are kept; damaged ones are computed again, with a warning.
         executor: A name of `EXECUTORS`.
-        workers: Processes; one per core when None, but a single one for "batched".
-        device: Where "batched" computes: "cpu" or "cuda".
-        progress: Called with (arms done, arms in all).
+        workers: Number of processes; None for one per core, or for a single one with "batched".
+        device: Device of "batched": "cpu" or "cuda".
+        progress: Called with (arms done, total number of arms).
 
     Returns:
         The summary, which is also written to ``folder/summary.json``.
 
     Raises:
-        InputError: If the executor is unknown, or the folder holds another study or is being worked in.
+        InputError: If the executor is unknown, the folder holds another study, or another process works in it.
     """
     if executor not in EXECUTORS:
         raise InputError(f"unknown executor '{executor}'; give one of {', '.join(EXECUTORS)}")
@@ -173,7 +174,7 @@ def _claim(folder: Path, config: study.StudyConfig, arithmetic: str) -> None:
 
 
 def study_of(folder: str | Path) -> study.StudyConfig:
-    """The configuration of a results folder, its hash computed again.
+    """Return the configuration of a study's folder, after its hash is verified.
 
     Raises:
         InputError: If the folder holds no study, or another one than its hash says.
@@ -205,19 +206,19 @@ def _chunks(folder: str | Path) -> Iterator[tuple[Path, pa.Table]]:
 
 
 def read_rows(folder: str | Path) -> ds.Dataset:
-    """All rows of a folder, every chunk verified, to be streamed in batches.
+    """Return all rows of a study's folder as a data set that can be read in batches; every chunk is verified.
 
     Raises:
-        InputError: If the folder holds no rows, or a chunk is missing or is not what it should be.
+        InputError: If the folder holds no rows, or a chunk is missing, damaged or of another study.
     """
     return ds.dataset([str(path) for path, _ in _chunks(folder)], format="parquet")
 
 
 def table_sha256(folder: str | Path) -> str:
-    """Hash of all rows, sorted by arm and setting; it does not depend on how they are cut into chunks.
+    """Return the hash of all rows, sorted by arm and setting; it does not depend on the size of chunks.
 
-    Each column is hashed on its own, numbers as little-endian bytes and texts as UTF-8 lines, then names and hashes
-    together.
+    Each column is hashed on its own, numbers as little-endian bytes and texts as UTF-8 lines. Then the names and hashes
+    of all columns are hashed together.
 
     Raises:
         InputError: As `read_rows`.
@@ -239,22 +240,22 @@ def _column_bytes(column: pa.ChunkedArray) -> bytes:
 
 
 def write_record(path: Path, content: Row) -> dict[str, Any]:
-    """Write JSON that carries the hash of its own content; returns it with the hash ("sha256")."""
+    """Write JSON that contains the hash of its own content ("sha256"), and return the content with the hash."""
     text = sealed_json(content)
     write_text(path, text)
     return dict(json.loads(text))
 
 
 def read_record(path: Path, sha256: str, again: str) -> dict[str, Any]:
-    """Read the record that `write_record` wrote about a study, which it names in "config_sha256".
+    """Read a record that `write_record` wrote about a study; its "config_sha256" is the study's hash.
 
     Args:
         path: The file.
-        sha256: Hash of the study that it must be about.
-        again: What to do about a file that is refused, as the end of a sentence.
+        sha256: Hash of the study that the record must be about.
+        again: What the user can do about a refused file, as the end of a sentence.
 
     Raises:
-        InputError: If it is missing, damaged, edited, or about another study.
+        InputError: If the file is missing, damaged, edited, or about another study.
     """
     record = read_sealed_json(path, "a record of a study", again, "config_sha256")
     if (about := record["config_sha256"]) != sha256:
@@ -263,7 +264,7 @@ def read_record(path: Path, sha256: str, again: str) -> dict[str, Any]:
 
 
 def read_summary(folder: str | Path) -> dict[str, Any]:
-    """The summary of a finished study.
+    """Read and verify the summary of a finished study.
 
     Raises:
         InputError: If it is missing, damaged, edited, or of another study or other rows.
@@ -278,7 +279,12 @@ def read_summary(folder: str | Path) -> dict[str, Any]:
 
 
 def write_sobol(folder: str | Path, settings: Sequence[int], samples: int) -> Path:
-    """Compute the Sobol indices of some settings of a study and write them into its folder for the report.
+    """Compute the Sobol indices of some settings of a study, and write them into its folder for the report.
+
+    Args:
+        folder: The study's folder.
+        settings: Numbers of the settings.
+        samples: Rows of the sample, a power of two.
 
     Raises:
         InputError: As `pickenv.experiments.study_variance.sobol_of`.
@@ -293,7 +299,7 @@ def write_sobol(folder: str | Path, settings: Sequence[int], samples: int) -> Pa
 
 
 def read_sobol(folder: str | Path) -> dict[int, list[dict[str, Any]]]:
-    """The Sobol indices that `write_sobol` wrote, by setting; empty where none were written.
+    """Read the Sobol indices that `write_sobol` wrote, by number of setting; empty if none were written.
 
     Raises:
         InputError: If the file is damaged, edited or about another study.
@@ -306,13 +312,14 @@ def read_sobol(folder: str | Path) -> dict[int, list[dict[str, Any]]]:
 
 
 def check_folder(folder: str | Path) -> list[tuple[Path, str | None]]:
-    """Verify a study's folder from end to end.
+    """Verify every file of a study's folder that cannot be made again from the others.
 
-    Files that can be made anew from these (report, figures, recording) are not checked.
+    Report, figures and recording are not checked.
 
     Returns:
-        The configuration, the record and every file among the rows, missing chunks, the summary and Sobol indices where
-        there are some: each with None, or the sentence that says why it is refused.
+        (path, fault) for the configuration, the record and every other file among the rows, missing chunks, the
+        summary, and Sobol indices if there are any. The fault is None for a sound file, else the sentence that says why
+        the file is refused.
     """
     folder = Path(folder)
     described, rows = folder / "study.toml", check_experiment(folder / ROWS)
@@ -325,13 +332,16 @@ def check_folder(folder: str | Path) -> list[tuple[Path, str | None]]:
 # Yields and quantiles. The rows are a Parquet data set of any size, of which memory holds a few columns of one setting.
 
 VARIED = ("it_grade", "poses", "noise_mm", "payload_kg")
-"""Columns that a study may vary, beside tolerance class and method."""
+"""Columns that a study may vary, besides tolerance class and method."""
 
 PROBABILITIES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
 def held(rows: Sequence[Row], shown: Sequence[str]) -> list[Row]:
-    """The rows in which every varied column but ``shown`` is at its middle value; raw arms have no poses or noise."""
+    """Return the rows in which every varied column but ``shown`` is at its middle value.
+
+    Raw arms have neither poses nor noise, so these are not compared for them.
+    """
     calibrated = [row for row in rows if row["method"] != study.RAW] or rows
     middle = {}
     for name in ("tolerances", *VARIED):
@@ -346,13 +356,13 @@ def held(rows: Sequence[Row], shown: Sequence[str]) -> list[Row]:
 
 
 def yields_of(rows: ds.Dataset, required_share: float) -> pa.Table:
-    """The yield of every setting: the share of arms within specification, with Wilson's interval.
+    """Compute the yield of every setting, that is the share of arms within specification, with Wilson's interval.
 
     An arm is within specification if the share of its fruit inside the specified radius reaches the required share. An
     arm whose calibration failed is not. Shares are numbers from 0 to 1.
 
     Args:
-        rows: A study's rows, of any number.
+        rows: Any number of a study's rows.
         required_share: Share of an arm's fruit that must lie within the specified radius.
 
     Returns:
@@ -371,20 +381,20 @@ def yields_of(rows: ds.Dataset, required_share: float) -> pa.Table:
 def quantiles_of(
     rows: ds.Dataset, columns: Sequence[str] = study.FIGURES, probabilities: Sequence[float] = PROBABILITIES
 ) -> pa.Table:
-    """Quantiles of arms' errors in every setting, failed arms left out; mm and degrees.
+    """Compute quantiles of the arms' errors in every setting, without failed arms; mm and degrees.
 
-    The i-th of N values stands at probability (i - 1/2) / N (Hazen's definition). The 95 % band, from order statistics,
-    needs no assumption about the distribution. Its ends are open where so few arms cannot bound the quantile: below 5 %
-    and above 95 % of fewer than 72.
+    The i-th of N sorted values has probability (i - 1/2) / N (Hazen's definition). The 95 % band, from order
+    statistics, needs no assumption about the distribution. An end of the band is open where too few arms bound the
+    quantile: below 5 % and above 95 % with fewer than 72 arms.
 
     Args:
-        rows: A study's rows, of any number.
+        rows: Any number of a study's rows.
         columns: The error columns.
-        probabilities: Which quantiles.
+        probabilities: Probabilities of the quantiles.
 
     Returns:
         One row per setting, column and probability: the setting's columns, ``quantity``, ``arms``, ``probability``,
-        ``value`` and the 95 % band ``low``, ``high``; null for an end that is open, and where no arm has a result.
+        ``value`` and the 95 % band ``low``, ``high``. An open end is null; so are all three if no arm has a result.
     """
     quantiles: dict[str, list[dict[str, Any]]] = {column: [] for column in columns}
     for setting, arms in _by_setting(rows, ("status", *columns)):

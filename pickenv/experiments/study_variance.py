@@ -1,19 +1,21 @@
-"""Causes of differences between arms' errors: by drawing each anew, by Sobol's indices, and by regression on rows.
+"""Causes of differences between arms' errors: by drawing each cause anew, by Sobol indices, and by regression on rows.
 
-Components: the arm, its fruit, its poses or the tracker is drawn again while the others are held, on arms beyond the
-study's own. Figure: the radius that holds the required share of an arm's fruit, which decides whether it is within
-specification. Its logarithm, so that a share is one of relative errors, and a few bad arms do not decide alone.
+Components: the arm, its fruit, its poses or the tracker's errors are drawn again while the others are held, on arms
+beyond the study's own. The quantity is the radius that holds the required share of an arm's fruit; it decides whether
+the arm is within specification. Its logarithm is taken: a share is then one of relative errors, and a few bad arms do
+not decide alone.
 
-Sobol's indices (Saltelli 2010) divide the variance of the squared RMS error, mm^2, among groups of tolerances, with
-interactions and without a model, but with arms of their own. The tracker does not err. Each row of the sample has fruit
-and poses of its own, the same for all arms that are compared in it: the indices are averages over fruit and poses.
+Sobol indices (Saltelli 2010) divide the variance of the squared RMS error, mm^2, among groups of tolerances. They
+include interactions and need no model, but need arms of their own. The tracker has no errors here. Each row of the
+sample has fruit and poses of its own, the same for all arms that are compared in it. The indices are thus averages over
+fruit and poses.
 
-Sensitivities: the squared error of an arm is a quadratic form of its deviations, so it is regressed on each deviation x
-and on x^2 (standardised; the arm's RMS error over its own fruit, squared, in mm^2). For independent deviations the
-variance of b x + c x^2 is the parameter's first-order share, and what R^2 leaves is interaction, the arm's own fruit
-and poses, the tracker, and what no column holds. A regression finds a share even where there is none: what scatter
-alone would give is taken off, so that a tolerance without effect has a share of zero on average. Intervals come from
-the jackknife over groups of arms (`_interval`).
+Sensitivities: the squared error of an arm is a quadratic form of its deviations. The squared RMS error of an arm over
+its own fruit, mm^2, is therefore regressed on each standardised deviation x and on x^2. For independent deviations the
+variance of b x + c x^2 is the parameter's first-order share. What R^2 leaves is interaction, the arm's own fruit and
+poses, the tracker, and deviations without a column. A regression finds a share where there is none. What scatter alone
+would give is subtracted, so a tolerance without effect has a share of zero on average. Intervals come from the
+jackknife over groups of arms (`_interval`).
 """
 
 from __future__ import annotations
@@ -44,17 +46,17 @@ from pickenv.experiments.study import LS, OK, RAW, Circumstances, Protocol, Sett
 
 
 def variance_indices(first: Array, second: Array, mixed: Array, names: Sequence[str]) -> list[dict[str, Any]]:
-    """The indices of causes, from R independent blocks of n rows.
+    """Compute the indices of causes from R independent blocks of n rows.
 
     Args:
-        first: Values of the figure with all causes from sample A ``(R, n)``.
+        first: Values of the quantity with all causes from sample A ``(R, n)``.
         second: Values with all causes from sample B ``(R, n)``.
         mixed: For each of G causes, values with this cause from B and all others from A ``(G, R, n)``.
         names: Names of the causes.
 
     Returns:
-        For each cause ``group``, ``first_order`` (its share alone), ``total`` (with all its interactions, never less),
-        and their 95 % intervals ``first_order_low`` and so on; None where there are too few blocks for one.
+        For each cause its name ``group``, ``first_order`` (its share alone), and ``total`` (with all its interactions,
+        never less). The 95 % intervals are ``first_order_low`` and so on; None where there are too few blocks.
 
     Raises:
         InputError: If nothing varies.
@@ -88,14 +90,16 @@ def _ends(part: Array, whole: Array, value: float) -> tuple[float | None, float 
 # Components.
 
 MOST_ARMS, LEAST_ARMS = 256, 30
-"""Most and fewest arms of the design: with 20 arms, 95 % intervals of totals would hold only 92 %."""
+"""Largest and smallest number of arms of the design. With 20 arms, 95 % intervals of totals would contain the true
+value in 92 % of cases only."""
 
 
 def components_of(protocol: Protocol, setting: Setting) -> list[dict[str, Any]]:
-    """Shares of the variance of the arms' logarithmic errors in one setting.
+    """Compute the shares of causes in the variance of the arms' logarithmic errors in one setting.
 
     Args:
-        protocol: The study; as many arms are drawn as it has, from `LEAST_ARMS` to `MOST_ARMS`, each judged six times.
+        protocol: The study. As many arms are drawn as it has, from `LEAST_ARMS` to `MOST_ARMS`; each is judged six
+            times.
         setting: One of its settings, raw or least squares.
 
     Returns:
@@ -103,7 +107,7 @@ def components_of(protocol: Protocol, setting: Setting) -> list[dict[str, Any]]:
         with the number of ``arms``.
 
     Raises:
-        InputError: If the setting's method is another, or too few arms can be judged.
+        InputError: If the setting has another method, or too few arms can be judged.
     """
     if setting.method not in (RAW, LS):
         raise InputError(f"components of variance of method '{setting.method}' would take too long")
@@ -156,19 +160,22 @@ GROUPS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "temperature": ("thermal_growth", ("temperature_rise",)),
     "ground": ("base_tilt", ("ground_stiffness", "sinkage")),
 }
-"""For each group of effects, the effect and the random numbers (`random_columns`) that it takes."""
+"""For each group of effects, the effect and the random numbers (`random_columns`) that determine it."""
 SOBOL_STREAM = 7
-"""Key of the random numbers, apart from those of the study's rows."""
+"""Spawn key of the random numbers, which differ from those of the study's rows."""
 SCRAMBLES = 32
-"""Independent Sobol sequences that a sample consists of; the intervals are over them."""
+"""Number of independent Sobol sequences in a sample; the intervals are over them."""
 LEAST_SAMPLES = 8 * SCRAMBLES
-"""Fewest rows of a sample: with fewer, the intervals contain the true value too seldom."""
+"""Smallest number of rows of a sample; with fewer, the intervals contain the true value too seldom."""
 SAMPLES = 2048
 """Default number of rows of a sample."""
 
 
 def tolerance_groups(design: Plant) -> dict[str, list[int]]:
-    """Columns of an arm's even random numbers by group; effects that the design has not are left out."""
+    """Return the columns of an arm's uniform random numbers that belong to each group, by group.
+
+    Groups of effects that the design lacks are left out.
+    """
     columns, n = random_columns(design), design.arm.nominal.joints
     alpha, a, theta, d = (list(columns["geometry"][k * n : (k + 1) * n]) for k in range(4))
     foreign = {name.replace("_", " "): (name, (f"own {name}",)) for name in design.names if f"own {name}" in columns}
@@ -181,18 +188,18 @@ def tolerance_groups(design: Plant) -> dict[str, list[int]]:
 
 
 def sobol_of(protocol: Protocol, setting: Setting, samples: int) -> list[dict[str, Any]]:
-    """Sobol indices of the groups in one setting.
+    """Compute the Sobol indices of groups of tolerances in one setting.
 
     Args:
         protocol: The study.
         setting: One of its settings, raw or least squares.
-        samples: A power of two; (groups + 2) times as many arms are made.
+        samples: Rows of the sample, a power of two; (groups + 2) times as many arms are computed.
 
     Returns:
         Rows as from `sobol_indices`, with the number of arms.
 
     Raises:
-        InputError: If the setting's method is another, or an arm cannot be judged.
+        InputError: If the setting has another method, or an arm cannot be judged.
     """
     from pickenv.experiments.study_batched import judge_batch
 
@@ -232,14 +239,15 @@ def sobol_indices(
     samples: int,
     rng: np.random.Generator,
 ) -> list[dict[str, Any]]:
-    """Sobol indices, first and total, of groups of independent inputs.
+    """Compute first-order and total Sobol indices of groups of independent inputs.
 
     Args:
-        model: From even random numbers ``(N, d)`` in 0..1, and the rows of the sample that they stand in ``(N,)``, to
-            one finite number for each ``(N,)``. What it makes of the row's number is averaged over.
-        groups: For each group, which inputs belong to it; together they name every input once.
+        model: Function that returns one finite number for each of N rows ``(N,)``. Its arguments are uniform random
+            numbers ``(N, d)`` in 0..1, and the numbers of the rows in the sample ``(N,)``. The indices are averages
+            over whatever else depends on a row's number.
+        groups: For each group, the inputs that belong to it; together they name every input once.
         samples: Rows of the sample, a power of two; the model is evaluated (number of groups + 2) times as often.
-        rng: Draws the scrambled Sobol sequences, `SCRAMBLES` of them.
+        rng: Random numbers for the scrambled Sobol sequences, `SCRAMBLES` of them.
 
     Returns:
         Rows as from `variance_indices`. Total minus first order is interaction.
@@ -269,23 +277,24 @@ def sobol_indices(
 DEVIATION = re.compile(r"delta_.+_(mm|deg)|size_.+|(sine|cosine)_.+|rise_K")
 """Pattern of the names of columns that hold deviations drawn for an arm."""
 BLOCKS = 100
-"""Groups of arms that the jackknife leaves out in turn; an arm's group follows from its number."""
+"""Number of groups of arms that the jackknife leaves out in turn; an arm's number determines its group."""
 ARMS_PER_TERM = 5
-"""Fewest arms for each term of a regression; with fewer, it is refused."""
+"""Smallest number of arms for each term of a regression; a regression with fewer is refused."""
 TAILS = (0.975, 0.025)
 
 
 def sensitivities_of(rows: Dataset, setting: int = 0) -> pa.Table:
-    """Shares of the variance of the arms' squared errors, per parameter and per kind of parameter.
+    """Compute the share of each parameter, and of each kind of parameter, in the variance of the arms' squared errors.
 
     Args:
-        rows: A study's rows, of any number; they are read in batches.
+        rows: Any number of a study's rows; they are read in batches.
         setting: Number of the setting; failed arms are left out.
 
     Returns:
-        One row per parameter and per kind, largest share first: ``parameter`` (or the kind's name), ``kind``, ``level``
-        (parameter or kind), ``share`` of the variance (by chance also below zero, where there is none) with its 95 %
-        interval ``share_low``, ``share_high``, and the whole regression's ``r2``, ``r2_adjusted`` and ``arms``.
+        One row per parameter and per kind, largest share first. ``level`` is parameter or kind, ``parameter`` its name,
+        and ``kind`` the kind that it belongs to. ``share`` is the share of the variance, which may be estimated below
+        zero if there is none; its 95 % interval is ``share_low``, ``share_high``. ``r2``, ``r2_adjusted`` and ``arms``
+        are those of the whole regression.
 
     Raises:
         InputError: If nothing varies, or there are too few arms for the number of deviations.
@@ -333,12 +342,12 @@ def sensitivities_of(rows: Dataset, setting: int = 0) -> pa.Table:
 
 
 def parameter_of(column: str) -> str:
-    """The parameter behind a column: the column itself, or "size_x" for "sine_x" and "cosine_x" of an error x."""
+    """Return the parameter of a column: the column itself, or "size_x" for "sine_x" and "cosine_x" of an error x."""
     return re.sub(r"^(sine|cosine)_", "size_", column)
 
 
 def tolerance_kind(column: str) -> str:
-    """What kind of tolerance a deviation's column belongs to: angles, lengths, or the effect whose size it is."""
+    """Return the kind of tolerance of a deviation's column: angles, lengths, or the effect whose size the column is."""
     if column.startswith("delta_"):
         return "angles" if column.endswith("_deg") else "lengths"
     if column == "rise_K":
@@ -347,11 +356,11 @@ def tolerance_kind(column: str) -> str:
 
 
 def _moments(rows: Dataset, setting: int) -> tuple[list[str], Array]:
-    """The sums that a regression needs, of a setting's rows read twice: for means and spreads, and for the products.
+    """Compute the sums that a regression needs; rows are read twice, for means and spreads and for products.
 
     Returns:
-        The k deviations that vary, and sums of products ``(BLOCKS, 2 k + 2, 2 k + 2)`` of 1, x, x^2 and the squared
-        error in mm^2, where x is the deviation minus its mean, over its standard deviation.
+        The names of the k deviations that vary, and sums of products ``(BLOCKS, 2 k + 2, 2 k + 2)`` of 1, x, x^2 and
+        the squared error in mm^2. x is the deviation minus its mean, over its standard deviation.
     """
     names = [name for name in rows.schema.names if DEVIATION.fullmatch(name)]
     selection = (pc.field("setting") == setting) & (pc.field("status") == OK)
@@ -411,12 +420,12 @@ def _explained(slopes: Array, covariance: Array, group: Sequence[int]) -> Array:
 
 
 def _interval(share: float, chance: float, pseudo: Array) -> tuple[float, float]:
-    """95 % interval of a share, after what chance adds to it is taken off.
+    """Return the 95 % interval of a share, after what chance adds to the share is subtracted.
 
-    The root of a share is a length in the space of slopes, and its standard error the same everywhere, so that the
-    share over that error squared is noncentral chi-square, as if of ``chance / error**2`` degrees of freedom. The
-    interval holds the noncentralities that such a share does not contradict. It begins at zero where zero is one of
-    them, and holds the estimate where that is below zero.
+    The root of a share is a length in the space of slopes, with the same standard error everywhere. The share over that
+    error squared is therefore noncentral chi-square, as if with ``chance / error**2`` degrees of freedom. The interval
+    contains the noncentralities that do not contradict such a share. It begins at zero if zero is one of them, and
+    contains the estimate if that is below zero.
 
     Args:
         share: The share, including what chance adds.

@@ -1,1 +1,1 @@
-"""Tuned training parameters, beside the environments, in the format of RL Baselines3 Zoo."""
+"""Tuned training parameters for the environments, in the format of RL Baselines3 Zoo."""

@@ -1,1 +1,1 @@
-"""One module per algorithm, each with a dict `hyperparams` by environment id, as rl_zoo3 reads its configurations."""
+"""One module per algorithm, each with a dict `hyperparams` of parameters by environment id, as rl_zoo3 reads it."""

@@ -1,9 +1,9 @@
-"""PPO on the flat environments; found on the ideal picking arm, they hold for all its plants and feedbacks.
+"""PPO on the flat environments; tuned on the ideal picking arm, the parameters suit all its plants and feedbacks.
 
-The gap to the fruit is scaled (`pickenv.wrappers.GapScaling`); without that wrapper no network of this size sees
-millimetres. `pickenv/ReachScaled-v0` has it built in, and `pickenv/ReachTool-v0`, on which they hold for any arm.
-Picking is learnt with steps of the tool (`pickenv.wrappers.ToolStepping`), shaped so that the sum of rewards has the
-same optimum.
+The gap between tool and fruit (position and attitude) is scaled (`pickenv.wrappers.GapScaling`). Without that wrapper
+no network of this size resolves millimetres. `pickenv/ReachScaled-v0` and `pickenv/ReachTool-v0` scale it themselves;
+on the latter the parameters suit any arm. Picking is learnt with steps of the tool (`pickenv.wrappers.ToolStepping`).
+Its reward is shaped so that the sum of rewards has the same optimum.
 """
 
 _SCALED = {

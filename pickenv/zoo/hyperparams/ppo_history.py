@@ -1,4 +1,4 @@
-"""PPO on many fruit of one arm, with all of a run's past picks in its observation."""
+"""PPO on many fruit of one arm; the observation contains all earlier picks of a run."""
 
 from pickenv.zoo.hyperparams.ppo_lstm import hyperparams as _recurrent
 

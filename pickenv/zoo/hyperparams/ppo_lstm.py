@@ -1,6 +1,6 @@
-"""RecurrentPPO (sb3-contrib) on many fruit of one arm: it sees the last pick, and remembers the others.
+"""RecurrentPPO (sb3-contrib) on many fruit of one arm: it observes the last pick and remembers the earlier ones.
 
-Rewards of a training in simulation are of the true tool; what is learnt is judged without them.
+In training, which is simulated, rewards use the true tool position. The trained policy is judged without them.
 """
 
 SAME_ARM = {

@@ -1,7 +1,8 @@
-"""SAC: with hindsight (HER) on the goal environment, plain on the flat ones.
+"""SAC: with hindsight experience replay (HER) on the goal environment, without it on the flat environments.
 
-The gap to the fruit is scaled, on the flat environments by `pickenv.wrappers.GapScaling`, with hindsight inside the
-networks (`pickenv.agents.training.off_policy`): there a goal may be exchanged after the action was taken.
+The gap between tool and fruit (position and attitude) is scaled. On the flat environments `pickenv.wrappers.GapScaling`
+scales it. With hindsight the networks scale it (`pickenv.agents.training.off_policy`), since a goal may be replaced
+after the action was taken.
 """
 
 _SCALED = {

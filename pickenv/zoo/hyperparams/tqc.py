@@ -1,4 +1,4 @@
-"""TQC (sb3-contrib): the parameters of SAC, and the quantiles that TQC drops."""
+"""TQC (sb3-contrib): the parameters of SAC, with the number of quantiles and of those that TQC drops."""
 
 from pickenv.zoo.hyperparams.sac import hyperparams as _sac
 
