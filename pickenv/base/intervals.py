@@ -2,7 +2,7 @@
 
 `estimate` computes estimates and their intervals from the rows of a table. Errors at several fruit of one arm are
 correlated, so an arm counts once, with its mean. Where a policy was trained several times, arms and training seeds are
-two crossed random factors, since another arm and another training would both give another estimate.
+two crossed random factors. Another arm and another training would both give another estimate.
 
 The other functions take arrays. Values of one arm (one tree, one block of a file) are correlated. So compute one
 statistic per arm first, and pass one value per arm. A function returns None where the sample is too small, or does not
@@ -123,15 +123,15 @@ def _slow_waves(count: int) -> tuple[NDArray[np.float64], float]:
 
 
 def _beyond(critical: float, covariance: NDArray[np.float64]) -> float:
-    """Chance that a normal mean lies farther from the truth than its interval reaches.
+    """Probability that a normal mean lies farther from the truth than its interval reaches.
 
     Args:
         critical: Half of the interval's width, as a multiple of the root mean square of the cosine coefficients.
         covariance: The covariance matrix of the mean and the coefficients ``(1 + waves, 1 + waves)``.
 
     Returns:
-        The chance that, in a weighted sum of squared normals, the one positive term outweighs the negative ones. It
-        is computed as an integral over an angle (Bakirov and Szekely 2006, J. Math. Sci. 139).
+        The probability that, in a weighted sum of squared normals, the one positive term outweighs the negative ones.
+        It is computed as an integral over an angle (Bakirov and Szekely 2006, J. Math. Sci. 139).
     """
     waves = len(covariance) - 1
     eigenvalues = np.sort(np.linalg.eigvals(covariance * np.r_[1.0, np.full(waves, -(critical**2) / waves)]).real)
@@ -376,7 +376,7 @@ def quantile_levels(count: int, probability: float) -> tuple[float | None, float
     from scipy.special import betainc
 
     def beyond(rank: float, tail: float) -> float:
-        """Chance that the order statistic of this rank lies below the quantile, minus the tail."""
+        """Probability that the order statistic of this rank lies below the quantile, minus the tail."""
         return float(betainc(rank, count + 1.0 - rank, probability)) - tail
 
     def end(tail: float, side: float, innermost: float, outermost: float) -> float | None:
@@ -484,11 +484,11 @@ def estimate(
         by: Grouping columns. Each combination of their values has one estimate, in the order of the rows.
         over: One or two columns of random units (such as arms, and training seeds) that the intervals are over. Within
             a combination, rows of the same units are averaged.
-        of: The statistic. "mean". "share": the share of successes, from one column of successes or their probabilities,
-            or from two columns, successes and trials. "ratio": the ratio of the sums of two columns. "removed": the
-            relative reduction of the mean, from the rows at ``against``, or from the first of two columns to the
-            second. A probability: that quantile over units. A function: it is applied to the units' means ``(units,
-            values)``.
+        of: The statistic, which is one of the following. "mean". "share": the share of successes, from one column of
+            successes or their probabilities, or from two columns, successes and trials. "ratio": the ratio of the sums
+            of two columns. "removed": the relative reduction of the mean, from the rows at ``against``, or from the
+            first of two columns to the second. A probability: that quantile over units. A function: it is applied to
+            the units' means ``(units, values)``.
         against: Values of some ``by`` columns. If given, the estimates are paired differences to the rows with these
             values.
         least: Smallest number of units for an interval of a mean.
@@ -503,8 +503,8 @@ def estimate(
         "runs" are None for "removed" and for a statistic of several columns.
 
     Raises:
-        ValueError: If the units of a combination do not have equally many rows, both sides of a difference do not have
-            the same units, a value is not finite, or the arguments do not go together.
+        ValueError: If the units of a combination do not have equally many rows, or both sides of a difference do not
+            have the same units. Also if a value is not finite, or the arguments do not go together.
     """
     names = [value] if isinstance(value, str) else list(value)
     _check_asked(names, by, over, of, against)

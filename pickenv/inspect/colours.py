@@ -104,7 +104,7 @@ def policy_label(key: str) -> str:
 def in_words(text: str) -> str:
     """Return a text with short names spelled out: least squares + neural network for LS+BPNN.
 
-    The name of a plant (a simulated true arm) gets its description in brackets.
+    A text that is the name of a plant (a simulated true arm) gets the plant's description in brackets.
     """
     if text in PLANTS:
         return f"{text} ({PLANTS[text]})"

@@ -64,9 +64,9 @@ LEAVES = 1.25
 """Leaf area per volume of the drawn trees, m²/m³, as in the canopy `li2016`."""
 AROUND = 0.16
 HALF = (400, 360)
-"""Width and height of one half of a frame, px."""
+"""Width and height of the part of a frame that shows one policy, px."""
 STRIP = 28
-"""Height of the line of words below the halves, px."""
+"""Height of the line of text below the halves, px."""
 GAP = 4
 KINDS = {
     ".gif": (

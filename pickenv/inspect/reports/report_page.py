@@ -65,14 +65,14 @@ def bar_place(value: float, limit: float) -> float:
 
 @dataclass(frozen=True)
 class PageTable:
-    """A table whose first column names the rows; columns of numbers are aligned to the right.
+    """A table whose first column names the rows. Columns of numbers are aligned to the right.
 
     Attributes:
         caption: What the table shows, with units.
         heads: Column names with units; empty for a table without a head.
         rows: Cells of each row: words, numbers as text, or bars.
-        look: ``code`` where the first column holds names of parameters, ``wide`` where the second holds sentences,
-            ``close`` or ``dense`` where there are many or very many columns.
+        look: CSS class of the table. ``code`` if the first column holds names of parameters. ``wide`` if the second
+            holds sentences. ``close`` or ``dense`` if there are many or very many columns. Empty for none.
     """
 
     caption: str
@@ -90,9 +90,9 @@ class PageTable:
 
 
 Part: TypeAlias = "str | PageTable | Drawing | bytes | Section | tuple[Part, ...] | Mapping[str, str] | None"
-"""A part of a section. It is a paragraph, a table, a figure, a picture (WebP), a section that opens on demand (and is
-open on paper), a tuple of parts, or names with values. The parts of a tuple are side by side where there is room. Empty
-parts are left out."""
+"""A part of a section, of one of these kinds: a paragraph; a table; a figure; a picture (WebP); a section that opens on
+demand and is open on paper; a tuple of parts; names with values. The parts of a tuple are side by side where there is
+room. Empty parts are left out."""
 
 
 @dataclass(frozen=True)

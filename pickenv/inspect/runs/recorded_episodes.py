@@ -1,7 +1,7 @@
 """Episodes of policies on the same fruit, and their error fields: the data behind tables, films, recordings and pages.
 
-`RecordedEpisodes` hold every moment of the episodes, or only their ends. A `Comparison` is of a simulated arm and holds
-error fields as well. Units: m, rad; mm and degrees where the name says so.
+`RecordedEpisodes` hold every moment of the episodes, or only their final states. A `Comparison` is of a simulated arm
+and holds error fields as well. Units: m, rad; mm and degrees where the name says so.
 """
 
 from __future__ import annotations
