@@ -1,4 +1,4 @@
-"""The ground that every room stands on: errors, files, containers, TOML tables, intervals, seeds, the registry."""
+"""Helpers that all packages of pickenv use: errors, files, containers, TOML tables, intervals, seeds, extensions."""
 
 from pickenv.base.faces import offered as _offered
 

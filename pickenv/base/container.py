@@ -1,13 +1,14 @@
-"""One verified file for numbers: a NumPy archive (.npz) that says what it holds, hashes it all, and runs no code.
+"""Read and write containers: NumPy archives (.npz) that describe and hash their content and never run code.
 
-`header.json` names the kind of file, its version, what made it, and each array's type, shape and SHA-256. The archive's
-comment is a seal over all other bytes. Before anything is unpacked, the seal, the list of members and their sizes are
-checked; arrays are rebuilt from the header's types, never from text that NumPy would evaluate.
+`header.json` names the kind of file, its version, the versions of the packages that wrote it, and each array's type,
+shape and SHA-256. The archive's comment is a seal. The seal, the list of members and their sizes are checked before
+anything is unpacked. Arrays are rebuilt from the types in the header, never from text that NumPy would evaluate.
 
-A seal is the SHA-256 of all other bytes of a file, kept inside the file; it holds only if no bit has changed. It finds
-damage and carelessness, but whoever wants to deceive can seal a file anew. Other programs still read a sealed file:
-the seal of a zip archive is its comment, at the end; the seal of a Parquet file is between the last page and the
-footer, which readers find from the end of the file and whose offsets count from the file's beginning.
+A seal is the SHA-256 of all other bytes of a file, kept inside the file. It detects every changed bit. It protects
+against damage and careless edits, not against deceit, because anybody can seal a changed file again. Other programs can
+still read a sealed file. In a zip archive the seal is the archive's comment, at the end of the file. In a Parquet file
+the seal is between the last page and the footer. Readers find the footer from the end of the file, and offsets count
+from the beginning.
 """
 
 from __future__ import annotations
@@ -37,32 +38,32 @@ SCHEMA = "pickenv container 1"
 HEADER = "header.json"
 
 LIMIT = 1 << 28
-"""Most bytes that a file, and all that it unpacks to, may have unless the reader allows more (256 MiB)."""
+"""Largest size of a file, and of its unpacked content, unless the caller allows more (256 MiB), bytes."""
 HEADER_LIMIT = 1 << 24
-"""Most bytes that a header may have (16 MiB)."""
+"""Largest size of a header (16 MiB), bytes."""
 
 MOST_AXES = 32
-"""Most axes that an array may have."""
+"""Largest number of axes of an array."""
 
 PLAIN = re.compile(r"[<>|][biufcU][0-9]{1,9}")
-"""NumPy's names for types of numbers and text; types that could hold objects do not match."""
+"""Pattern of NumPy's dtype strings for numbers and text. Dtypes that can hold Python objects do not match."""
 UTF8_NAME = 0x800
-"""Zip flag of a member whose name is UTF-8: a member with any other flag (encryption, say) is refused."""
+"""Zip flag bit of a member whose name is UTF-8. Members with any other flag, such as encryption, are refused."""
 BARE_END = b"PK\x05\x06"
-"""First bytes of the record of 22 bytes that ends a zip archive without comment."""
+"""Signature of the record of 22 bytes that ends a zip archive without a comment."""
 
 
 @dataclass(frozen=True, eq=False)
 class Container:
-    """What a container file holds.
+    """The content of a container file.
 
     Attributes:
-        kind: What the file is: "calibration", "policy".
-        version: Version of the content of this kind of file.
-        made_with: Versions of pickenv, NumPy and Python, and the fingerprint of the code that wrote it ("code").
-        header: Numbers and text by name, as JSON keeps them.
+        kind: Kind of the file, such as "calibration" or "policy".
+        version: Format version of the content, counted separately for each kind of file.
+        made_with: Versions of pickenv, NumPy and Python, and the fingerprint of the code that wrote the file ("code").
+        header: Numbers and text by name, as JSON represents them.
         arrays: Arrays by name.
-        blobs: Bytes by name.
+        blobs: Further bytes by name, such as another program's file.
     """
 
     kind: str
@@ -75,12 +76,14 @@ class Container:
 
 @contextmanager
 def refusing_damage(path: str | Path, what: str, remake: str) -> Iterator[None]:
-    """A context that turns any exception into an `InputError`, since reading a damaged file can raise anything.
+    """Return a context that turns every exception into an `InputError`.
+
+    Reading a damaged file can raise any exception.
 
     Args:
-        path: The file.
-        what: What the file should be: "a calibration file".
-        remake: What to do about a damaged file, as the end of a sentence.
+        path: The file that is read in the context.
+        what: What the file should be, for the message: "a calibration file".
+        remake: What the user should do about a damaged file, as the end of the message: "fit it again".
 
     Raises:
         InputError: For every exception in the context, except an interrupt.
@@ -93,22 +96,25 @@ def refusing_damage(path: str | Path, what: str, remake: str) -> Iterator[None]:
 
 
 def sealed_json(content: Mapping[str, Any]) -> str:
-    """The only text that a record of this content may have: JSON that includes a hash of the rest ("sha256")."""
+    """Return the JSON text of a record, with the SHA-256 of its content under the key "sha256".
+
+    `read_sealed_json` accepts exactly this text.
+    """
     digest = hashlib.sha256(json.dumps(content, allow_nan=False).encode()).hexdigest()
     return json.dumps({**content, "sha256": digest}, indent=2) + "\n"
 
 
 def read_sealed_json(path: Path, what: str, remake: str, *keys: str) -> dict[str, Any]:
-    """The content of a record that `sealed_json` made.
+    """Read a JSON record that `sealed_json` made, check its hash, and return its content without the hash.
 
     Args:
         path: The file.
-        what: What the file should be.
-        remake: What to do about a damaged file, as the end of a sentence.
-        keys: Keys that such a record has.
+        what: What the file should be, for the message: "a list of files".
+        remake: What the user should do about a damaged file, as the end of the message.
+        keys: Keys that the record must have.
 
     Raises:
-        InputError: If it is missing or damaged, was edited, or is another record.
+        InputError: If the file is missing, damaged or edited, or lacks one of ``keys``.
     """
     if not path.is_file():
         raise InputError(f"{path} is missing; {remake}")
@@ -124,17 +130,17 @@ def read_sealed_json(path: Path, what: str, remake: str, *keys: str) -> dict[str
 
 
 def named_part(prefix: str, arrays: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
-    """The arrays with ``prefix`` before their names, to be saved as a part of something larger."""
+    """Return the arrays with ``prefix`` before their names, so that they can be saved beside other arrays."""
     return {f"{prefix}{name}": np.asarray(value) for name, value in arrays.items()}
 
 
 def part_of(arrays: Mapping[str, NDArray[Any]], prefix: str) -> dict[str, NDArray[Any]]:
-    """The arrays whose names begin with ``prefix``, without it: the inverse of `named_part`."""
+    """Return the arrays whose names begin with ``prefix``, named without it: the inverse of `named_part`."""
     return {name.removeprefix(prefix): value for name, value in arrays.items() if name.startswith(prefix)}
 
 
 def npz_path(path: str | Path) -> Path:
-    """The path with ``.npz`` appended if it is missing; a folder without a name ("/", "..") stays as it is."""
+    """Return the path, with ``.npz`` appended if it is missing; a path without a file name ("/", "..") is unchanged."""
     path = Path(path)
     return path if path.suffix == ".npz" or path.name in ("", "..") else path.with_name(path.name + ".npz")
 
@@ -149,20 +155,26 @@ def write_container(
     version: int = 1,
     compressed: bool = False,
 ) -> Path:
-    """Write a container, whole or not at all; equal content, code and versions give equal bytes.
+    """Write a container file atomically: either the whole file is written, or nothing.
+
+    Equal content, code and package versions give equal bytes.
 
     Args:
         path: The file (.npz).
-        kind: What the file is, in a word or two.
+        kind: Kind of the file, in a word or two.
         header: Numbers and text by name (JSON).
         arrays: Arrays of numbers or text by name.
         blobs: Further bytes by name, such as another program's file.
-        version: Version of the content of this kind of file.
+        version: Format version of the content of this kind of file.
         compressed: Whether the archive's members are deflated.
+
+    Returns:
+        The path written.
 
     Raises:
         InputError: If the file cannot be written.
         TypeError: If an array holds objects.
+        ValueError: If a blob is named `header.json`, or its name ends in .npy.
     """
     # As they lie, so that sums repeat to the bit.
     numbers = {name: value.tobytes("A") for name, value in arrays.items()}
@@ -187,14 +199,14 @@ def write_container(
 def read_container(
     path: str | Path, kind: str | None, *, remake: str, version: int | None = None, limit: int = LIMIT
 ) -> Container:
-    """Read and verify what `write_container` wrote; nothing in it is executed.
+    """Read and verify a file that `write_container` wrote, without executing anything in it.
 
     Args:
         path: The file.
-        kind: What the file must be; None for anything.
-        remake: What to do about a file that is refused, as the end of a sentence: "fit it again".
-        version: The version of this kind's content that the caller reads; None for any.
-        limit: Bytes that the file, and all that it unpacks to, may have.
+        kind: Kind that the file must have; None accepts any.
+        remake: What the user should do about a file that is refused, as the end of the message: "fit it again".
+        version: Format version that the caller reads; None accepts any.
+        limit: Largest size of the file, and of its unpacked content, bytes.
 
     Raises:
         InputError: If the file is missing, damaged in any byte, too large, of another kind, or of another version.
@@ -313,7 +325,11 @@ PARQUET = b"PAR1"
 
 
 def seal(*parts: bytes | memoryview) -> bytes:
-    """The seal of a file whose other bytes are ``parts``, one after the other."""
+    """Return the seal of a file: `MARK`, then the SHA-256 of all other bytes of the file, in hexadecimal.
+
+    Args:
+        parts: All bytes of the file except the seal, in their order, in one or more pieces.
+    """
     total = hashlib.sha256()
     for part in parts:
         total.update(part)
@@ -321,13 +337,16 @@ def seal(*parts: bytes | memoryview) -> bytes:
 
 
 def sealed_parquet(content: bytes) -> bytes:
-    """A Parquet file's bytes with the seal between its last page and its footer; still a valid Parquet file."""
+    """Return a Parquet file's bytes with a seal inserted between the last page and the footer.
+
+    The result is still a valid Parquet file.
+    """
     footer = _footer(content)
     return content[:footer] + seal(content[:footer], content[footer:]) + content[footer:]
 
 
 def parquet_is_sealed(content: bytes) -> bool:
-    """Whether ``content`` is a Parquet file whose seal matches its other bytes."""
+    """Return whether ``content`` is a Parquet file whose seal matches its other bytes."""
     footer = _footer(content)
     start = footer - LENGTH
     view = memoryview(content)
@@ -335,15 +354,15 @@ def parquet_is_sealed(content: bytes) -> bool:
 
 
 def check_sealed_parquet(content: bytes, path: object, remake: str) -> None:
-    """Refuse the bytes of a Parquet file that `sealed_parquet` did not make, or that have changed since.
+    """Raise an error unless ``content`` is a Parquet file with a valid seal (`sealed_parquet`).
 
     Args:
         content: The file's bytes.
         path: The file's name, for the message.
-        remake: What to do about a refused file, as the end of a sentence.
+        remake: What the user should do about a refused file, as the end of the message.
 
     Raises:
-        InputError: If there is no seal, or the seal does not hold.
+        InputError: If there is no seal, or the seal does not match the other bytes.
     """
     if not parquet_is_sealed(content):
         raise InputError(f"{path} is damaged or was written by something else (its seal does not hold); {remake}")

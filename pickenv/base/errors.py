@@ -1,8 +1,8 @@
-"""The one error that bad input raises: a clear sentence for a person, naming what is at fault and what to do."""
+"""The error that pickenv raises for bad input, with a message that says what is wrong and what to do."""
 
 
 class InputError(ValueError):
-    """Bad input from a user: a file, a row, a unit, a joint, an option.
+    """Raised for bad input from a user, such as a damaged file, an unknown unit or an impossible option.
 
-    The message is one sentence that names the thing at fault and says what to do; the command line prints it as is.
+    The message is one sentence that names the thing at fault and says what to do. The command line prints it unchanged.
     """

@@ -1,7 +1,7 @@
-"""Packages that do not come with the core (extras), and the sentence that says how to install them.
+"""Optional dependencies (extras): the modules that they bring, and the command that installs them.
 
-The core calibrates, compensates and makes environments. Everything heavier is an extra, loaded when it is first used.
-Where pickenv is installed, wherever it came from, `pip install 'pickenv[learn]'` adds networks, `pickenv[all]`
+The core calibrates, compensates and makes environments. All heavier dependencies are extras, imported when first used.
+`pip install 'pickenv[learn]'` adds networks to an installed pickenv, wherever it came from. `pickenv[all]` adds
 everything.
 """
 
@@ -27,31 +27,31 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "data": ("minari",),
     "compiled": ("llvmlite",),
 }
-"""Extras by name, each with the modules that it brings."""
+"""The modules that each extra brings, by the extra's name."""
 
 
 class MissingExtra(InputError, ImportError):
-    """The error that a package of an extra is not installed; its message has the command that installs it."""
+    """Raised if a package of an extra is not installed; the message has the command that installs it."""
 
 
 def extra_of(module: str) -> str | None:
-    """The extra that brings a module (``torch``, ``torch.nn``), or None."""
+    """Return the name of the extra that brings a module (``torch``, ``torch.nn``), or None."""
     return next((extra for extra, modules in EXTRAS.items() if module.partition(".")[0] in modules), None)
 
 
 def missing(module: str) -> MissingExtra:
-    """The error to raise where a module of an extra is not installed."""
+    """Return the error to raise if a module of an extra is not installed."""
     top = module.partition(".")[0]
     return MissingExtra(f"this needs {top}, which is not installed; get it with: {command_for(str(extra_of(top)))}")
 
 
 def command_for(*extras: str) -> str:
-    """The command that adds extras to the pickenv that is installed."""
+    """Return the command that adds extras to the installed pickenv."""
     return f"pip install 'pickenv[{','.join(extras)}]'"
 
 
 def absent_extras(*extras: str) -> tuple[str, ...]:
-    """The extras, among those given, of which a package is not installed."""
+    """Return those of the given extras that lack a package in this installation."""
     return tuple(extra for extra in extras if not all(map(is_there, EXTRAS[extra])))
 
 
@@ -66,5 +66,5 @@ def require(*modules: str) -> None:
 
 
 def is_there(module: str) -> bool:
-    """Whether a module can be imported; it is not imported to find out."""
+    """Return whether a module can be imported, without importing it."""
     return sys.modules[module] is not None if module in sys.modules else find_spec(module) is not None

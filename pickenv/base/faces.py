@@ -1,4 +1,4 @@
-"""Packages that load lazily: each offers the names of its stub, and loads a module when its name is first used."""
+"""Lazy imports: a package exports the names in its stub, and imports a module when a name of it is first used."""
 
 from __future__ import annotations
 
@@ -11,11 +11,13 @@ from pickenv.base.extras import extra_of, missing
 
 
 def offered(package: str, file: str) -> tuple[Callable[[str], Any], Callable[[], list[str]], list[str]]:
-    """The ``__getattr__``, ``__dir__`` and ``__all__`` of a package: it offers what its stub imports.
+    """Return ``__getattr__``, ``__dir__`` and ``__all__`` for a package that lazily exports what its stub imports.
+
+    Using a name raises `MissingExtra` if its module needs an extra (optional package) that is not installed.
 
     Args:
         package: Name of the package.
-        file: The package's ``__init__.py``; the stub, ``__init__.pyi``, stands beside it.
+        file: Path of the package's ``__init__.py``. The stub, ``__init__.pyi``, is in the same folder.
     """
     load, directory, names = lazy_loader.attach_stub(package, file)
 

@@ -1,8 +1,8 @@
-"""Writing files whole or not at all: under another name, then renamed, so that an interrupt never leaves half a file.
+"""Write files atomically: under a temporary name that is then changed, so that an interrupt never leaves half a file.
 
-A run folder belongs to one process at a time: results of two runs are never mixed in it. The lock is the operating
-system's own, on the file `.lock` in the folder, so that it ends with its process, however the process ends; the file
-holds the id of that process. On a file system without locks, runs go on without a lock.
+Only one process at a time writes into a run folder, so results of two runs are never mixed in it. The lock is an
+operating-system lock on the file `.lock` in the folder. It ends with its process, however the process ends. The file
+contains the id of that process. On a file system without locks, runs proceed without a lock.
 """
 
 from __future__ import annotations
@@ -28,19 +28,19 @@ Named = str | Path | Iterable[str | Path] | None
 """The files that an option names: one file, several files, or none."""
 
 FULL = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
-"""Error numbers by which a system says that a disk, or a user's share of it, is full."""
+"""Error numbers of a full disk, an exceeded quota, and a file that is too large."""
 
 
 def write_whole(path: str | Path, write: Callable[[Path], Any]) -> Path:
     """Let ``write`` fill a temporary file beside ``path``, then rename it into place.
 
-    File and folder are flushed to the disk, so that a power cut leaves the old file or the new one. A link stays, and
-    the file that it leads to is replaced; devices, pipes and the standard streams are written into. Unfinished files
-    that killed processes of this machine left in the folder are removed.
+    File and folder are flushed to the disk, so that a power cut leaves either the old file or the new one. If ``path``
+    is a symbolic link, its target is replaced. Devices, pipes and the standard streams are written into directly.
+    Temporary files that killed processes of this machine left in the folder are removed.
 
     Args:
-        path: Where the finished file shall stand; missing folders are made.
-        write: Called with the temporary path (same suffix as ``path``); it writes the content.
+        path: Path of the finished file. Missing folders are made.
+        write: Function that writes the content to the temporary path, its argument (same suffix as ``path``).
 
     Returns:
         The path written.
@@ -164,28 +164,28 @@ def _stream(path: Path) -> int | None:
 
 
 def write_text(path: str | Path, text: str) -> Path:
-    """Write ``text`` to ``path`` as UTF-8, whole or not at all."""
+    """Write ``text`` to ``path`` as UTF-8, atomically, and return the path."""
     return write_whole(path, lambda temporary: temporary.write_text(text, encoding="utf-8"))
 
 
 def write_json(path: str | Path, content: Any) -> Path:
-    """Write numbers and text to ``path`` as JSON for people, whole or not at all."""
+    """Write ``content`` to ``path`` as indented JSON, atomically, and return the path."""
     return write_text(path, json.dumps(content, indent=2) + "\n")
 
 
 def separate(inputs: Mapping[str, Named], outputs: Mapping[str, Named]) -> None:
-    """Refuse to write over an input, or two results into one file; called before anything is computed.
+    """Raise an error if an output is also an input or another output; to be called before anything is computed.
 
-    Links, hard links and different spellings of one file are recognised. Devices may be named twice. Several files of
-    one option, such as those of a run folder, are compared with other options' files, not with one another.
+    Symbolic links, hard links and different spellings of one file are recognised. A device may be named twice. Several
+    files of one option, such as those of a run folder, are compared only with other options' files.
 
     Args:
-        inputs: What is read, by the option's name; names that are no files, such as an arm's "ur5", are ignored, and
-            of "arm.urdf#tip" only the part before "#" counts.
-        outputs: What will be written, by the option's name.
+        inputs: Files that are read, by the option's name. Names that are not files, such as an arm's "ur5", are
+            ignored. Of "arm.urdf#tip" only the part before "#" counts.
+        outputs: Files that will be written, by the option's name.
 
     Raises:
-        InputError: If an output is an input or another option's output; the message names both options. Also if an
+        InputError: If an output is an input or another option's output. The message names both options. Also if an
             output's name is too long for a file, or is that of a folder.
     """
     taken = [(f"{name} reads", path) for name, names in inputs.items() for path in _paths(names) if path.exists()]
@@ -239,10 +239,10 @@ _held: set[str] = set()
 
 @contextmanager
 def locked(folder: str | Path) -> Iterator[None]:
-    """A context in which a run folder belongs to this process alone; its child processes may write there for it.
+    """Return a context in which only this process, with its child processes, may write into a run folder.
 
     Args:
-        folder: The folder; made where it is missing, with those above it, and removed again if it stays empty.
+        folder: The folder. Missing folders are made, and removed again if they stay empty.
 
     Raises:
         InputError: If another process is at work in the folder, or the folder cannot be written.

@@ -1,14 +1,14 @@
-"""95 % intervals of means, of ratios, of shares, of quantiles, and of means over two crossed factors.
+"""95 % confidence intervals of means, ratios, shares, quantiles, and means over two crossed factors.
 
-`estimate` makes numbers and their intervals from the rows of a table. Fruit of one arm are alike, so an arm counts
-once, with its own mean. Where a policy was trained several times, arms and training seeds are two crossed factors:
-another arm and another training would both give another number.
+`estimate` computes estimates and their intervals from the rows of a table. Errors at several fruit of one arm are
+correlated, so an arm counts once, with its mean. Where a policy was trained several times, arms and training seeds are
+two crossed random factors. Another arm and another training would both give another estimate.
 
-The other functions take values. Values of one arm (one tree, one block of a file) are alike: compute each arm's own
-figure first, and give one value per arm. Where a sample is too small, or does not show how far another sample might
-differ, there is no interval (None) rather than one that is too narrow. Equal data give equal ends.
+The other functions take arrays. Values of one arm (one tree, one block of a file) are correlated. So compute one
+statistic per arm first, and pass one value per arm. A function returns None where the sample is too small, or does not
+show how far another sample might differ. An interval that is too narrow would be worse. Equal data give equal ends.
 
-How often each interval covers the truth is measured in tests/coverage, for errors as arms make them.
+How often each interval covers the true value is measured in tests/coverage, for errors like those of arms.
 """
 
 from __future__ import annotations
@@ -25,19 +25,21 @@ Ends = tuple[float, float]
 """Lower and upper end of a 95 % interval."""
 
 LEAST = 10
-"""Fewest values (arms, trees, blocks) for an interval of a mean: with fewer, skewed errors are covered too seldom."""
+"""Smallest number of values (arms, trees, blocks) for an interval of a mean. With fewer, the coverage is too low for
+skewed errors."""
 
 LEAST_RUNS = 5
-"""Fewest runs (training seeds, repeated calibrations): their means are nearly normal."""
+"""Smallest number of runs (training seeds, repeated calibrations) for an interval. Means of runs are nearly normal."""
 
 MOST_SKEWNESS = 3.0
-"""Largest skewness that is corrected for: beyond it, a sample's skewness shows little but its one largest value."""
+"""Largest skewness that is corrected for. A larger sample skewness shows little but the one largest value."""
 
 MOST_ALIKE = 0.6
 """Largest correlation of neighbouring blocks for which `ordered_interval` is valid."""
 
 MOST_WAVES = 12
-"""`ordered_interval` uses fewer cosines than this: with up to a hundred values, more would widen the interval."""
+"""`ordered_interval` uses fewer cosines than this number. With up to a hundred values, more would widen the
+interval."""
 
 _TAILS = (0.025, 0.975)
 
@@ -45,15 +47,16 @@ _TAILS = (0.025, 0.975)
 def mean_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
     """95 % interval of the mean of independent values ``(n,)``: Student's t, corrected for skewness.
 
-    Errors are skewed: an arm that is three times as bad as the others is not rare. The plain t interval holds the mean
-    of such errors too seldom, and misses on the upper side. The correction is Hall's (1992, J. R. Stat. Soc. B).
+    Errors of arms are skewed: an arm that is three times as bad as the others is not rare. The plain t interval covers
+    the mean of such errors too seldom, and misses on the upper side. The correction is Hall's (1992, J. R. Stat. Soc.
+    B).
 
     Args:
-        values: One per arm, fruit, tree or block.
-        least: Fewest values.
+        values: One value per arm, fruit, tree or block.
+        least: Smallest number of values for which there is an interval.
 
     Returns:
-        The ends, or None where there are fewer values or all are equal.
+        Lower and upper end, or None if there are fewer values than ``least`` or all are equal.
 
     Raises:
         ValueError: If the values are not one-dimensional.
@@ -77,19 +80,19 @@ def _t(freedom: float, tail: float) -> float:
 
 
 def ordered_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
-    """95 % interval of the mean of values ``(n,)`` in the order in which they were taken, where neighbours are alike.
+    """95 % interval of the mean of a series of values ``(n,)`` in which neighbours are correlated.
 
-    The values' first few cosine coefficients show how far the mean may be off: both grow where neighbours are alike
-    (Mueller and Watson 2008, Econometrica 76; the critical value as in Mueller and Watson 2022, Econometrica 90, for
-    the largest correlation, `MOST_ALIKE`). The interval is nearly twice as wide as that of `mean_interval`, which
-    covers the mean of such values in 69 % of samples.
+    The standard error of the mean is estimated from the first few cosine coefficients of the series. Both grow with the
+    correlation of neighbours (Mueller and Watson 2008, Econometrica 76). The critical value is computed as by Mueller
+    and Watson (2022, Econometrica 90), for the largest correlation, `MOST_ALIKE`. The interval is nearly twice as wide
+    as that of `mean_interval`, which covers the mean of such values in 69 % of samples.
 
     Args:
-        values: One per block of a file, in its order.
-        least: Fewest values.
+        values: One value per block of a file, in the order in which the values were taken.
+        least: Smallest number of values for which there is an interval.
 
     Returns:
-        The ends, or None where there are fewer values or all are equal.
+        Lower and upper end, or None if there are fewer values than ``least`` or all are equal.
     """
     x = np.asarray(values, dtype=float)
     if len(x) < least or _equal(x):
@@ -120,15 +123,15 @@ def _slow_waves(count: int) -> tuple[NDArray[np.float64], float]:
 
 
 def _beyond(critical: float, covariance: NDArray[np.float64]) -> float:
-    """Chance that a normal mean lies farther from the truth than its interval reaches.
+    """Probability that a normal mean lies farther from the truth than its interval reaches.
 
     Args:
         critical: Half of the interval's width, as a multiple of the root mean square of the cosine coefficients.
         covariance: The covariance matrix of the mean and the coefficients ``(1 + waves, 1 + waves)``.
 
     Returns:
-        The chance that, in a weighted sum of squared normals, the one positive term outweighs the negative ones. It
-        is computed as an integral over an angle (Bakirov and Szekely 2006, J. Math. Sci. 139).
+        The probability that, in a weighted sum of squared normals, the one positive term outweighs the negative ones.
+        It is computed as an integral over an angle (Bakirov and Szekely 2006, J. Math. Sci. 139).
     """
     waves = len(covariance) - 1
     eigenvalues = np.sort(np.linalg.eigvals(covariance * np.r_[1.0, np.full(waves, -(critical**2) / waves)]).real)
@@ -140,16 +143,19 @@ def _beyond(critical: float, covariance: NDArray[np.float64]) -> float:
 def statistic_interval(
     table: ArrayLike, statistic: Callable[[NDArray[np.float64]], Any], least: int = LEAST, *, ordered: bool = False
 ) -> Ends | None:
-    """95 % interval of a smooth function of many rows, such as a ratio of sums, from the jackknife's pseudo-values.
+    """95 % interval of a smooth statistic of a table's rows, such as a ratio of sums, by the jackknife.
 
-    Not for quantiles; see `quantile_interval`.
+    It is the interval of the mean of the statistic's pseudo-values, shifted to the statistic itself. Quantiles are not
+    smooth; see `quantile_interval`.
 
     Args:
         table: One row per tree or arm, ``(n, ...)``.
         statistic: Function that computes one number from rows.
-        least: Fewest rows.
-        ordered: Whether rows stand in an order in which neighbours are alike: `ordered_interval` rather than
-            `mean_interval`.
+        least: Smallest number of rows for which there is an interval.
+        ordered: Whether neighbouring rows are correlated. If so, `ordered_interval` is used instead of `mean_interval`.
+
+    Returns:
+        Lower and upper end, or None if there are fewer rows than ``least`` or all pseudo-values are equal.
     """
     rows = np.asarray(table, dtype=float)
     if len(rows) < least:
@@ -164,12 +170,16 @@ def statistic_interval(
 def norm_interval(vectors: ArrayLike, least: int = LEAST) -> Ends | None:
     """95 % interval of the norm of the mean of independent vectors ``(n, k)``, such as the accuracy of a pose.
 
-    It is the jackknife's. A norm is never below zero, and that of a sample's mean is above it even where the true mean
-    is zero. So the lower end is zero where Hotelling's T^2 (1931, Ann. Math. Stat. 2) does not rule a mean of zero out.
+    The ends are those of the jackknife (`statistic_interval`). The norm of a sample mean is above zero although the
+    true mean may be zero. So the lower end is zero if Hotelling's T^2 test (1931, Ann. Math. Stat. 2) does not reject a
+    zero mean.
 
     Args:
-        vectors: One per cycle, fruit or arm.
-        least: Fewest vectors; more than k.
+        vectors: One vector per cycle, fruit or arm, in any unit.
+        least: Smallest number of vectors for which there is an interval; more than k.
+
+    Returns:
+        Lower and upper end, in the unit of the vectors, or None as for `statistic_interval`.
     """
     from scipy.special import fdtri
 
@@ -186,14 +196,18 @@ def norm_interval(vectors: ArrayLike, least: int = LEAST) -> Ends | None:
 def ratio_interval(over: ArrayLike, under: ArrayLike, least: int = LEAST) -> Ends | None:
     """95 % interval of a ratio of sums over clusters of any sizes, such as fruit per hour over trees.
 
-    The interval is Student's t. A large cluster pulls the ratio towards itself: its own residual is too small, which
-    the variance corrects (HC2; MacKinnon and White 1985), and few clusters count, which the degrees of freedom correct
-    (Bell and McCaffrey 2002, Surv. Methodol.).
+    The interval is Student's t with two corrections. The variance is corrected for large clusters, which pull the ratio
+    towards themselves and have too small residuals (HC2; MacKinnon and White 1985). The degrees of freedom are
+    corrected for a small number of clusters (Bell and McCaffrey 2002, Surv. Methodol.).
 
     Args:
-        over: The numerator's terms, one for each cluster ``(n,)``.
-        under: The denominator's terms, one for each cluster ``(n,)``, none below zero.
-        least: Fewest clusters.
+        over: Term of the numerator for each cluster ``(n,)``.
+        under: Term of the denominator for each cluster ``(n,)``, none below zero.
+        least: Smallest number of clusters for which there is an interval.
+
+    Returns:
+        Lower and upper end, or None if there are fewer clusters, the denominator is zero, or all clusters have one
+        ratio.
     """
     above, below = np.asarray(over, dtype=float), np.asarray(under, dtype=float)
     if len(above) < least or not below.sum() > 0.0:
@@ -222,14 +236,14 @@ def _ratio_spread(above: NDArray[np.float64], below: NDArray[np.float64]) -> tup
 
 
 def pseudo_values(table: NDArray[np.float64], statistic: Callable[[NDArray[np.float64]], Any]) -> NDArray[np.float64]:
-    """Tukey's jackknife pseudo-values of a statistic ``(n,)``, one per row; for a mean, they are the values."""
+    """Return Tukey's jackknife pseudo-values of a statistic ``(n,)``, one per row; for a mean, these are the values."""
     n = len(table)
     value = float(statistic(table))
     return np.array([n * value - (n - 1) * float(statistic(np.delete(table, i, axis=0))) for i in range(n)])
 
 
 def share_interval(successes: float, trials: int) -> Ends:
-    """95 % interval of a share of independent trials: Wilson's score interval (1927).
+    """95 % interval of the share of successes in independent trials: Wilson's score interval (1927).
 
     Args:
         successes: The number of successes, or the sum of their probabilities.
@@ -244,13 +258,14 @@ def share_interval(successes: float, trials: int) -> Ends:
 
 
 def paired_share_interval(successes: ArrayLike, others: ArrayLike) -> Ends:
-    """95 % interval of the difference of two shares of the same trials, first minus second: Newcombe's method 10.
+    """95 % interval of the difference between two shares of successes in the same trials: Newcombe's method 10.
 
-    Wilson's intervals of the two shares are combined (Newcombe 1998) with the correlation that the pairs show.
+    The difference is the first share minus the second. Wilson's intervals of both shares are combined with the
+    correlation that the pairs show (Newcombe 1998).
 
     Args:
-        successes: Whether each trial succeeded in the first way ``(n,)``.
-        others: Whether each trial succeeded in the second way ``(n,)``.
+        successes: Whether each trial succeeded under the first condition ``(n,)``.
+        others: Whether each trial succeeded under the second condition ``(n,)``.
 
     Raises:
         ValueError: If there are no trials, or the two arrays are not equally long.
@@ -275,16 +290,20 @@ def paired_share_interval(successes: ArrayLike, others: ArrayLike) -> Ends:
 
 
 def clustered_share_interval(successes: ArrayLike, trials: ArrayLike, least: int = LEAST) -> Ends | None:
-    """95 % interval of a share over clusters of trials (fruit of many arms, say): Wilson's, for an effective number.
+    """95 % interval of the share of successes over clusters of trials, such as the fruit of many arms.
 
-    The effective number of trials follows from how much the clusters' shares differ (the design effect; Korn and
-    Graubard 1998). Only clusters with any failure, or those with any success where these are fewer, show how much.
-    Where all clusters have the same share, the number is that of clusters, or less if their sizes differ.
+    It is Wilson's interval for an effective number of trials. This number follows from how much the shares of the
+    clusters differ (the design effect; Korn and Graubard 1998). The estimate of that difference rests on the clusters
+    with any failure, or on those with any success if these are fewer. If all clusters have the same share, the
+    effective number is the number of clusters, or less if their sizes differ.
 
     Args:
         successes: The number of successes in each of n clusters ``(n,)``, or the sum of their probabilities.
         trials: The number of trials in each cluster ``(n,)``, or one number for all.
-        least: Fewest clusters; None is returned for fewer.
+        least: Smallest number of clusters for which there is an interval.
+
+    Returns:
+        Lower and upper end, or None if there are fewer clusters than ``least`` or no trials.
     """
     taken = np.asarray(successes, dtype=float)
     tried = np.broadcast_to(np.asarray(trials, dtype=float), taken.shape)
@@ -301,16 +320,16 @@ def clustered_share_interval(successes: ArrayLike, trials: ArrayLike, least: int
 
 
 def crossed_interval(values: ArrayLike) -> Ends | None:
-    """95 % interval of the mean of values ``(A, B)`` over two crossed factors, both drawn: arms and training seeds.
+    """95 % interval of the mean of values ``(A, B)`` over two crossed random factors: A arms and B training seeds.
 
-    The variance of the mean, (MS_A + MS_B - MS_AB) / (A B), is from the two-way analysis of variance; the degrees of
+    The variance of the mean, (MS_A + MS_B - MS_AB) / (A B), is from the two-way analysis of variance. The degrees of
     freedom are Satterthwaite's (1946).
 
     Args:
-        values: One value for every arm with every seed.
+        values: One value for each arm with each training seed ``(A, B)``.
 
     Returns:
-        The ends, or None where there are fewer arms than `LEAST`, or seeds than `LEAST_RUNS`, or all values are equal.
+        Lower and upper end, or None if A is below `LEAST`, B is below `LEAST_RUNS`, or all values are equal.
     """
     x = np.asarray(values, dtype=float)
     a, b = x.shape
@@ -326,9 +345,16 @@ def crossed_interval(values: ArrayLike) -> Ends | None:
 
 
 def quantile_interval(values: ArrayLike, probability: float) -> tuple[float | None, float | None]:
-    """95 % interval of a quantile of independent values ``(n,)``; an end that the sample cannot bound is None.
+    """95 % interval of a quantile of independent values ``(n,)``, without an assumption about their distribution.
 
-    It assumes no distribution of the values: it is made of fractional order statistics (Hutson 1999, J. Appl. Stat.).
+    It is computed from fractional order statistics (Hutson 1999, J. Appl. Stat.).
+
+    Args:
+        values: One value per arm, fruit or tree.
+        probability: Probability of the quantile, 0..1.
+
+    Returns:
+        Lower and upper end. An end that the sample cannot bound is None.
     """
     x = np.asarray(values, dtype=float)
     levels = quantile_levels(len(x), probability)
@@ -338,7 +364,9 @@ def quantile_interval(values: ArrayLike, probability: float) -> tuple[float | No
 
 @cache
 def quantile_levels(count: int, probability: float) -> tuple[float | None, float | None]:
-    """The levels of a sample (Hazen's positions, 0..1) that are the ends of `quantile_interval`; None for an open end.
+    """Return the levels in a sample of ``count`` values at which `quantile_interval` has its two ends.
+
+    A level is a plotting position by Hazen's rule, 0..1. It is None for an open end.
 
     Args:
         count: Size n of the sample.
@@ -348,7 +376,7 @@ def quantile_levels(count: int, probability: float) -> tuple[float | None, float
     from scipy.special import betainc
 
     def beyond(rank: float, tail: float) -> float:
-        """Chance that the order statistic of this rank lies below the quantile, minus the tail."""
+        """Probability that the order statistic of this rank lies below the quantile, minus the tail."""
         return float(betainc(rank, count + 1.0 - rank, probability)) - tail
 
     def end(tail: float, side: float, innermost: float, outermost: float) -> float | None:
@@ -388,20 +416,21 @@ def _wilson(share: float, trials: float) -> Ends:
 # Numbers with their intervals, of arrays and of rows.
 
 MANY = 30
-"""Fewest arms for `mean_interval` of arms' skewed shares: with 10 arms it covers their mean in 92 to 96 %."""
+"""Smallest number of arms for `mean_interval` of the arms' shares, which are skewed. With 10 arms it covers their mean
+in 92 to 96 %."""
 
 MARGIN_MM = 0.05
-"""Mean errors that differ by less are the same to a picker: a twentieth of what the best gripper forgives."""
+"""Difference of mean errors that does not matter for picking, mm: a twentieth of the best gripper's tolerance."""
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A number and its 95 % interval.
+    """An estimate and its 95 % interval.
 
     Attributes:
-        value: The number.
-        ci95: Both ends, an open one as None; or None where there is no interval.
-        missing: Why there is no interval.
+        value: The estimate.
+        ci95: Lower and upper end of the interval, None for an open end. None as a whole if there is no interval.
+        missing: Why there is no interval; empty if there is one.
     """
 
     value: float
@@ -410,7 +439,7 @@ class Estimate:
 
     @property
     def significant(self) -> bool | None:
-        """Whether the interval leaves out zero; None without an interval."""
+        """Whether the interval excludes zero; None without an interval."""
         if self.ci95 is None:
             return None
         low, high = self.ci95
@@ -418,11 +447,19 @@ class Estimate:
 
     @property
     def ends(self) -> list[float | None] | None:
-        """The interval's two ends as a list, for JSON; None without an interval."""
+        """Both ends of the interval as a list, for JSON; None without an interval."""
         return None if self.ci95 is None else list(self.ci95)
 
     def verdict(self, margin: float = MARGIN_MM) -> str:
-        """What a difference says: "carries over" inside the margin, "differs" beyond zero, else "not settled"."""
+        """Return a verdict in words on the estimate of a difference.
+
+        Args:
+            margin: Difference that does not matter, in the unit of the estimate.
+
+        Returns:
+            "carries over" if the whole interval is within plus or minus ``margin``. Else "differs" if the interval
+            excludes zero. Else "not settled".
+        """
         low, high = self.ci95 or (None, None)
         if low is not None and high is not None and -margin <= low and high <= margin:
             return "carries over"
@@ -439,29 +476,35 @@ def estimate(
     least: int = LEAST,
     lost: float | None = None,
 ) -> list[dict[str, Any]]:
-    """Compute numbers and their intervals from the rows of a table.
+    """Compute estimates and their 95 % intervals from the rows of a table.
 
     Args:
-        columns: The rows by column, such as those of `pickenv.experiments.Rows`.
-        value: The column that the numbers are of; several columns for a function of them.
-        by: Columns that name a number: each combination of their levels has one number, in the order of the rows.
-        over: One or two columns of what was drawn, which the intervals are over; rows that agree in these are averaged.
-        of: "mean"; "share" of chances or successes, or of what two columns took and tried; "ratio" of two columns'
-            sums; "removed", the share of the mean at the levels of ``against``, or of the first of two columns, that is
-            gone; a probability, for that quantile over units; or a function of the units' means ``(units, values)``.
-        against: Levels of some of ``by``: then the numbers are paired differences to the rows at these levels.
-        least: Fewest units for an interval of a mean.
-        lost: Values above this limit are lost: the mean leaves them out, and their share is given beside it. One value
-            in twenty that is ten times as large moves a mean much, and few units do not show it.
+        columns: The table's columns by name, such as those of `pickenv.experiments.Rows`.
+        value: The column to estimate; several columns for a statistic of them.
+        by: Grouping columns. Each combination of their values has one estimate, in the order of the rows.
+        over: One or two columns of random units (such as arms, and training seeds) that the intervals are over. Within
+            a combination, rows of the same units are averaged.
+        of: The statistic, which is one of the following. "mean". "share": the share of successes, from one column of
+            successes or their probabilities, or from two columns, successes and trials. "ratio": the ratio of the sums
+            of two columns. "removed": the relative reduction of the mean, from the rows at ``against``, or from the
+            first of two columns to the second. A probability: that quantile over units. A function: it is applied to
+            the units' means ``(units, values)``.
+        against: Values of some ``by`` columns. If given, the estimates are paired differences to the rows with these
+            values.
+        least: Smallest number of units for an interval of a mean.
+        lost: Limit above which a value counts as lost. The mean leaves lost values out, and their share is estimated
+            beside it. Otherwise one value in twenty that is ten times as large would change a mean much, and few units
+            would not show it.
 
     Returns:
-        For each combination the columns of ``by``; "estimate", an `Estimate`; "units", each unit's mean ``(units,)``;
-        "runs", each run's mean ``(runs,)``, or None if ``over`` has one column; and "lost", an `Estimate` of the lost
-        share, if ``lost`` is given. For a function of several columns, "units" and "runs" are None.
+        For each combination, a dictionary of the ``by`` columns, "estimate", "units", "runs" and perhaps "lost".
+        "estimate" is an `Estimate`. "units" is each unit's mean ``(units,)``. "runs" is each run's mean ``(runs,)``, or
+        None if ``over`` has one column. "lost" is an `Estimate` of the lost share, if ``lost`` is given. "units" and
+        "runs" are None for "removed" and for a statistic of several columns.
 
     Raises:
-        ValueError: If not every unit was measured equally often at a combination, those of a difference are not the
-            same units, a value is no number, or the arguments do not go together.
+        ValueError: If the units of a combination do not have equally many rows, or both sides of a difference do not
+            have the same units. Also if a value is not finite, or the arguments do not go together.
     """
     names = [value] if isinstance(value, str) else list(value)
     _check_asked(names, by, over, of, against)
@@ -513,7 +556,7 @@ def _without_lost(values: NDArray[np.float64], lost: float, least: int) -> dict[
 
 
 def unseen_share(runs: int) -> float:
-    """The 95 % upper limit of the share of runs that fail, where none of ``runs`` did: 45 % after five trainings."""
+    """Return the 95 % upper limit of the share of failing runs if none of ``runs`` runs failed: 0.45 for five runs."""
     return float(1.0 - 0.05 ** (1.0 / runs))
 
 
@@ -574,14 +617,21 @@ def _removed(table: NDArray[np.float64]) -> float:
 
 
 def mean_estimate(values: NDArray[np.float64], least: int = LEAST) -> Estimate:
-    """Mean of values ``(arms, trainings, fruit)``; fewer arms than ``least`` have no interval."""
+    """Estimate the mean of values ``(arms, trainings, fruit)``; with fewer arms than ``least`` there is no interval."""
     means = values.mean(axis=2)
     ends = mean_interval(means[:, 0], least) if means.shape[1] == 1 else crossed_interval(means)
     return _with_reason(float(means.mean()), ends, means, least)
 
 
 def quantile_estimate(values: NDArray[np.float64], probability: float) -> Estimate:
-    """Quantile of the arms' means of values ``(arms, trainings, fruit)``; several trainings have no interval."""
+    """Estimate a quantile of the arms' means of values ``(arms, trainings, fruit)``.
+
+    There is no interval for several trainings.
+
+    Args:
+        values: The values ``(arms, trainings, fruit)``.
+        probability: Probability of the quantile, 0..1.
+    """
     means = values.mean(axis=2)
     value = float(np.quantile(means.mean(axis=1), probability, method="hazen"))
     if means.shape[1] > 1:
@@ -591,10 +641,12 @@ def quantile_estimate(values: NDArray[np.float64], probability: float) -> Estima
 
 
 def share_estimate(chances: NDArray[np.float64]) -> Estimate:
-    """Share of successes that chances of success ``(arms, trainings, fruit)`` give, with its interval.
+    """Estimate the share of successes from probabilities of success ``(arms, trainings, fruit)``.
 
-    Chances vary less than successes that are drawn with them. With `MANY` arms, none of which always or never
-    succeeds, the share is a mean like any other; elsewhere each chance counts as a trial, which is on the safe side.
+    For several trainings, the interval is `crossed_interval` of the means over fruit. For one training and at least
+    `MANY` arms, it is `mean_interval` of the arms' means, if all of them are above 0 and below 1. Otherwise each
+    probability counts as one trial (`clustered_share_interval`). That interval is conservative, because probabilities
+    vary less than successes drawn from them.
     """
     arms, trainings, fruit = chances.shape
     means = chances.mean(axis=2)

@@ -1,7 +1,9 @@
-"""Limits of the numbers that a person gives: a number beyond them is a slip, or would make a run that never ends.
+"""Limits of numbers that users give: a number outside them is a slip, or would make a run that never ends.
 
-One table serves command options, study files and environments; `pickenv.arm` has limits of its own for arms' files.
-A reservation is a named reason not to use something (a calibration, say): use is refused unless the user allows it.
+`LIMITS` serves command options, study files and environments. `pickenv.arm` has limits of its own for arm files.
+
+A reservation is a named reason not to use a result, such as a calibration. `obey` refuses the use unless the user
+allows that reservation.
 """
 
 from __future__ import annotations
@@ -41,20 +43,20 @@ LIMITS: Mapping[str, tuple[float, float, str]] = {
     "seed": (0, 2**128, "random numbers come from 128 bits"),
     "seed of training": (0, 2**32 - 1, "stable-baselines3 takes 32 bits"),
 }
-"""Least value, largest value, and the reason for the limit, of each quantity; a quantity's name ends with its unit."""
+"""Smallest value, largest value and the reason for these limits, by quantity. A quantity's name ends with its unit, if
+it has one."""
 
 
 def check_limit(name: str, value: Any, quantity: str) -> None:
-    """Refuse a value that is no number, not finite, or beyond the limits of its quantity.
+    """Raise an error if a value is not a number, not finite, or outside the limits of its quantity.
 
     Args:
-        name: What the value is called where it was given, for the message: "--hours", or
-            "study.toml: payload_kg of [picking]".
-        value: The number.
+        name: Where the value was given, for the message: "--hours", or "study.toml: payload_kg of [picking]".
+        value: The value.
         quantity: A key of `LIMITS`.
 
     Raises:
-        InputError: If the value is refused; the message says the limits and why.
+        InputError: If the value is refused. The message states the limits and their reason.
     """
     least, most, why = LIMITS[quantity]
     number = isinstance(value, int | float) and not isinstance(value, bool)
@@ -64,7 +66,7 @@ def check_limit(name: str, value: Any, quantity: str) -> None:
 
 
 def shown(value: Any) -> str:
-    """A value as messages show it, cut to 60 characters."""
+    """Return the ``repr`` of a value for a message, cut to 60 characters."""
     try:
         text = repr(value)
     except ValueError:
@@ -73,10 +75,11 @@ def shown(value: Any) -> str:
 
 
 DO_NOT_USE = "do-not-use"
-"""The reservation about a calibration whose verdict says that it should not be used."""
+"""Name of the reservation about a calibration whose verdict says that it should not be used."""
 
 FITTED_FRAMES = "fitted-frames"
-"""The reservation about a calibration with fitted base and tool: errors in the arm's base frame are unknown."""
+"""Name of the reservation about a calibration with fitted base and tool frames. Its errors in the arm's base frame are
+unknown."""
 
 NAMES = (DO_NOT_USE, FITTED_FRAMES)
 
@@ -85,12 +88,12 @@ def obey(reservations: Mapping[str, str], allow: Collection[str], concerns: Coll
     """Raise an error if a reservation concerns this use and the user did not allow it.
 
     Args:
-        reservations: A sentence for the name of each reservation, which says what is wrong and what to do.
+        reservations: For each reservation, by name, a sentence that says what is wrong and what to do.
         allow: Names of the reservations that the user allows.
         concerns: Names of the reservations that matter for this use.
 
     Raises:
-        InputError: If there is such a reservation, with its sentence; or if ``allow`` has an unknown name.
+        InputError: If there is such a reservation; the message has its sentence. Also if ``allow`` has an unknown name.
     """
     if unknown := [name for name in allow if name not in NAMES]:
         raise InputError(f"unknown reservation '{unknown[0]}'; give one of {', '.join(NAMES)}")

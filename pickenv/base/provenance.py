@@ -1,4 +1,4 @@
-"""Where a number comes from: the versions and the code that computed it, and the hash of a file."""
+"""Provenance of results: package versions, a fingerprint of the code, command lines, and hashes of files."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from pickenv.base import registry
 
 
 def versions(*packages: str) -> dict[str, str]:
-    """The versions of pickenv, NumPy, Python, the packages that extend pickenv, and ``packages`` if installed."""
+    """Return the versions of pickenv, NumPy, Python, the packages extending pickenv, and ``packages`` if installed."""
     numbers = {"pickenv": pickenv.__version__, "numpy": np.__version__, "python": platform.python_version()}
     numbers |= registry.packages()
     for name in packages:
@@ -28,16 +28,17 @@ def versions(*packages: str) -> dict[str, str]:
 
 
 def command_line(*words: object, **options: object) -> str:
-    """A command line as a shell reads it; the arguments are those of `command_words`."""
+    """Return a command line with shell quoting; the arguments are those of `command_words`."""
     return shlex.join(command_words(*words, **options))
 
 
 def command_words(*words: object, **options: object) -> list[str]:
-    """The words of a command line.
+    """Return the words of a command line.
 
     Args:
-        words: Command and arguments.
-        options: Values of options; True is a flag, a list repeats its option, None and False leave it out.
+        words: Command and positional arguments.
+        options: Values of options, by name with underscores. True is a flag, a list repeats its option, None and False
+            leave it out.
     """
     line = [str(word) for word in words]
     for name, value in options.items():
@@ -49,13 +50,15 @@ def command_words(*words: object, **options: object) -> list[str]:
 
 
 SHOWS = ("cli.py", "commands/", "pictures/", *(f"inspect/{shelf}/" for shelf in ("figures", "films", "recordings")))
-"""Code that only shows numbers and makes none: work that was kept stays valid when it changes."""
+"""Paths of code that only displays results. A change in it does not change `code_fingerprint`, so stored results stay
+valid."""
 
 
 def code_fingerprint() -> str:
-    """SHA-256 over the code and tables (.py, .toml) that make numbers, links of a checkout included.
+    """Return the SHA-256 of the code and tables (.py, .toml) that affect results, with linked folders of a checkout.
 
-    Files of pickenv are read once. Other packages that extend pickenv count by name and version, as now in use.
+    Files of pickenv are read once per process. Other packages that extend pickenv enter by name and version, as now in
+    use.
     """
     others = "".join(f"{package} {number}\n" for package, number in registry.packages().items())
     return hashlib.sha256(f"{_own_code()}{others}".encode()).hexdigest()
@@ -71,11 +74,11 @@ def _own_code() -> str:
 
 
 def made_with() -> dict[str, str]:
-    """What a file was made with: versions, and the fingerprint of the code ("code")."""
+    """Return what a file is made with: package versions, and the fingerprint of the code under "code"."""
     return versions() | {"code": code_fingerprint()}
 
 
 def file_sha256(path: Path) -> str:
-    """SHA-256 of a file's bytes, in hexadecimal."""
+    """Return the SHA-256 of a file's bytes, in hexadecimal."""
     with path.open("rb") as file:
         return hashlib.file_digest(file, "sha256").hexdigest()

@@ -1,8 +1,9 @@
-"""One door for every kind of extension: what ships and what others bring is registered by kind and name.
+"""Registry of extensions by kind and name: those shipped with pickenv, and those of other packages.
 
-A thing is registered by a decorator, ``@pickenv.register("residual", "forest")``, or by an installed package's entry
-point ``forest = "module:Forest"`` of the group ``pickenv.residual``, which is imported when that name is asked for.
-What ships stands in the modules of `SHIPPED`, which are imported when their kind is first asked for.
+A class or function is registered by a decorator, ``@pickenv.register("residual", "forest")``, or by an entry point of
+an installed package. The entry point ``forest = "module:Forest"`` is in the group ``pickenv.residual``. It is imported
+when that name is first requested. The extensions shipped with pickenv are in the modules of `SHIPPED`. These are
+imported when their kind is first requested.
 """
 
 from __future__ import annotations
@@ -30,22 +31,22 @@ SHIPPED: Mapping[str, tuple[str, ...]] = {
     "policy": ("pickenv.agents.policies.scripted", "pickenv.agents.policies.adaptive"),
     "backend": ("pickenv.envs.reaching.vector",),
 }
-"""The modules, by kind, that register what ships with pickenv; names are listed in the order of these modules."""
+"""Modules that register the extensions shipped with pickenv, by kind. `names` has the order of these modules."""
 
 KINDS = tuple(SHIPPED)
-"""Every kind of extension; `docs/extending.md` says what a thing of each must have."""
+"""All kinds of extension. `docs/extending.md` describes what an extension of each kind must have."""
 
 Thing = TypeVar("Thing", bound=Callable[..., Any])
 
 
 @dataclass(frozen=True)
 class Origin:
-    """Where a registered thing comes from; a saved file that needs the thing keeps it.
+    """The package or module that an extension comes from; a saved file that needs the extension records it.
 
     Attributes:
-        package: The distribution's name, such as "forest-for-pickenv"; "" for the code of a script or a notebook.
-        version: The distribution's version; "" where there is no package.
-        module: The module, where there is no package; else "".
+        package: Name of the distribution, such as "forest-for-pickenv"; "" for the code of a script or a notebook.
+        version: Version of the distribution; "" without a package.
+        module: Name of the module if there is no package; else "".
     """
 
     package: str = ""
@@ -57,18 +58,20 @@ class Origin:
 
 
 _entries: dict[str, dict[str, tuple[Any, Origin]]] = {kind: {} for kind in KINDS}
-"""The registered things by kind and name, each with its origin."""
+"""The registered classes and functions by kind and name, each with its origin."""
 
 
 def register(kind: str, name: str) -> Callable[[Thing], Thing]:
-    """Make a decorator that registers a class or a function (a value's maker, too) and returns it as it is.
+    """Return a decorator that registers a class or function as an extension and returns it unchanged.
+
+    To register a value, register a function that returns it.
 
     Args:
         kind: One of `KINDS`.
-        name: Letters, digits, ``_`` and ``-``. A package may replace what it registered itself.
+        name: Name of the extension: letters, digits, ``_`` and ``-``. A package may replace what it registered itself.
 
     Raises:
-        InputError: If the kind is not known, the name is not such a word, or another package holds the name.
+        InputError: If the kind is unknown, the name is not of this form, or another package has registered the name.
     """
     _check_kind(kind)
     if re.fullmatch(r"[A-Za-z0-9_-]+", name) is None:
@@ -84,7 +87,10 @@ def register(kind: str, name: str) -> Callable[[Thing], Thing]:
 
 
 def names(kind: str) -> tuple[str, ...]:
-    """The names of a kind: those that ship with pickenv, then others, sorted. Other packages are not imported."""
+    """Return the names of all extensions of a kind, without importing other packages.
+
+    Names shipped with pickenv come first. The others follow in alphabetical order.
+    """
     _import_shipped(kind)
     entries = _entries[kind]
     shipped = [name for module in SHIPPED[kind] for name in entries if entries[name][0].__module__ == module]
@@ -92,18 +98,18 @@ def names(kind: str) -> tuple[str, ...]:
 
 
 def get(kind: str, name: str, *, package: str = "", version: str = "", module: str = "") -> Any:
-    """The registered class or function of this kind and name; an installed package that offers it is imported.
+    """Return the class or function registered under a kind and name; import the package that offers it if needed.
 
     Args:
         kind: One of `KINDS`.
-        name: Its name.
-        package: The package that a saved file names as the thing's origin (`Origin`); "" for no particular one.
+        name: Name of the extension.
+        package: The package that a saved file names as the extension's origin (`Origin`); "" for any.
         version: The version of that package when the file was saved.
-        module: The module that the file names, where the thing came from no package.
+        module: The module that the file names, if the extension came from no package.
 
     Raises:
-        InputError: If there is no such thing, its package cannot be imported, or it is not of the package or module
-            that the file says.
+        InputError: If nothing is registered under this name, its package cannot be imported, or it does not come from
+            the given package or module.
     """
     _import_shipped(kind)
     if name not in _entries[kind]:
@@ -126,10 +132,10 @@ def get(kind: str, name: str, *, package: str = "", version: str = "", module: s
 
 
 def origin(kind: str, name: str) -> Origin:
-    """Say which package, in which version, a registered thing comes from; the package is not imported.
+    """Return the package and version that an extension comes from, without importing the package.
 
     Raises:
-        InputError: If there is no such thing.
+        InputError: If nothing is registered under this kind and name.
     """
     _import_shipped(kind)
     if name not in _entries[kind]:
@@ -141,7 +147,10 @@ def origin(kind: str, name: str) -> Origin:
 
 
 def registered_as(thing: Any) -> tuple[str, str] | None:
-    """The kind and name by which a class or function is registered or offered by an installed package, or None."""
+    """Return the kind and name under which a class or function is registered, or None.
+
+    Entry points of installed packages count as registered.
+    """
     for kind, entries in _entries.items():
         for name, (registered, _) in entries.items():
             if registered is thing:
@@ -152,7 +161,7 @@ def registered_as(thing: Any) -> tuple[str, str] | None:
 
 
 def load_all(kind: str) -> dict[str, Any]:
-    """Load everything of a kind, by name; what another package fails to provide is left out with a warning."""
+    """Load all extensions of a kind and return them by name; one that cannot be loaded is left out with a warning."""
     things = {}
     for name in names(kind):
         try:
@@ -163,7 +172,10 @@ def load_all(kind: str) -> dict[str, Any]:
 
 
 def packages() -> dict[str, str]:
-    """The versions, by name, of other packages that extend pickenv, installed or in use: results may depend on them."""
+    """Return the versions, by name, of all other packages that extend pickenv, because results may depend on them.
+
+    These are installed packages with entry points, and packages with registered extensions.
+    """
     sources = {_origin_of_entry_point(point) for point in _installed(tuple(sys.path))}
     sources |= {source for entries in _entries.values() for _, source in entries.values()}
     return {s.package: s.version for s in sorted(sources, key=str) if s.package not in ("", "pickenv")}

@@ -1,8 +1,10 @@
-"""Random streams for all that a comparison or a training draws; no two seeds, arms or purposes share a stream.
+"""Random streams for comparisons and training: no two seeds, arms or purposes share a stream.
 
-Streams are not numbered ``seed + i``: environment 1 of seed 0 would be environment 0 of seed 1. Neighbouring seeds
-themselves are safe with NumPy's `SeedSequence`. The module also limits linear algebra to one thread: for small
-matrices, several threads cost more than they save, most of all on a busy machine.
+Streams are not numbered ``seed + i``, because environment 1 of seed 0 would then equal environment 0 of seed 1.
+Neighbouring seeds are safe with NumPy's `SeedSequence`.
+
+The module also limits linear algebra and torch to one thread. For small matrices, several threads cost more time than
+they save, most of all on a busy machine.
 """
 
 from __future__ import annotations
@@ -21,37 +23,41 @@ Purpose = Literal[
     "arms", "fruit", "policy", "calibration", "training", "camera", "picks", "day", "grasps", "leaderboard", "datasets",
     "constants",
 ]  # fmt: skip
-"""What the numbers of a random stream are for; the order of the names is part of the streams."""
+"""Purposes of random streams. The position of a purpose in this list seeds its streams, so the order must not
+change."""
 
 
 def stream(seed: int, purpose: Purpose, *numbers: int) -> np.random.SeedSequence:
-    """The random stream of a seed for one purpose, or for one numbered arm or block within it.
+    """Return the seed sequence of a run's seed for one purpose, or for one numbered item within the purpose.
 
     Args:
         seed: The seed of the run.
-        purpose: What is drawn from it.
-        numbers: Numbers within the purpose, such as the number of the arm.
+        purpose: What the random numbers are used for.
+        numbers: Indices within the purpose, such as the index of an arm or a block.
     """
     return np.random.SeedSequence(seed, spawn_key=(get_args(Purpose).index(purpose), *numbers))
 
 
 def seed_words(sequence: np.random.SeedSequence, count: int) -> list[int]:
-    """Seeds below 2^62 for generators that take whole numbers; a longer list begins with the shorter one."""
+    """Return ``count`` integer seeds below 2^62 for generators that take integers.
+
+    For one sequence, a longer list begins with the seeds of a shorter list.
+    """
     return [int(word) >> 2 for word in sequence.generate_state(count, np.uint64)]
 
 
 RUN = 2**16
-"""Number of seeds, one per environment, that `run_seed` sets aside for each run, and the number of runs."""
+"""Number of seeds that `run_seed` reserves for each run, one per environment. It is also the number of runs."""
 
 
 def run_seed(run: int) -> int:
-    """A seed for a client that takes one number and counts on from it, as Gymnasium does: environment i gets seed + i.
+    """Return the first seed of a run, for a client such as Gymnasium that gives environment i this seed plus i.
 
-    Runs 0, 1, 2 … begin 65,536 apart, so that none of their environments share an episode. Seeds are below 2^32, as
-    NumPy's old generators and most clients need.
+    The first seeds of runs 0, 1, 2 … are 65,536 apart, so that environments of different runs never share an episode.
+    All seeds are below 2^32, as NumPy's legacy generators and most clients require.
 
     Args:
-        run: Number of the run, below 65,536.
+        run: Number of the run, 0 to 65,535.
 
     Raises:
         InputError: If there is no such run.
@@ -66,14 +72,17 @@ _controller = cache(ThreadpoolController)  # looking the libraries up takes mill
 
 @contextmanager
 def single_threaded() -> Iterator[None]:
-    """A context, or a decorator of functions, in which NumPy's linear algebra runs on one thread."""
+    """Return a context, also usable as a decorator, in which NumPy's linear algebra (BLAS) uses one thread."""
     with _controller().limit(limits=1, user_api="blas"):
         yield
 
 
 @contextmanager
 def torch_on_one_thread() -> Iterator[None]:
-    """A context with torch on one thread, which is faster for small networks and always adds in the same order."""
+    """Return a context in which torch uses one thread.
+
+    One thread is faster for small networks, and always adds numbers in the same order.
+    """
     import torch
 
     before = torch.get_num_threads()

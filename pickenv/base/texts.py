@@ -1,7 +1,7 @@
 """Read text files, and report a wrong kind of file, a wrong encoding or a parser's error in one clear sentence.
 
-Readers of CSV, TOML, YAML, URDF and MJCF call `read_text` and `parsed`; each error is an `InputError` that names the
-file. `shortened` keeps a message's quotations to one line, and `decimal_number` decides what is a number.
+Readers of CSV, TOML, YAML, URDF and MJCF call `read_text` and `parsed`. Each error is an `InputError` that names the
+file. `shortened` cuts quotations in messages to one line. `decimal_number` decides which text is a number.
 """
 
 from __future__ import annotations
@@ -24,21 +24,23 @@ PIECE = 1 << 20
 """Number of bytes read at once."""
 
 LARGEST = 1 << 30
-"""Largest size of a text file, bytes; no file of ours comes near it."""
+"""Largest size of a text file that is read, bytes. The files of pickenv are much smaller."""
 
 MARKS = {"UTF-32": (codecs.BOM_UTF32_LE, codecs.BOM_UTF32_BE), "UTF-16": (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)}
-"""First bytes of files that are not UTF-8: byte order marks, longest first."""
+"""Byte order marks of encodings that are refused, by encoding, the longest first."""
 
 
 def read_text(path: str | Path, kind: str) -> str:
-    """The text of a UTF-8 file, a pipe, or /dev/stdin; a byte order mark is left out, line ends stay as they are.
+    """Return the text of a UTF-8 file, a pipe, or /dev/stdin.
+
+    A byte order mark is removed. Line ends are kept as they are.
 
     Args:
         path: The file.
-        kind: What it should be, for messages: "a CSV file".
+        kind: What the file should be, for messages: "a CSV file".
 
     Raises:
-        InputError: If the file is missing, a folder or a device, too large, or no UTF-8 text; the message says which.
+        InputError: If the file is missing, a folder, a device, too large, or not UTF-8 text. The message says which.
     """
     other, data = "", b""
     try:
@@ -76,7 +78,16 @@ def _decoded(data: bytes, path: str | Path, kind: str) -> str:
 
 
 def parsed(parse: Callable[[], Thing], path: str | Path, kind: str) -> Thing:
-    """The result of ``parse()``; any error becomes an `InputError`: ``path`` is not valid ``kind`` ("TOML"), why."""
+    """Return the result of ``parse()``, and turn every exception into an `InputError`.
+
+    Args:
+        parse: Function that parses the file's text.
+        path: The file, for the message.
+        kind: Format of the file, for the message: "TOML".
+
+    Raises:
+        InputError: If ``parse`` raises. The message says that ``path`` is not valid ``kind``, and why.
+    """
     try:
         return parse()
     except RecursionError as error:
@@ -87,7 +98,7 @@ def parsed(parse: Callable[[], Thing], path: str | Path, kind: str) -> Thing:
 
 @contextmanager
 def in_file(path: str | Path) -> Iterator[None]:
-    """A context whose errors begin with the file's name.
+    """Return a context that puts the file's name before the message of every `InputError`.
 
     Raises:
         InputError: For every `InputError` in the context.
@@ -99,15 +110,21 @@ def in_file(path: str | Path) -> Iterator[None]:
 
 
 def yaml_content(text: str, path: str | Path) -> Any:
-    """The content of a YAML text: mappings, lists, numbers and words; aliases and tags of Python are refused.
+    """Return the content of a YAML text as plain mappings, lists, numbers and strings.
+
+    Aliases and Python tags are refused.
+
+    Args:
+        text: The YAML text.
+        path: The file that has the text, for messages.
 
     Raises:
-        InputError: If the text is no YAML; the message names ``path``.
+        InputError: If the text is not valid YAML, or has an alias or a Python tag.
     """
     import yaml  # late: most files are none
 
     class Plain(yaml.SafeLoader):
-        """A YAML loader that refuses aliases, because with them a few lines can stand for endlessly many."""
+        """A YAML loader that refuses aliases, with which a few lines can expand without limit."""
 
         def compose_node(self, parent: Any, index: Any) -> Any:
             if self.check_event(yaml.AliasEvent):
@@ -118,7 +135,7 @@ def yaml_content(text: str, path: str | Path) -> Any:
 
 
 def decimal_number(text: str) -> float | None:
-    """The number that ``text`` spells in ASCII digits, which may be nan or infinite; None if it spells no number."""
+    """Return the number that ``text`` spells in ASCII, possibly nan or infinite; None if it is not a number."""
     try:
         return float(text) if text.isascii() and "_" not in text else None  # no 1_000, and no digits of any script
     except ValueError:
@@ -126,12 +143,12 @@ def decimal_number(text: str) -> float | None:
 
 
 def one_line(text: str) -> str:
-    """A text without line ends and other characters that names and comments cannot hold."""
+    """Return ``text`` with every unprintable character, such as a line end, replaced by a space."""
     return "".join(c if c.isprintable() else " " for c in text)
 
 
 def shortened(value: object, length: int = 60) -> str:
-    """``value`` as a message quotes it: on one line, and no longer than ``length``."""
+    """Return ``value`` as text on one line, cut to at most ``length`` characters, to be quoted in a message."""
     try:
         text = str(value) if not isinstance(value, str) else value
     except ValueError:  # an integer of more than 4300 digits
@@ -141,26 +158,26 @@ def shortened(value: object, length: int = 60) -> str:
 
 
 UNBOUNDED = 100_000
-"""Width, in characters, of a line that is not written to a terminal."""
+"""Line width used where the output is not a terminal, characters."""
 
 
 def screen_width(otherwise: int = UNBOUNDED) -> int:
-    """The width of the terminal in characters, or what COLUMNS says; ``otherwise`` where neither is known."""
+    """Return the width of a line in characters: COLUMNS if set, else the terminal's width, else ``otherwise``."""
     return shutil.get_terminal_size((otherwise, 24)).columns
 
 
 def folded(text: str, width: int) -> list[str]:
-    """The lines of a sentence folded to ``width`` characters; the second and later lines are indented."""
+    """Return the lines of a text wrapped at ``width`` characters; all lines but the first are indented."""
     return wrap(text, width, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False) or [""]
 
 
 def side_by_side(sizes: Sequence[int], repeated: int, width: int) -> list[list[int]]:
-    """Split a table's columns into tables that fit ``width``; return the indices of the columns of each table.
+    """Split a wide table into several tables that fit ``width``, and return the column indices of each.
 
     Args:
-        sizes: Width of each column in characters, with the space between columns.
-        repeated: Number of first columns, which every table repeats.
-        width: Characters of a line.
+        sizes: Width of each column, including the space between columns, characters.
+        repeated: Number of leading columns that every table repeats.
+        width: Width of a line, characters.
     """
     tables = [list(range(repeated))]
     for column in range(repeated, len(sizes)):
@@ -171,12 +188,12 @@ def side_by_side(sizes: Sequence[int], repeated: int, width: int) -> list[list[i
 
 
 def listed(names: Iterable[str], length: int = 600) -> str:
-    """Names joined with commas for a message, each shortened, and the whole no longer than ``length`` characters."""
+    """Return names joined with commas for a message, each shortened, in at most ``length`` characters."""
     return shortened(", ".join(shortened(name) for name in names), length)
 
 
 def is_file(path: str | Path) -> bool:
-    """Whether ``path`` is a file; False for a path that no file can have (too long, a zero byte)."""
+    """Return whether ``path`` is a file; False for a path that no file can have (too long, with a zero byte)."""
     with suppress(OSError, ValueError):
         return Path(path).is_file()
     return False
@@ -187,6 +204,6 @@ def _name(path: str | Path) -> str:
 
 
 def reason_of(error: Exception) -> str:
-    """An error's own words on one line, without Python's advice to programmers."""
+    """Return an exception's message on one line, without Python's hint about ``sys.set_int_max_str_digits``."""
     text = getattr(error, "strerror", None) or str(error) or type(error).__name__
     return shortened(re.sub(r"\s+", " ", re.sub(r"; use sys\.set_int_max_str_digits\(\).*", "", text)), 200)

@@ -1,8 +1,11 @@
-"""TOML files are read in one place: a frozen dataclass says which keys a table has, its annotations say in which units.
+"""Read TOML files into frozen dataclasses, whose fields give the keys and whose annotations give units and checks.
 
-`toml_table` makes the dataclass. A field annotated with a `Unit` has the unit at the end of its key and is kept in SI:
-``length: Annotated[float, MM.positive]`` stands in the file as ``length_mm``, in the object in m. `read_toml` gives the
-object or one sentence with file, line, key, table, value and what to give. Pydantic checks; the first file loads it.
+`toml_table` makes the dataclass. The key of a field annotated with a `Unit` ends in the unit, and the object has the
+value in SI units. For example, ``length: Annotated[float, MM.positive]`` is ``length_mm`` in the file, and in m in the
+object.
+
+`read_toml` returns the object. For a faulty file it raises an error with file, line, key, table, value and what to give
+instead. Pydantic makes the checks; it is imported when the first file is read.
 """
 
 from __future__ import annotations
@@ -25,11 +28,17 @@ Thing = TypeVar("Thing")
 Class = TypeVar("Class", bound=type)
 
 INTEGERS = 1 << 63
-"""Size within which TOML's integers lie."""
+"""Bound of TOML integers, which have 64 bits: they are at least minus this number, and below it."""
 
 
 def fault(wanted: str, kind: str = "wanted", **said: Any) -> Exception:
-    """What a check of a value raises: the sentence ends with "give" and ``wanted``."""
+    """Return the exception that a check of a value raises.
+
+    Args:
+        wanted: What the user should give; the message ends with "give" and this text.
+        kind: Type of the error, as pydantic names it.
+        said: Further details for the message, by name.
+    """
     from pydantic_core import PydanticCustomError
 
     return PydanticCustomError(cast(Any, kind), "{wanted}", {"wanted": f"give {wanted}", **said})
@@ -37,19 +46,24 @@ def fault(wanted: str, kind: str = "wanted", **said: Any) -> Exception:
 
 @dataclass(frozen=True)
 class Check:
-    """Annotation of a field with a test of its value as the file has it, and what to give if the test fails."""
+    """Annotation of a field that tests its value as it is in the file, before conversion to SI units.
+
+    Attributes:
+        test: Function that returns whether the value is valid.
+        wanted: What the user should give if the test fails.
+    """
 
     test: Callable[[Any], bool]
     wanted: str
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        """The annotated type's schema behind the test."""
+        """Return the annotated type's schema, with the test before it."""
         from pydantic_core import core_schema as core
 
         return core.no_info_before_validator_function(self.checked, handler(source))
 
     def checked(self, value: Any) -> Any:
-        """The value if it passes the test; otherwise the fault is raised."""
+        """Return the value if it passes the test; else raise a `fault`."""
         if not self.test(value):
             raise fault(self.wanted)
         return value
@@ -57,17 +71,18 @@ class Check:
 
 @dataclass(frozen=True)
 class Unit:
-    """Annotates a number, or tuples of numbers: the unit that ends its key, what turns it into SI, and its bounds.
+    """Annotation of a number, or of tuples of numbers, with the unit in the file, its conversion to SI, and bounds.
 
     Attributes:
         name: Ending of the key; empty for numbers without a unit.
-        scale: SI units per unit.
-        per: Units per SI unit, to divide by instead, which rounds to the nearest number.
-        most: Largest size, in the file's unit; beyond it stands a slip of the pen or a wrong unit.
-        least: Smallest value; None for minus ``most``.
+        scale: SI units per unit, by which the file's value is multiplied.
+        per: Units per SI unit, by which it is divided. Give it instead of ``scale`` if this rounds to the nearest
+            number.
+        most: Largest magnitude, in the file's unit. A larger one is a slip or is in a wrong unit.
+        least: Smallest value, in the file's unit; None for minus ``most``.
         above: Whether ``least`` itself is refused.
-        whole: Whether it is a whole number.
-        why: Reason for the bounds, for messages, which then name both.
+        whole: Whether the number must be an integer.
+        why: Reason for the bounds, for messages, which then name both bounds.
     """
 
     name: str = ""
@@ -81,25 +96,25 @@ class Unit:
 
     @property
     def positive(self) -> Unit:
-        """This unit for numbers above zero."""
+        """This unit, for numbers above zero only."""
         return replace(self, least=0.0, above=True)
 
     @property
     def not_negative(self) -> Unit:
-        """This unit for numbers from zero."""
+        """This unit, for numbers of at least zero only."""
         return replace(self, least=0.0)
 
     def at_least(self, least: float) -> Unit:
-        """This unit for numbers from ``least``, which is allowed."""
+        """Return this unit, for numbers of at least ``least`` only."""
         return replace(self, least=least)
 
     def within(self, least: float, most: float, why: str = "") -> Unit:
-        """This unit for numbers between two bounds, which are allowed."""
+        """Return this unit, for numbers from ``least`` to ``most`` only, in the file's unit, both included."""
         return replace(self, least=least, most=most, why=why)
 
     @property
     def wanted(self) -> str:
-        """What to give, for messages."""
+        """Description of a valid number, for messages."""
         number = "a whole number" if self.whole else "a number" if self.least is not None else "a finite number"
         unit, why = f" {self.name}" if self.name else "", f": {self.why}" if self.why else ""
         if self.why is not None and not self.above:
@@ -109,13 +124,13 @@ class Unit:
         return f"{number}{zero}" + (f", at most {self.most:g}{unit}{why}" if self.most < math.inf else "")
 
     def holds(self, value: float) -> bool:
-        """Whether a number in SI is within the bounds."""
+        """Return whether a number in SI units is within the bounds."""
         ends = (-self.most if self.least is None else self.least), self.most
         low, high = (end * self.scale / self.per for end in ends)
         return math.isfinite(value) and (low < value if self.above else low <= value) and value <= high
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        """Schema of a number, or of tuples of it, as deep as they are annotated."""
+        """Return the schema of a number, or of tuples of numbers, nested as they are annotated."""
         from pydantic_core import core_schema as core
 
         if get_origin(source) is tuple:
@@ -142,13 +157,18 @@ class Unit:
 
 @dataclass(frozen=True)
 class Then:
-    """Annotation with a function of the checked value and the reader's context; ``source`` is the file's own type."""
+    """Annotation of a field that converts its checked value with a function.
+
+    Attributes:
+        make: Function of the checked value and of the ``context`` given to `read_toml`.
+        source: Type of the value in the file; None for the annotated type.
+    """
 
     make: Callable[[Any, Any], Any]
     source: Any = None
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        """The schema of what the file holds, then what is made of it."""
+        """Return the schema of the file's value, followed by the conversion."""
         from pydantic_core import core_schema as core
 
         schema = handler(source) if self.source is None else handler.generate_schema(self.source)
@@ -157,12 +177,16 @@ class Then:
 
 @dataclass(frozen=True)
 class Kinds:
-    """Annotates a union of tables; ``tell`` says from the keys of one which of the classes it is."""
+    """Annotation of a union of table classes.
+
+    Attributes:
+        tell: Function that returns the class of a table, given the table's keys and values.
+    """
 
     tell: Callable[[Mapping[str, Any]], Any]
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        """A union whose tag, in angle brackets, is the class's name."""
+        """Return a union schema in which each class's tag is its name in angle brackets."""
         from pydantic_core import core_schema as core
 
         kinds = {f"<{kind.__name__}>": handler.generate_schema(kind) for kind in get_args(source)}
@@ -173,7 +197,12 @@ class Kinds:
 
 @dataclass(frozen=True)
 class Key:
-    """Annotates a field whose key in the file is not its name and unit, or which stands in a section of its own."""
+    """Annotation of a field whose key differs from its name and unit, or which is in a section of the file.
+
+    Attributes:
+        name: Key in the file; empty for the field's name and unit.
+        section: Name of the section (table) that has the key; empty for the top level.
+    """
 
     name: str = ""
     section: str = ""
@@ -196,19 +225,24 @@ SECONDS, MILLISECONDS, HOURS = Unit("s"), Unit("ms", 1e-3), Unit("h", 3600.0)
 PX, WHOLE_PX, LX = Unit("px"), Unit("px", whole=True), Unit("lx")
 
 TO_SI = {unit.name: unit.scale for unit in (DEG, RAD, MM, M)}
-"""SI units per unit of a joint or a coordinate."""
+"""SI units per unit of a joint or a coordinate, by the unit's name."""
 
 
 def afterwards(test: Callable[[Any], bool], wanted: str) -> Then:
-    """Annotation of a field with a test of its value in SI, as `Check` tests the file's own."""
+    """Return an annotation that tests a field's value in SI units, after conversion; `Check` tests it before.
+
+    Args:
+        test: Function that returns whether the value is valid.
+        wanted: What the user should give if the test fails.
+    """
     return Then(lambda value, _: Check(test, wanted).checked(value))
 
 
 ONCE = afterwards(lambda values: 0 < len(set(values)) == len(values), "a list of at least one entry, each entry once")
-"""A list that is not empty and has no entry twice."""
+"""Annotation of a list that is not empty and has no entry twice."""
 
 IN_ORDER = afterwards(lambda ends: ends[0] <= ends[1], "the lower number first")
-"""A range that does not end before it begins."""
+"""Annotation of a range whose end is not below its beginning."""
 
 LINE = Check(lambda value: isinstance(value, str) and value.isprintable(), "a text of one line")
 
@@ -221,7 +255,11 @@ FILLED_IN = ("name", "source")
 
 @dataclass_transform(frozen_default=True)
 def toml_table(kind: Class) -> Class:
-    """A frozen dataclass that a TOML table holds: its keys and no others, each that has no default."""
+    """Make a class a frozen dataclass that `read_toml` reads from a TOML table.
+
+    The table may have only the keys of the class's fields. It must have those of all fields without a default, except
+    `FILLED_IN`.
+    """
     table: Any = kind if "__dataclass_fields__" in vars(kind) else dataclass(frozen=True)(kind)
     table.__pydantic_config__ = {"alias_generator": lambda name: _keys(table)[name][0], "extra": "forbid"}
     table.__get_pydantic_core_schema__ = staticmethod(_schema)
@@ -272,7 +310,7 @@ def _marks(hint: Any) -> Iterator[Any]:
 
 @cache
 def units_of(kind: Any) -> dict[str, Unit]:
-    """The unit of each field that has one, by the field's name."""
+    """Return the unit of each field that has one, by the field's name."""
     hints = get_type_hints(kind, include_extras=True)
     return {name: mark for name, hint in hints.items() for mark in _marks(hint) if isinstance(mark, Unit)}
 
@@ -331,7 +369,7 @@ def _adapter(kind: Any) -> Any:
 
 
 def json_schema(kind: Any) -> dict[str, Any]:
-    """JSON schema of the files that ``kind`` reads, for editors."""
+    """Return the JSON schema of the files that ``kind`` reads, for editors."""
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **_adapter(kind).json_schema()}
 
 
@@ -340,12 +378,12 @@ def read_toml(kind: type[Thing], path: str | Path, *, section: str = "", context
 
     Args:
         kind: A class made by `toml_table`.
-        path: The file; its stem is the object's ``name`` where the file gives none.
+        path: The file. Its stem is the object's ``name`` if the file gives none.
         section: The table of the file to read; "" for the whole file.
-        context: What the functions of `Then` get beside the value.
+        context: Second argument of the functions of `Then`.
 
     Raises:
-        InputError: If the file cannot be read or a key is unknown, missing or impossible.
+        InputError: If the file cannot be read, or a key is unknown or missing or has an impossible value.
     """
     content, text = toml_of(path)
     if section not in content and section:
@@ -354,17 +392,17 @@ def read_toml(kind: type[Thing], path: str | Path, *, section: str = "", context
 
 
 def shipped_in(folder: Path) -> list[str]:
-    """Names of the TOML files of a folder that comes with pickenv."""
+    """Return the names (stems) of the TOML files in a folder that comes with pickenv, sorted."""
     return sorted(path.stem for path in folder.glob("*.toml"))
 
 
 def file_named(kind: str, name: str | Path, folder: Path, endings: str = ".toml") -> Path:
-    """The TOML file of ``folder`` that has this name, or the one whose path is given.
+    """Return the path of a TOML file, given the name of a shipped file or a path.
 
     Args:
-        kind: What the file holds, for messages.
+        kind: What the file describes, for messages: "arm".
         name: A name of `shipped_in`, or a path ending in .toml.
-        folder: Where the shipped files lie.
+        folder: Folder of the shipped files.
         endings: Endings of files that may be given instead, for messages.
 
     Raises:
@@ -379,7 +417,11 @@ def file_named(kind: str, name: str | Path, folder: Path, endings: str = ".toml"
 
 
 def toml_of(path: str | Path) -> tuple[dict[str, Any], str]:
-    """The content of a TOML file, unchecked, and its text; an `InputError` says why a file cannot be read."""
+    """Return the content of a TOML file, unchecked, and its text.
+
+    Raises:
+        InputError: If the file cannot be read or is not valid TOML. The message says why.
+    """
     text = read_text(path, "a TOML file")
     return parsed(lambda: _without_huge(tomllib.loads(text), ""), path, "TOML"), text
 
@@ -412,12 +454,12 @@ def made(
         content: The content, as `tomllib` gives it.
         where: The file, for messages.
         text: The file's text, so that messages can name lines.
-        name: What the object is called, where it is not named like the file.
+        name: The object's name if it is not the stem of the file; "" otherwise.
         section: The key of the content to use; "" for the whole content.
-        context: What the functions of `Then` get beside the value.
+        context: Second argument of the functions of `Then`.
 
     Raises:
-        InputError: If a key is unknown, missing or impossible.
+        InputError: If a key is unknown or missing or has an impossible value.
     """
     from pydantic import ValidationError
 
@@ -442,7 +484,7 @@ def _lacks(error: Any) -> bool:
 
 
 WORDS = {"literal_error": "give {expected}", "string_type": "give a text", "tuple_type": "give a list"}
-"""What a message says to give, by the type of pydantic's own error."""
+"""What a message tells the user to give, by the type of pydantic's own error."""
 
 
 def _sentence(error: Mapping[str, Any], content: Any, where: str, text: str, owner: str) -> str:
@@ -504,17 +546,21 @@ def _at(content: Any, place: list[Any]) -> Any:
 
 
 CLOSING = ("", "]", "]]", "]]]", '"""', "'''")
-"""What may close a value that a file's first lines leave open."""
+"""Endings that are tried to complete a value that is still open at the end of a line."""
 
 MOST_READ = 1_000_000
-"""Characters read at most to find a line; a file that would need more has its key named without one."""
+"""Largest number of characters that are parsed to find a line. Beyond it, a message names the key without a line."""
 
 
 def line_of(text: str, place: list[Any]) -> int | None:
-    """The line, from 1, in which the value at ``place`` of a valid TOML file begins, or the table around it.
+    """Return the line, from 1, at which the value at ``place`` of a valid TOML file begins, or None.
 
-    The file is read up to each line that names the key, what is open there being closed, until it has the place, or
-    `MOST_READ` is reached.
+    If there is no such value, the table around it is used. The text up to each line that names the key is parsed, with
+    open values closed, until it has the place. The search ends after `MOST_READ` characters.
+
+    Args:
+        text: The file's text.
+        place: Keys and list indices that lead to the value.
     """
     while place and _at(tomllib.loads(text), place) is None:
         place = place[:-1]

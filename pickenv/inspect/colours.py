@@ -1,6 +1,6 @@
-"""Colours and names with a fixed meaning: one per policy everywhere, Viridis for errors, red for tolerance and miss.
+"""Colours and labels of policies, equal in all figures, and the colours of errors (Viridis) and misses (red).
 
-Policy colours are Okabe and Ito's, which people with colour vision deficiency can tell apart. RGB in 0..255.
+Policy colours are Okabe and Ito's, which people with colour vision deficiency can tell apart. RGB is in 0..255.
 """
 
 from __future__ import annotations
@@ -21,11 +21,12 @@ BLUE: Rgb = (0, 114, 178)
 GREEN: Rgb = (0, 158, 115)
 PURPLE: Rgb = (204, 121, 167)
 RED: Rgb = (208, 32, 38)
-"""Reserved for the tolerance and for misses."""
+"""Colour of the tolerance and of misses, used for nothing else."""
 GREY: Rgb = (150, 150, 158)
 STEEL: Rgb = (190, 194, 204)
 WHITE: Rgb = (255, 255, 255)
-"""Colour of words in space: the viewer sets them on dark plates in its dark theme, on light grey ones in its light."""
+"""Colour of text in 3D views. The viewer puts text on dark plates in its dark theme, and on light grey ones in its
+light theme."""
 FRUIT: Rgb = (222, 202, 160)
 
 BY_KEY: dict[str, Rgb] = {
@@ -43,29 +44,32 @@ BY_KEY: dict[str, Rgb] = {
 OTHERS: tuple[Rgb, ...] = (PURPLE, (86, 180, 233), (150, 140, 20), (150, 150, 150))
 NAMES = {"ls": "LS", "ls_bpnn": "LS+BPNN", "ls_gp": "LS+GP", "best": "LS+GP"}
 TEXTS: Mapping[str, Mapping[str, str]] = tomllib.loads((Path(__file__).parent / "words.toml").read_text("utf-8"))
-"""What people are shown, by the short names of files and commands."""
+"""Tables of the texts that readers see, by the short names that files and commands have."""
 WORDS, ADDED, PLANTS = (TEXTS[table] for table in ("names", "added", "plants"))
 SHORT = re.compile(rf"(?:^|(?<=\+ ))(?:{'|'.join(ADDED)})\b|\b(?:{'|'.join(WORDS)})\b")
 ORDER = (("raw", "nominal"), ("ls", "calibrated", "calibrated_geometry"), ("ls_bpnn", "with_residual", "model_used"))
-"""The order in which figures and recordings list policies, by their keys; all other policies follow."""
+"""Keys of policies in the order in which figures and recordings list them. All other policies follow."""
 
 ARMS: tuple[Rgb, ...] = (BLUE, ORANGE, GREEN, *OTHERS)
-"""Colours of a harvester's arms, in turn."""
+"""Colours of a harvester's arms, used in turn."""
 
 
 def policy_key(name: str) -> str:
-    """The key of a policy, given its key, label or words: ``ls_bpnn``, ``LS + BPNN`` and their words are alike."""
+    """Return the key of a policy, given its key, its label or its description in words.
+
+    For example, ``ls_bpnn``, ``LS + BPNN`` and ``least squares + neural network`` all give ``ls_bpnn``.
+    """
     for short, words in WORDS.items():
         name = name.replace(words, short)
     return "_".join("".join(c if c.isalnum() else " " for c in name.lower()).split())
 
 
 def policy_colours(names: Sequence[str]) -> list[Rgb]:
-    """The colour of each policy, given keys or labels: it depends on the policy's name alone unless two would clash.
+    """Return the colour of each policy, RGB in 0..255, given the policies' keys or labels.
 
-    The keys of `BY_KEY`, such as raw and LS, have fixed colours. A name that ends in such a key (``ppo_raw``) prefers
-    the same colour, and any other name prefers one of `OTHERS`. Where the preferred colour is taken already, the policy
-    gets the next free one.
+    A colour depends on the policy's name alone, unless two policies would have the same colour. The keys of `BY_KEY`,
+    such as raw and LS, have fixed colours. A name that ends in such a key (``ppo_raw``) prefers the same colour, and
+    any other name prefers one of `OTHERS`. If the preferred colour is taken already, the policy gets the next free one.
     """
     keys = [policy_key(name) for name in names]
     taken = {BY_KEY[key] for key in keys if key in BY_KEY}
@@ -87,18 +91,21 @@ def _own_colour(key: str) -> Rgb:
 
 
 def policy_rank(name: str) -> int:
-    """The rank of a policy among others, given its key or label: 1 for raw, 2 for LS, 3 for LS+BPNN, 4 for others."""
+    """Return the rank of a policy in lists, given its key or label: 1 for raw, 2 for LS, 3 for LS+BPNN, else 4."""
     key = policy_key(name)
     return next((i for i, keys in enumerate(ORDER, start=1) if key in keys), len(ORDER) + 1)
 
 
 def policy_label(key: str) -> str:
-    """The name that people use for a policy's key: LS+BPNN for ls_bpnn, ``my policy``."""
+    """Return the label of a policy for readers, given its key: LS+BPNN for ``ls_bpnn``, my policy for ``my_policy``."""
     return NAMES.get(key, key.replace("_", " "))
 
 
 def in_words(text: str) -> str:
-    """A text as newcomers are shown it: least squares + neural network for LS+BPNN, words beside a plant's name."""
+    """Return a text with short names spelled out: least squares + neural network for LS+BPNN.
+
+    A text that is the name of a plant (a simulated true arm) gets the plant's description in brackets.
+    """
     if text in PLANTS:
         return f"{text} ({PLANTS[text]})"
     spaced = re.sub(r"(?<=\w) ?\+ ?(?=[A-Za-z])", " + ", text)
@@ -106,26 +113,27 @@ def in_words(text: str) -> str:
 
 
 def as_sentence(text: str) -> str:
-    """Sentences in words, as `in_words`, each with a capital letter."""
+    """Return sentences with short names spelled out (`in_words`) and capitalised where they begin a sentence."""
     return re.sub(r"(^|\. |# |\n)(least|neural)", lambda match: match[1] + match[2].capitalize(), in_words(text))
 
 
 def lane(name: str) -> str:
-    """A policy's part of an entity path, which sorts as `policy_rank`: ``1_raw``, ``2_ls``, ``3_ls_bpnn``, ``4_ppo``.
+    """Return the part of an entity path that names a policy: ``1_raw``, ``2_ls``, ``3_ls_bpnn``, ``4_ppo``.
 
-    Anything after a slash in the name, such as an environment's number, stays.
+    It begins with the `policy_rank`, by which entity paths are sorted. Anything after a slash in the name, such as an
+    environment's number, is kept.
     """
     policy, *further = name.partition("/")
     return f"{policy_rank(policy)}_{policy_key(policy)}{''.join(further)}"
 
 
 def arm_colour(arm: int) -> Rgb:
-    """The colour of a harvester's arm, by its number from 0."""
+    """Return the colour of a harvester's arm, RGB in 0..255, given its index from 0."""
     return ARMS[arm % len(ARMS)]
 
 
 def viridis(fraction: ArrayLike) -> NDArray[np.uint8]:
-    """Viridis colours ``(..., 3)`` in 0..255 for fractions ``(...)``, which are clipped to 0..1."""
+    """Return Viridis colours ``(..., 3)`` in 0..255 for fractions ``(...)``, which are clipped to 0..1."""
     from matplotlib import colormaps
 
     colours = colormaps["viridis"](np.clip(np.asarray(fraction, dtype=float), 0.0, 1.0), bytes=True)

@@ -1,6 +1,6 @@
 """Figures of an identification: convergence, identifiability from the poses, and coverage of the joint ranges.
 
-Each function takes plain arrays and returns a matplotlib figure.
+Each function returns a matplotlib figure.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from pickenv.inspect.colours import OTHERS, RED, policy_colours
 from pickenv.inspect.figures import style
 
 NAME_ROOM = 0.15
-"""Inches along the axis that an upright name of a parameter takes."""
+"""Width that a vertical name of a parameter takes along the axis, inches."""
 NUMBER_ROOM = 0.22
-"""Inches along the axis that a number of up to three digits takes."""
+"""Width that a number of up to three digits takes along the axis, inches."""
 CELLS_ALONG = 26
 """Number of cells along the longer side of a map of uncertainty."""
 
 
 def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: ArrayLike | None = None) -> Figure:
-    """Residual after each iteration of the least squares, starting with the nominal arm, on a logarithmic axis.
+    """Draw the residual RMS of the nominal arm and after each least-squares iteration, on a logarithmic axis.
 
     Args:
-        residual_rms_mm: Position residual RMS ``(I + 1,)``, mm.
-        attitude_rms_deg: Attitude residual RMS ``(I + 1,)``, degrees, in a panel of its own.
+        residual_rms_mm: Position residual RMS ``(I + 1,)``, mm, for I iterations.
+        attitude_rms_deg: Attitude residual RMS ``(I + 1,)``, degrees, for a panel of its own; None for no such panel.
     """
     curves = {"position residual, RMS (mm)": residual_rms_mm}
     if attitude_rms_deg is not None:
@@ -57,7 +57,7 @@ def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: Arra
 
 
 def network_convergence(loss: ArrayLike) -> Figure:
-    """Training loss of a residual network per epoch, on a logarithmic axis.
+    """Draw the training loss of a residual network per epoch, on a logarithmic axis.
 
     Args:
         loss: Mean squared error ``(E,)`` on normalised targets, without unit.
@@ -75,13 +75,13 @@ def network_convergence(loss: ArrayLike) -> Figure:
 def parameter_spectrum(
     magnitudes: ArrayLike, kept: ArrayLike, *, names: Sequence[str] | None = None, threshold: float | None = None
 ) -> Figure:
-    """Identifiability of parameters from the poses: the diagonal of R of a pivoted QR, or singular values.
+    """Draw how well the poses identify the parameters: the diagonal of R of a pivoted QR, or singular values.
 
     Args:
         magnitudes: |R_ii| of a pivoted QR, or singular values ``(P,)``, all in one (scaled) unit.
         kept: Whether each parameter (or singular value) was kept ``(P,)``.
         names: Parameter names in the same order, for a diagonal of R; None for singular values.
-        threshold: Magnitude below which a parameter is dropped; drawn when given.
+        threshold: Magnitude below which a parameter is dropped, drawn as a line; None for no line.
     """
     values, kept = style.finite_series({"magnitudes": magnitudes})["magnitudes"], np.asarray(kept, dtype=bool)
     if kept.shape != values.shape or (names is not None and len(names) != len(values)):
@@ -119,7 +119,7 @@ def parameter_spectrum(
 
 
 def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm: ArrayLike) -> Figure:
-    """Map of the mean predicted uncertainty, in Viridis, in square cells of distance from the base and height.
+    """Draw a map of the mean predicted uncertainty over distance from the base and height, in square cells.
 
     Args:
         distance_mm: Distance from the base of each pose ``(N,)``, mm.
@@ -143,10 +143,11 @@ def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm
 
 
 def joint_coverage(geometry: Geometry, sets: Mapping[str, ArrayLike]) -> Figure:
-    """Coverage of the measured joint ranges by pose sets: each joint's distribution, and each pair of joints.
+    """Draw how pose sets cover the joint ranges: the distribution of each joint, and each pair of joints.
 
     Args:
-        geometry: Gives the joints' names, kinds and limits; the title says what share of these ranges the poses span.
+        geometry: Geometry with the joints' names, kinds and limits. The title says what share of these ranges the poses
+            span.
         sets: Joint values ``(N, n)``, rad or m, of each pose set, by label (identification, training, test).
     """
     n, scale = geometry.joints, np.where(geometry.prismatic, 1e3, np.degrees(1.0))

@@ -1,8 +1,8 @@
 """Figures of errors: arrows across the workspace or on pictures of a board, errors by pose and method, distributions.
 
-This module projects fields orthographically, so that arrows are drawn from far to near and stay crisp at any size. On
-pictures an arrow starts where a corner is predicted and points to where the corner was detected. Arrows are longer than
-true by the factor that a figure states; their colour shows the true length. Units: m, mm, px.
+This module projects fields orthographically itself, so that arrows are drawn from far to near and stay crisp at any
+size. On pictures of a board, an arrow points from the predicted to the detected position of a corner. Arrows are drawn
+longer than true, by the factor that a figure states. Their colour shows the true length. Units: m, mm, px.
 """
 
 from __future__ import annotations
@@ -35,13 +35,14 @@ from pickenv.inspect.runs.saved import eye_direction, shown_box
 PANEL_WIDTH, BESIDE_PANELS = style.WIDTH / 3.0, 1.85
 """Width of one panel, and height of the titles and the colour bar together, inches."""
 MOST_ARROWS = 400
-"""More arrows than this would cover each other: only every second, third … cell along each axis is drawn."""
+"""Largest number of arrows in a panel. Beyond it, arrows would cover each other, so only every second, third … cell
+along each axis is drawn."""
 
 QUIVER: dict[str, Any] = {"angles": "xy", "scale_units": "xy", "headwidth": 3.5, "minlength": 0.0}
 """Matplotlib's settings for arrows whose vectors are in the units of the axes."""
 
 SLICES = 3
-"""Largest number of slices of a field that are drawn, evenly chosen from its grid's layers."""
+"""Largest number of slices of a field that are drawn, equally spaced among the layers of its grid."""
 
 LONGEST = 0.1
 """Length of the longest arrow, as a share of the picture's width."""
@@ -59,7 +60,9 @@ WIDEST = 16
 
 
 def error_fields(comparison: Comparison) -> Figure:
-    """Error fields side by side: arrows from the wanted to the true tool position, coloured by their true length.
+    """Draw the error field of each policy, side by side.
+
+    Arrows point from the wanted to the true tool position. Their colour shows the true length of the error.
 
     Raises:
         InputError: If there is no policy or no field point.
@@ -96,7 +99,11 @@ def error_fields(comparison: Comparison) -> Figure:
 
 
 def thinned(comparison: Comparison, most: int = MOST_ARROWS) -> tuple[NDArray[np.intp], float]:
-    """The numbers of field points to draw, about ``most`` of them, and how far apart they are, m."""
+    """Choose field points to draw, about ``most`` of them.
+
+    Returns:
+        Indices of the points, and the distance between neighbouring points, m.
+    """
     for stride in itertools.count(1):
         rows = np.flatnonzero(np.all(comparison.grid.index % stride == (stride - 1) // 2, axis=-1))
         if 0 < len(rows) <= most:
@@ -107,10 +114,10 @@ def thinned(comparison: Comparison, most: int = MOST_ARROWS) -> tuple[NDArray[np
 
 
 def field_gain(step: float, top_mm: float) -> float:
-    """Factor by which a field's arrows are longer than true, in every figure of the field: a round number.
+    """Return the factor by which all figures of a field draw its arrows longer than true, a round number.
 
     The factor is the same as in recordings, `GAIN` of `comparison_summary`, if this makes the longest arrow 0.25 to 1.5
-    cells long. Otherwise the factor is such that arrows nearly touch.
+    cells long. Otherwise the factor is such that neighbouring arrows nearly touch.
 
     Args:
         step: Cell size of the field, m.
@@ -221,7 +228,14 @@ def _ghost_arm(axes: Axes, comparison: Comparison, view: _View) -> None:
 
 
 def field_colour_bar(figure: Figure, panels: Any, top: float, first: str) -> None:
-    """Draw one colour scale for all panels, Viridis from 0 to ``top`` mm; the errors of ``first`` set its end."""
+    """Draw one colour bar for all panels, Viridis from 0 to ``top``.
+
+    Args:
+        figure: The figure.
+        panels: The panels.
+        top: Upper end of the scale, mm.
+        first: Label of the policy whose errors determine the upper end.
+    """
     scale = ScalarMappable(Normalize(0.0, top), "viridis")
     look: dict[str, Any] = {"location": "bottom", "aspect": 60, "shrink": 0.8, "pad": 0.02, "extend": "max"}
     bar = style.colour_bar(figure, scale, list(np.ravel(panels)), **look)
@@ -231,10 +245,11 @@ def field_colour_bar(figure: Figure, panels: Any, top: float, first: str) -> Non
 
 
 def error_slices(points: ArrayLike, errors: Mapping[str, ArrayLike], *, step: float) -> Figure:
-    """Quiver plot of position errors over slices of a regular grid: a row per method, one colour scale and one gain.
+    """Draw position errors in slices of a regular grid as quiver plots, in one row of panels per method.
 
-    Arrows show the two components within the slice; their colour is the whole length of the error. Slices are taken
-    across the axis along which the first method's errors are smallest, so that the arrows show most of them.
+    All panels share one colour scale and one gain, the factor by which arrows are longer than true. Arrows show the two
+    components of the error within the slice. Their colour shows the length of the whole error. Slices are taken across
+    the axis along which the first method's errors are smallest, so that the arrows show most of them.
 
     Args:
         points: Wanted tool positions on the grid ``(F, 3)``, m.
@@ -285,12 +300,12 @@ def error_slices(points: ArrayLike, errors: Mapping[str, ArrayLike], *, step: fl
 
 
 def error_per_pose(errors: Mapping[str, ArrayLike], *, quantity: str = "position error", unit: str = "mm") -> Figure:
-    """Error of each method, such as before and after calibration, at each test pose, on a logarithmic axis.
+    """Draw the error of each method, such as before and after calibration, at each test pose, on a logarithmic axis.
 
     Args:
         errors: For each method, by label, its errors ``(N,)``, in ``unit``.
-        quantity: What the errors are.
-        unit: Their unit.
+        quantity: Name of the error, for the axis label.
+        unit: Unit of the errors.
     """
     series = style.finite_series(errors)
     with style.new_panel(style.WIDTH, 2.9, "test pose (number)", f"{quantity} ({unit})", legend=2) as (figure, axes):
@@ -313,14 +328,14 @@ def error_by_method(
     logarithmic: bool = False,
     counted: str = "poses",
 ) -> Figure:
-    """Box plot of errors by method: quartiles, whiskers to 1.5 times the quartiles' distance, outliers and mean.
+    """Draw box plots of errors by method: quartiles, whiskers to 1.5 interquartile ranges, outliers and mean.
 
     Args:
         errors: For each method, by label, its errors ``(N,)`` in ``unit``.
-        quantity: What the errors are, for the axis.
-        unit: Their unit.
-        logarithmic: Logarithmic error axis, for methods that are decades apart.
-        counted: What the numbers under the labels count.
+        quantity: Name of the error, for the axis label.
+        unit: Unit of the errors.
+        logarithmic: Whether the error axis is logarithmic, for methods whose errors differ by powers of ten.
+        counted: Name of the things counted, such as poses, for the axis label.
     """
     series = style.finite_series(errors)
     width = max(style.COLUMN, 1.2 + 0.9 * len(series))
@@ -346,7 +361,7 @@ def error_by_method(
 
 
 def error_histogram(errors_mm: Mapping[str, ArrayLike]) -> Figure:
-    """Histogram of errors, one outline per method over the same bins of round width.
+    """Draw a histogram of errors, with one outline per method over the same bins of round width.
 
     Args:
         errors_mm: For each method, by label, its errors ``(N,)``, mm.
@@ -374,14 +389,16 @@ def error_cumulative(
     tolerance: float | None = None,
     counted: str = "poses",
 ) -> Figure:
-    """Empirical distribution function: the share of poses whose error is at most x, on a logarithmic axis.
+    """Draw the empirical distribution function of errors: the share of poses with an error of at most x.
+
+    The error axis is logarithmic.
 
     Args:
         errors: For each method, by label, its errors ``(N,)`` in ``unit``.
-        quantity: What the errors are, for the axis.
-        unit: Their unit.
-        tolerance: Tolerance in ``unit``, drawn as a line when given.
-        counted: Name of the things counted, such as poses, in the words of the axis.
+        quantity: Name of the error, for the axis label.
+        unit: Unit of the errors.
+        tolerance: Tolerance in ``unit``, drawn as a line; None for no line.
+        counted: Name of the things counted, such as poses, for the axis label.
     """
     series = style.finite_series(errors)
     words = f"{quantity} ({unit})", f"{counted} within it (%)"
@@ -404,13 +421,15 @@ def error_cumulative(
 
 
 def error_against(cause: ArrayLike, errors_mm: Mapping[str, ArrayLike], *, name: str, unit: str) -> Figure:
-    """Position error at each pose against a possible cause (extension, payload, temperature), with means of groups.
+    """Draw the position error at each pose against a possible cause, with the means of groups of poses.
+
+    Causes are, for example, extension, payload and temperature.
 
     Args:
-        cause: The quantity at each pose ``(N,)``, in ``unit``.
+        cause: Values of the cause at each pose ``(N,)``, in ``unit``.
         errors_mm: For each method, by label, its errors ``(N,)``, mm.
-        name: What the quantity is, for the axis.
-        unit: Its unit.
+        name: Name of the cause, for the axis label.
+        unit: Unit of the cause.
 
     Raises:
         InputError: If a series has another length than ``cause``.
@@ -452,7 +471,9 @@ def _groups(x: Array) -> list[NDArray[np.intp]]:
 
 
 def corner_errors(views: Sequence[ViewErrors]) -> Figure:
-    """The errors of all views in one plane, where lens distortion that is not described yet shows as a pattern.
+    """Draw the reprojection errors of all views in one image plane.
+
+    Lens distortion that the camera model does not describe shows as a pattern.
 
     Raises:
         InputError: If there is no corner to draw.
@@ -470,7 +491,9 @@ def corner_errors(views: Sequence[ViewErrors]) -> Figure:
 
 
 def view_errors(views: Sequence[ViewErrors]) -> Figure:
-    """The errors of the nine worst views, each on its picture, the worst first; without a picture, the corners alone.
+    """Draw the reprojection errors of the nine worst views, each on its picture, the worst first.
+
+    A view without a picture shows its arrows alone.
 
     Raises:
         InputError: If there is no corner to draw.
@@ -502,7 +525,7 @@ def view_errors(views: Sequence[ViewErrors]) -> Figure:
 
 
 def faint_picture(path: str | Path) -> Array | None:
-    """Grey values ``(h, w)`` of a picture reduced to `PICTURE_WIDTH`; None where the picture cannot be read."""
+    """Return the grey values ``(h, w)`` of a picture scaled to the width `PICTURE_WIDTH`; None if it cannot be read."""
     try:
         with Image.open(path) as opened:
             opened.draft("L", (PICTURE_WIDTH, PICTURE_WIDTH))

@@ -1,6 +1,6 @@
-"""Figures of numbers with their 95 % intervals: whiskers side by side, or lines with bands along another number.
+"""Figures of estimates with 95 % intervals: whiskers side by side, or lines with bands along a variable.
 
-One of these figures shows a calibration's errors along the conditions of work.
+`error_by_condition` shows a calibration's errors along the conditions of work, such as payload.
 """
 
 from __future__ import annotations
@@ -19,13 +19,13 @@ from pickenv.inspect.figures import style
 
 Row = Mapping[str, Any]
 UNITS = ("mm", "m", "deg", "rad", "s", "h", "kg", "K", "N")
-"""Units that the name of a column of numbers may end in."""
+"""Units in which the name of a numeric column may end."""
 
 LINE_INCHES = 0.17
-"""Height of a whisker with the room around it, inches."""
+"""Height of a whisker with its margin, inches."""
 
 METHODS = (BLUE, GREEN, *OTHERS[:2], GREY)
-"""Colours of methods other than raw, in turn."""
+"""Colours of methods other than raw, used in turn."""
 ALIKE = 0.01
 """Methods whose errors differ by less than this share everywhere are drawn as one line."""
 
@@ -41,17 +41,20 @@ def estimates_figure(
     log: bool = False,
     scale: float = 1.0,
 ) -> Figure:
-    """Numbers with their intervals; an open end of a whisker is an arrow.
+    """Draw estimates with their intervals, as whiskers or as lines along a variable.
+
+    An arrow marks an open end of a whisker.
 
     Args:
-        rows: One row per number, with the columns of ``by`` and "estimate", as `pickenv.base.intervals.estimate` gives.
-        label: What the numbers are, with their unit.
-        by: Columns that together name a number.
-        x: A column of numbers along which lines are drawn; None draws whiskers.
-        colour: The column whose values have a colour each; None takes the last of ``by`` but ``x`` and ``panels``.
+        rows: One row per estimate, with the columns of ``by`` and "estimate", as `pickenv.base.intervals.estimate`
+            gives.
+        label: Label of the estimates' axis, with their unit.
+        by: Columns that together identify an estimate.
+        x: A numeric column along which lines are drawn; None draws whiskers.
+        colour: The column whose values have a colour each; None takes the last of ``by`` except ``x`` and ``panels``.
         panels: A column whose values have a panel each.
-        log: Whether the numbers' axis is logarithmic.
-        scale: Factor on the numbers.
+        log: Whether the estimates' axis is logarithmic.
+        scale: Factor by which the estimates are multiplied.
     """
     free = [name for name in by if name not in (x, panels)]
     colour = colour or (free[-1] if free else "")
@@ -155,11 +158,15 @@ def _whiskers(
 
 
 def error_by_condition(sweeps: Mapping[str, Mapping[str, Any]], names: Mapping[str, str]) -> Figure:
-    """Mean position error against each condition: a panel per condition, a line per method with its 95 % interval.
+    """Draw the mean position error of each method against each condition, with 95 % intervals, a panel per condition.
 
     Args:
-        sweeps: For each condition, its levels and, for each method, mean and interval (or None) at every level, mm.
+        sweeps: For each condition, by name, its levels and, for each method, mean and interval (or None) at every
+            level, mm.
         names: Label of the axis of each condition, by the condition's name.
+
+    Raises:
+        InputError: If no condition has more than one level.
     """
     sweeps = {name: sweep for name, sweep in sweeps.items() if len(sweep["levels"]) > 1}
     if not sweeps:

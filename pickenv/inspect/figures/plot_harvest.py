@@ -1,6 +1,6 @@
-"""Figures of a harvester: Gantt of the arms, pick map, funnel, throughput, workspace cloud, joint curves.
+"""Figures of a harvester: Gantt chart of the arms, pick map, funnel, throughput, workspace cloud, joint curves.
 
-Each function takes plain arrays and returns a matplotlib figure.
+Each function returns a matplotlib figure.
 """
 
 from __future__ import annotations
@@ -22,10 +22,13 @@ from pickenv.inspect.runs.harvest_trace import PickedTree
 
 
 def gantt(trees: Mapping[str, PickedTree], arms: int) -> Figure:
-    """Gantt of one tree: a panel per strategy, a lane per arm over time; hollow bars are picks with an empty cup.
+    """Draw a Gantt chart of the picks on one tree: a panel per strategy, and a lane per arm over time.
+
+    Hollow bars are picks from which the cup came back empty. Thin red bars are times in which an arm waited for a
+    neighbour.
 
     Args:
-        trees: One tree of each strategy, by name.
+        trees: One tree of each strategy, by the strategy's name.
         arms: Number of arms.
     """
     _something(trees)
@@ -52,7 +55,13 @@ def gantt(trees: Mapping[str, PickedTree], arms: int) -> Figure:
 
 
 def pick_map(trees: Mapping[str, PickedTree]) -> Figure:
-    """Side view of one tree's fruit by the arm that collected each, with the zones; a panel per strategy."""
+    """Draw one tree's fruit from the side, coloured by the arm that collected each, in a panel per strategy.
+
+    Boxes are the zones of the rounds. Red crosses are fruit that no arm collected.
+
+    Args:
+        trees: One tree of each strategy, by the strategy's name.
+    """
     _something(trees)
     with style.new_figure(style.WIDTH, 3.2, **{"axes.grid": False}) as figure:
         panels: Any = figure.subplots(1, len(trees), sharey=True, squeeze=False)[0]
@@ -75,7 +84,7 @@ def pick_map(trees: Mapping[str, PickedTree]) -> Figure:
 
 
 def funnel_bars(funnels: Mapping[str, Mapping[str, int]]) -> Figure:
-    """Share of the fruit present that gets to each stage, by strategy.
+    """Draw the share of the fruit present that gets to each stage, by strategy.
 
     Args:
         funnels: For each strategy, the number of fruit at each stage; shares are of the number at the first stage.
@@ -98,7 +107,11 @@ def funnel_bars(funnels: Mapping[str, Mapping[str, int]]) -> Figure:
 
 
 def throughput_by_arms(throughput: Mapping[str, Mapping[int, Measure]]) -> Figure:
-    """Picks per hour against the number of arms, with 95 % intervals, for each density of fruit."""
+    """Draw picks per hour against the number of arms, with 95 % intervals and a curve for each density of fruit.
+
+    Args:
+        throughput: For each density of fruit, by label, picks per hour by number of arms.
+    """
     _something(throughput)
     with style.new_panel(style.COLUMN, 2.9, "arms (number)", "picks per hour (1/h)", legend=1) as (figure, axes):
         label, measures = list(throughput.items())[-1]  # the growth of the last density's with the arms
@@ -115,11 +128,11 @@ def throughput_by_arms(throughput: Mapping[str, Mapping[int, Measure]]) -> Figur
 
 
 def workspace_cloud(cloud: ArrayLike, boxes: Sequence[Sequence[Sequence[float]]] = ()) -> Figure:
-    """The workspace of the cups, from above and from the side.
+    """Draw the workspace of the suction cups, from above and from the side.
 
     Args:
-        cloud: Places of the cups ``(N, arms, 3)``, m, for joint values drawn evenly within the limits.
-        boxes: Boxes to be drawn dashed, such as a paper's: the ranges of x, y and z of each, m.
+        cloud: Positions of the cups ``(N, arms, 3)``, m, for joint values drawn uniformly within the limits.
+        boxes: Boxes to be drawn dashed, such as a paper's: the ranges of x, y and z of each ``(3, 2)``, m.
     """
     cloud = np.asarray(cloud, dtype=float)
     if cloud.ndim != 3 or not len(cloud):
@@ -144,7 +157,9 @@ def workspace_cloud(cloud: ArrayLike, boxes: Sequence[Sequence[Sequence[float]]]
 
 
 def joint_displacements(time: ArrayLike, moved: Mapping[str, ArrayLike], turning: Sequence[str] = ()) -> Figure:
-    """Displacement of each joint over time: sliding joints left, turning ones right; a line pattern per joint.
+    """Draw the displacement of each joint over time, sliding joints on the left and turning joints on the right.
+
+    Colours distinguish the parts of the machine, and line patterns the joints of a part.
 
     Args:
         time: Times ``(T,)``, s.

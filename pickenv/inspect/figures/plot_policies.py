@@ -1,6 +1,6 @@
-"""Figures of policies: aggregates with intervals, success against misalignment, accuracy against cycle time.
+"""Figures of policies: estimates with intervals, success against misalignment, accuracy against cycle time.
 
-Each function takes plain arrays and returns a matplotlib figure.
+Each function returns a matplotlib figure. Most of them take plain arrays.
 """
 
 from __future__ import annotations
@@ -21,13 +21,16 @@ from pickenv.inspect.runs import comparison_summary as summary
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes
 
 SMALLEST = 1e-3
-"""Errors below a micrometre are drawn at a micrometre, mm."""
+"""Smallest error that logarithmic axes show, mm. Errors below it are drawn at this value."""
 HEIGHTS = 3
 """Number of layers of the workspace that a map of differences shows."""
 
 
 def distance_over_time(episodes: RecordedEpisodes) -> Figure:
-    """Distance between tool and fruit in every episode, on a logarithmic axis, with the gripper's tolerance."""
+    """Draw the distance between tool and fruit over time in every episode, with the gripper's tolerance.
+
+    The distance axis is logarithmic.
+    """
     words = "time in the episode (s)", "distance to the fruit (mm)"
     with style.new_panel(style.WIDTH, 3.2, *words, legend=len(episodes.policies) + 1) as (figure, axes):
         axes.set_yscale("log")
@@ -44,7 +47,11 @@ def distance_over_time(episodes: RecordedEpisodes) -> Figure:
 
 
 def difference_map(comparison: Comparison) -> Figure:
-    """Map of the places where the last policy misses less than the first: layers of the workspace seen from above."""
+    """Draw a map of where in the workspace the last policy misses by less than the first.
+
+    Each panel shows one layer of the workspace from above. Its colour is the miss of the last policy minus that of the
+    first, averaged over the layer, mm.
+    """
     first, last = comparison.policies[0], comparison.policies[-1]
     change, points = summary.field_mm(last) - summary.field_mm(first), comparison.grid.points
     top = float(np.percentile(np.abs(change), summary.SCALE_PERCENTILE)) or 1.0
@@ -75,11 +82,13 @@ def difference_map(comparison: Comparison) -> Figure:
 
 
 Estimated = tuple[float, tuple[float | None, float | None] | None]
-"""A number and the ends of its 95 % interval: an open end is None, and so is an interval that cannot be given."""
+"""An estimate and the two ends of its 95 % interval. An open end is None. So is an interval that cannot be given."""
 
 
 def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estimated]]]]) -> Figure:
-    """Estimates of errors with 95 % intervals, on a logarithmic axis; an arrow where the data do not bound an end.
+    """Draw estimates of errors with 95 % intervals, on a logarithmic axis.
+
+    An arrow marks an end that the data do not bound.
 
     Args:
         panels: The estimate, mm, for each scene, statistic, policy and compensation, nested in this order. A statistic
@@ -111,10 +120,12 @@ def _drawable(number: Estimated) -> Estimate:
 def success_against_misalignment(
     curves: Mapping[str, tuple[ArrayLike, ArrayLike]], points: Mapping[str, Mapping[str, tuple[float, Estimated]]]
 ) -> Figure:
-    """Each gripper's success against lateral misalignment, and the policies' mean errors and successes.
+    """Draw each gripper's probability of success against lateral misalignment, with a point for each policy.
+
+    The point is at the policy's mean error and its share of successes.
 
     Args:
-        curves: For each gripper, misalignment ``(N,)``, mm, and probability of success ``(N,)``.
+        curves: For each gripper, by name, misalignment ``(N,)``, mm, and probability of success ``(N,)``.
         points: For each policy, by gripper, the policy's mean error, mm, and its share of successes with the interval.
     """
     colours = style.shades(points)
@@ -147,12 +158,14 @@ def success_against_misalignment(
 def accuracy_against_cycle_time(
     curves: Mapping[tuple[str, str], ArrayLike], period: float, *, title: str = ""
 ) -> Figure:
-    """Mean error that a pick made after each step would have, and the least error of all curves so far.
+    """Draw the mean position error against cycle time, and the smallest error that any curve has reached by then.
+
+    The error after a step is the one that a pick made then would have.
 
     Args:
-        curves: Mean error after each step ``(T,)``, mm, by the labels of policy and compensation; the policy gives the
+        curves: Mean error after each step ``(T,)``, mm, by the labels of policy and compensation. The policy gives the
             line's pattern, the compensation its colour.
-        period: Time of a step, s.
+        period: Duration of a step, s.
         title: Words added to the title, such as the plant's name.
 
     Raises:
@@ -188,7 +201,7 @@ def accuracy_against_cycle_time(
 
 
 def accuracy_by_pose(accuracy_mm: Mapping[str, ArrayLike], repeatability_mm: Mapping[str, ArrayLike]) -> Figure:
-    """Pose accuracy AP and repeatability RP of ISO 9283 at each test pose, by controller.
+    """Draw pose accuracy AP and repeatability RP of ISO 9283 at each test pose, by controller.
 
     Args:
         accuracy_mm: For each controller, AP at the poses P1 to P5, mm.
@@ -212,7 +225,7 @@ def accuracy_by_pose(accuracy_mm: Mapping[str, ArrayLike], repeatability_mm: Map
 
 
 def accuracy_drift(hours: ArrayLike, accuracy_mm: Mapping[str, ArrayLike]) -> Figure:
-    """Pose accuracy AP at the ISO 9283 pose P1 over the hours after the cold arm was switched on.
+    """Draw pose accuracy AP at the ISO 9283 pose P1 over the hours after the cold arm was switched on.
 
     Args:
         hours: Times since the arm was switched on ``(T,)``, h.

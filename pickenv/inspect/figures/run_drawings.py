@@ -1,4 +1,4 @@
-"""The figures that a run's numbers allow, each with a caption, and the figures that they do not, with the reason."""
+"""Lists of a run's figures, each with a caption, and of figures that cannot be drawn, each with the reason."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ CONDITIONS = {"payload": "kg", "temperature": "K above the reference"}
 
 @dataclass(frozen=True)
 class Drawing:
-    """A figure that a run's numbers allow, or do not allow.
+    """A figure of a run, or the reason why it cannot be drawn.
 
     Attributes:
         name: File name without suffix.
-        caption: What the figure shows, in a sentence; for a figure left out, why, and what would allow it.
-        draw: Function that draws the figure; None where it is left out.
-        spec: Plotly's data and layout of a figure that is interactive in a browser; `draw` then is for print.
+        caption: What the figure shows, in a sentence. If it cannot be drawn: why, and what would allow it.
+        draw: Function that draws the figure; None if it cannot be drawn.
+        spec: Plotly's data and layout, if the figure is interactive in a browser; ``draw`` then is for print.
         hint: What a reader can do with the interactive figure.
     """
 
@@ -52,7 +52,14 @@ def write_drawings(
     formats: Sequence[str] = ("svg", "png"),
     progress: Callable[[str, int, int], None] | None = None,
 ) -> list[Path]:
-    """Draw all figures that can be drawn into ``folder``, each in every format; the paths of the files.
+    """Write all figures that can be drawn into ``folder``, each in every format, and return the files' paths.
+
+    Args:
+        drawings: The figures.
+        folder: The folder.
+        formats: Suffixes of the files, without a dot.
+        progress: Function that is called with the stage's name, the number of figures done, and the number of all
+            figures.
 
     Raises:
         InputError: If a format is unknown or the folder cannot be written.
@@ -70,17 +77,28 @@ def write_drawings(
 
 
 def norms_mm(errors: Mapping[str, Array]) -> dict[str, Array]:
-    """Lengths of position errors ``(M,)``, mm, by label, from pose errors ``(M, 6)`` or position errors ``(M, 3)``."""
+    """Return the lengths of position errors ``(M,)``, mm, by label.
+
+    Args:
+        errors: Pose errors ``(M, 6)``, m and rad, or position errors ``(M, 3)``, m, by label.
+    """
     return {label: np.asarray(np.linalg.norm(error[:, :3], axis=1) * 1e3) for label, error in errors.items()}
 
 
 def captioned(name: str, draw: Callable[..., Figure], /, *data: Any, **options: Any) -> Drawing:
-    """A drawing with the caption that `TEXTS` have for its name; ``draw`` makes it from the data and options."""
+    """Return a drawing with the caption that `TEXTS` has for its name.
+
+    Args:
+        name: Name of the figure.
+        draw: Function that draws the figure from ``data`` and ``options``.
+        data: Positional arguments of ``draw``.
+        options: Keyword arguments of ``draw``.
+    """
     return Drawing(name, TEXTS["captions"][name], partial(draw, *data, **options))
 
 
 def comparison_drawings(comparison: Comparison) -> Drawings:
-    """Figures of policies on one arm: error fields, slices, boxes of the reaches."""
+    """Return the figures of policies on one arm: error fields, slices, and distributions of the reaches' errors."""
     fields = {policy.label: policy.field_errors for policy in comparison.policies}
     mm = {policy.label: policy.ends.position_error_mm for policy in comparison.policies}
     degrees = {policy.label: policy.ends.attitude_error_deg for policy in comparison.policies}
@@ -117,7 +135,7 @@ def _success(comparison: Comparison) -> Figure:
 
 
 def trace_drawings(trace: CalibrationTrace) -> Drawings:
-    """Figures of a calibration: held-out errors and their causes, convergence, identifiability, coverage."""
+    """Return the figures of a calibration: held-out errors and their causes, convergence, identifiability, coverage."""
     mm, threshold = norms_mm(trace.errors), REDUNDANCY_TOLERANCE * float(trace.r_diagonal.max())
     attitude = None if trace.attitude_rms is None else np.degrees(trace.attitude_rms)
     diagonal: dict[str, Any] = {"names": trace.names, "threshold": threshold}
@@ -143,7 +161,7 @@ def trace_drawings(trace: CalibrationTrace) -> Drawings:
 
 
 def view_drawings(views: Sequence[ViewErrors]) -> list[Drawing]:
-    """Figures of views with their reprojection errors; an empty list without views."""
+    """Return the figures of views (pictures of a board) with their reprojection errors; an empty list without views."""
     figures = {"corner_errors": plot_errors.corner_errors, "view_errors": plot_errors.view_errors}
     return [captioned(name, draw, views) for name, draw in figures.items()] if views else []
 

@@ -1,6 +1,7 @@
-"""The look and the files of figures: for papers and reports, readable at column width, also for the colour-blind.
+"""Style and file output of figures for papers and reports, readable at column width and by colour-blind readers.
 
-It uses no global state of matplotlib, so figures can be made anywhere, also without a screen. Axes name their units.
+It uses no global state of matplotlib, so figures can be made anywhere, also without a screen. Axis labels name their
+units.
 """
 
 from __future__ import annotations
@@ -32,22 +33,23 @@ SMALL_LETTER, KEY = 0.064, 0.42
 """Mean width of a letter in a legend, and room for a mark and the gap beside it, inches."""
 LINES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
 MARKS = "os^Dv"
-"""Line patterns (`LINES`) and marks to tell curves apart, in turn, where colour has another meaning."""
+"""Line patterns (`LINES`) and markers, used in turn, that tell curves apart where colour has another meaning."""
 
 _SHEET: Any = matplotlib.rc_params_from_file(Path(__file__).parent / "pickenv.mplstyle", use_default_template=False)
 STYLE: dict[str, Any] = dict(_SHEET)
 INK, SOFT, RULE, PAPER = STYLE["text.color"], STYLE["axes.edgecolor"], STYLE["grid.color"], "#ffffff"
-"""Colours of text and marks; of axes and secondary parts; of grid lines; of the background. Pages replace them."""
+"""Colours, in this order: of text and markers, of axes and secondary parts, of grid lines, of the background. HTML
+pages replace them."""
 
 THEME: dict[str, str] = {INK: "ink", SOFT: "soft", RULE: "rule", PAPER: "paper"} | {
     "#{:02x}{:02x}{:02x}".format(*colour): variable
     for colour, variable in ((BLUE, "after"), (GREEN, "best"), (RED, "bad"))
 }
-"""The style sheet's variable for each colour that a page replaces; other colours fit light and dark backgrounds."""
+"""CSS variable for each colour that an HTML page replaces. Other colours fit light and dark backgrounds."""
 
 
 def save_figure(figure: Figure, path: str | Path) -> Path:
-    """Write ``figure`` to ``path`` (the suffix gives the format: .png, .svg, .pdf), whole or not at all.
+    """Write ``figure`` to ``path`` atomically, in the format of the suffix (.png, .svg, .pdf), and return the path.
 
     Raises:
         InputError: If the file cannot be written or matplotlib does not know its format.
@@ -61,34 +63,52 @@ def save_figure(figure: Figure, path: str | Path) -> Path:
 
 
 def check_format(suffix: str, path: str | Path) -> None:
-    """Refuse a picture format that matplotlib does not know with an `InputError` that names the ``path`` to write."""
+    """Raise an error if matplotlib does not know a picture format.
+
+    Args:
+        suffix: Suffix of the format, without a dot.
+        path: The file to write, for the message.
+
+    Raises:
+        InputError: If the format is unknown.
+    """
     formats = sorted(FigureCanvasBase.get_supported_filetypes())
     if suffix.lower() not in formats:
         raise InputError(f"cannot write {path}: '{suffix}' is no picture format; give one of {', '.join(formats)}")
 
 
 def style(**more: Any) -> AbstractContextManager[None]:
-    """Apply pickenv's style while drawing; matplotlib's settings are restored afterwards."""
+    """Return a context that applies pickenv's style, and restores matplotlib's settings at its end.
+
+    Args:
+        more: Further settings of matplotlib, by name.
+    """
     settings: Any = STYLE | more
     return matplotlib.rc_context(settings)
 
 
 @contextmanager
 def new_figure(width: float, height: float, **more: Any) -> Iterator[Figure]:
-    """An empty figure of ``width`` by ``height`` inches that belongs to no window, to be drawn in pickenv's style."""
+    """Return a context with an empty figure in pickenv's style, which belongs to no window.
+
+    Args:
+        width: Width of the figure, inches.
+        height: Height of the figure, inches.
+        more: Further settings of matplotlib, by name.
+    """
     with style(**more):
         yield Figure(figsize=(width, height), layout="constrained")
 
 
 @contextmanager
 def new_panel(width: float, height: float, x: str, y: str, *, legend: int = 0) -> Iterator[tuple[Figure, Any]]:
-    """A figure of one panel, and the panel.
+    """Return a context with a figure of one panel, and that panel (matplotlib axes).
 
     Args:
         width: Width of the figure, inches.
         height: Height of the figure, inches.
-        x: Words on the panel's x axis.
-        y: Words on the panel's y axis.
+        x: Label of the panel's x axis.
+        y: Label of the panel's y axis.
         legend: Largest number of columns of the legend below the panel; 0 for no legend.
     """
     with new_figure(width, height) as figure:
@@ -99,7 +119,7 @@ def new_panel(width: float, height: float, x: str, y: str, *, legend: int = 0) -
 
 
 def legend_below(figure: Figure, axes: Any, most: int) -> None:
-    """Set a legend of a panel's names below all panels, in ``most`` columns or as many as there is room for."""
+    """Add a legend of one panel's labels below all panels, in ``most`` columns or as many as there is room for."""
     marks, names = axes.get_legend_handles_labels()
     for columns in range(min(most, len(names)), 0, -1):
         widths = (KEY + SMALL_LETTER * max(map(len, column)) for column in np.array_split(names, columns))
@@ -110,14 +130,14 @@ def legend_below(figure: Figure, axes: Any, most: int) -> None:
 
 
 def colour_bar(figure: Figure, marks: Any, panels: Any, **look: Any) -> Any:
-    """Add a colour scale of ``marks`` beside their panels, without a frame."""
+    """Add a colour bar of ``marks`` beside their panels, without a frame."""
     bar = figure.colorbar(marks, ax=panels, **look)
     bar.outline.set_visible(False)
     return bar
 
 
 def finite_series(curves: Mapping[str, ArrayLike]) -> dict[str, Array]:
-    """The curves as finite arrays ``(N,)``, by label.
+    """Return the curves as float arrays ``(N,)``, by label, after a check that all values are finite.
 
     Raises:
         InputError: If there is no curve, or one is empty or not finite.
@@ -132,12 +152,12 @@ def finite_series(curves: Mapping[str, ArrayLike]) -> dict[str, Array]:
 
 
 def headline(axes: Any, message: str, pad: float | None = None, beside: float = 0.0) -> None:
-    """Set a panel's title, wrapped to the room that the panel has in the figure.
+    """Set a panel's title, wrapped to the width of the panel.
 
     Args:
         axes: The panel.
         message: The title.
-        pad: Room between title and panel, points.
+        pad: Distance between title and panel, points; None for matplotlib's default.
         beside: Width that a legend beside the panels takes, inches.
     """
     room = (axes.get_figure().get_figwidth() - beside) / axes.get_subplotspec().get_gridspec().ncols
@@ -146,19 +166,19 @@ def headline(axes: Any, message: str, pad: float | None = None, beside: float = 
 
 
 def change(series: Mapping[str, float], unit: str) -> str:
-    """The first and the last of several numbers, as a title says them: raw 1.92, LS 0.5 mm."""
+    """Return the first and the last of several labelled numbers as a title says them: raw 1.9, LS 0.50 mm."""
     ends = list(series.items())
     ends = ends if len(ends) < 3 else [ends[0], ends[-1]]
     return ", ".join(f"{label} {short(value)}" for label, value in ends) + f" {unit}"
 
 
 def short(value: float) -> str:
-    """A number as titles say it: with two significant digits, or as a whole number from 10 on."""
+    """Return a number as titles say it: with two significant digits, or as a whole number from 10 on."""
     return f"{value:.0f}" if abs(value) >= 10.0 else f"{value:#.2g}" if abs(value) >= 1e-4 else f"{value:.1g}"
 
 
 def alike(curves: Mapping[str, ArrayLike], nearest: float) -> list[list[str]]:
-    """Group the names of curves ``(T,)`` that stay within ``nearest`` of the first curve of their group."""
+    """Group the names of curves ``(T,)`` that differ by less than ``nearest`` from the first curve of their group."""
     groups: list[list[str]] = []
     values = {name: np.asarray(curve, dtype=float) for name, curve in curves.items()}
     for name, curve in values.items():
@@ -173,11 +193,13 @@ def alike(curves: Mapping[str, ArrayLike], nearest: float) -> list[list[str]]:
 
 
 def spaced(labels: Sequence[str], least: float, room: float) -> list[str]:
-    """Labels of evenly spaced places, all or every second, third … one, as many as fit; the other labels are empty.
+    """Return the labels of equally spaced places, with labels that do not fit replaced by empty text.
+
+    Either all labels stay, or every second, third … one.
 
     Args:
         labels: One label for each place.
-        least: Room that a label needs along the axis, inches.
+        least: Length that a label needs along the axis, inches.
         room: Length of the axis, inches.
     """
     stride = max(1, -(-len(labels) * least // room)) if labels else 1
@@ -195,24 +217,28 @@ def plain_decades(axis: Any) -> None:
 
 
 def shades(names: Iterable[str]) -> dict[str, tuple[float, float, float]]:
-    """The colour of each policy or method, by its key or label."""
+    """Return the colour of each policy or method, RGB in 0..1, by its key or label."""
     names = list(names)
     return dict(zip(names, rgb(policy_colours(names)), strict=True))
 
 
 def coloured(series: Mapping[str, Array]) -> list[tuple[str, Array, tuple[float, float, float]]]:
-    """Label in words, values and colour of each series, by the policy or method that it belongs to."""
+    """Return label in words, values and colour (RGB in 0..1) of each series.
+
+    Args:
+        series: Values of each policy or method, by the key or label that determines its colour.
+    """
     return [(in_words(label), series[label], colour) for label, colour in shades(series).items()]
 
 
 def whisker(axis: Any, y: float, value: float, ends: Sequence[float | None] | None, colour: Any) -> None:
-    """Draw a number at height ``y`` with its interval; an open end is drawn as an arrow at the number.
+    """Draw an estimate with its interval at height ``y``; an open end is drawn as an arrow at the estimate.
 
     Args:
         axis: The panel.
-        y: The height.
-        value: The number.
-        ends: Both ends of the interval, with None for an open end; or None where the number has no interval.
+        y: The height, in the units of the axis.
+        value: The estimate.
+        ends: Both ends of the interval, with None for an open end; None if there is no interval.
         colour: Colour of the mark.
     """
     if ends is not None:
@@ -225,5 +251,5 @@ def whisker(axis: Any, y: float, value: float, ends: Sequence[float | None] | No
 
 
 def rgb(colours: Sequence[Rgb]) -> list[tuple[float, float, float]]:
-    """Colours as matplotlib takes them: red, green, blue in 0..1, from 0..255."""
+    """Convert colours from 0..255 to RGB in 0..1, as matplotlib needs them."""
     return [(red / 255.0, green / 255.0, blue / 255.0) for red, green, blue in colours]

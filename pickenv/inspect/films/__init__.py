@@ -1,1 +1,1 @@
-"""Films of comparisons: two policies side by side at the same fruit."""
+"""Films of comparisons, in which policies reach for the same fruit side by side."""

@@ -1,6 +1,7 @@
-"""Films of comparisons: which moments they show, what each frame states, their pictures, and GIF or MP4 files.
+"""Films of comparisons: choice of moments, captions and images of the frames, and GIF or MP4 files.
 
-The statements of a frame (`Film.stated`) are what is drawn and what tests read. Units: m, s; mm in statements.
+A moment is one recorded step of an episode. The captions of a frame (`Film.stated`) are the numbers that are drawn on
+it. Units: m, s; mm in captions.
 """
 
 from __future__ import annotations
@@ -46,26 +47,26 @@ from pickenv.pictures.tree_shapes import (
 )
 
 MOST_MOMENTS = 3.0
-"""Most moments from one frame to the next: with more, nobody could follow."""
+"""Largest number of moments from one frame to the next. With more, viewers could not follow."""
 PAUSE = 9
-"""Number of moments for which the end of an episode stays in sight."""
+"""Number of moments for which the last moment of an episode is shown."""
 STILL_STEP = 5e-4
 """A tool that moves less than this between two moments has arrived, m."""
 FALLEN = 0.06
-"""A fruit that is this far from where it was a moment before is another fruit, m."""
+"""A recorded fruit that moves by more than this between two moments is another fruit, m."""
 MISS: dict[bool, Rgb] = {False: RED, True: (255, 128, 128)}
-"""Colour of words about a miss, by whether the page is dark."""
+"""Colour of text about a miss, by whether the background is dark."""
 FRUIT = 0.06
-"""Diameter with which every fruit is drawn, m, as recordings hold only the places of fruit."""
+"""Diameter with which every fruit is drawn, m. Recordings hold only the positions of fruit."""
 SAME_FRUIT = 0.045
-"""Fruit nearer to one another than this, when a tool sets out for them, count as the same fruit, m."""
+"""Fruit nearer to one another than this, when a tool sets out for them, count as one fruit, m."""
 LEAVES = 1.25
 """Leaf area per volume of the drawn trees, m²/m³, as in the canopy `li2016`."""
 AROUND = 0.16
 HALF = (400, 360)
-"""Width and height of one half of a frame, px."""
+"""Width and height of the part of a frame that shows one policy, px."""
 STRIP = 28
-"""Height of the line of words below the halves, px."""
+"""Height of the line of text below the halves, px."""
 GAP = 4
 KINDS = {
     ".gif": (
@@ -82,19 +83,19 @@ Progress = Callable[[str, int, int], None]
 
 
 Attempt: TypeAlias = tuple[int, int, int, bool]
-"""A policy's attempt at one fruit in one episode: its first moment; the moment at which the gripper closes, until which
-the fruit hangs still; its last moment, at which the fruit is collected or the gripper has closed beside it; and whether
-the fruit was collected."""
+"""A policy's attempt at one fruit in one episode, as four values. The first is the moment at which the attempt begins.
+The second is the moment at which the gripper closes, until which the fruit hangs still. The third is the last moment,
+at which the fruit is collected or the gripper has closed beside it. The fourth is whether the fruit was collected."""
 
 
 @dataclass(frozen=True)
 class FilmCaption:
-    """What a frame states about one policy.
+    """The numbers that a frame states about one policy.
 
     Attributes:
         label: Name of the policy.
-        distance_mm: Present distance from the tool to the fruit that it goes for, mm.
-        miss_mm: Miss when the gripper last closed, mm; None before it has closed.
+        distance_mm: Distance from the tool to its present target fruit, mm.
+        miss_mm: Distance from tool to fruit when the gripper last closed, mm; None before it has closed.
         picked: Number of fruit collected since the film began.
         tried: Number of times that the gripper has closed since the film began.
     """
@@ -113,11 +114,11 @@ def plan_film(
     frames_per_second: int = 10,
     dark: bool = False,
 ) -> Film:
-    """Choose the moments of a film: the first episodes of the run, as many as a viewer can follow.
+    """Choose the moments of a film from the first episodes of a run, as many episodes as a viewer can follow.
 
     Args:
         episodes: The run's episodes.
-        labels: Labels of the policies to show, left first; the run's first and last where none are named.
+        labels: Labels of the policies to show, from left to right; if empty, the first and the last policy of the run.
         seconds: Length of the film, s.
         frames_per_second: Frames per second.
         dark: Whether the background is dark.
@@ -160,7 +161,12 @@ def _way(policies: Sequence[RecordedPolicy], episode: int, reaching: bool) -> li
 
 
 def attempts_of(policy: RecordedPolicy, episode: int) -> list[Attempt]:
-    """A policy's attempts at fruit in an episode, one after the other."""
+    """Return a policy's attempts at fruit in an episode, in the order of time.
+
+    Args:
+        policy: The policy's recorded episodes.
+        episode: Index of the episode.
+    """
     last = int(policy.moments[episode]) - 1
     picked, fruit = policy.picked[episode], policy.fruit_position[episode]
     closes = [int(t) for t in np.flatnonzero(np.isfinite(policy.miss_mm[episode, : last + 1]))]
@@ -197,22 +203,28 @@ def _caption(policy: RecordedPolicy, episode: int, moment: int) -> FilmCaption:
 
 
 def grasp_offset(policy: RecordedPolicy, episode: int, close: int) -> Array:
-    """The vector from the fruit to the tool when the gripper closed ``(3,)``, m."""
+    """Return the vector from the fruit to the tool when the gripper closed ``(3,)``, m.
+
+    Args:
+        policy: The policy's recorded episodes.
+        episode: Index of the episode.
+        close: Index of the moment at which the gripper closed.
+    """
     before = close if _follows(policy, episode, close) else max(close - 1, 0)
     return np.asarray(policy.tool_position[episode, close] - policy.fruit_position[episode, before])
 
 
 @dataclass(frozen=True, eq=False)
 class Film:
-    """The plan of a film: all of it except its pictures.
+    """The plan of a film: everything except its images.
 
     Attributes:
         episodes: The run's episodes.
-        policies: Policies that are shown, left first.
-        frames: Episode and moment of each frame; a policy whose episode is over stays at its last moment.
+        policies: Policies that are shown, from left to right.
+        frames: Episode and moment of each frame, by index. A policy whose episode is over stays at its last moment.
         frames_per_second: Frames per second.
         speed: Speed of the film as a multiple of the arms' own speed.
-        reaching: Whether each episode is about a single fruit.
+        reaching: Whether each episode is a reach for a single fruit.
         dark: Whether the background is dark.
     """
 
@@ -225,12 +237,12 @@ class Film:
     dark: bool
 
     def stated(self, number: int) -> list[FilmCaption]:
-        """The statements about each policy in the frame with a given number."""
+        """Return the captions of all policies in a frame, given the frame's index."""
         return [_caption(policy, *self.frames[number]) for policy in self.policies]
 
     @cached_property
     def shown(self) -> list[int]:
-        """Numbers of the episodes that are shown."""
+        """Indices of the episodes that are shown."""
         return sorted({episode for episode, _ in self.frames})
 
     @cached_property
@@ -240,7 +252,7 @@ class Film:
 
     @cached_property
     def fruit(self) -> dict[int, Array]:
-        """For each episode shown, the places ``(N, 3)``, m, of the fruit that any policy of the film goes for."""
+        """For each episode shown, the positions ``(N, 3)``, m, of all fruit that any policy of the film aims for."""
         fruit = {}
         for episode in self.shown:
             places: list[Array] = []
@@ -254,7 +266,7 @@ class Film:
 
     @cached_property
     def points(self) -> Array:
-        """Points that must be in sight ``(N, 3)``, m: fruit, tools, and the arm from its base."""
+        """Points that must be in view ``(N, 3)``, m: fruit, tools, and the arm from its base."""
         parts = [np.concatenate(list(self.fruit.values()))]
         for policy in self.policies:
             parts += [policy.tool_position[self.shown].reshape(-1, 3)]
@@ -270,7 +282,7 @@ class Film:
 
     @cached_property
     def eye(self) -> Eye:
-        """An eye behind the arm, to its side and above it, as near as it can be and still see all points."""
+        """Camera behind, beside and above the arm, as near as it can be with all points in view."""
         base = np.zeros(3) if self.episodes.nominal is None else np.asarray(self.episodes.nominal.base.position)
         ahead = np.concatenate(list(self.fruit.values())).mean(axis=0) - base
         ahead = np.array([ahead[0], ahead[1], 0.0]) / max(float(np.hypot(ahead[0], ahead[1])), 1e-9)
@@ -280,7 +292,10 @@ class Film:
 
     @cached_property
     def still(self) -> tuple[Mesh, ...]:
-        """Surfaces that stay the same in all frames: ground, pedestal and, but for reaches, trees around the fruit."""
+        """Meshes that are the same in all frames: ground, pedestal, and trees around the fruit.
+
+        Films of reaches have no trees.
+        """
         middle = self.points.mean(axis=0)
         parts: tuple[Mesh, ...] = (ground_around(float(middle[0]), float(middle[1]), self.ground, self.dark),)
         if self.episodes.nominal is not None:
@@ -294,12 +309,12 @@ class Film:
 
 
 def film_stage(film: Film, number: int, side: int) -> Stage:
-    """The stage of one half of a frame, which shows one policy.
+    """Return the scene (stage) of one part of a frame, which shows one policy.
 
     Args:
         film: The film.
-        number: Number of the frame.
-        side: Number of the policy among the film's policies.
+        number: Index of the frame.
+        side: Index of the policy among the film's policies.
     """
     policy, caption, (episode, moment) = film.policies[side], film.stated(number)[side], film.frames[number]
     (colour,) = policy_colours([policy.key])
@@ -320,7 +335,17 @@ def film_stage(film: Film, number: int, side: int) -> Stage:
 
 
 def arm_parts(episodes: RecordedEpisodes, policy: RecordedPolicy, episode: int, moment: int, colour: Rgb) -> Solids:
-    """The true arm in its policy's colour with its gripper, and the ghost; the gripper alone where there is no arm."""
+    """Return the solids of the true arm with its gripper, and of the ghost (the arm as its controller believes it).
+
+    Without an arm in the environment, they are those of the gripper alone.
+
+    Args:
+        episodes: The run's episodes.
+        policy: The policy's recorded episodes.
+        episode: Index of the episode.
+        moment: Index of the moment.
+        colour: Colour of the true arm, RGB in 0..255.
+    """
     tool, axis = policy.tool_position[episode, moment], tool_axis(policy, episode, moment)
     closed = bool(np.isfinite(policy.miss_mm[episode, : moment + 1]).any())
     hand = "hand" in episodes.gripper
@@ -333,7 +358,7 @@ def arm_parts(episodes: RecordedEpisodes, policy: RecordedPolicy, episode: int, 
 
 
 def tool_axis(policy: RecordedPolicy, episode: int, moment: int) -> Array:
-    """Direction in which the tool points ``(3,)``; upwards where its attitude is not known."""
+    """Return the direction in which the tool points ``(3,)``; upwards if its attitude is not recorded."""
     axis = policy.tool_rotation[episode, moment, :, 2]
     return axis if np.isfinite(axis).all() else np.array([0.0, 0.0, 1.0])
 
@@ -376,7 +401,13 @@ def _marks_mm(film: Film, side: int, episode: int, now: int) -> Array:
 
 
 def seen_along(axis: Array, offset: Array, eye: Eye) -> Array:
-    """The components ``(2,)`` of an offset across the tool's axis: to the right, and away from the eye."""
+    """Return the components ``(2,)`` of an offset across the tool's axis: to the right, and away from the camera.
+
+    Args:
+        axis: Direction of the tool ``(3,)``.
+        offset: The offset ``(3,)``, m.
+        eye: The camera.
+    """
     right = np.cross(eye.axes()[2], axis)
     right /= max(float(np.linalg.norm(right)), 1e-9)
     return np.array([offset @ right, offset @ np.cross(axis, right)])
@@ -392,19 +423,21 @@ def film(
     dark: bool = False,
     progress: Progress | None = None,
 ) -> Film:
-    """Write a film of a comparison: policies beside each other at the same fruit.
+    """Write a film of a comparison, in which policies reach for the same fruit side by side.
 
     Args:
         run: Folder of a run of `pickenv compare`.
         out: File of the film; its ending, .gif or .mp4, gives its kind.
-        policies: Labels of the policies to show, left first; the run's first and last where none are named.
+        policies: Labels of the policies to show, from left to right; if empty, the first and the last policy of the
+            run.
         seconds: Length of the film, s.
         frames_per_second: Frames per second.
         dark: Whether the background is dark.
-        progress: Called with (stage, done, in all).
+        progress: Function that is called with the stage's name, the number of frames done, and the number of all
+            frames.
 
     Returns:
-        The plan of the film; `Film.stated` gives what each frame states.
+        The plan of the film; `Film.stated` gives the captions of each frame.
 
     Raises:
         InputError: If the run is no comparison, a policy is not in it, or the file's ending is unknown.
@@ -424,7 +457,7 @@ def film(
 
 
 def film_pictures(film: Film, progress: Progress | None = None) -> Iterator[Pixels]:
-    """The frames of a film, ``(height, width, 3)``."""
+    """Yield the frames of a film as images ``(height, width, 3)``."""
     episodes, sides = film.episodes, range(len(film.policies))
     width = len(sides) * (HALF[0] + GAP) - GAP
     subject = ", ".join(in_words(name) for name in (episodes.env_id, episodes.plant_name, episodes.gripper) if name)
@@ -440,10 +473,10 @@ def film_pictures(film: Film, progress: Progress | None = None) -> Iterator[Pixe
 
 
 def write_film(pictures: Iterator[Pixels], path: Path, frames_per_second: int) -> None:
-    """Let ffmpeg write the pictures into a film file.
+    """Write images into a film file with ffmpeg.
 
     Raises:
-        InputError: If ffmpeg fails, with the last line that it wrote.
+        InputError: If ffmpeg fails. The message has the last line that ffmpeg wrote.
     """
     import imageio_ffmpeg  # type: ignore[import-untyped]
 

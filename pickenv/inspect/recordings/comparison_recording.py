@@ -1,6 +1,7 @@
-"""A comparison as one Rerun recording: error fields, reaches, arms, statistics, and the blueprint that lays them out.
+"""Write a comparison as one Rerun recording: error fields, reaches, arms, statistics, and their layout (blueprint).
 
-The main time line is `reach`, the number of the reach; the curves of a day in the field have `hours` as well.
+The main time line is `reach`, the number of the reach. The curves of a day in the field have the time line `hours` as
+well.
 """
 
 from __future__ import annotations
@@ -43,18 +44,18 @@ FRUIT_RADIUS = 0.008
 
 
 def record_comparison(comparison: Comparison, path: str | Path) -> Path:
-    """Write ``comparison`` as a Rerun recording (.rrd) with its blueprint inside, whole or not at all.
+    """Write ``comparison`` as a Rerun recording (.rrd) that includes its layout (blueprint), atomically.
 
     Args:
         comparison: The comparison to show.
-        path: The file to write, usually `errors.rrd`; missing folders are made.
+        path: The file to write, usually `errors.rrd`. Missing folders are made.
 
     Returns:
         The path written.
 
     Raises:
-        InputError: If there is no policy, a key repeats or cannot be part of an entity path, or the file cannot be
-            written.
+        InputError: If there is no policy, a policy's key is given twice or cannot be part of an entity path, or the
+            file cannot be written.
     """
     _check(comparison)
     arrows, day = details.arrow_tabs(comparison), details.day_of(comparison)
@@ -198,11 +199,21 @@ def _send_histograms(scribe: Scribe, comparison: Comparison) -> None:
 
 
 EYE_DISTANCE = 2.2
-"""Distance from the eye to the middle of the shown box, in units of the box's radius."""
+"""Distance from the camera to the middle of the shown box, in units of the box's radius."""
 
 
 def space(comparison: Comparison, name: str, contents: list[str], origin: str = "/world", **more: Any) -> Any:
-    """A view of the workspace in 3D; all such views start with the same eye, and each can be orbited on its own."""
+    """Return a 3D view of the workspace, which shows some entities with the workspace and its axes.
+
+    All such views start with the same camera, and each can be orbited on its own.
+
+    Args:
+        comparison: The comparison.
+        name: Title of the view.
+        contents: Rerun's query expressions for the entities to show, such as "+ /world/fruit".
+        origin: The view's root entity.
+        more: Further arguments of the view.
+    """
     centre, radius = shown_box(comparison)
     eye = centre + EYE_DISTANCE * radius * eye_direction(comparison)
     return seen_from(eye, centre, origin, [*contents, "+ /world/workspace", "+ /world/axes"], name, **more)
@@ -214,12 +225,12 @@ REACHES_PER_SECOND = 2.0
 def comparison_blueprint(
     comparison: Comparison, arrows: Mapping[str, details.ArrowTab], day: details.Day
 ) -> rrb.Blueprint:
-    """The layout for ``comparison``, whose errors are drawn `GAIN` times too long.
+    """Return the layout (blueprint) for ``comparison``, in which errors are drawn `GAIN` times longer than true.
 
     Args:
         comparison: The comparison, with at least one policy.
         arrows: Fields of arrows, from `details.arrow_tabs`.
-        day: The day in the field, from `details.day_of`.
+        day: Error curves of a day in the field, from `details.day_of`.
     """
     policies, has_reaches = comparison.policies, len(comparison.fruit) > 0
     title = "{} | error magnitude, mm, corner cut away"

@@ -36,11 +36,18 @@ from pickenv.inspect.runs.saved import cut_away
 DAY_TIME_LINE = "hours"
 DAY_WORDS = "about_the_day"
 WORLD = "tf#/"
-"""Rerun's name for the frame of the root entity, in which both URDF arms stand."""
+"""Rerun's name for the coordinate frame of the root entity, in which both URDF arms are placed."""
 
 
 def send_details(scribe: Scribe, comparison: Comparison, tabs: Mapping[str, ArrowTab], day: Day) -> None:
-    """Send fields of arrows, the uncertainty that a calibration predicts, the day, and the arms exported as URDF."""
+    """Send arrow fields, predicted uncertainty, the error curves of a day, and the arms exported as URDF.
+
+    Args:
+        scribe: Writer of the recording.
+        comparison: The comparison.
+        tabs: Fields of arrows, from `arrow_tabs`.
+        day: Error curves of a day in the field, from `day_of`.
+    """
     for unit, top, fields in tabs.values():
         for entity, (_, arrows, values) in fields.items():
             scribe.arrows(entity, comparison.grid.points, arrows, values, top, unit)
@@ -60,7 +67,15 @@ def send_details(scribe: Scribe, comparison: Comparison, tabs: Mapping[str, Arro
 
 
 def send_voxels(scribe: Scribe, comparison: Comparison, entity: str, values: Array, top: float) -> None:
-    """Send a field's values ``(F,)`` as voxels, except those that hide all others; colours end at ``top``."""
+    """Send a field's values as voxels, without those in the corner that would hide all others (`cut_away`).
+
+    Args:
+        scribe: Writer of the recording.
+        comparison: The comparison, which has the field's grid.
+        entity: Name of the field.
+        values: Values at the points of the field ``(F,)``, in any unit.
+        top: Upper end of the colour scale, in the same unit.
+    """
     visible, grid = ~cut_away(comparison), comparison.grid
     index, means = summary.cell_means(grid.index[visible], values[visible])
     cells = rr.VoxelGridMap(
@@ -116,15 +131,19 @@ FLOOR = "floor"
 
 
 ArrowTab: TypeAlias = tuple[str, float, Mapping[str, tuple[str, Array, Array]]]
-"""Fields of arrows that stand side by side with one colour scale: unit of the errors, mm or deg; upper end of the
-scale, in that unit; and for each entity, its title, the arrows as drawn ``(F, 3)``, m, and their errors ``(F, 3)``, in
-that unit."""
+"""Fields of arrows that are shown side by side with one colour scale, as three values. The first is the unit of the
+errors, mm or deg. The second is the upper end of the scale, in that unit. The third has, for each entity, its title,
+the arrows as drawn ``(F, 3)``, m, and their errors ``(F, 3)``, in that unit."""
 LEGENDS = {"mm": "position", "deg": "attitude"}
 """Keys of colour scales, by the scale's unit."""
 
 
 def arrow_tabs(comparison: Comparison) -> dict[str, ArrowTab]:
-    """Tabs of error fields by name: each policy and what the last removes, each effect alone, attitudes if known."""
+    """Return the tabs that show fields of arrows, by the tab's name.
+
+    The first tab has each policy's error field, and the errors that the last policy removes from those of the one
+    before. Further tabs have the field of each effect alone, and the attitude errors if they are known.
+    """
     policies, top = comparison.policies, summary.colour_scale_mm(comparison)
     errors = {f"world/field/{p.key}/vectors": (p.label, "arrows ", p.field_errors) for p in policies}
     if len(policies) > 1:
@@ -160,9 +179,10 @@ def _attitude_tab(comparison: Comparison, attitude: Mapping[str, Array]) -> Arro
 
 
 def effect_fields(comparison: Comparison) -> dict[str, Array]:
-    """The error field ``(F, 3)``, m, of each cause alone on the nominal arm: each active effect, and the true geometry.
+    """Return the position error field ``(F, 3)``, m, of each cause alone on the nominal arm, by the cause's name.
 
-    The tool is settled, the arm warm and the machine sunk. Effects that show only before that state have no field.
+    Causes are each active effect of the true arm, and its true geometry. The fields are those of the steady state: the
+    tool is settled, the arm warm and the machine sunk. Effects that show only before that state have no field.
     """
     plant, joints = comparison.plant, comparison.grid.joints
     nominal = forward(comparison.nominal, joints).position
@@ -175,7 +195,7 @@ def effect_fields(comparison: Comparison) -> dict[str, Array]:
 
 
 def attitude_fields(comparison: Comparison) -> dict[str, Array]:
-    """Attitude errors over the field ``(F, 3)``, rotation vectors, rad, by key; empty where attitudes are unknown.
+    """Return fields of attitude errors ``(F, 3)``, rotation vectors, rad, by key; empty if attitudes are unknown.
 
     Fields are those of the first and the last policy, and the part of the last policy's errors that no joint motion
     removes (`FLOOR`).
@@ -195,18 +215,19 @@ def attitude_fields(comparison: Comparison) -> dict[str, Array]:
 
 DRIFTS = ("thermal_growth", "base_tilt")
 DRIFTING_PLANT = "orchard"
-"""The preset from which the drift is taken where the plant itself does not drift."""
+"""Name of the preset plant (simulated true arm) whose drift is used if the comparison's own plant does not drift."""
 DAY_HOURS = 8.0
 CAMERA_STD = 1e-3
-"""Standard deviation of one look at the tool by a camera, per axis, m."""
+"""Standard deviation of a camera's measurement of the tool position, per axis, m."""
 LOOK = MeasurementNoise(float(np.hypot(CAMERA_STD, 0.5e-3)), 0.0)
-"""Noise of a look that the filter assumes: the camera's, and half a millimetre that no geometry explains."""
+"""Measurement noise that the filter assumes: the camera's, and half a millimetre that no geometry explains."""
 PRIOR, WALK = 0.2, 0.3
-"""Errors of parameters after calibration, in tolerances, and their walk per root hour, as the filter assumes."""
+"""Assumptions of the filter: errors of parameters after calibration, in tolerances, and their random walk per root
+hour."""
 FILTERED = 10
-"""Largest number of machines with a filter, which costs more than all the rest of a recording."""
+"""Largest number of machines with a filter. Filters cost more time than all the rest of a recording."""
 FEWEST_LOOKS = 10
-"""Fewest reaches for which a filter is run: fewer give a day with too few looks and joint values."""
+"""Smallest number of reaches for which a filter is run. Fewer give a day with too few measurements and joint values."""
 
 
 ADAPTED = "adapted"
@@ -214,20 +235,20 @@ ADAPTED = "adapted"
 
 
 Day: TypeAlias = Mapping[str, tuple[str, Array]]
-"""Curves of the same reaches while the arm warms up and the machine tilts and sinks: for each key, the curve's label
-and position errors, mm. Each policy has a curve with every reach at every time ``(R times, R reaches)``. Unless the
-reaches are too few, `ADAPTED` is the curve of the last policy's commands with a filter on top
-``(R times, M machines)``; each of these machines begins with another reach."""
+"""Error curves of the same reaches over a day, while the arm warms up and the machine tilts and sinks. For each key, it
+has the curve's label and position errors, mm. Each policy has a curve with every reach at every time ``(R times, R
+reaches)``. `ADAPTED` is the curve of the last policy's commands corrected by a filter ``(R times, M machines)``. Each
+of these machines begins with another reach. The curve is missing if there are too few reaches."""
 
 
 def day_hours(comparison: Comparison) -> Array:
-    """Time of each reach since the machine was switched on ``(R,)``, h."""
+    """Return the time of each reach since the machine was switched on ``(R,)``, h."""
     count = len(comparison.fruit)
     return (np.arange(count) + 1.0) * DAY_HOURS / count
 
 
 def day_in_words(comparison: Comparison, day: Day) -> str:
-    """An explanation of the day in the field, in Markdown, with the mean errors of its curves."""
+    """Return an explanation of the day in the field, in Markdown, with the mean errors of its curves."""
     plant = drifting_plant(comparison.plant)
     assert plant is not None
     rows = [f"| {label} | {errors.mean():.2f} |" for label, errors in day.values()]
@@ -257,7 +278,10 @@ def day_in_words(comparison: Comparison, day: Day) -> str:
 
 
 def drifting_plant(plant: Plant) -> Plant | None:
-    """The plant with its own drift, else with the drift of the preset `orchard`; None where that is for another arm."""
+    """Return the plant with its own drift, else with the drift of the preset `orchard`.
+
+    It is None if the plant has no drift and the preset is for another arm.
+    """
     if any(plant.effect(name) is not None for name in DRIFTS):
         return plant
     preset = load_plant(DRIFTING_PLANT)
@@ -268,9 +292,9 @@ def drifting_plant(plant: Plant) -> Plant | None:
 
 
 def day_of(comparison: Comparison) -> Day:
-    """Let the drifting plant make the comparison's reaches all day, with the commands that the policies gave.
+    """Simulate the comparison's reaches over a day on the drifting plant, with the commands that the policies gave.
 
-    R machines start together, each with another fruit, and go through all fruit in the same order: so every fruit is
+    R machines start together, each with another fruit, and go through all fruit in the same order. So every fruit is
     reached at every time, by a machine that has been as busy as the others. Without reaches or drift the day is empty.
     """
     plant, count = drifting_plant(comparison.plant), len(comparison.fruit)
@@ -324,9 +348,14 @@ def _adapted(comparison: Comparison, plant: Plant, dt: float) -> Array:
 
 
 def joints_at(geometry: Geometry, joints: Array, points: Array) -> Array:
-    """Joint values ``(N, n)``, near given ones, that bring the tool to given points ``(N, 3)``, m: two Newton steps.
+    """Return joint values ``(N, n)``, near given ones, that bring the tool to given points, by two Newton steps.
 
-    From joint values at which the tool errs by millimetres, these steps leave nanometres.
+    If the tool is millimetres off at the given joint values, the steps reduce its error to nanometres.
+
+    Args:
+        geometry: Geometry of the arm.
+        joints: Joint values to start from ``(N, n)``, rad or m.
+        points: Wanted tool positions ``(N, 3)``, m.
     """
     for _ in range(2):
         gap = points - forward(geometry, joints).position

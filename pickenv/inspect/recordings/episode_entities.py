@@ -1,9 +1,11 @@
-"""Logged episodes: which steps are recorded, the entities that they become, and the layout that shows them.
+"""Logged episodes in Rerun: which steps are recorded, the entities that they become, and the layout that shows them.
 
-Everything comes from `info`, and entities whose entries it lacks are left out. Entities have the policy's colour and
-name. Time lines: `episode_time` begins anew with every episode, so curves of episodes lie over one another, and the
-arms show the last episode. `sim_time` strings all episodes together, with a gap before each; `step` counts steps.
-`episode` shows how each episode ended.
+All data come from `info`. An entity is left out if `info` lacks its entries. Entities have the policy's colour and
+name.
+
+There are four time lines. `episode_time` begins anew with every episode, so curves of episodes overlap, and the arms
+show the last episode. `sim_time` joins all episodes, with a gap before each. `step` counts steps. `episode` shows how
+each episode ended.
 """
 
 from __future__ import annotations
@@ -27,25 +29,28 @@ from pickenv.inspect.runs.recorded_episodes import POSITIONS
 Trigger = Callable[[int], bool]
 
 UNITS = {"mm": "mm", "deg": "°"}
-"""Unit by the end of a number's name; numbers whose names end otherwise are counts, or have the unit 1."""
+"""Unit by the ending of a number's name. Numbers with other names are counts, or have the unit 1."""
 OTHERS, REST = "other", "Reward and counts"
 
 
 def capped_cubic(episode: int) -> bool:
-    """Whether RecordVideo's schedule takes this episode: 0, 1, 8, 27 … and, from 1000 on, every thousandth."""
+    """Return whether Gymnasium's `RecordVideo` by default records this episode.
+
+    It records the episodes 0, 1, 8, 27 … and, from 1000 on, every thousandth.
+    """
     return round(episode ** (1.0 / 3.0)) ** 3 == episode if episode < 1000 else episode % 1000 == 0
 
 
 class Row(NamedTuple):
-    """One recorded step.
+    """One recorded step of an environment.
 
     Attributes:
         moment: Number of steps of this environment that were recorded before this one.
-        episode: Number of the episode.
-        within: Steps since the episode's reset.
-        order: Number of episodes of which steps were recorded before this one.
-        info: The step's info, with its ``reward`` (0 after a reset) and, where the environment tells them, the joint
-            values at which the controller believes the arm to be as ``joint_target``.
+        episode: Number of the episode, from 0, counting those not recorded.
+        within: Number of steps since the episode's reset.
+        order: Number of earlier episodes of which steps were recorded.
+        info: The step's `info`, with ``reward`` (0 after a reset). If the environment gives them, ``joint_target`` has
+            the joint values at which the controller believes the arm to be.
     """
 
     moment: int
@@ -59,13 +64,14 @@ class EpisodeLog:
     """The recorded steps of one environment (`rows`), and the choice of the steps to record."""
 
     def __init__(self, key: str, episode_trigger: Trigger | None, step_trigger: Trigger | None, length: float) -> None:
-        """Begin a log without steps.
+        """Begin an empty log.
 
         Args:
-            key: Name in entity paths: the policy, and the environment's number where there are several.
-            episode_trigger: Whether to record from the start of an episode, given its number.
-            step_trigger: Whether to record from a step, given its number.
-            length: Number of steps of one recording; infinite for whole episodes.
+            key: Name in entity paths: the policy, and the environment's number if there are several.
+            episode_trigger: Function of an episode's number that returns whether to record from its start; None for
+                never.
+            step_trigger: Function of a step's number that returns whether to record from it; None for never.
+            length: Number of steps to record after a trigger; infinite for whole episodes.
         """
         self.key, self.length, self.rows = key, length, list[Row]()
         self._episode_trigger, self._step_trigger = episode_trigger, step_trigger
@@ -73,7 +79,7 @@ class EpisodeLog:
         self._within, self._left = 0, 0.0
 
     def begins(self) -> bool:
-        """Count an episode; True if its first info is to be recorded."""
+        """Count a new episode, and return whether its first `info` is to be recorded."""
         self._episode += 1
         self._within = 0
         if self.length == np.inf:
@@ -83,7 +89,7 @@ class EpisodeLog:
         return self._wanted()
 
     def steps(self) -> bool:
-        """Count a step; True if its info is to be recorded."""
+        """Count a new step, and return whether its `info` is to be recorded."""
         self._step += 1
         self._within += 1
         if self._step_trigger is not None and self._step_trigger(self._step):
@@ -95,7 +101,13 @@ class EpisodeLog:
         return self._left >= 0.0
 
     def note(self, info: Mapping[str, Any], reward: float, target: Array | None = None) -> None:
-        """Add the present step to `rows`."""
+        """Add the present step to `rows`.
+
+        Args:
+            info: The step's `info`.
+            reward: The step's reward; 0 after a reset.
+            target: Joint values at which the controller believes the arm to be ``(n,)``, rad or m; None if unknown.
+        """
         last = self.rows[-1] if self.rows else None
         order = 0 if last is None else last.order + (last.episode != self._episode)
         told = {} if target is None else {"joint_target": target}
@@ -104,14 +116,14 @@ class EpisodeLog:
 
 @dataclass(frozen=True)
 class Scene:
-    """The scene that all environments of a recording share.
+    """What all environments of a recording have in common.
 
     Attributes:
-        nominal: The nominal arm, or None for environments without one.
+        nominal: Geometry of the nominal arm; None for environments without one.
         period: Time between steps, s.
-        tolerance_mm: Radius of the capture region, or None.
+        tolerance_mm: Radius of the gripper's capture region, mm; None if there is none.
         policy: Key of the policy, which gives the colour.
-        label: Name of the policy for people.
+        label: Name of the policy for readers.
     """
 
     nominal: Geometry | None
@@ -122,14 +134,21 @@ class Scene:
 
     @cached_property
     def parts(self) -> list[int]:
-        """Parts of the arm's polyline that are drawn, as `drawn_parts` numbers them."""
+        """Indices of the segments of the arm's polyline that are drawn, from `drawn_parts`."""
         assert self.nominal is not None
         lower, upper = self.nominal.lower, self.nominal.upper
         return drawn_parts(nominal_points(self.nominal, np.stack([lower, (lower + upper) / 2.0, upper])))
 
 
 def info_of(infos: Mapping[str, Any], index: int) -> dict[str, Any]:
-    """A copy of one environment's info from a vector environment's infos, whose arrays may be overwritten."""
+    """Return a copy of one environment's `info` from the infos of a vector environment.
+
+    A copy is needed because the environment may overwrite its arrays.
+
+    Args:
+        infos: Infos of the vector environment, by name.
+        index: Index of the environment.
+    """
     info = {}
     for name, values in infos.items():
         if not name.startswith(("_", "final_")) and not isinstance(values, Mapping):
@@ -140,29 +159,32 @@ def info_of(infos: Mapping[str, Any], index: int) -> dict[str, Any]:
 
 
 def has_arm(scene: Scene, info: Mapping[str, Any]) -> bool:
-    """Whether the arms can be drawn: there is a nominal arm, and `info` has joint command and tool position."""
+    """Return whether the arms can be drawn: there is a nominal arm, and `info` has joint command and tool position."""
     return scene.nominal is not None and {"joint_command", "tool_position"} <= set(info)
 
 
 def has_fruit(info: Mapping[str, Any]) -> bool:
-    """Whether misses can be drawn: `info` has tool and fruit positions."""
+    """Return whether misses can be drawn: `info` has tool and fruit positions."""
     return set(POSITIONS) <= set(info)
 
 
 def distances_mm(rows: Sequence[Row]) -> Array | None:
-    """Distance between tool and fruit ``(T,)``, mm; None where `info` has neither positions nor the distance."""
+    """Return the distance between tool and fruit in each row ``(T,)``, mm.
+
+    It is None if `info` has neither positions nor the distance.
+    """
     if has_fruit(rows[0].info):
         return np.asarray(1e3 * np.linalg.norm(column(rows, "tool_position") - column(rows, "fruit_position"), axis=1))
     return column(rows, "position_error_mm") if "position_error_mm" in rows[0].info else None
 
 
 def last_rows(rows: Sequence[Row]) -> list[Row]:
-    """The last recorded row of each episode."""
+    """Return the last recorded row of each episode."""
     return list({row.order: row for row in rows}.values())
 
 
 def number_groups(info: Mapping[str, Any]) -> dict[str, list[str]]:
-    """Names of the numbers in ``info``, grouped by unit; truth values and arrays do not count as numbers."""
+    """Return the names of the numbers in ``info``, grouped by unit; booleans and arrays do not count as numbers."""
     groups: dict[str, list[str]] = {}
     for name, value in info.items():
         if np.ndim(value) == 0 and isinstance(value, int | float | np.number) and not isinstance(value, bool):
@@ -172,7 +194,7 @@ def number_groups(info: Mapping[str, Any]) -> dict[str, list[str]]:
 
 
 def column(rows: Sequence[Row], name: str) -> Array:
-    """The values of one entry of `info` in all rows ``(T, ...)``."""
+    """Return the values of one entry of `info` in all rows ``(T, ...)``."""
     return np.array([row.info[name] for row in rows], dtype=float)
 
 
@@ -185,20 +207,29 @@ NEAREST_MM = 1e-4
 MOST_CURVES = 50
 """Largest number of episodes with curves on `episode_time`; later episodes are only on the other time lines."""
 WIDTHS = (1.8, 1.2, 0.8, 0.5)
-"""Line widths of a policy's numbers that share a unit, in turn, points."""
+"""Line widths of a policy's curves that share a unit, used in turn, points."""
 
 
 def decades(distance_mm: Array) -> Array:
-    """Logarithms to base 10 of distances in mm: 0 is a millimetre, 1 a centimetre."""
+    """Return the base-10 logarithms of distances in mm: 0 is a millimetre, 1 a centimetre."""
     return np.asarray(np.log10(np.maximum(distance_mm, NEAREST_MM)))
 
 
 def send_steps(
     stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequence[Row], begin: int = 0, root: str = "world"
 ) -> None:
-    """Send one environment's rows from ``begin`` on as whole columns, with the looks that hold for all ``rows``.
+    """Send one environment's rows from ``begin`` on, as whole columns, with the looks that hold for all ``rows``.
 
-    Names of curves state the mean end of all ``rows``. An episode may be sent in parts, of which the last ends it.
+    The name of the distance curve states the mean final distance over the episodes of all ``rows``. An episode may be
+    sent in parts, of which the last ends it.
+
+    Args:
+        stream: The recording.
+        scene: What all environments of the recording have in common.
+        key: Name of the environment in entity paths.
+        rows: All rows of the environment so far.
+        begin: Index of the first row to send.
+        root: Entity below which arms and fruit are placed.
     """
     new, info = rows[begin:], rows[0].info
     moments, seconds = _strung(scene, new)
@@ -302,15 +333,15 @@ def _arms(scene: Scene, rows: Sequence[Row]) -> tuple[Array, Array]:
 
 
 EYE = np.array([0.75, -1.0, 0.55])
-"""Vector from the middle of the scene to the eye, in units of the scene's size."""
+"""Vector from the middle of the scene to the camera, in units of the scene's size."""
 SHOWN_TOLERANCES = 5.0
-"""The view from the fruit shows errors up to this many tolerances, or up to the largest at an episode's end."""
+"""The view of the tool from the fruit shows errors up to this many tolerances, or up to the largest final error."""
 DECADES = "log10 of mm (-1: 0.1 mm, 0: 1 mm, 1: 10 mm)"
-"""Words on the axis of distances, as the viewer has no logarithmic axes of its own."""
+"""Label of the axis of distances, as the viewer has no logarithmic axes of its own."""
 
 
 def episode_blueprint(scene: Scene, rows: Sequence[Row]) -> rrb.Blueprint:
-    """The layout for environments whose infos are like those of ``rows``."""
+    """Return the layout for environments whose infos have the same entries as those of ``rows``."""
     info = rows[0].info
     plots: list[Any] = [distance_plot("Distance to the fruit")] if distances_mm(rows[:1]) is not None else []
     numbers = number_plots(info)
@@ -323,12 +354,12 @@ def episode_blueprint(scene: Scene, rows: Sequence[Row]) -> rrb.Blueprint:
 
 
 def at_the_end(content: Any) -> rrb.Blueprint:
-    """A layout on the time line `episode_time`, with the cursor at the end of the episodes."""
+    """Return a layout on the time line `episode_time`, with the cursor at the end of the episodes."""
     return layout(content, "episode_time", play_state="following", loop_mode="off")
 
 
 def number_plots(info: Mapping[str, Any]) -> list[Any]:
-    """One plot for each unit of the numbers in `info`, and one for reward and counts."""
+    """Return one plot for each unit of the numbers in `info`, and one for reward and counts."""
     return [
         view_of(rrb.TimeSeriesView, f"metrics/{unit}", f"Numbers in {UNITS[unit]}" if unit in UNITS else REST)
         for unit in number_groups(info)
@@ -336,7 +367,7 @@ def number_plots(info: Mapping[str, Any]) -> list[Any]:
 
 
 def distance_plot(name: str) -> Any:
-    """Plot of the logarithm of the distance from tool to fruit, in full range."""
+    """Return a plot of the logarithm of the distance from tool to fruit, in full range."""
     title = f"{name}, {DECADES}; legend: mean at the end"
     legend = rrb.PlotLegend(rrb.Corner2D.LeftBottom, visible=True)
     return view_of(rrb.TimeSeriesView, "distance", title, plot_legend=legend)
@@ -369,7 +400,14 @@ def _space_views(scene: Scene, rows: Sequence[Row]) -> list[Any]:
 
 
 def target_view(largest_mm: float, tolerance_mm: float | None) -> Any:
-    """A view of the true tool from the fruit, mm, wide enough for the largest distance at an episode's end."""
+    """Return a 3D view of the true tool's position relative to the fruit, mm.
+
+    It is wide enough for the largest distance at an episode's end.
+
+    Args:
+        largest_mm: Largest distance between tool and fruit at an episode's end, mm.
+        tolerance_mm: Radius of the gripper's capture region, mm; None if there is none.
+    """
     span = max(SHOWN_TOLERANCES * (tolerance_mm or 0.0), 1.2 * largest_mm)
     region = "" if tolerance_mm is None else f"; capture region, {tolerance_mm:g} mm (red)"
     name = f"True tool seen from the fruit, mm{region}"

@@ -1,6 +1,6 @@
-"""A harvested zone as a Rerun recording: master and slaves moving, fruit and its fate, a lane per arm, distances.
+"""Write a harvested zone as a Rerun recording: moving master and slave arms, fates of fruit, lanes, distances.
 
-Time line: `sim_time`, the time in the zone, s. Units: m in space, mm on plots.
+The time line is `sim_time`, the time in the zone, s. Units: m in space, mm on plots.
 """
 
 from __future__ import annotations
@@ -31,12 +31,15 @@ COLUMN_RADIUS, BOOM_RADIUS, FRUIT_RADIUS = 0.03, 0.02, 0.03
 
 
 def inspect_harvest(machine: Machine, harvest: Harvest, path: str | Path) -> Path:
-    """Record the round with most picks of a harvested tree.
+    """Write a recording of the round with the most picks of a harvested tree.
 
     Args:
         machine: The harvester.
         harvest: The harvest of one tree.
         path: The file to write (.rrd).
+
+    Returns:
+        The path written.
 
     Raises:
         InputError: If the harvest has no round, or the file cannot be written.
@@ -119,7 +122,13 @@ def _send_fruit(stream: rr.RecordingStream, harvest: Harvest, shown: Round, arri
 
 
 def fates(shown: Round, numbers: NDArray[np.intp], at: Array) -> NDArray[np.uint8]:
-    """Colours ``(T, F, 3)`` of the fruit ``numbers`` by their fates at times ``at``, s, of a round's timetable."""
+    """Return colours ``(T, F, 3)`` that show at each time whether each fruit hangs, was collected or was missed.
+
+    Args:
+        shown: The round.
+        numbers: Indices of the fruit among the tree's fruit ``(F,)``.
+        at: Times in the round's timetable ``(T,)``, s.
+    """
     colours = np.broadcast_to(np.array(FATES["hanging"], dtype=np.uint8), (len(at), len(numbers), 3)).copy()
     place = {number: i for i, number in enumerate(numbers.tolist())}
     for pick, number in enumerate(shown.fruit.tolist()):

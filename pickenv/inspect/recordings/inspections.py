@@ -1,4 +1,4 @@
-"""Recordings of any calibration or evaluation: the errors become a comparison, which `record_comparison` writes."""
+"""Write recordings of any calibration or evaluation: its errors are made into a comparison for `record_comparison`."""
 
 from __future__ import annotations
 
@@ -22,15 +22,18 @@ CELLS = 10
 def inspect_calibration(
     calibration: Calibration, evidence: Plant | Measurements, path: str | Path, *, grid_step: float = 0.1, seed: int = 0
 ) -> Path:
-    """Record the errors before and after calibration, over the workspace of a simulated arm or at measured poses.
+    """Write a recording of the errors before and after calibration, simulated over the workspace or at measured poses.
 
     Args:
         calibration: The calibration.
-        evidence: The true arm, which is compensated and driven over its workspace; or measured poses, preferably
-            held-out ones, from which the models' predictions are subtracted.
+        evidence: Either a plant, that is the simulated true arm, which is compensated and driven over its workspace. Or
+            measured poses, preferably held-out ones, from which the models' predictions are subtracted.
         path: The file to write (.rrd).
         grid_step: Cell size of the simulated arm's field, m.
         seed: Seed of the random joint values from which the workspace's extent is estimated.
+
+    Returns:
+        The path written.
 
     Raises:
         InputError: If the calibration is for another arm, there are too few poses, or the file cannot be written.
@@ -45,14 +48,17 @@ def inspect_calibration(
 def inspect_evaluation(
     runs: Mapping[str, Reaches], plant: Plant, path: str | Path, *, tolerance_mm: float = 5.0, seed: int = 0
 ) -> Path:
-    """Record how several policies ended on the same fruit.
+    """Write a recording of the final errors of several policies at the same fruit.
 
     Args:
-        runs: The ends of each policy's episodes, by the policy's label, raw first; all with the same fruit.
-        plant: The arm, or the preset that a population of arms was drawn from.
+        runs: The final states of each policy's episodes, by the policy's label, raw first; all with the same fruit.
+        plant: The simulated true arm, or the preset that a population of arms was drawn from.
         path: The file to write (.rrd).
         tolerance_mm: Radius of the gripper's capture region, mm.
-        seed: Seed of the episodes, which names the recording.
+        seed: Seed of the episodes, which is part of the recording's identity.
+
+    Returns:
+        The path written.
 
     Raises:
         InputError: If there are no runs, their fruit differ, or the file cannot be written.

@@ -1,4 +1,4 @@
-"""Live viewers: one that is started here, one that runs already, or any that connect to a server here."""
+"""Live viewers of recordings: one that is started here, one that runs already, or any that connect to a server here."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ VIEWER_PORT = 9876
 VIEWER_MEMORY = "2GiB"
 """Memory limit of a viewer, beyond which it forgets the oldest steps."""
 PATIENCE = 5.0
-"""Time to wait for an answer from a viewer that runs, s."""
+"""Time to wait for an answer from a running viewer, s."""
 START_PATIENCE = 30.0
-"""Time to wait for a viewer that is being started, s."""
+"""Time to wait for a viewer to start, s."""
 LOCAL = "127.0.0.1"
 
 
@@ -33,7 +33,9 @@ def open_live(
     connect: str | None = None,
     serve: int | None = None,
 ) -> rr.RecordingStream:
-    """A stream to viewers that show a recording while it grows; spawn, connect and serve may be combined.
+    """Open a stream to viewers that show a recording while it grows.
+
+    ``spawn``, ``connect`` and ``serve`` may be combined.
 
     Args:
         recording_id: Identity of the recording.
@@ -89,32 +91,43 @@ def _listens() -> bool:
 
 
 def rerun_command(*words: object, **options: object) -> list[str]:
-    """The command that starts the installed rerun, whose version fits the recordings, with arguments and options.
+    """Return the command that starts the installed rerun, whose version fits the recordings.
 
-    It runs the module with this Python instead of a program beside Python, as packages may lie elsewhere (pip --user,
-    system site packages).
+    It runs rerun as a module of this Python, because a program of that name may be elsewhere (pip --user, system site
+    packages).
+
+    Args:
+        words: Arguments of the command.
+        options: Options of the command, as for `command_words`.
     """
     return command_words(sys.executable, "-m", "rerun_cli", *words, **options)
 
 
 def started(command: list[str], **environment: str) -> subprocess.Popen[bytes]:
-    """Start rerun in a session of its own, without its log: on a healthy day a screenful that hides what matters."""
+    """Start rerun as a process in a session of its own, and return the process.
+
+    Its log output is discarded, since it is long and would hide what matters.
+
+    Args:
+        command: The words of the command.
+        environment: Additional environment variables.
+    """
     quiet, variables = subprocess.DEVNULL, viewer_environment() | environment
     return subprocess.Popen(command, env=variables, stdout=quiet, stderr=quiet, start_new_session=True)
 
 
 def telemetry_wanted() -> bool:
-    """Whether the viewer may tell its makers how it is used: only where FORCE_RERUN_ANALYTICS is set."""
+    """Return whether the viewer may send usage data to its makers: only if FORCE_RERUN_ANALYTICS is set."""
     return bool(os.environ.get("FORCE_RERUN_ANALYTICS"))
 
 
 def viewer_environment() -> dict[str, str]:
-    """Environment variables for a viewer; unless telemetry is wanted, CI is set, with which a viewer sends none."""
+    """Return the environment variables for a viewer; unless telemetry is wanted, CI is set, which switches it off."""
     return dict(os.environ) if telemetry_wanted() else {**os.environ, "CI": "1"}
 
 
 def check_screen() -> None:
-    """Refuse to open a window where there is no screen, with a sentence instead of a panic.
+    """Raise an error if there is no screen for a window; rerun itself would crash.
 
     Raises:
         InputError: If there is no screen.
@@ -127,7 +140,7 @@ def check_screen() -> None:
 
 
 def check_answers(url: str) -> None:
-    """Refuse an address where nobody listens; rerun itself would go on trying.
+    """Raise an error if no viewer listens at an address; rerun itself would keep trying.
 
     Raises:
         InputError: If ``url`` is no address of a viewer, or nothing listens there.

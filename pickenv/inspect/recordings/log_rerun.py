@@ -116,16 +116,18 @@ class _Recorder:
 
 
 NOT_OF_THE_RECORDER = ("self", "env", "indices")
-"""Arguments of the wrappers that are not the recorder's."""
+"""Names of the wrappers' arguments that are not settings of the recorder."""
 
 
 class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordConstructorArgs):
     """Log episodes for the Rerun viewer: true and nominal arm, fruit, miss, and every number of `info`.
 
     The signature follows `gymnasium.wrappers.RecordVideo`. All recorded episodes are in one file,
-    ``save_path/name_prefix-policy.rrd``; files of several policies on one environment and seed are shown as one:
-    ``rerun runs/*.rrd``. The file is written whole at the end of an episode whenever the recorded steps are twice
-    those in the file, and by `close`. Live viewers see each episode when it has ended.
+    ``save_path/name_prefix-policy.rrd``. The viewer shows files of several policies on one environment and seed as one
+    recording: ``rerun runs/*.rrd``.
+
+    At the end of an episode, the file is written as a whole if there are twice as many recorded steps as in the file.
+    `close` writes it too. Live viewers show each episode when it has ended.
 
     Example:
         >>> import gymnasium as gym
@@ -155,22 +157,23 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
         connect: str | None = None,
         serve: int | None = None,
     ) -> None:
-        """Log ``env``.
+        """Log the episodes of ``env``.
 
         Args:
-            env: Any environment; arms and fruit are drawn where `info` tells where they are.
+            env: Any environment. Arms and fruit are drawn if `info` has their positions.
             save_path: Folder for the file; None for live viewers alone.
-            episode_trigger: Whether to record an episode, given its number; capped cubic if there is no trigger.
-            step_trigger: Whether to record from a step, given its number.
-            recording_length: Number of steps of one recording; 0 for whole episodes.
+            episode_trigger: Function of an episode's number that returns whether to record it. Without any trigger,
+                `capped_cubic` is used.
+            step_trigger: Function of a step's number that returns whether to record from it.
+            recording_length: Number of steps to record after a trigger; 0 for whole episodes.
             name_prefix: First part of the file's name.
             policy: Name of the policy: lower-case letters, digits and underscores.
-            spawn: Show the episodes in a viewer that is started here.
-            connect: Show the episodes in the viewer at this address.
-            serve: Show the episodes to viewers that connect to this port.
+            spawn: Whether to show the episodes in a viewer that is started here.
+            connect: Address of a running viewer that shows the episodes; None for no such viewer.
+            serve: Port for viewers that connect to see the episodes; None for no server.
 
         Raises:
-            InputError: If an argument is impossible; later, if a file cannot be written or a viewer not be reached.
+            InputError: If an argument is impossible. Later, if a file cannot be written or a viewer cannot be reached.
         """
         settings = {name: value for name, value in locals().items() if name not in NOT_OF_THE_RECORDER}
         RecordConstructorArgs.__init__(self, **settings)
@@ -181,7 +184,7 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Reset the environment; recording may begin."""
+        """Reset the environment, and record its first `info` if the triggers ask for it."""
         observation, info = self.env.reset(seed=seed, options=options)
         self._recorder.met(info)
         if self._log.begins():
@@ -189,7 +192,7 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
         return observation, info
 
     def step(self, action: Action) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Step the environment, and record its info where the triggers ask for it."""
+        """Step the environment, and record its `info` if the triggers ask for it."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         if self._log.steps():
             self._log.note(info, float(reward), believed_joints(self.env))
@@ -225,12 +228,13 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
         connect: str | None = None,
         serve: int | None = None,
     ) -> None:
-        """Log environments ``indices`` of ``env``; the other arguments are as for `LogRerun`.
+        """Log the environments of ``env`` with the given ``indices``.
 
-        The triggers get the number of each environment's own episode or step.
+        The other arguments are as for `LogRerun`. The triggers get the number of each environment's own episode or
+        step.
 
         Raises:
-            InputError: If an argument is impossible; later, if a file cannot be written or a viewer not be reached.
+            InputError: If an argument is impossible. Later, if a file cannot be written or a viewer cannot be reached.
         """
         settings = {name: value for name, value in locals().items() if name not in NOT_OF_THE_RECORDER}
         RecordConstructorArgs.__init__(self, indices=indices, **settings)
@@ -245,7 +249,7 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Reset the environments; recording may begin."""
+        """Reset the environments, and record their first infos if the triggers ask for them."""
         mask = None if options is None else options.get("reset_mask")
         observations, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         self._recorder.met(infos)
@@ -257,7 +261,7 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
         return observations, infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Step the environments, and record infos where the triggers ask for them."""
+        """Step the environments, and record their infos if the triggers ask for them."""
         observations, rewards, terminations, truncations, infos = self.env.step(actions)
         same_step = self.env.metadata["autoreset_mode"] is AutoresetMode.SAME_STEP
         ended = False

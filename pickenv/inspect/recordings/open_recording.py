@@ -1,4 +1,4 @@
-"""Open finished recordings: in the native viewer, a browser, a viewer that runs already, or any that connects."""
+"""Open finished recordings in the native viewer, a browser or a running viewer, or serve them to other viewers."""
 
 from __future__ import annotations
 
@@ -39,7 +39,9 @@ PATIENCE = 30.0
 
 @contextmanager
 def quiet_page(host: str, viewer: int, data: int) -> Iterator[int]:
-    """Serve a viewer's page again at a new port, with a content security policy; yields the port.
+    """Return a context that serves a viewer's web page again at a new port, with a content security policy.
+
+    The value of the context is the new port.
 
     Args:
         host: This machine's own address, 127.0.0.1.
@@ -98,11 +100,11 @@ STARTING, VIEWER_PICTURE_PATIENCE = 20.0, 60.0
 """Longest times to wait for the viewer's first answer, and for its picture to stop changing, s."""
 
 LOOK_AGAIN = 1.0
-"""Time between two looks at the picture, s, as messages fade and shaders come in late."""
+"""Time between two screenshots that are compared, s, as messages fade and shaders are loaded late."""
 
 
 def viewer_picture(recording: Path) -> bytes | None:
-    """The recording in its default layout as lossless WebP; None where this computer cannot draw it.
+    """Return a picture of a recording in its default layout as lossless WebP; None if this computer cannot draw it.
 
     Args:
         recording: The .rrd file.
@@ -126,7 +128,7 @@ def viewer_picture(recording: Path) -> bytes | None:
 
 @contextmanager
 def headless_viewer() -> Iterator[Any]:
-    """A client of a viewer that has no window; None where there is no graphics adapter for it."""
+    """Return a context with a client of a viewer that has no window; None if there is no graphics adapter for it."""
     from rerun.experimental import ViewerClient
 
     port = _free_port()
@@ -167,11 +169,12 @@ HEADER = b"RRF"
 
 
 def check_recording(path: str | Path) -> None:
-    """Refuse a file that the installed rerun viewer cannot show.
+    """Raise an error if the installed rerun viewer cannot show a file.
 
     Raises:
-        InputError: If the file is missing, is no recording, is damaged, or was written by a rerun newer than the
-            installed one, or older by more than one minor version, beyond which rerun does not promise to read.
+        InputError: If the file is missing, is no recording, or is damaged. Also if it was written by a newer rerun than
+            the installed one, or by one older by more than one minor version. Rerun does not promise to read older
+            files.
     """
     path = Path(path)
     try:
@@ -199,7 +202,7 @@ def check_recording(path: str | Path) -> None:
 
 
 def open_native(paths: Sequence[Path]) -> None:
-    """Show recordings in a window of rerun, a new one or the open one; returns when rerun ends.
+    """Show recordings in a window of rerun, new or already open, and return when rerun ends.
 
     Raises:
         InputError: If there is no screen.
@@ -225,7 +228,7 @@ def serve(paths: Sequence[Path], port: int) -> None:
 
 
 def send(paths: Sequence[Path], url: str) -> None:
-    """Send recordings to a viewer that runs already.
+    """Send recordings to a running viewer.
 
     Raises:
         InputError: If no viewer answers at ``url``, or it does not take everything.
@@ -272,7 +275,7 @@ def _run(*paths: Path, **options: object) -> None:
 
 
 LEAVING = 5.0
-"""Time that a viewer has to end by itself, s."""
+"""Time that a viewer has to end after it is asked to, s."""
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:

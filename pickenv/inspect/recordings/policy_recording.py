@@ -1,6 +1,6 @@
-"""A comparison of policies as one Rerun recording: who is better, where in the workspace, and every episode.
+"""Write a comparison of policies as one Rerun recording: who is better, where in the workspace, and every episode.
 
-Policies stand beside one another in one space, so that one eye looks at all of them. The time lines are as in
+The scenes of all policies are side by side in one space, so that one camera shows all of them. The time lines are as in
 `episode_entities`.
 """
 
@@ -23,18 +23,21 @@ from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes,
 from pickenv.inspect.runs.saved import shown_box
 
 SIDEWAYS = np.array([0.8, 0.6, 0.0])
-"""Direction to the next policy: to the right as the eye sees it."""
+"""Direction to the scene of the next policy: to the right as the camera sees it."""
 APART = 1.25
-"""Distance between neighbouring policies, in widths of the scene of one policy."""
+"""Distance between the scenes of neighbouring policies, in widths of one scene."""
 NAME_SIZE = rr.Radius.ui_points(6.0)
 
 
 def record_policies(episodes: RecordedEpisodes, path: str | Path) -> Path:
-    """Write a comparison of policies as a recording (.rrd) with its blueprint inside, whole or not at all.
+    """Write a comparison of policies as a Rerun recording (.rrd) that includes its layout (blueprint), atomically.
 
     Args:
         episodes: The episodes of every policy; a `Comparison` adds the errors over the workspace.
         path: The file to write.
+
+    Returns:
+        The path written.
 
     Raises:
         InputError: If the file cannot be written.
@@ -54,7 +57,12 @@ def record_policies(episodes: RecordedEpisodes, path: str | Path) -> Path:
 
 
 def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[entities.Row]:
-    """A policy's episodes as recorded steps, each with its `info`; ``arm`` adds the joint command."""
+    """Return a policy's episodes as recorded steps, each with its `info`.
+
+    Args:
+        policy: The policy's recorded episodes.
+        arm: Whether `info` has the joint command, so that the arm can be drawn.
+    """
     names = ["position_error_mm", "picked", "tool_position", "fruit_position", "joint_target", "reward"]
     names += ["attitude_error_deg"] * (not np.isnan(policy.attitude_error_deg).all()) + ["joint_command"] * arm
     told = {name: getattr(policy, name) for name in names} | {"is_success": policy.success}

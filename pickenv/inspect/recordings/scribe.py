@@ -1,4 +1,4 @@
-"""Rerun recordings of anything: one stream, whole columns, no wall-clock times, so that equal data give equal files.
+"""Write Rerun recordings as whole columns without wall-clock times, so that equal data give equal files.
 
 Units: m in space; mm and degrees on plots, as their titles say.
 """
@@ -29,11 +29,11 @@ COLOUR_BAR_PIXELS = (512, 7)
 def write_recording(
     path: str | Path, recording_id: str, blueprint: rrb.Blueprint, send: Callable[[rr.RecordingStream], None]
 ) -> Path:
-    """Write a recording (.rrd) with its blueprint inside, whole or not at all.
+    """Write a recording (.rrd) that includes its layout (blueprint), atomically, and return the path.
 
     Args:
-        path: The file; missing folders are made.
-        recording_id: Identity of the recording; files of one identity are shown as one recording.
+        path: The file. Missing folders are made.
+        recording_id: Identity of the recording. The viewer shows files of one identity as one recording.
         blueprint: The layout.
         send: Function that sends everything to the stream.
 
@@ -45,12 +45,12 @@ def write_recording(
 
 
 def recording_bytes(recording_id: str, blueprint: rrb.Blueprint, send: Callable[[rr.RecordingStream], None]) -> bytes:
-    """A recording as the content of a file, with the footer that ends a finished recording.
+    """Return a recording as the content of a file, with the footer that ends a finished recording.
 
     It is made in memory, because rerun's own writer waits for ever when the disk fills up.
 
     Raises:
-        InputError: If the variable RERUN switches rerun off.
+        InputError: If the environment variable RERUN switches rerun off.
     """
     stream = rr.RecordingStream(APPLICATION_ID, recording_id=recording_id, send_properties=False)
     memory = stream.memory_recording()
@@ -63,14 +63,19 @@ def recording_bytes(recording_id: str, blueprint: rrb.Blueprint, send: Callable[
 
 
 class Scribe:
-    """Sends columns to one stream, either for all time or along time lines."""
+    """Writer that sends columns to one Rerun stream, either as static data or along time lines."""
 
     def __init__(self, stream: rr.RecordingStream, times: Sequence[rr.TimeColumn] = ()) -> None:
-        """A scribe for one stream and its time columns; without ``times``, `along` sends nothing."""
+        """Make a writer for one stream.
+
+        Args:
+            stream: The stream.
+            times: Time columns for data that change; without them, `along` sends nothing.
+        """
         self.stream, self.times = stream, tuple(times)
 
     def still(self, entity: str, *content: rr.AsComponents) -> None:
-        """Send archetypes that hold for all time, all of an entity in one chunk."""
+        """Send archetypes of an entity as static data, which hold at all times, in one chunk."""
         batches = [batch for archetype in content for batch in archetype.as_component_batches()]
         columns = [
             rr.ComponentColumn(batch.component_descriptor(), batch, lengths=[len(batch.as_arrow_array())])
@@ -79,43 +84,43 @@ class Scribe:
         self.stream.send_columns(entity, [], columns, strict=True)
 
     def along(self, entity: str, *columns: Iterable[rr.ComponentColumn]) -> None:
-        """Send columns with one row per moment."""
+        """Send columns that have one row for each time of the time columns."""
         if self.times:
             self.stream.send_columns(entity, self.times, [c for several in columns for c in several], strict=True)
 
     def properties(self, **facts: Any) -> None:
-        """Send facts that a reader sees beside the recording, and the versions of the packages that made it."""
+        """Send properties of the recording, by name, and the versions of the packages that made it."""
         made_with: Any = {f"{name}_version": made for name, made in {**versions(), "rerun": rr.__version__}.items()}
         self.stream.send_property("pickenv", rr.AnyValues(**facts, **made_with))
 
     def document(self, entity: str, markdown: str) -> None:
-        """Send a Markdown text for all time."""
+        """Send a Markdown text as static data."""
         self.still(entity, rr.TextDocument(as_sentence(markdown), media_type="text/markdown"))
 
     def words(self, entity: str, place: ArrayLike, text: str) -> None:
-        """Send a text at a place ``(3,)`` in space, m, for all time."""
+        """Send a text at a place ``(3,)`` in space, m, as static data."""
         self.still(entity, rr.Points3D([place], labels=[in_words(text)], colors=[WHITE], radii=0.0, show_labels=True))
 
     def curve(self, entity: str, name: str, colour: Rgb, values: ArrayLike, width: float | None = None) -> None:
-        """Send numbers along the time lines ``(T,)``, and how they are drawn; the width is in points."""
+        """Send numbers ``(T,)`` along the time lines, and how they are drawn; the line width is in points."""
         widths = None if width is None else [width]
         self.still(entity, rr.SeriesLines(names=[in_words(name)], colors=[colour], widths=widths))
         self.along(entity, rr.Scalars.columns(scalars=values))
 
     def lane(self, entity: str, looks: Mapping[str, tuple[str, Rgb]], states: Sequence[str]) -> None:
-        """Send states along the time lines ``(T,)``; each state has a label and a colour in ``looks``."""
+        """Send states ``(T,)`` along the time lines; each state has a label and a colour in ``looks``."""
         labels, colours = zip(*((in_words(label), (*colour, 255)) for label, colour in looks.values()), strict=True)
         self.still(entity, rr.StateConfiguration(values=list(looks), labels=labels, colors=colours))
         self.along(entity, rr.StateChange.columns(state=states))
 
     def arrows(self, entity: str, origins: Array, arrows: Array, values: Array, top: float, unit: str = "mm") -> None:
-        """Send a field of arrows for all time, coloured by the length of ``values``.
+        """Send a field of arrows as static data, coloured by the length of ``values``.
 
         Args:
             entity: Name of the field.
             origins: Points at which the arrows start ``(N, 3)``, m.
             arrows: The arrows as drawn ``(N, 3)``, m.
-            values: The vectors that a click reads out ``(N, 3)``, in ``unit``.
+            values: The vectors whose numbers a click shows ``(N, 3)``, in ``unit``.
             top: Upper end of the colour scale, in ``unit``.
             unit: Unit of ``values``.
         """
@@ -128,7 +133,16 @@ class Scribe:
     def arm(
         self, entity: str, points: Array, parts: list[int], colour: Rgb, fill_mode: Any, thickness: float = 1.0
     ) -> None:
-        """Send a moving arm's look and places; ``points`` ``(T, K, 3)``, m, and ``parts`` are as in `capsules`."""
+        """Send the look of a moving arm, and its positions along the time lines.
+
+        Args:
+            entity: Name of the arm.
+            points: Points along the arm ``(T, K, 3)``, m.
+            parts: Indices of the segments to draw, as for `capsules`.
+            colour: Colour of the arm, RGB in 0..255.
+            fill_mode: Rerun's fill mode, such as "solid".
+            thickness: Factor on the radii of the links.
+        """
         count = len(parts)
         self.still(
             entity,
@@ -148,12 +162,27 @@ class Scribe:
         self.along(entity, moving.partition([len(parts)] * len(points)))
 
     def dots(self, entity: str, places: Array, colour: Rgb, radius: Any) -> None:
-        """Send a moving ball's look and places ``(T, 3)``, m; the radius is in m, or a `rerun.Radius`."""
+        """Send the look of a moving ball, and its positions along the time lines.
+
+        Args:
+            entity: Name of the ball.
+            places: Positions ``(T, 3)``, m.
+            colour: Colour of the ball, RGB in 0..255.
+            radius: Radius, m, or a `rerun.Radius`.
+        """
         self.still(entity, rr.Points3D.from_fields(colors=[colour], radii=radius))
         self.along(entity, rr.Points3D.columns(positions=f32(places)))
 
     def axes(self, entity: str, corner: ArrayLike, lengths: ArrayLike, labels: Sequence[str], width: float) -> None:
-        """Send the world's axes from ``corner`` ``(3,)``, m, with ``lengths`` ``(3,)`` and labels; width in points."""
+        """Send three labelled arrows along the world's axes as static data.
+
+        Args:
+            entity: Name of the axes.
+            corner: Point at which the arrows start ``(3,)``, m.
+            lengths: Lengths of the arrows ``(3,)``, m.
+            labels: Labels of the arrows.
+            width: Line width, points.
+        """
         arrows = rr.Arrows3D(
             origins=[corner] * 3,
             vectors=np.diag(lengths),
@@ -164,7 +193,14 @@ class Scribe:
         self.still(entity, arrows)
 
     def capture(self, entity: str, radius: float, opacity: int = 200, width: float = 0.8) -> None:
-        """Send the gripper's capture region, a ball with the tolerance as radius; the width of lines is in points."""
+        """Send the look of the gripper's capture region, a ball.
+
+        Args:
+            entity: Name of the ball.
+            radius: Radius of the ball, in the unit of the view's space (m or mm).
+            opacity: Opacity, 0..255.
+            width: Line width, points.
+        """
         ball = rr.Ellipsoids3D.from_fields(
             half_sizes=[[radius] * 3],
             colors=[(*RED, opacity)],
@@ -174,7 +210,7 @@ class Scribe:
         self.still(entity, ball)
 
     def colour_bar(self, entity: str, top: float, unit: str) -> None:
-        """Send a colour scale from 0 to ``top`` with its unit: an image and its ticks as entities below ``entity``."""
+        """Send a colour scale from 0 to ``top`` with its unit, as an image and ticks in entities below ``entity``."""
         width, height = COLOUR_BAR_PIXELS
         bar = np.broadcast_to(viridis((np.arange(width) + 0.5) / width), (height, width, 3))
         self.still(f"{entity}/bar", rr.Image(np.ascontiguousarray(bar)))
@@ -186,17 +222,17 @@ class Scribe:
 
 
 def f32(values: ArrayLike) -> Any:
-    """Values as 32-bit floats, the precision in which rerun keeps them."""
+    """Return values as 32-bit floats, the precision in which rerun keeps them."""
     return np.ascontiguousarray(values, dtype=np.float32)
 
 
 def reading(vectors: Array, unit: str = "mm") -> rr.DynamicArchetype:
-    """Numbers that a click on an arrow reads out: length and components of ``vectors`` ``(N, 3)``, in ``unit``."""
+    """Return the numbers that a click on an arrow shows: norm and components of ``vectors`` ``(N, 3)``, in ``unit``."""
     return rr.DynamicArchetype("PickError", components=_readings(vectors, unit))
 
 
 def reading_columns(vectors: Array) -> Iterable[rr.ComponentColumn]:
-    """The numbers of `reading`, in mm, as columns with one row per moment."""
+    """Return the numbers of `reading`, in mm, as columns with one row per time."""
     return rr.DynamicArchetype.columns("PickError", components=_readings(vectors, "mm"))
 
 
@@ -212,7 +248,15 @@ MOST_ABREAST = 4
 
 
 def layout(content: Any, time_line: str | None, **time: Any) -> rrb.Blueprint:
-    """A blueprint with all panels collapsed; unless ``time`` says otherwise, time is paused at first and then loops."""
+    """Return a blueprint with all panels collapsed.
+
+    Time is paused at first and then loops, unless ``time`` says otherwise.
+
+    Args:
+        content: The views.
+        time_line: Name of the time line; None for none.
+        time: Options of rerun's time panel.
+    """
     return rrb.Blueprint(
         content,
         rrb.BlueprintPanel(state="collapsed"),
@@ -225,7 +269,17 @@ def layout(content: Any, time_line: str | None, **time: Any) -> rrb.Blueprint:
 def seen_from(
     eye: Array, look: Array, origin: str, contents: list[str], name: str, *, ground: bool = True, **more: Any
 ) -> Any:
-    """A 3D view from the point ``eye`` to the point ``look`` ``(3,)``, m, with a grid on the ground or without."""
+    """Return a 3D view from the point ``eye`` to the point ``look``.
+
+    Args:
+        eye: Position of the camera ``(3,)``, m.
+        look: Point that the camera looks at ``(3,)``, m.
+        origin: The view's root entity.
+        contents: Rerun's query expressions for the entities to show.
+        name: Title of the view.
+        ground: Whether to draw a grid on the ground.
+        more: Further arguments of the view.
+    """
     grid = {"visible": True, "spacing": 0.5, "stroke_width": 0.5, "color": (255, 255, 255, 30)}
     return rrb.Spatial3DView(
         origin=origin,
@@ -239,12 +293,19 @@ def seen_from(
 
 
 def view_of(kind: Any, entity: str, name: str, **more: Any) -> Any:
-    """A view of a given kind that shows everything below an entity."""
+    """Return a view of a given kind that shows everything below an entity."""
     return kind(origin=f"/{entity}", contents=[f"+ /{entity}/**"], name=in_words(name), **more)
 
 
 def with_colour_bar(views: list[Any], key: str, meaning: str, name: str) -> Any:
-    """A tab: ``views`` side by side, in rows where they are many, and below them the colour bar `/legend/key`."""
+    """Return a tab with ``views`` side by side, in several rows if they are many, and a colour bar below them.
+
+    Args:
+        views: The views.
+        key: Key of the colour bar, whose entity is `/legend/key`.
+        meaning: Title of the colour bar.
+        name: Name of the tab.
+    """
     bounds = rrb.VisualBounds2D(x_range=[-14.0, 534.0], y_range=[-4.0, 20.0])
     bar = view_of(rrb.Spatial2DView, f"legend/{key}", meaning, background=BACKGROUND, visual_bounds=bounds)
     rows = rrb.Grid(*views, grid_columns=-(-len(views) // -(-len(views) // MOST_ABREAST)))

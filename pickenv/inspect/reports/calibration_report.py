@@ -1,4 +1,4 @@
-"""The page of a calibration, for whoever must decide whether to use it: first the verdict, then its evidence.
+"""The page of a calibration, for readers who decide whether to use it: first the verdict, then the evidence.
 
 Lengths are in mm and angles in degrees, with the unit beside each number.
 """
@@ -35,12 +35,14 @@ MAP_POSES = 6000
 
 
 def drawings(run: Run) -> Drawings:
-    """The figures of a calibration's run folder."""
+    """Return the figures of a calibration's run."""
     return trace_drawings(load_part(run, CalibrationTrace))
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
-    """The page that was written with the run; it cannot be made again, as it needs more than the folder keeps.
+    """Return the page that was written with the run, as HTML.
+
+    It cannot be made again, because it needs more data than the folder has.
 
     Raises:
         InputError: If the folder has no page, or the page was edited.
@@ -52,12 +54,18 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
 
 
 def write_calibration_report(path: str | Path, result: Result, seeds: Mapping[str, Any] | None = None) -> Path:
-    """Write the page of a calibration to ``path``, whole or not at all."""
+    """Write the page of a calibration to ``path`` atomically, and return the path.
+
+    Args:
+        path: The file (.html).
+        result: The calibration and its judgement.
+        seeds: Seeds and options that reproduce the calibration, by name.
+    """
     return write_text(path, calibration_page(result, seeds))
 
 
 def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> str:
-    """The page of a calibration as HTML.
+    """Return the page of a calibration as HTML.
 
     Args:
         result: The calibration and its judgement.

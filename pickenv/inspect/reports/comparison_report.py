@@ -18,12 +18,12 @@ MISSING = "the environment takes no goals in options, so a policy cannot be aske
 
 
 def drawings(run: Run) -> Drawings:
-    """The figures of a comparison's run folder."""
+    """Return the figures of a comparison's run."""
     return policy_drawings(load_part(run, RecordedEpisodes))
 
 
 def policy_drawings(episodes: RecordedEpisodes) -> Drawings:
-    """The figures of a comparison of policies, drawable or left out."""
+    """Return the figures of a comparison of policies, with those that cannot be drawn."""
     drawings = [captioned("distance_over_time", plot_policies.distance_over_time, episodes)]
     if not isinstance(episodes, Comparison):
         return [*drawings, Drawing("error_fields", MISSING)]
@@ -34,7 +34,7 @@ def policy_drawings(episodes: RecordedEpisodes) -> Drawings:
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
-    """The page of a comparison's run folder."""
+    """Return the page of a comparison's run as HTML."""
     episodes = load_part(run, RecordedEpisodes)
     enough = any(row["ci95_mm"] is not None for row in summary.policy_rows(episodes))
     intervals = summary.INTERVALS if enough else summary.NO_INTERVAL

@@ -15,17 +15,17 @@ from pickenv.inspect.runs.run_folder import CONDITIONS, Run, TakePicture, load_r
 SWEEPS = {"payload": "payload (kg)", "temperature": "weather (K)", "hour": "time since the start of work (h)"}
 """Axis labels of the conditions, which are varied one at a time while the others stay at the reference."""
 HELD_OUT = "held-out sessions"
-"""Key of the sessions that were drawn as the training sessions were but are not among them."""
+"""Key of the held-out sessions, which were drawn in the same way as the training sessions but are not among them."""
 
 
 def drawings(run: Run) -> Drawings:
-    """The figure of a study's run folder."""
+    """Return the figure of a study of conditions."""
     sweeps = load_result(run, CONDITIONS)["sweeps"]
     return [captioned("error_by_condition", plot_estimates.error_by_condition, sweeps, SWEEPS)]
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
-    """The page of a study's run folder."""
+    """Return the page of a study of conditions as HTML."""
     result = load_result(run, CONDITIONS)
     verdict = PageVerdict("note", *conditions_in_words(result))
     tables = [PageTable(*table, look="dense") for table in condition_tables(result)]
@@ -39,7 +39,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
 
 
 def conditions_in_words(result: Mapping[str, Any]) -> tuple[str, str]:
-    """The verdict in words: a headline, and a text with the mean errors behind it."""
+    """Return the verdict in words: a headline, and a text with the mean errors behind it."""
     methods = result["sweeps"][HELD_OUT]["methods"]
     figures = {name: by_level[0] for name, by_level in methods.items()}
     usual = next(name for name in figures if name != "raw")
@@ -56,7 +56,7 @@ def conditions_in_words(result: Mapping[str, Any]) -> tuple[str, str]:
 
 
 def condition_tables(result: Mapping[str, Any]) -> list[tuple[str, list[str], list[list[str]]]]:
-    """A table for each condition, as title, heads and rows: mean errors with 95 % intervals, mm."""
+    """Return a table for each condition, as title, heads and rows: mean errors with 95 % intervals, mm."""
     tables = []
     for name, sweep in result["sweeps"].items():
         rows = [[method, *(_mean(figure) for figure in by_level)] for method, by_level in sweep["methods"].items()]

@@ -1,4 +1,4 @@
-"""The report of a demonstration: errors removed, errors left, whether the calibration suffices, and the evidence."""
+"""The report of a demonstration: errors removed and remaining, whether the calibration suffices, and the evidence."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ REQUIRED_SHARE = 0.95
 MOST_ARROWS = 3000
 """Largest number of arrows of an interactive field."""
 EYE_DISTANCE = 2.55
-"""Distance of the eye from the middle of a scene, in plotly's unit: the scene's size."""
+"""Distance of the camera from the middle of a scene, in plotly's unit: the scene's size."""
 
 COLOUR_BAR: Mapping[str, Any] = {
     "title": {"text": "position error (mm)", "side": "bottom", "font": {"size": 13}},
@@ -56,12 +56,12 @@ COLOUR_BAR: Mapping[str, Any] = {
 
 
 def drawings(run: Run) -> Drawings:
-    """The figures of a demonstration's run folder."""
+    """Return the figures of a demonstration's run."""
     return [*comparison_drawings(load_part(run, Comparison)), *trace_drawings(load_part(run, CalibrationTrace))]
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
-    """The page of a demonstration's run folder.
+    """Return the page of a demonstration's run as HTML.
 
     Args:
         run: The run.
@@ -102,11 +102,12 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
 def demo_verdict(
     comparison: Comparison, cases: Mapping[str, Sequence[Change]] | None = None
 ) -> report_page.PageVerdict:
-    """The verdict: how much the last policy's calibration improves on the first policy, and whether picks change.
+    """Return the verdict: how much calibration improves the last policy on the first, and whether picks change.
 
     Args:
         comparison: The comparison with its reaches.
-        cases: Changes of picks by calibration for each plant; for the comparison's own plant when left out.
+        cases: Changes of picks by calibration, by the name of the plant (simulated arm). When left out, they are
+            computed for the comparison's own plant.
     """
     first, last = comparison.policies[0], comparison.policies[-1]
     first_mm, last_mm = first.ends.position_error_mm, last.ends.position_error_mm
@@ -165,7 +166,7 @@ def _cases(cases: Mapping[str, Sequence[Change]]) -> report_page.Section:
 
 
 def within(comparison: Comparison, policy: RecordedPolicy) -> int:
-    """Number of reaches that end within the tolerance of the fruit, whatever their attitude."""
+    """Return the number of reaches that end within the tolerance of the fruit, whatever their attitude."""
     return int((policy.ends.position_error_mm <= comparison.tolerance_mm).sum())
 
 
@@ -289,7 +290,10 @@ def _origin(run: Run, comparison: Comparison, trace: CalibrationTrace, calibrati
 
 
 def field_spec(comparison: Comparison) -> dict[str, Any]:
-    """Plotly's error fields side by side in 3-D: dots at wanted positions, to hover over, and lines to true ones."""
+    """Return Plotly's data and layout of the error fields, side by side in 3D.
+
+    Dots are at wanted positions and show numbers on hovering. Lines lead from them to the true positions.
+    """
     rows, spacing = thinned(comparison, MOST_ARROWS)
     top = colour_scale_mm(comparison)
     gain = field_gain(comparison.grid.step, top)
@@ -345,7 +349,7 @@ def _axes(points: Array, spacing: float) -> dict[str, Any]:
 
 
 def pose_spec(errors_mm: Mapping[str, Array]) -> dict[str, Any]:
-    """Plotly's figure of the position error at each test pose, by stage, on a logarithmic axis."""
+    """Return Plotly's data and layout of the position error at each test pose, by stage, on a logarithmic axis."""
     data = [
         {
             "type": "scatter",

@@ -18,7 +18,7 @@ MEASURES = TEXTS["measures"]
 
 
 def drawings(run: Run) -> Drawings:
-    """The figures of a harvester's run folder: the arms' work on a tree, fates of fruit, throughput, workspace."""
+    """Return the figures of a harvester's run: the arms' work on a tree, fates of fruit, throughput, workspace."""
     trace = load_part(run, HarvestTrace)
     arms = trace.cloud.shape[1]
     trees = {name: trace.trees[name] for name in (next(iter(trace.trees)), list(trace.trees)[-1])}
@@ -37,7 +37,7 @@ def drawings(run: Run) -> Drawings:
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
-    """The page of a harvester's run folder."""
+    """Return the page of a harvester's run as HTML."""
     trace = load_part(run, HarvestTrace)
     names = list(trace.measures)
     before, after = (trace.measures[name] for name in (names[0], names[-1]))

@@ -1,4 +1,4 @@
-"""Figures and page of a test by ISO 9283."""
+"""Figures and page of an accuracy test according to ISO 9283."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ def _result(run: Run) -> tuple[dict[str, Any], dict[str, Any]]:
 
 
 def drawings(run: Run) -> Drawings:
-    """The figures of a test's run folder."""
+    """Return the figures of an ISO 9283 test's run."""
     result, controllers = _result(run)
     accuracy, repeatability = (
         {name: [pose[key] for pose in test["poses"]] for name, test in controllers.items()}
@@ -35,7 +35,7 @@ def drawings(run: Run) -> Drawings:
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
-    """The page of a test's run folder."""
+    """Return the page of an ISO 9283 test's run as HTML."""
     result, controllers = _result(run)
     worst = "; ".join(
         f"{name}: AP {test['worst_accuracy_mm']:.3f} mm, RP {test['worst_repeatability_mm']:.3f} mm, drift dAP "

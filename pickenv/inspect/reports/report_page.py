@@ -1,6 +1,6 @@
-"""The blocks of a report as data, and the page that templates make of them: one file without outside resources.
+"""The content of reports as data, and their rendering by templates as one HTML file without outside resources.
 
-Every text is escaped once, by the templates. A page is light or dark like the reader's screen, and fit for print.
+The templates escape every text once. A page is light or dark like the reader's screen, and fit for print.
 """
 
 from __future__ import annotations
@@ -29,15 +29,16 @@ from pickenv.inspect.runs.number_words import named_values
 from pickenv.inspect.runs.run_folder import Run, TakePicture, run_kind
 
 PIXELS_PER_POINT, LEAST_PIXELS_PER_POINT = 1.75, 1.1
-"""Sizes at which a figure's text is as large as the page's, and just legible; smaller screens scroll the figure."""
+"""Scales of a figure at which its text is as large as the page's, and just legible, px per point. On smaller screens
+the figure scrolls."""
 HERE = Path(__file__).parent / "templates"
 TONES = ("good", "care", "bad", "note")
-"""Tones of a verdict; ``note`` is neither good nor bad, for where no requirement was stated."""
+"""Tones of a verdict. ``note`` is neither good nor bad, for runs without a stated requirement."""
 
 
 @dataclass(frozen=True)
 class PageVerdict:
-    """The verdict that a page begins with.
+    """The verdict at the top of a page.
 
     Attributes:
         tone: One of `TONES`.
@@ -53,25 +54,25 @@ class PageVerdict:
 
 
 Bar: TypeAlias = tuple[float, float, float]
-"""A bar from zero to a value, with a whisker of two standard deviations: value, standard deviation, and limit of the
-scale, which goes from minus to plus the limit."""
+"""A bar from zero to a value, with a whisker of two standard deviations, as three numbers: value, standard deviation,
+and limit of the scale. The scale goes from minus to plus the limit."""
 
 
 def bar_place(value: float, limit: float) -> float:
-    """The place of a value on a bar's scale, from 4 for minus ``limit`` to 116 for plus ``limit``, with zero at 60."""
+    """Return the place of a value on a bar's scale: 4 for minus ``limit``, 60 for zero, 116 for plus ``limit``."""
     return 60.0 + 56.0 * min(max(value / limit, -1.0), 1.0)
 
 
 @dataclass(frozen=True)
 class PageTable:
-    """A table whose first column names the rows; columns of numbers are aligned to the right.
+    """A table whose first column names the rows. Columns of numbers are aligned to the right.
 
     Attributes:
         caption: What the table shows, with units.
         heads: Column names with units; empty for a table without a head.
         rows: Cells of each row: words, numbers as text, or bars.
-        look: ``code`` where the first column holds names of parameters, ``wide`` where the second holds sentences,
-            ``close`` or ``dense`` where there are many or very many columns.
+        look: CSS class of the table. ``code`` if the first column holds names of parameters. ``wide`` if the second
+            holds sentences. ``close`` or ``dense`` if there are many or very many columns. Empty for none.
     """
 
     caption: str
@@ -80,14 +81,18 @@ class PageTable:
     look: str = ""
 
     def in_words(self, column: int) -> bool:
-        """Whether a column holds words: the first column does, and so does one whose cells are mostly not numbers."""
+        """Return whether a column holds words.
+
+        The first column does, and so does one whose cells are mostly not numbers.
+        """
         cells = [cell for row in self.rows if (cell := row[column])]
         return column == 0 or 2 * sum(not isinstance(cell, str) or is_number(cell) for cell in cells) < len(cells)
 
 
 Part: TypeAlias = "str | PageTable | Drawing | bytes | Section | tuple[Part, ...] | Mapping[str, str] | None"
-"""A part of a section: a paragraph, a table, a figure, a picture (WebP), a section that opens on demand (and is open on
-paper), a tuple of parts side by side where there is room, or names with values. Empty parts are left out."""
+"""A part of a section, of one of these kinds: a paragraph; a table; a figure; a picture (WebP); a section that opens on
+demand and is open on paper; a tuple of parts; names with values. The parts of a tuple are side by side where there is
+room. Empty parts are left out."""
 
 
 @dataclass(frozen=True)
@@ -97,7 +102,7 @@ class Section:
     Attributes:
         title: Heading.
         parts: The parts below the heading.
-        explain: How to read the section, below the heading.
+        explain: How to read the section; shown below the heading.
     """
 
     title: str
@@ -106,7 +111,7 @@ class Section:
 
     @property
     def anchor(self) -> str:
-        """The section's address on the page."""
+        """Anchor (HTML id) of the section on the page."""
         return "-".join("".join(c if c.isalnum() else " " for c in self.title.lower()).split())
 
 
@@ -120,15 +125,15 @@ def html_of(
     *,
     contents: bool = False,
 ) -> str:
-    """A report as HTML.
+    """Return a report as HTML.
 
     Args:
         title: Heading, and title of the browser's tab.
         subtitle: What was run or measured, in a line.
-        verdict: The verdict, which goes first.
+        verdict: The verdict, at the top of the page.
         sections: The evidence; an empty section is left out.
         origin: Facts needed to make the report again, by name.
-        tiles: Large numbers in a row, by what they are.
+        tiles: Numbers that are shown large in a row, as text, by their description.
         contents: Whether links to the sections follow the tiles.
     """
     return (
@@ -174,7 +179,9 @@ def _templates() -> Environment:
 
 
 def inline_svg(figure: Figure, name: str) -> tuple[Markup, float, float]:
-    """A figure for an HTML page: the inside of an SVG element in the page's colours, its width and height in points.
+    """Return a figure for an HTML page: the inside of an SVG element, its width and its height in points.
+
+    Its colours are replaced by the page's.
 
     Args:
         figure: The figure, drawn in pickenv's style.
@@ -199,7 +206,7 @@ def inline_svg(figure: Figure, name: str) -> tuple[Markup, float, float]:
 
 @cache
 def library() -> str:
-    """Plotly's library as gzip in base64, for pages with interactive figures."""
+    """Return Plotly's library as gzip in base64, for pages with interactive figures."""
     plotly = (files("plotly") / "package_data" / "plotly.min.js").read_bytes()
     return base64.b64encode(gzip.compress(plotly, 9, mtime=0)).decode()
 
@@ -207,13 +214,13 @@ def library() -> str:
 def plain_report(
     run: Run, title: str, subtitle: str, verdict: PageVerdict, tables: Sequence[PageTable], drawings: Drawings
 ) -> str:
-    """A page of a verdict, tables, figures and the run's origin.
+    """Return a page with a verdict, tables, figures and the run's origin, as HTML.
 
     Args:
         run: The run.
         title: Heading.
         subtitle: What was run, in a line.
-        verdict: The verdict, which goes first.
+        verdict: The verdict, at the top of the page.
         tables: The numbers.
         drawings: Figures; those that cannot be drawn are named with the reason.
     """
@@ -228,12 +235,12 @@ def plain_report(
 
 
 def drawings_of(run: Run) -> Drawings:
-    """Every figure of a run, drawable or left out."""
+    """Return all figures of a run, with those that cannot be drawn."""
     return list(_pages(run).drawings(run))
 
 
 def page_of(run: Run, picture: TakePicture | None = None) -> str:
-    """A run's report as HTML.
+    """Return a run's report as HTML.
 
     Args:
         run: The run.
@@ -250,12 +257,12 @@ def _pages(run: Run) -> Any:
 def axis_table(
     caption: str, stages: Mapping[str, Mapping[str, tuple[float, ...]]], say: Callable[[float], str]
 ) -> PageTable:
-    """Errors per degree of freedom, four columns for each stage.
+    """Return a table of errors per degree of freedom, with four columns for each stage.
 
     Args:
         caption: Caption of the table.
         stages: For each stage, by label, the mean, standard deviation, RMS and maximum of its errors, by axis.
-        say: Function that writes a number.
+        say: Function that formats a number as text.
     """
     heads = ["axis", *(f"{label} {statistic}" for label in stages for statistic in ("mean", "std", "RMSE", "max"))]
     rows = [

@@ -1,1 +1,1 @@
-"""Run folders, and the numbers that pictures start from."""
+"""Run folders, and the numbers behind figures, recordings and reports."""

@@ -1,4 +1,4 @@
-"""The trace of a calibration, for its figures and its report: poses, held-out errors, convergence, identifiability."""
+"""The trace of a calibration, that is the data behind its figures and its report, and the errors of single views."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from pickenv.calibration.pipeline.fitting import view_names
 
 @dataclass(frozen=True, eq=False)
 class ViewErrors:
-    """The board's corners in one view, and their reprojection errors.
+    """The corners of the board in one view, that is one picture, and their reprojection errors.
 
     Attributes:
         name: Name of the view.
-        found: Detected places of the corners ``(C, 2)``, px.
-        errors: Detected minus predicted places ``(C, 2)``, px.
+        found: Detected positions of the corners ``(C, 2)``, px.
+        errors: Detected minus predicted positions ``(C, 2)``, px.
         size: Width and height of the picture, px.
         picture: File of the picture; None where there is none.
     """
@@ -40,11 +40,12 @@ class ViewErrors:
 
 @dataclass(frozen=True, eq=False)
 class CalibrationTrace:
-    """The evidence of one calibration, in plain arrays.
+    """Poses, held-out errors, convergence and identifiability of one calibration, as plain arrays.
 
     Attributes:
-        nominal: Geometry that the controller believes in.
-        sets: Joint values ``(N, n)``, rad or m, of each pose set: identification, network, test; a row per error.
+        nominal: Nominal geometry, which the controller uses.
+        sets: Joint values ``(N, n)``, rad or m, of each pose set (identification, network, test), with one row per
+            error.
         errors: Held-out pose errors ``(M, 6)``, or misses ``(M, 1 to 3)``, m and rad, of each stage, by label.
         payload: Payload at each held-out pose ``(M,)``, kg; None where it was not recorded.
         temperature: Temperature rise at each held-out pose ``(M,)``, K; None where it was not recorded.
@@ -53,7 +54,7 @@ class CalibrationTrace:
         loss: Training loss of the network per epoch, MSE of normalised targets; None without a network.
         names: Names of the error model's parameters.
         kept: Whether each parameter was identified.
-        r_diagonal: |R_kk| of the scaled stacked Jacobian for each parameter.
+        r_diagonal: |R_kk| of the QR decomposition of the scaled stacked Jacobian, for each parameter.
         singular_values: Singular values of the scaled stacked Jacobian of the kept parameters.
         fingerprints: Hash of each data set, by the set's name.
         views: Held-out views with their reprojection errors; empty where no pictures were taken.
@@ -84,7 +85,7 @@ class CalibrationTrace:
 def trace_of(
     fit: Fit, sets: Mapping[str, Observations], errors: Mapping[str, Array], views: tuple[ViewErrors, ...] = ()
 ) -> CalibrationTrace:
-    """The trace of a fit.
+    """Collect the trace of a fitted calibration.
 
     Args:
         fit: Result of `calibration.fit` on the first set.
@@ -124,7 +125,7 @@ def _rms(errors: Array) -> float:
 
 
 def views_of(result: Result) -> tuple[ViewErrors, ...]:
-    """The held-out views with the errors of their corners; empty where no pictures were taken."""
+    """Return the held-out views with the errors of their corners; empty where no pictures were taken."""
     views = result.test
     if not isinstance(views, PixelObservations) or result.pixels is None:
         return ()

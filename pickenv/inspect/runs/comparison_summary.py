@@ -1,7 +1,7 @@
-"""The numbers of a comparison, in one place for terminal, JSON, page, figures and recording.
+"""Summary numbers of a comparison, which terminal, JSON, report, figures and recording share.
 
-First come the tables of the episodes, whose intervals are over fruit, for one arm with one calibration; then the
-statistics, colour scales and bins of the error fields. Units: mm and degrees, because these numbers are for people.
+First come the tables of the episodes. Their intervals are over fruit, for one arm with one calibration. Then come the
+statistics, colour scales and bins of the error fields. Units: mm and degrees.
 """
 
 from __future__ import annotations
@@ -31,19 +31,22 @@ NO_INTERVAL = f"fewer than {LEAST} episodes, so no intervals of means"
 
 
 def episode_misses(policy: RecordedPolicy) -> Array:
-    """Mean miss of each episode ``(E,)``, mm: tool to fruit where the gripper closed; nan where it never closed."""
+    """Return the mean miss of each episode ``(E,)``, mm.
+
+    A miss is the distance from tool to fruit when the gripper closed. The mean is nan if it never closed.
+    """
     closed = np.isfinite(policy.miss_mm)
     with np.errstate(invalid="ignore"):
         return np.asarray(np.where(closed, policy.miss_mm, 0.0).sum(axis=1) / closed.sum(axis=1))
 
 
 def tries_of(policy: RecordedPolicy) -> NDArray[np.int64]:
-    """Number of times that the gripper closed in each episode ``(E,)``."""
+    """Return the number of times that the gripper closed in each episode ``(E,)``."""
     return np.asarray(np.isfinite(policy.miss_mm).sum(axis=1))
 
 
 def policy_rows(episodes: RecordedEpisodes) -> list[dict[str, Any]]:
-    """One row of numbers per policy; a number that is not known is None."""
+    """Return one row of numbers per policy; an unknown number is None."""
     return [_policy_row(policy) for policy in episodes.policies]
 
 
@@ -73,7 +76,7 @@ def _policy_row(policy: RecordedPolicy) -> dict[str, Any]:
 
 
 def policy_differences(episodes: RecordedEpisodes) -> list[dict[str, Any]]:
-    """Differences of all pairs of policies, fruit by fruit: the later policy minus the earlier one."""
+    """Return the paired differences of all pairs of policies over the same fruit: later policy minus earlier one."""
     return [_difference(before, after) for before, after in combinations(episodes.policies, 2)]
 
 
@@ -101,7 +104,7 @@ def _difference(before: RecordedPolicy, after: RecordedPolicy) -> dict[str, Any]
 
 
 def policy_cells(episodes: RecordedEpisodes) -> list[list[str]]:
-    """Table cells of `policy_rows`, in the columns of `HEADS`."""
+    """Return the numbers of `policy_rows` as table cells, in the columns of `HEADS`."""
     return [
         [
             row["policy"],
@@ -117,7 +120,7 @@ def policy_cells(episodes: RecordedEpisodes) -> list[list[str]]:
 
 
 def difference_cells(episodes: RecordedEpisodes) -> list[list[str]]:
-    """Table cells of `policy_differences`, in the columns of `DIFFERENCES`."""
+    """Return the numbers of `policy_differences` as table cells, in the columns of `DIFFERENCES`."""
     return [
         [
             line["from"],
@@ -149,7 +152,7 @@ def _best(episodes: RecordedEpisodes) -> tuple[dict[str, Any] | None, str, dict[
 
 
 def outcome_sentence(episodes: RecordedEpisodes) -> str:
-    """The verdict in a few words: which policy is best, and its mean miss."""
+    """Return the verdict in a few words: which policy is best, and its mean miss."""
     best, _, line = _best(episodes)
     if best is None:
         return "No policy closed the gripper"
@@ -164,7 +167,10 @@ def outcome_sentence(episodes: RecordedEpisodes) -> str:
 
 
 def explanation(episodes: RecordedEpisodes) -> str:
-    """The verdict explained: the best policy's lead, whether any gripper's picks change, and the picks here."""
+    """Return the reasons for the verdict in sentences.
+
+    They are the best policy's lead, whether any gripper's picks change, and the picks in these episodes.
+    """
     best, rival, line = _best(episodes)
     if best is None:
         return f"In none of the {len(episodes.seeds)} episodes did any policy close the gripper."
@@ -187,9 +193,10 @@ def _picking(episodes: RecordedEpisodes) -> str:
 
 
 def policy_changes(episodes: RecordedEpisodes) -> dict[str, Any]:
-    """The change in picks if the best policy replaces its rival, for each gripper and perception error.
+    """Return the change in picks if the best policy replaces its rival, for each gripper and perception error.
 
-    Only the part of a miss across the tool counts. Empty where no two policies closed the gripper for the same fruit.
+    The rival is the first other policy with fruit in common. Only the part of a miss across the tool's axis counts. The
+    result is empty if no two policies closed the gripper for the same fruit.
     """
     best, rival, line = _best(episodes)
     if best is None or line is None or line["difference_mm"] is None:
@@ -212,7 +219,7 @@ def _across(policy: RecordedPolicy) -> Array:
 
 
 def content_of_comparison(episodes: RecordedEpisodes) -> dict[str, Any]:
-    """The whole comparison as a dictionary for JSON."""
+    """Return the whole comparison as a dictionary for JSON."""
     return {
         "environment": episodes.env_id,
         "plant": episodes.plant_name,
@@ -230,7 +237,7 @@ def content_of_comparison(episodes: RecordedEpisodes) -> dict[str, Any]:
 
 
 def comparison_markdown(episodes: RecordedEpisodes) -> str:
-    """The verdict and the tables of policies and of differences, in Markdown, for the recording."""
+    """Return the verdict and the tables of policies and of differences, in Markdown, for the recording."""
     lines = [f"## {outcome_sentence(episodes)}", "", explanation(episodes), ""]
     lines += _table(HEADS, policy_cells(episodes))
     if differences := difference_cells(episodes):
@@ -256,12 +263,12 @@ def _ends(ends: tuple[float, float] | None, least: float = -np.inf) -> list[floa
 
 
 def stage_label(calibration: Calibration) -> str:
-    """The name of a calibration among policies: LS, or with its learnt residual model, such as LS+BPNN."""
+    """Return a calibration's label among policies: LS, or with its learnt residual model, such as LS+BPNN."""
     return "LS" if calibration.learnt is None else f"LS+{calibration.learnt.kind.replace('_', ' ').upper()}"
 
 
 GAIN = 20.0
-"""Factor by which recordings draw errors longer than true; figures use it too where the arrows then fit."""
+"""Factor by which recordings draw errors longer than true. Figures use it too if the arrows then fit."""
 SCALE_PERCENTILE = 99.0
 """The colour scale ends at this percentile of the first (raw) policy's field, so that outliers do not flatten it."""
 
@@ -270,7 +277,7 @@ BINS = 24
 
 
 def error_spread(values: ArrayLike) -> tuple[float, float, float, float]:
-    """Mean, root mean square, 95th percentile and maximum of errors ``(...)``; nan where there are none."""
+    """Return mean, root mean square, 95th percentile and maximum of errors ``(...)``; nan if there are none."""
     values = np.asarray(values, dtype=float).ravel()
     if not values.size:
         return math.nan, math.nan, math.nan, math.nan
@@ -279,15 +286,15 @@ def error_spread(values: ArrayLike) -> tuple[float, float, float, float]:
 
 
 def field_mm(policy: RecordedPolicy) -> Array:
-    """Magnitude of a policy's field errors ``(F,)``, mm."""
+    """Return the magnitudes of a policy's field errors ``(F,)``, mm."""
     return np.asarray(np.linalg.norm(policy.field_errors, axis=-1) * 1e3)
 
 
 def cell_means(index: NDArray[np.int64], values: Array) -> tuple[NDArray[np.int64], Array]:
-    """The cells of a grid that hold points ``(C, 3)``, sorted, and the mean of the values in each cell ``(C,)``.
+    """Return the grid cells that hold points ``(C, 3)``, sorted, and the mean of the values in each cell ``(C,)``.
 
     Args:
-        index: Cell of each point ``(F, 3)``.
+        index: Index of the cell of each point ``(F, 3)``.
         values: Value at each point ``(F,)``.
     """
     cells, cell = np.unique(index, axis=0, return_inverse=True)
@@ -296,25 +303,25 @@ def cell_means(index: NDArray[np.int64], values: Array) -> tuple[NDArray[np.int6
 
 
 def colour_scale_mm(comparison: Comparison) -> float:
-    """Upper end of the colour scale that all error fields share, mm."""
+    """Return the upper end of the colour scale that all error fields share, mm."""
     return scale_end(field_mm(comparison.policies[0]))
 
 
 def uncertainty_scale_mm(comparison: Comparison) -> float:
-    """Upper end of the colour scale shared by the predicted uncertainty and the last policy's error field, mm."""
+    """Return the upper end of the colour scale for predicted uncertainty and the last policy's error field, mm."""
     assert comparison.field_uncertainty is not None
     lengths = np.concatenate([1e3 * comparison.field_uncertainty, field_mm(comparison.policies[-1])])
     return scale_end(lengths)
 
 
 def scale_end(values: Array) -> float:
-    """Upper end of a colour scale for lengths ``(F,)``, in their unit."""
+    """Return the upper end of a colour scale for lengths ``(F,)``, in their unit."""
     top = float(np.percentile(values, SCALE_PERCENTILE)) if values.size else 0.0
     return top if top > 0.0 else 1.0
 
 
 def histogram_edges_mm(comparison: Comparison) -> Array:
-    """Edges ``(B + 1,)``, mm, of about `BINS` bins of round width that hold every policy's reach errors."""
+    """Return the edges ``(B + 1,)``, mm, of about `BINS` bins of round width that hold every policy's reach errors."""
     errors = [policy.ends.position_error_mm for policy in comparison.policies]
     largest = float(np.max(errors, initial=0.0))
     width = round_step((largest or 1.0) / BINS)
@@ -328,13 +335,13 @@ def round_step(at_least: float) -> float:
 
 
 def ticks(top: float) -> list[float]:
-    """Round tick values from 0 up to ``top``, about eight of them."""
+    """Return round tick values from 0 up to ``top``, about eight of them."""
     step = round_step(top / 8)
     return [i * step for i in range(int(top / step + 1e-9) + 1)]
 
 
 def summary_markdown(comparison: Comparison) -> str:
-    """The summary as a Markdown table, with a short legend of what is drawn at which scale."""
+    """Return the summary as a Markdown table, with a short legend of what is drawn at which scale."""
     top, has_reaches = colour_scale_mm(comparison), len(comparison.fruit) > 0
     heads = ["field mean", "field RMS", "field p95", "field max"]
     if has_reaches:

@@ -1,4 +1,4 @@
-"""The trace of a harvester's run, for its figures: picked trees, funnels, throughput, workspace. Units: m, s."""
+"""The trace of a harvester's run, that is the data behind its figures. Units: m, s."""
 
 from __future__ import annotations
 
@@ -14,19 +14,19 @@ from pickenv.harvester import Harvest, Measure
 
 @dataclass(frozen=True, eq=False)
 class PickedTree:
-    """One tree as it was picked: P picks in Z rounds, F fruit.
+    """How one tree was picked: P picks in Z rounds, F fruit.
 
     Attributes:
         seconds: Time spent on the tree, s.
-        fruit: Places of the fruit ``(F, 3)``, m.
+        fruit: Positions of the fruit ``(F, 3)``, m.
         collected: Whether each fruit came into a tube ``(F,)``.
-        by_arm: Arm that last tried each fruit ``(F,)``; −1 where no arm did.
+        by_arm: Index of the arm that last tried each fruit ``(F,)``; −1 where no arm did.
         zones: Left, right, bottom and top of each round's zone ``(Z, 4)``, m.
-        stands: Start and end of the time in each round when the master stands still ``(Z, 2)``, s.
-        arm: Arm of each pick ``(P,)``.
+        stands: Start and end of the time in each round when the master arm stands still ``(Z, 2)``, s.
+        arm: Index of the arm of each pick ``(P,)``.
         start: Time at which the arm leaves for the fruit, for each pick ``(P,)``, s.
         end: Time at which the arm is back, for each pick ``(P,)``, s.
-        held: Time that the arm had to wait before each pick ``(P,)``, s.
+        held: Time that the arm had to wait for a neighbour before each pick ``(P,)``, s.
         got: Whether the cup came back with the fruit, for each pick ``(P,)``.
     """
 
@@ -45,14 +45,14 @@ class PickedTree:
 
 @dataclass(frozen=True, eq=False)
 class HarvestTrace:
-    """The evidence of a comparison of strategies on the same trees.
+    """Picks, measures and workspace from a comparison of picking strategies on the same trees.
 
     Attributes:
-        trees: One tree of each strategy, by name.
+        trees: One tree of each strategy, by the strategy's name.
         funnels: For each strategy, number of fruit at each stage over all trees.
         measures: For each strategy, its measures with 95 % intervals over trees.
         throughput: For each density of fruit, picks per hour by number of arms.
-        cloud: Places of the cups ``(N, arms, 3)``, m, for joint values drawn evenly within the limits.
+        cloud: Positions of the suction cups ``(N, arms, 3)``, m, for joint values drawn uniformly within the limits.
         curves: The motion of joints over one stop of the machine: times ``(T,)``, s, displacements of each joint by
             name ``(T,)``, m or rad, and names of the joints that turn.
         tree_count: Number of trees behind funnels and measures.
@@ -68,7 +68,7 @@ class HarvestTrace:
 
 
 def picked_tree(harvest: Harvest) -> PickedTree:
-    """The tree of a harvest in plain arrays."""
+    """Return the picks of a harvested tree as plain arrays."""
     rounds, nothing = harvest.rounds, np.zeros(0)
     return PickedTree(
         seconds=harvest.seconds,

@@ -1,8 +1,8 @@
-"""Whether a calibration changes picks: for which gripper, and at which error of perception.
+"""Whether a calibration changes picks, for each gripper and each error of perception.
 
-The tool misses the fruit by the arm's error and by the perception's. The latter is a normal error across the tool with
-a given standard deviation per axis, independent of the arm's error. The gripper's curve of success against misalignment
-gives the probability that the fruit is taken. Units: mm; picks as shares.
+The tool misses the fruit by the sum of the arm's error and the perception error. The latter is normal and across the
+tool's axis, with a given standard deviation per axis. It is independent of the arm's error. The gripper's curve of
+success against misalignment gives the probability that the fruit is taken. Units: mm; picks as shares.
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ CURVE_MM = np.linspace(0.0, 40.0, 401)
 
 
 def gripper_curves(names: tuple[str, ...] = GRIPPERS) -> dict[str, tuple[Array, Array]]:
-    """For each gripper, lateral misalignments ``(N,)``, mm, and the probability of success at each ``(N,)``."""
+    """Return, for each gripper, lateral misalignments ``(N,)``, mm, and the probability of success at each ``(N,)``."""
     return {name: (CURVE_MM, capture_probability(load_gripper(name), CURVE_MM * 1e-3, 0.0, 0.0)) for name in names}
 
 
 def gripped(comparison: Comparison) -> dict[str, tuple[Array, dict[str, Array]]]:
-    """How far the fruit of each reach lies aside of the true tool, and how likely each gripper takes it.
+    """Return the lateral misalignment of each reach, and the probability that each gripper takes its fruit.
 
-    The tool's axis is the true arm's; the wanted axis is that of the nominal arm at the first policy's command.
+    The tool's axis is the true arm's. The wanted axis is that of the nominal arm at the first policy's command.
 
     Returns:
-        For each policy, by label: distances of the fruit across the tool's axis ``(R,)``, mm, and for each gripper the
-        probability that it takes the fruit ``(R,)``.
+        For each policy, by label: distances of the fruit from the tool's axis ``(R,)``, mm, and for each gripper the
+            probability that it takes the fruit ``(R,)``.
     """
     grippers: dict[str, Gripper] = {name: load_gripper(name) for name in GRIPPERS}
     target = forward(comparison.nominal, comparison.policies[0].ends.joint_command).rotation[..., 2]
@@ -52,19 +52,19 @@ def gripped(comparison: Comparison) -> dict[str, tuple[Array, dict[str, Array]]]
 
 
 PERCEPTION_MM = (0.0, 1.0, 2.0, 3.0, 5.0)
-"""Standard deviations per axis of the fruit's seen position, mm, for which picks are worked out."""
+"""Standard deviations per axis of the perceived fruit position, mm, for which picks are computed."""
 MATTERS = 0.05
-"""Least change in the share of picks that is reported as a change: five of a hundred."""
+"""Smallest change in the share of picks that is reported as a change: five of a hundred."""
 NONE = 0.005
 """Change in the share of picks below which the printed shares are equal, or nearly so."""
 RINGS, SPOKES = 24, 24
-"""Numbers of distances, equally probable, and of directions at which the perception's error is sampled."""
+"""Numbers of distances, equally probable, and of directions at which the perception error is sampled."""
 
 
 Change: TypeAlias = Mapping[str, Any]
-"""The effect of a calibration on the picks of one gripper, as in JSON: ``gripper``, the gripper's name;
-``perception_mm``, the standard deviation of the fruit's seen position per axis, mm; ``before`` and ``after``, the
-shares of fruit taken without and with calibration."""
+"""The effect of a calibration on the picks of one gripper, as in JSON. ``gripper`` is the gripper's name.
+``perception_mm`` is the standard deviation of the perceived fruit position per axis, mm. ``before`` and ``after`` are
+the shares of fruit taken without and with calibration."""
 
 
 def _gain(change: Change) -> float:
@@ -73,12 +73,12 @@ def _gain(change: Change) -> float:
 
 
 def pick_share(gripper: Gripper, lateral_mm: ArrayLike, perception_mm: float) -> float:
-    """Share of fruit that a gripper takes.
+    """Return the share of fruit that a gripper takes, given the arm's errors and the perception error.
 
     Args:
-        gripper: The gripper; the tool is taken to point as it should.
-        lateral_mm: Distances of the fruit across the tool's axis, from the arm's own error alone ``(N,)``, mm.
-        perception_mm: Standard deviation of the fruit's seen position per axis, mm.
+        gripper: The gripper; the tool is assumed to point as wanted.
+        lateral_mm: Distances of the fruit from the tool's axis, from the arm's own error alone ``(N,)``, mm.
+        perception_mm: Standard deviation of the perceived fruit position per axis, mm.
     """
     error = np.asarray(lateral_mm, dtype=float)[:, None, None]
     ring = perception_mm * np.sqrt(-2.0 * np.log1p(-(np.arange(RINGS) + 0.5) / RINGS))[:, None]
@@ -88,7 +88,7 @@ def pick_share(gripper: Gripper, lateral_mm: ArrayLike, perception_mm: float) ->
 
 
 def pick_changes(before_mm: ArrayLike, after_mm: ArrayLike) -> list[Change]:
-    """The effect of a calibration on picks, for each of `GRIPPERS` and of `PERCEPTION_MM`.
+    """Return the effect of a calibration on picks, for each of `GRIPPERS` and of `PERCEPTION_MM`.
 
     Args:
         before_mm: Lateral errors without calibration ``(N,)``, mm.
@@ -107,13 +107,16 @@ def pick_changes(before_mm: ArrayLike, after_mm: ArrayLike) -> list[Change]:
 
 
 def change_cells(change: Change) -> tuple[str, ...]:
-    """A change as table cells: gripper, perception error, shares without and with calibration, gain in points of %."""
+    """Return a change as table cells: gripper, perception error, shares without and with calibration, and gain.
+
+    Perception errors are in mm, shares in %, and the gain is in percentage points.
+    """
     shares = (f"{100.0 * share:.1f}" for share in (change["before"], change["after"]))
     return (change["gripper"], f"{change['perception_mm']:g}", *shares, f"{100.0 * _gain(change):+.1f}")
 
 
 def matters(plant: str, changes: Sequence[Change], between: tuple[str, str] = ("without", "with calibration")) -> str:
-    """Say in a few sentences for which gripper and perception error picks change on an arm.
+    """Return a few sentences that say for which gripper and perception error picks change on an arm.
 
     Args:
         plant: The arm's name.

@@ -1,4 +1,4 @@
-"""Numbers with their intervals in words, and the meanings of parameters for readers who do not know the notation."""
+"""Text for numbers with their intervals, and for the meanings of parameters."""
 
 from __future__ import annotations
 
@@ -9,7 +9,14 @@ from pickenv.inspect.colours import TEXTS
 
 
 def between(low: float | None, high: float | None, digits: int, sign: str = "") -> str:
-    """An interval in words: 0.12 to 0.34; ``sign`` "+" gives both ends a sign. An unknown end (None) is open."""
+    """Return an interval as text, such as 0.12 to 0.34.
+
+    Args:
+        low: Lower end; None for an open end.
+        high: Upper end; None for an open end.
+        digits: Number of decimals.
+        sign: "+" to write a sign before positive numbers too.
+    """
     ends = ["" if end is None else estimated(end, None, None, digits, sign=sign) for end in (low, high)]
     if all(ends):
         return f"{ends[0]} to {ends[1]}"
@@ -17,7 +24,16 @@ def between(low: float | None, high: float | None, digits: int, sign: str = "") 
 
 
 def estimated(value: float, low: float | None, high: float | None, digits: int, unit: str = "", sign: str = "") -> str:
-    """A number with its 95 % interval in brackets: 0.23 mm (0.12 to 0.34); the number alone without an interval."""
+    """Return an estimate with its 95 % interval in brackets as text, such as 0.23 mm (0.12 to 0.34).
+
+    Args:
+        value: The estimate.
+        low: Lower end of the interval; None for an open end.
+        high: Upper end of the interval; None for an open end. If both ends are None, no interval is written.
+        digits: Number of decimals.
+        unit: Text directly behind the estimate, such as " mm".
+        sign: "+" to write a sign before positive numbers too.
+    """
     text = f"{round(value, digits) + 0.0:{sign}.{digits}f}{unit}"  # no minus before a zero
     return text if low is None and high is None else f"{text} ({between(low, high, digits, sign)})"
 
@@ -30,7 +46,16 @@ def said(
     sign: str = "",
     unit: str = "",
 ) -> str:
-    """A number and its interval, both times ``scale``, as `estimated` writes them; a dash for an unknown number."""
+    """Return an estimate and its interval, both times ``scale``, as `estimated` writes them; a dash if it is unknown.
+
+    Args:
+        value: The estimate; None if it is unknown.
+        ends: Both ends of the interval, None for an open end; None without an interval.
+        digits: Number of decimals.
+        scale: Factor on the estimate and its interval.
+        sign: "+" to write a sign before positive numbers too.
+        unit: Text directly behind the estimate, such as " mm".
+    """
     if value is None:
         return "–"
     low, high = (None if end is None else scale * end for end in ends or (None, None))
@@ -38,17 +63,20 @@ def said(
 
 
 def percent(share: float, low: float | None, high: float | None, digits: int = 0) -> str:
-    """A share with its 95 % interval: 93 % (88 to 97); the share alone without an interval."""
+    """Return a share with its 95 % interval as text in percent, such as 93 % (88 to 97).
+
+    The share and the ends are in 0..1. If both ends are None, no interval is written.
+    """
     return said(share, (low, high), digits, 100.0, unit=" %")
 
 
 def named_values(values: Mapping[str, object]) -> str:
-    """Names and values in one line: numpy 2.0, scipy 1.15."""
+    """Return names and values as text in one line, such as numpy 2.0, scipy 1.15."""
     return ", ".join(f"{name} {value}" for name, value in values.items())
 
 
 def parameter_words(name: str, joint_names: Sequence[str], link_names: Sequence[str] | None = None) -> str:
-    """The meaning of a parameter; an empty string for a name that is not known.
+    """Return the meaning of a parameter in words; an empty string for an unknown name.
 
     Args:
         name: Name of the parameter, such as alpha0, theta1, base_x, compliance4. Its number is that of a link, from 0

@@ -1,7 +1,7 @@
 """Episodes of policies on the same fruit, and their error fields: the data behind tables, films, recordings and pages.
 
-`RecordedEpisodes` hold every moment of the episodes, or only their ends. A `Comparison` is of a simulated arm and holds
-error fields as well. Units: m, rad; mm and degrees where the name says so.
+`RecordedEpisodes` hold every moment of the episodes, or only their final states. A `Comparison` is of a simulated arm
+and holds error fields as well. Units: m, rad; mm and degrees where the name says so.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pickenv.inspect.colours import Rgb, policy_colours, policy_key
 
 @dataclass(frozen=True, eq=False)
 class Reaches:
-    """The ends of R episodes.
+    """The final states of R episodes.
 
     Attributes:
         seeds: Seed of each episode.
@@ -53,7 +53,13 @@ class Reaches:
 
 
 def reaches_of(geometry: Geometry, seeds: Sequence[int], infos: Mapping[str, Any]) -> Reaches:
-    """The ends of episodes, given the arm's true geometry and the `info` of their last steps, stacked."""
+    """Return the final states of R episodes from the `info` of their last steps.
+
+    Args:
+        geometry: The arm's true geometry.
+        seeds: Seed of each episode.
+        infos: The entries of `info` by name, each stacked over the episodes ``(R, ...)``.
+    """
     names = ("pose_error", "joint_command", "tool_position", "fruit_position")
     columns = {name: np.array(infos[name], order="C") for name in names}
     return Reaches(
@@ -75,18 +81,20 @@ MOMENTS = (
 class RecordedPolicy:
     """One policy's E episodes of at most T moments, of which the reset is the first.
 
-    A shorter episode repeats its last moment. Where only the ends of episodes are kept (`ended`), each has one moment.
+    A shorter episode repeats its last moment. If only the final states of episodes are kept (`ended`), each episode has
+    one moment.
 
     Attributes:
-        label: Name for people: raw, LS, LS+BPNN.
+        label: Name for readers: raw, LS, LS+BPNN.
         key: Short name as in entity paths and JSON; `pickenv.inspect.colours.policy_colours` gives its colour.
         moments: Number of moments of each episode ``(E,)``, T at most.
-        joint_target: Joint values at which the controller believes the arm to be ``(E, T, n)``, rad or m; the nominal
-            arm is drawn there. Equal to ``joint_command`` where an environment does not tell; n is 0 without an arm.
+        joint_target: Joint values at which the controller believes the arm to be ``(E, T, n)``, rad or m. The nominal
+            arm is drawn there. They equal ``joint_command`` if the environment does not give them. n is 0 without an
+            arm.
         joint_command: Joint command that the drives got ``(E, T, n)``, rad or m: ``joint_target`` after compensation.
         tool_position: True tool positions ``(E, T, 3)``, m.
         tool_rotation: True tool attitudes ``(E, T, 3, 3)``; nan where they are not known.
-        fruit_position: Fruit positions ``(E, T, 3)``, m; among several fruit, the one that the tool goes for.
+        fruit_position: Fruit positions ``(E, T, 3)``, m; among several fruit, the one that the tool aims for.
         position_error_mm: Distance between true tool and fruit ``(E, T)``.
         attitude_error_deg: Angle between true and wanted attitude ``(E, T)``; nan where it is not known.
         success: Whether the environment reports success ``(E, T)``.
@@ -95,8 +103,8 @@ class RecordedPolicy:
             reach the gripper closes at the last moment.
         reward: Reward of each step ``(E, T)``; 0 at the reset and after the end.
         field_errors: True minus wanted tool position at the points of a comparison's grid ``(F, 3)``, m, world axes.
-        field_attitude: True against wanted attitude at these points ``(F, 3)``, rotation vectors in world axes, rad;
-            None where only positions are known.
+        field_attitude: Attitude error, true against wanted, at these points ``(F, 3)``, as rotation vectors in world
+            axes, rad; None where only positions are known.
     """
 
     label: str
@@ -118,21 +126,25 @@ class RecordedPolicy:
 
     @property
     def ends(self) -> RecordedPolicy:
-        """The policy with only each episode's last moment: `MOMENTS` are ``(E, ...)`` instead of ``(E, T, ...)``."""
+        """This policy with only each episode's last moment: `MOMENTS` are ``(E, ...)`` instead of ``(E, T, ...)``."""
         rows = np.arange(len(self.moments)), self.moments - 1
         return replace(self, **{name: getattr(self, name)[rows] for name in MOMENTS})
 
     def with_field(self, errors: Array) -> RecordedPolicy:
-        """The policy with an error field: true against wanted poses ``(F, 6)``, or positions alone ``(F, 3)``."""
+        """Return this policy with an error field.
+
+        Args:
+            errors: Errors of true against wanted poses ``(F, 6)``, m and rad, or of positions alone ``(F, 3)``, m.
+        """
         return replace(self, field_errors=errors[:, :3], field_attitude=errors[:, 3:] if errors.shape[1] == 6 else None)
 
 
 def ended(label: str, reaches: Reaches, key: str | None = None) -> RecordedPolicy:
-    """A recorded policy made from the ends of its episodes alone.
+    """Return a recorded policy made from the final states of its episodes alone.
 
     Args:
-        label: Name of the policy for people.
-        reaches: The ends of its episodes.
+        label: Name of the policy for readers.
+        reaches: The final states of its episodes.
         key: Short name of the policy; made from the label when left out.
     """
     count = len(reaches.success)
@@ -150,19 +162,20 @@ def ended(label: str, reaches: Reaches, key: str | None = None) -> RecordedPolic
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RecordedEpisodes:
-    """Several policies in the same episodes.
+    """The episodes of several policies, with the same seeds and fruit.
 
     Attributes:
         policies: One entry per policy: raw, LS, LS+BPNN, then others.
-        plant: The true arm that was simulated; it is drawn from `joint_command` and `tool_position`
+        plant: The true arm that was simulated. It is drawn from `joint_command` and `tool_position`
             (`pickenv.arm.true_points`). None where the environment has no plant.
-        tolerance_mm: Tolerance of the gripper: how far aside of the tool a fruit may lie for a cup to take it always,
-            or another gripper one time in two.
+        tolerance_mm: Tolerance of the gripper. For a suction cup, it is the lateral distance from the tool up to which
+            the fruit is always taken. For another gripper, it is the distance at which the fruit is taken one time in
+            two.
         seed: Seed of the comparison.
         seeds: Seed of each episode, the same for all policies.
-        env_id: The environment's id for `gymnasium.make`; empty where only ends are kept.
-        gripper: Name of the gripper by which picks are judged; empty where only ends are kept.
-        period: Time between two moments, s; 0 where only ends are kept.
+        env_id: The environment's id for `gymnasium.make`; empty where only final states are kept.
+        gripper: Name of the gripper by which picks are judged; empty where only final states are kept.
+        period: Time between two moments, s; 0 where only final states are kept.
     """
 
     policies: tuple[RecordedPolicy, ...]
@@ -181,7 +194,7 @@ class RecordedEpisodes:
 
     @property
     def nominal(self) -> Geometry | None:
-        """The arm as its controller believes it to be; None where the environment has no arm."""
+        """Nominal geometry of the arm, which its controller uses; None where the environment has no arm."""
         return None if self.plant is None else self.plant.arm.nominal
 
     @property
@@ -201,13 +214,13 @@ class RecordedEpisodes:
 
 
 UPRIGHT = np.radians(30.0)
-"""Only tool poses within this angle of the vertical set the extent of a grid, rad."""
+"""Largest angle from the vertical of the tool poses that set the extent of a grid, rad."""
 PROBES = 4000
 
 
 @dataclass(frozen=True, eq=False)
 class FieldGrid:
-    """A regular grid of upright tool poses, and the cells of it that the nominal arm reaches.
+    """A regular grid of upright tool poses, and those of its cells that the nominal arm reaches.
 
     Attributes:
         shape: Number of cells (nx, ny, nz).
@@ -253,15 +266,15 @@ class Comparison(RecordedEpisodes):
 
     @property
     def nominal(self) -> Geometry:
-        """Geometry that the controller believes in."""
+        """Nominal geometry of the arm, which its controller uses."""
         return self.plant.arm.nominal
 
 
 def field_grid(nominal: Geometry, step: float, seed: int) -> FieldGrid:
-    """A grid over the workspace of an arm.
+    """Return a grid of upright tool poses over the workspace of an arm.
 
     Args:
-        nominal: The arm as its controller believes it to be.
+        nominal: Nominal geometry of the arm.
         step: Cell size, m.
         seed: Seed of the random joint values from which the workspace's extent is estimated.
     """
@@ -289,7 +302,7 @@ POSITIONS = ("tool_position", "fruit_position")
 
 
 def missing_positions(info: Mapping[str, Any]) -> str:
-    """Say which `POSITIONS` `info` lacks and what to do; an empty string where none is missing.
+    """Return a sentence that says which `POSITIONS` `info` lacks and what to do; an empty string if it lacks none.
 
     Raises:
         InputError: If an entry is there but is not three finite numbers.
@@ -306,6 +319,9 @@ def missing_positions(info: Mapping[str, Any]) -> str:
 
 
 def believed_joints(env: Any) -> Array | None:
-    """A copy of the joint values where an environment's controller believes the arm to be; None if it has none."""
+    """Return a copy of the joint values at which an environment's controller believes the arm to be.
+
+    It is None if the environment does not have them.
+    """
     target = getattr(env.unwrapped, "joint_target", None)
     return None if target is None else np.array(target, dtype=float)

@@ -1,7 +1,7 @@
-"""Run folders: what kind of run a folder holds, how it was made, and the numbers behind its figures and its report.
+"""Run folders: the kind of a run, how it was made, and the data behind its figures and its report.
 
-`run.json` is deleted when a run begins to write and written last, so a folder that holds it holds a complete run. It
-lists every file that the run wrote with the file's SHA-256, and carries a hash of its own content.
+`run.json` is deleted when a run begins to write, and is written last. So a folder with this file has a complete run.
+The file lists every file that the run wrote with its SHA-256, and has a hash of its own content.
 """
 
 from __future__ import annotations
@@ -37,7 +37,8 @@ from pickenv.inspect.runs.saved import load_numbers, save_numbers
 
 RECORD = "run.json"
 LIST = "files.json"
-"""File that lists a folder's files where the folder holds many runs, tables and calibrations but is no run itself."""
+"""Name of the file that lists a folder's files, if the folder holds many runs, tables and calibrations but is no run
+itself."""
 
 PARTS: Mapping[type, str] = {
     Comparison: "comparison.npz",
@@ -45,7 +46,7 @@ PARTS: Mapping[type, str] = {
     HarvestTrace: "harvest.npz",
     RecordedEpisodes: "episodes.npz",
 }
-"""Names of the files with the numbers behind figures, by class."""
+"""Names of the files with the data behind figures, by class."""
 
 Part = TypeVar("Part", Comparison, CalibrationTrace, HarvestTrace, RecordedEpisodes)
 ISO9283 = "iso9283.json"
@@ -53,7 +54,7 @@ CONDITIONS = "conditions.json"
 MATTERS_FILE = "matters.json"
 REPORT = "report.html"
 STUDY = "study.toml"
-"""The configuration in a study's folder, which has no `run.json`."""
+"""Name of the configuration file in a study's folder, which has no `run.json`."""
 
 FORMAT = 2
 
@@ -90,7 +91,11 @@ for _name, _run_kind in _KINDS.items():
 
 
 def run_kind(name: str, **source: str) -> RunKind:
-    """The registered kind of run of a name; ``source`` is the package that a run's record names, as for `registry.get`.
+    """Return the registered kind of run with a name.
+
+    Args:
+        name: Name of the kind.
+        source: The package and version that a run's record names, as for `registry.get`.
 
     Raises:
         InputError: If no kind of that name is registered.
@@ -100,7 +105,8 @@ def run_kind(name: str, **source: str) -> RunKind:
 
 
 TakePicture: TypeAlias = Callable[[Path], bytes | None]
-"""Function that draws a recording as its viewer does, such as `viewer_picture`: WebP, or None where it cannot."""
+"""Function that returns a picture (WebP) of a recording, given its path, or None if it cannot, such as
+`viewer_picture`."""
 
 
 @dataclass(frozen=True)
@@ -134,10 +140,10 @@ class Run:
 
 @contextmanager
 def recorded_run(folder: Path, kind: str, command: str, seed: int | None) -> Iterator[Run]:
-    """Write a run's files inside this context; `run.json` is written after all of them.
+    """Return a context in which a run writes its files; `run.json` is written at its end, unless an error occurs.
 
     Args:
-        folder: The run folder; made where it is missing.
+        folder: The run folder. Missing folders are made.
         kind: Name of a registered kind of run.
         command: Command line that makes the same numbers again.
         seed: Seed of everything random.
@@ -156,7 +162,10 @@ def recorded_run(folder: Path, kind: str, command: str, seed: int | None) -> Ite
 
 @contextmanager
 def added_to(run: Run) -> Iterator[None]:
-    """Write further files into a complete run's folder, such as figures; `run.json` then lists them too."""
+    """Return a context in which further files, such as figures, are written into a complete run's folder.
+
+    At its end, `run.json` is written again and lists them too.
+    """
     before = _stamps(run.folder)
     yield
     changed = _changed_since(run.folder, before)
@@ -192,10 +201,10 @@ def _record_text(run: Run) -> str:
 
 
 def read_run(folder: str | Path) -> Run:
-    """The run that ``folder`` holds.
+    """Return the run in a folder.
 
     Raises:
-        InputError: If it is no run folder, is incomplete, damaged, edited, or of another version.
+        InputError: If the folder is no run folder, or the run is incomplete, damaged, edited, or of another version.
     """
     folder = Path(folder)
     record = folder / RECORD
@@ -229,7 +238,7 @@ def read_run(folder: str | Path) -> Run:
 
 
 def faults_of(run: Run) -> list[tuple[Path, str | None]]:
-    """Every file that ``run`` lists or that lies in its folder, with the file's fault, or None for a sound file.
+    """Return every file that ``run`` lists or that lies in its folder, with the file's fault, or None for a sound file.
 
     A file may be missing, edited, or stray: in the folder, but not written by this run.
     """
@@ -253,7 +262,10 @@ def _faults(folder: Path, listed: Mapping[str, str], own: str) -> list[tuple[Pat
 
 @contextmanager
 def listed_files(folder: Path) -> Iterator[None]:
-    """Write more files into a folder; `LIST` is deleted first, and written after all of them."""
+    """Return a context in which more files are written into a folder.
+
+    `LIST` is deleted at its beginning and written at its end.
+    """
     (folder / LIST).unlink(missing_ok=True)
     yield
     files = {name: file_sha256(folder / name) for name in sorted(_stamps(folder))}
@@ -261,7 +273,7 @@ def listed_files(folder: Path) -> Iterator[None]:
 
 
 def faults_of_list(folder: Path) -> list[tuple[Path, str | None]]:
-    """Every file that `LIST` names or that lies in the folder, with the file's fault, or None for a sound file.
+    """Return every file that `LIST` names or that lies in the folder, with its fault, or None for a sound file.
 
     Raises:
         InputError: If the list is damaged or was edited.
@@ -271,7 +283,11 @@ def faults_of_list(folder: Path) -> list[tuple[Path, str | None]]:
 
 
 def unedited(run: Run, name: str) -> Path:
-    """The path of one of the run's files; raises `InputError` if the file is missing or not as the run wrote it."""
+    """Return the path of one of the run's files, after a check that the file is as the run wrote it.
+
+    Raises:
+        InputError: If the file is missing or not as the run wrote it.
+    """
     path = run.folder / name
     if not path.is_file():
         raise InputError(f"{path} does not exist; `{run.made_by}` makes it anew")
@@ -281,16 +297,35 @@ def unedited(run: Run, name: str) -> Path:
 
 
 def save_part(folder: Path, part: Part, seed: int | None, kind: type | None = None) -> Path:
-    """Write numbers behind figures into a run folder, as their own class or as its base class ``kind``."""
+    """Write the data behind figures into a run folder, and return the path.
+
+    Args:
+        folder: The run folder.
+        part: The data, an object of one of the classes in `PARTS` or derived from one.
+        seed: Seed of the run.
+        kind: The class in `PARTS` as which the data are saved; the object's own class when left out.
+    """
     kind = kind or type(part)
     return save_numbers(folder / PARTS[kind], part, seed=seed, kind=kind)
 
 
 def load_part(run: Run, kind: type[Part]) -> Part:
-    """Read numbers behind a run's figures, to the bit; raises `InputError` as `load_numbers` and `unedited` do."""
+    """Read the data behind a run's figures exactly as they were saved.
+
+    Args:
+        run: The run.
+        kind: The class of the data, one of `PARTS`.
+
+    Raises:
+        InputError: As `load_numbers` and `unedited` do.
+    """
     return load_numbers(unedited(run, PARTS[kind]), kind, run.made_by)
 
 
 def load_result(run: Run, name: str) -> dict[str, Any]:
-    """Read a file of a run's results in JSON, such as `ISO9283`; raises `InputError` as `unedited` does."""
+    """Read a file of a run's results in JSON, such as `ISO9283`.
+
+    Raises:
+        InputError: As `unedited` does.
+    """
     return dict(json.loads(unedited(run, name).read_text(encoding="utf-8")))

@@ -1,4 +1,4 @@
-"""Frozen dataclasses of numbers and arrays as one file each, read back to the bit; nothing in a file is executed.
+"""Save frozen dataclasses of numbers and arrays as files, and read them back exactly without executing anything.
 
 A file is a container (`pickenv.base`): a header in JSON, which names arrays, and the arrays. Reading builds only the
 class asked for, its subclasses, registered effects, and the classes to which their type hints lead.
@@ -22,11 +22,15 @@ from pickenv.inspect.runs.recorded_episodes import Comparison
 
 
 def capsules(points: Array, parts: list[int]) -> tuple[Array, Array, Array]:
-    """Capsules (rods with round ends) along the ``parts`` of polylines ``points`` ``(..., K, 3)``, from `drawn_parts`.
+    """Return capsules (rods with round ends) along some segments of polylines.
+
+    Args:
+        points: Points of the polylines ``(..., K, 3)``, m.
+        parts: Indices of the first points of the P segments, from `drawn_parts`.
 
     Returns:
-        Centres of the capsules' first ends ``(..., P, 3)``, m; distances between the centres of their two ends
-        ``(..., P)``, m; quaternions that turn the z axis into their directions ``(..., P, 4)``, order x, y, z, w.
+        Centres of the capsules' first ends ``(..., P, 3)``, m; distances between the centres of their two ends ``(...,
+        P)``, m; quaternions that turn the z axis into their directions ``(..., P, 4)``, order x, y, z, w.
     """
     start, end = points[..., parts, :], points[..., [i + 1 for i in parts], :]
     along = end - start
@@ -46,19 +50,20 @@ def capsules(points: Array, parts: list[int]) -> tuple[Array, Array, Array]:
 
 
 EYE_TURN, EYE_LIFT = 0.5, 0.45
-"""Angles by which the eye stands beside and above the normal of the field's widest upright face, rad."""
+"""Angles of the camera beside and above the normal of the field's widest upright face, rad."""
 
 
 def shown_box(comparison: Comparison) -> tuple[Array, float]:
-    """Centre ``(3,)`` and radius of the box of the field's grid, m, at which the eye looks."""
+    """Return the centre ``(3,)`` and the radius of the box of the field's grid, m; the camera looks at the centre."""
     size = comparison.grid.size
     return comparison.grid.corner + size / 2.0, float(np.linalg.norm(size) / 2.0)
 
 
 def eye_direction(comparison: Comparison) -> Array:
-    """Unit vector ``(3,)`` from the field to the eye, which looks from outside at the widest upright face, obliquely.
+    """Return the unit vector ``(3,)`` from the field to the camera.
 
-    Outside is the side away from the arm's base. An oblique view keeps cells from hiding those behind them.
+    The camera looks obliquely at the widest upright face from outside, that is from the side away from the arm's base.
+    An oblique view keeps cells from hiding those behind them.
     """
     width_x, width_y, _ = comparison.grid.shape
     x, y, _ = shown_box(comparison)[0] - comparison.nominal.base.position
@@ -71,19 +76,22 @@ def eye_direction(comparison: Comparison) -> Array:
 
 
 def cut_away(comparison: Comparison) -> NDArray[np.bool_]:
-    """Whether each field point ``(F,)`` lies in the corner nearest to the eye, where voxels would hide all others."""
+    """Return whether each field point is in the corner nearest to the camera ``(F,)``.
+
+    Voxels in that corner would hide all others.
+    """
     offset = comparison.grid.points - shown_box(comparison)[0]
     return np.asarray(np.all(offset * np.sign(eye_direction(comparison)) > 0.0, axis=-1))
 
 
 FORMAT, FORMATS = 3, {"Comparison": 4, "RecordedEpisodes": 4, "HarvestTrace": 4}
-"""Version of the files' content, and the versions of kinds that have another."""
+"""Format version of the files, and the format versions of classes that have another."""
 
 Saved = TypeVar("Saved")
 
 
 def save_numbers(path: str | Path, value: Any, *, seed: int | None = None, kind: type | None = None) -> Path:
-    """Write a frozen dataclass to ``path`` (.npz), whole or not at all; equal values give equal bytes.
+    """Write a frozen dataclass to ``path`` (.npz) atomically, and return the path; equal values give equal bytes.
 
     Args:
         path: The file.
@@ -110,8 +118,8 @@ def load_numbers(path: str | Path, kind: type[Saved], made_by: str) -> Saved:
         made_by: The command that makes the file, for error messages.
 
     Raises:
-        InputError: If the file is missing, damaged in any byte, of another kind, or of another version, or needs the
-            effect of a package that is not installed; the message names the package.
+        InputError: If the file is missing, damaged in any byte, of another kind, or of another version. Also if it
+            needs the effect of a package that is not installed; the message names the package.
     """
     remake = f"`{made_by}` makes it anew"
     version = FORMATS.get(kind.__name__, FORMAT)
