@@ -110,11 +110,11 @@ class ReachScaledVectorEnv(ReachVectorEnv):
         """The latest observations, as `pickenv/Reach-v0` gives them."""
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
-        """Arrays of everything that the next step depends on; see `ReachVectorEnv.state_arrays`."""
+        """Return all arrays that the next step depends on; see `ReachVectorEnv.state_arrays`."""
         return super().state_arrays() | {"raw": np.array(self.raw)}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
-        """Take over the arrays that `state_arrays` of an environment with the same arguments returned."""
+        """Restore the arrays that `state_arrays` of an environment with the same arguments returned."""
         super().take_state_arrays(state)
         self.raw = state["raw"].copy()
 

@@ -284,7 +284,7 @@ def viewed(
     moment: Scalar,
     dt: Scalar,
 ) -> tuple[ArmState, View]:
-    """Make the view of an arm with encoder readings ``read (n,)`` and true tool frame ``true``; the rest as in `look`."""
+    """Return the view for encoder readings ``read (n,)`` and the true tool's frame ``true``; all else as in `look`."""
     m, goal, sighting, setting = x.m, state.goal, state.seen, task.situation
     dx, dy, dz, *turn = error = frame_error(m, goal, true)
     camera: Components = ()
@@ -354,7 +354,7 @@ def in_capture_region(task: Task, distance_mm: Scalar, angle_deg: Scalar) -> Sca
 
 
 def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Sequence[Scalar]) -> Scalar:
-    """Compute the part of a small rotation vector that is perpendicular to all revolute axes, which no joint removes."""
+    """Compute the size of the part of a small rotation vector that is perpendicular to all revolute axes."""
     if task.lost_axes is None:
         return 0.0 * sum(turn)
     ax, ay, az = inexact(links[task.lost_axes[0] + 1][6:9])

@@ -34,7 +34,10 @@ Given = float | Sequence[float]
 
 
 class Span(NamedTuple):
-    """Range of a number that each episode draws uniformly: a constant if both ends are equal, whole if they are ints."""
+    """Range of a number that each episode draws uniformly.
+
+    If both ends are equal, the number is constant. If they are ints, it is whole.
+    """
 
     low: float
     high: float
@@ -73,7 +76,7 @@ class Situation:
 
     @property
     def frames_per_second(self) -> float:
-        """Steps per second of simulated time, used as the frame rate of recordings; the lowest rate if the period varies."""
+        """Steps per second of simulated time, the frame rate of recordings; the lowest rate if the period varies."""
         return round(1.0 / self.period.high, 6)
 
     @property
@@ -91,7 +94,7 @@ class Situation:
         return len(self.drawn), int(self.delay.high) * joints, int(self.latency.high) * sensed
 
     def value(self, name: str, drawn: Components) -> Scalar:
-        """Return attribute ``name`` of an episode: its entry in ``drawn`` (in the order of `drawn`) or else the constant."""
+        """Return the attribute ``name`` for an episode: its number among those ``drawn``, or else the constant."""
         return drawn[self.drawn.index(name)] if name in self.drawn else getattr(self, name).low
 
 
@@ -148,7 +151,7 @@ def drawn_values(x: Executor, setting: Situation, key: Scalar) -> Components:
 def drawn_start(
     x: Executor, setting: Situation, key: Scalar, lower: Sequence[float], upper: Sequence[float]
 ) -> list[Scalar]:
-    """Draw the joints from which the episode with the key ``key`` starts, between the bounds ``lower`` and ``upper``."""
+    """Draw the joints from which the episode with the key ``key`` starts, from joints ``lower`` to ``upper``."""
     stream, half = stream_key(x, key, START), 0.5 * setting.spread
     limits = enumerate(zip(lower, upper, strict=True))
     return [low + (high - low) * ((0.5 - half) + setting.spread * uniform(x, stream, i)) for i, (low, high) in limits]
@@ -182,7 +185,7 @@ def warmed_up(
 def acted(
     x: Executor, setting: Situation, drawn: Components, sent: Components, action: Sequence[Scalar]
 ) -> tuple[Sequence[Scalar], Components]:
-    """Return the action that takes effect now, and the delayed actions ``sent`` that are still pending, latest first."""
+    """Return the action that takes effect now, and the delayed actions that are still pending, latest first."""
     if not setting.delay.high:
         return action, sent
     return _late(x, setting, "delay", drawn, sent, action)

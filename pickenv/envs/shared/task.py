@@ -200,7 +200,7 @@ class Task:
 
     @cached_property
     def reach(self) -> float:
-        """Upper bound of the tool's distance from the origin, m: the sum of all lengths plus 1 m for errors and noise."""
+        """Upper bound of the tool's distance from the origin, m: sum of all lengths, plus 1 m for errors and noise."""
         g = self.plant.arm.nominal
         slides = np.array(g.prismatic) * np.maximum(np.abs(g.lower), np.abs(g.upper))
         lengths = np.abs(g.a).sum() + np.abs(g.d).sum() + slides.sum()
@@ -247,7 +247,7 @@ class Task:
         return int(number)
 
     def no_goal(self) -> InputError:
-        """Return the error to raise when no pose was found that meets `min_upright` and lies inside `region` (if any)."""
+        """Return the error to raise when no pose was found that meets `min_upright` and, if given, `region`."""
         tilt = math.degrees(math.acos(self.min_upright))
         place, advice = (" in goal_region", " or move goal_region") if self.region else ("", "")
         return InputError(
