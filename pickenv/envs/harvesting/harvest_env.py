@@ -313,7 +313,7 @@ def _ghosts(pivots: Array, tips: Array, radius: float) -> arm_shapes.Solids:
 
 
 def zone_fruit(state: batch.HarvestState) -> arm_shapes.Solids:
-    """Return the solids of all fruit that is not collected; fruit out of reach is green, lost fruit has another colour."""
+    """Return the solids of all fruit not collected; fruit out of reach is green, lost fruit has another colour."""
     hanging = state.status[0] != batch.COLLECTED
     colours = tree_shapes.fruit_colours(state.fruit.shape[1])
     colours[~state.reachable[0]] = tree_shapes.GREEN

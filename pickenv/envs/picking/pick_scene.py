@@ -412,7 +412,7 @@ MOST_LEFT = 50
 COLLECTED, DAMAGED, STEP = 1.0, -0.25, -0.002
 
 PICK_FEEDBACK = ("encoders", "gripper")
-"""Values of `feedback`: the policy sees no measurement of the true arm, or where each held fruit lies in the gripper."""
+"""Values of `feedback`. With "gripper" the policy observes where each held fruit lies in the gripper."""
 
 MOST_FELT = 0.1
 """Bound of observations of where a fruit lies in the gripper; the gripper misses fruit as far off as this."""

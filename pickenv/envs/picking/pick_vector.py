@@ -76,7 +76,7 @@ class PickVectorEnv(NativeVectorEnv):
         self.batch = PickBatch(task, self.orchard, self.num_envs)
         self._armed = np.zeros(self.num_envs, dtype=np.bool_)
         self._ahead: dict[int, tuple[Any, pick_scene.PickStart]] = {}
-        """Starts of next episodes drawn already, by environment: the generator's state before the draw, and the start."""
+        """Next episodes drawn already, by environment: the generator's state before the draw, and the start."""
 
     @property
     def plant(self) -> Plant:
