@@ -133,7 +133,7 @@ def cup_solids(tool: Array, axis: Array, radius: float) -> Solids:
 
 
 def hand_solids(tool: Array, axis: Array, radius: float, closed: bool) -> Solids:
-    """Return the solids of a hand with three fingers around a fruit at ``tool``, m; ``radius`` is that of its opening."""
+    """Return the solids of a hand with three fingers around a fruit at ``tool``, m; ``radius`` is its opening's."""
     out = ring_around(axis, 3)
     palm = tool - 1.6 * radius * axis
     knuckle, tip = palm + 0.7 * radius * out, tool + (0.75 if closed else 1.25) * radius * out + 0.5 * radius * axis

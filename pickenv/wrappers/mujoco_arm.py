@@ -42,7 +42,7 @@ class _Hung:
     """The parts of a model that are fixed to the tool, which can be shifted to where the true tool has them.
 
     The frames of the bodies between the last joint and the tool site stay where they are. The site's readings and welds
-    to mocap bodies depend on them, and tasks that start each move from the welded body's place would drift if it were
+    to mocap bodies depend on them. Tasks that start each move from the welded body's place would drift if it were
     moved. Their geoms and cameras are shifted instead, as are the bodies that they carry, such as fingers. Their own
     inertias stay.
     """

@@ -91,7 +91,7 @@ class PickMemory:
         return np.concatenate([new, tokens[:, :-1]], axis=1)
 
     def shown(self, joints: Array, tokens: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return observations ``(N, inputs)`` before a pick, from its scaled ``joints (N, n)`` and the past ``tokens``."""
+        """Return observations ``(N, inputs)`` before a pick, from scaled ``joints (N, n)`` and the ``tokens``."""
         return np.concatenate([joints, tokens.reshape(len(tokens), -1)], axis=1, dtype=np.float32)
 
     def aim(self, geometry: Geometry, joints: Array, actions: Any) -> Array:
@@ -451,15 +451,15 @@ class ManyCanopies(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """Pick canopy after canopy with one unknown arm in the course of a day: a task of calibrating while picking.
 
     An episode is a run of ``canopies`` episodes of `pickenv/Pick-v0` on one true arm. The arm warms up and sinks into
-    the ground from canopy to canopy, as the hours since it was switched on increase linearly from the first to the last
-    of ``hours``. Observations and actions are those of the environment. With `feedback="gripper"` each fruit in the
+    the ground from canopy to canopy. Its hours since switch-on increase linearly from the first to the last of
+    ``hours``. Observations and actions are those of the environment. With `feedback="gripper"` each fruit in the
     gripper shows the error of arm and camera there. The step that ends a canopy returns the first observation of the
     next one. The run is truncated after the last canopy.
 
     The reward of a step is 1 for each collected fruit, minus 0.002. A real arm could measure it, so a policy may
     observe it. With `reward="true"` it is the reward of `pickenv/Pick-v0`, which includes damage. `info` is that of the
-    environment, with four more entries. These are the number of finished canopies as `canopy`, the arm's number as
-    `arm`, and the counts of fruit attempted and collected in the run so far as `run_attempted` and `run_collected`.
+    environment, with four more entries: `canopy` (number of finished canopies), `arm` (the arm's number), and
+    `run_attempted` and `run_collected` (counts of fruit in the run so far).
 
     Example:
         >>> import gymnasium as gym

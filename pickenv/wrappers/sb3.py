@@ -44,7 +44,7 @@ class Sb3Vec(VecEnv):
     """A Stable-Baselines3 `VecEnv` around a vector environment with the autoreset mode "SameStep" or "Disabled".
 
     The `infos` of an episode's last step hold `terminal_observation`, `TimeLimit.truncated` and all numbers of the last
-    `info` (`is_success`, errors in mm and degrees, or counts of fruit). They also hold `episode` with the sum of
+    `info`, such as `is_success`, errors in mm and degrees, or counts of fruit. They also hold `episode` with the sum of
     rewards "r" and the length "l", so that no monitor is needed. The `infos` of other steps are empty.
 
     Args:

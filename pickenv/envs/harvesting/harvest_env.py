@@ -64,18 +64,18 @@ class HarvestEnv(DrawnEnv):
     ## Rewards
 
     Per period: 1 x (fruit collected whole) - 1 x (fruit damaged) + (progress in m) - 0.05 x (arms that the guard holds)
-    - 0.005 - 0.005 x (mean size of the action's numbers, held or not). Progress is the decrease of a distance. This is
-    the sum over all hanging fruit in reach, as the camera saw it, of the distance to the nearest believed cup, divided
-    by the number of fruit in the zone. Eight fruit give at most about 8; doing nothing for a minute gives -3.
+    - 0.005 - 0.005 x (mean size of the action's numbers, held or not). Progress is the decrease of a distance. To
+    compute it, the distances from each hanging fruit in reach, as the camera saw it, to the nearest believed cup are
+    summed. The sum is divided by the number of fruit in the zone. Eight fruit give at most about 8; doing nothing for a minute gives -3.
 
     ## Starting State
 
-    Fruit is drawn uniformly in a zone of 0.7 x 0.4 x 0.55 m somewhere on the tree's side, and the cameras 1 m before
-    the tree find some of it. The master stands at the pick point from which its slaves reach most of the fruit found.
+    Fruit is drawn uniformly in a zone of 0.7 x 0.4 x 0.55 m somewhere on the tree's side. The cameras, 1 m before the
+    tree, find some of it. The master stands at the pick point from which its slaves reach most of the fruit found.
     The slaves are at rest. After an attempt that leaves its fruit hanging, the camera sees this fruit again where it
     hangs then. The same leaves are in between, so the error is the same. `reset(options=...)` takes `"fruit"`,
-    positions (fruit, 3) in m in the base frame, at whose middle the cameras look, and `"start_joints"` of the whole
-    machine (rad and m).
+    positions (fruit, 3) in m in the base frame, and `"start_joints"` of the whole machine (rad and m). The cameras look
+    at the middle of given fruit.
 
     ## Episode End
 
@@ -84,9 +84,12 @@ class HarvestEnv(DrawnEnv):
 
     ## Information
 
-    Counts of fruit: `collected`, `lost`, `located` (found by the cameras) and `reachable`. Also `attempts` (their
-    number), `held` (number of arms that the guard held in the last period), `closest_mm` (least distance between two
-    arms' centre lines so far), `picks_per_hour` and `is_success` (whether all located fruit in reach is collected).
+    - `collected`, `lost`, `located` (by the cameras) and `reachable`: numbers of fruit.
+    - `attempts`: number of attempts so far.
+    - `held`: number of arms that the guard held in the last period.
+    - `closest_mm`: least distance between two arms' centre lines so far.
+    - `picks_per_hour`: fruit collected per hour of simulated time.
+    - `is_success`: whether all located fruit in reach is collected.
 
     ## Arguments
 

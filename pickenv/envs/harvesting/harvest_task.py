@@ -503,8 +503,8 @@ def _nearest(lateral: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 def work_left(task: HarvestTask, state: HarvestState) -> Array:
     """Compute the distance that the reward for progress compares, m, (machines,).
 
-    It is the sum, over the fruit that hangs in reach, of the distance to the nearest believed cup, divided by the
-    number of all fruit in the zone. Progress is its decrease.
+    The distances from each fruit that hangs in reach to the nearest believed cup are summed. The sum is divided by the
+    number of all fruit in the zone. Progress is the decrease of the result.
     """
     tips = task.machine.tips(*task.machine.parted(state.joints))
     away = state.believed[:, None] - tips[:, :, None]

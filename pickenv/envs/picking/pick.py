@@ -26,8 +26,8 @@ class PickEnv(ArmEnv):
     ## Description
 
     A six-joint picking arm (Qiao 2026) stands before a section of canopy, 0.9 m wide and 0.8 m high, that holds some
-    ten fruit. The environment names the next fruit. By default it is the nearest to the believed tool among those that
-    the camera found within reach and that were not tried yet (see `order`). Each fruit can be tried once. The policy
+    ten fruit. The environment chooses the next fruit among those that the camera found within reach. By default it is
+    the nearest to the believed tool (see `order`). Each fruit can be tried once. The policy
     commands the *nominal* arm, that is the model that its controller believes in. What moves is the *true* arm, which
     also vibrates after every move, so that haste costs accuracy. The gripper takes a fruit if the true tool is near
     enough to it. A failed grasp pushes neighbouring fruit aside, as does a tool that touches fruit on its way. The
@@ -80,10 +80,9 @@ class PickEnv(ArmEnv):
     hits it faster than 0.4 m/s, by being pulled off instead of twisted, and by falling. The reward is never part of an
     observation.
 
-    So haste costs more than the time it saves. The table compares versions of the scripted policy with the full one,
-    which has a calibrated arm, moves gently and waits half a second before each grasp. It shows what each version loses
-    per canopy, on 60 canopies of some seven fruit in reach (simulated; mean and 95 % interval,
-    tests/envs/picking/test_pick.py):
+    So haste costs more than the time it saves. The scripted policy moves gently, waits half a second before each grasp,
+    and has a calibrated arm. The table shows what it loses without these, on 60 canopies of some seven fruit in reach
+    (simulated; mean and 95 % interval per canopy, tests/envs/picking/test_pick.py):
 
     | What is left out                 | Fruit collected        | Reward                 |
     |----------------------------------|------------------------|------------------------|
@@ -94,8 +93,8 @@ class PickEnv(ArmEnv):
     ## Starting State
 
     All joints start at mid-range, with the arm at rest, cold and not yet sunk into the ground. Fruit is drawn until at
-    least one is in reach. That means that the camera sees it, the upright tool can be there and 100 mm below, and no
-    other fruit is in the way from below. `reset(options=...)` takes
+    least one is in reach. Fruit is in reach if the camera sees it, the upright tool can be there and 100 mm below it,
+    and no other fruit is in the way. `reset(options=...)` takes
 
     - `"fruit"`, positions (n, 3) in the base frame in m;
     - `"start_joints"` (rad and m);
@@ -139,7 +138,7 @@ class PickEnv(ArmEnv):
 
     The way to a fruit, settling, twisting and the retreat are simulated. `duration_s` adds three times that are not
     simulated: 1.0 s for each grasp, in which the gripper takes hold, 2.0 s for each fruit's way to the bin and back,
-    and 0.5 s for its release (`station.toml` of `pickenv/orchard/presets` has the sources). Picks per hour are computed
+    and 0.5 s for its release. `station.toml` of `pickenv/orchard/presets` has the sources. Picks per hour are computed
     from `duration_s`. They leave out taking pictures and the ways from canopy to canopy. Observations, rewards and the
     time budget do not use `duration_s`.
 

@@ -82,9 +82,9 @@ STIRRED = 1e-9
 
 
 BELIEVED, TOOL, TURN, TILT, SIGHT = slice(0, 12), slice(12, 24), slice(24, 27), 27, 28
-"""Positions of the numbers in a view of the arm. In this order they are the frame of the believed tool, the frame of
-the true tool, the rotation vector from the believed attitude to upright, and the angle between the true tool's axis and
-the vertical (degrees). From `SIGHT` on follow the joint readings, scaled to the limits."""
+"""Positions of the numbers in a view of the arm. `BELIEVED` is the frame of the believed tool, `TOOL` that of the true
+tool. `TURN` is the rotation vector from the believed attitude to upright. `TILT` is the angle between the true tool's
+axis and the vertical (degrees). From `SIGHT` on follow the joint readings, scaled to the limits."""
 
 
 def act_arm(

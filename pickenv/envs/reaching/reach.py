@@ -116,8 +116,8 @@ class ReachEnv(ArmEnv):
 
     With e the distance between true tool and fruit in mm and t the angle between true and wanted attitude in degrees:
 
-    - dense (default): -log10(1 + e) - 0.5 log10(1 + t). Outside the capture region, the cost at both tolerances (1.30
-      with the default ones) is subtracted as well, so that no failure scores as high as a success. The reward goes from
+    - dense (default): -log10(1 + e) - 0.5 log10(1 + t). Outside the capture region, 1.30 (the cost at both tolerances,
+      here the default ones) is subtracted as well. So no failure scores as high as a success. The reward goes from
       about -5.7 (far away) to 0 (perfect). Well above a millimetre, reducing e tenfold adds about 1, whatever e is.
     - sparse: 0 while the fruit is inside the capture region, else -1.
 
@@ -338,8 +338,8 @@ class ReachIdealEnv(ReachEnv):
     ## Description
 
     `pickenv/Reach-v0` with `plant="ideal"`: the true arm equals the nominal arm, nothing bends, nothing drifts. The
-    believed tool is always the true tool. So any error that remains comes from the policy or from the code around it,
-    and a test can ask for an error of exactly zero.
+    believed tool is always the true tool. So any error that remains comes from the policy or from the code around it.
+    A test can require an error of exactly zero.
 
     ## Action Space
 

@@ -1,7 +1,7 @@
 """The scene of `pickenv/PickScene-v0` as a MuJoCo model: the arm, fruit on a branch, leaves and cameras.
 
-The model's arm is the true arm. The plant, that is the model of the true arm, computes its joints with the errors of
-drives, gears and joints, and the frame of its tool. MuJoCo drives the joints there, and shifts the last link so that
+The model's arm is the true arm. The plant, that is the model of the true arm, computes the frame of its tool, and its
+joints with the errors of drives, gears and joints. MuJoCo drives the joints there, and shifts the last link so that
 the true gripper touches the fruit. Arms have no weight in MuJoCo, since the plant computes how they sag. Units: m, kg,
 s, N, rad.
 """

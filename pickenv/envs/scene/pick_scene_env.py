@@ -32,14 +32,14 @@ PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25
 """Default of `control_period_s`, the cost of each step, and the reward for detaching a fruit from its stem."""
 
 HELD_STEPS, REACH_OF_APPLES = 5, 0.85
-"""Number of steps for which a detached fruit must be held to count as picked, and the reach of an arm from which
+"""Number of steps for which a detached fruit must be held to count as picked. Then the reach of an arm from which
 `scale` is 1 by default."""
 
 SPREAD, ATTEMPTS = 64, 2000
 """Number of poses over which `error_mm` is the mean, and number of poses tried to find places for fruit."""
 
 TRIES = 1, 3, 12, 34
-"""Numbers of pairs of a fruit and a start that are drawn at once, one after the other, until the arm reaches both of a
+"""Numbers of pairs of a fruit and a start that are drawn at once. Drawing ends when the arm reaches both of a
 pair."""
 
 
@@ -87,8 +87,8 @@ class PickSceneEnv(ReachEnv):
 
     As in `pickenv/Reach-v0`: joints are at mid-range or drawn, and the fruit is where the nominal arm's tool can be.
     `reset` takes the same options. With `within_mm` the fruit hangs near a place where the arm moves well in every
-    direction. The tool then starts 6 to 30 cm before it and up to 12.5 cm beside it along each axis (at full scale),
-    where the wrist camera sees the fruit. If you give another goal, give `start_joints` too. Arms of fewer than six
+    direction. The tool then starts where the wrist camera sees the fruit. At full scale this is 6 to 30 cm before it
+    and up to 12.5 cm beside it along each axis. If you give another goal, give `start_joints` too. Arms of fewer than six
     joints start there in whatever attitude they reach. The strength of the stem is drawn as in `pickenv/Pick-v0` (Bu et
     al. 2020). The branch is that of `pickenv/orchard/presets/branch.toml`.
 
