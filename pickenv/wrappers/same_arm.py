@@ -137,7 +137,7 @@ class _Run:
         self.joints: Array = np.zeros((rows, task.joints))
 
     def begin(self) -> None:
-        """Begin new runs: forget the picks of the last arms, and draw the first poses."""
+        """Begin new runs: clear the picks of the last arms, and draw the first poses."""
         self.pick, self.tokens = 0, self.memory.empty(len(self.seeds))
         self.draw()
 

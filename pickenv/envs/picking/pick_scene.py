@@ -283,7 +283,7 @@ class PickScene:
             self.held = None
 
     def collect(self) -> None:
-        """Take the detached fruit out of the gripper."""
+        """Collect the detached fruit, which empties the gripper."""
         assert self.held is not None
         self.collected[self.held] = True
         self.held = None

@@ -88,9 +88,9 @@ class PickSceneEnv(ReachEnv):
     As in `pickenv/Reach-v0`: joints are at mid-range or drawn, and the fruit is where the nominal arm's tool can be.
     `reset` takes the same options. With `within_mm` the fruit hangs near a place where the arm moves well in every
     direction. The tool then starts where the wrist camera sees the fruit. At full scale this is 6 to 30 cm before it
-    and up to 12.5 cm beside it along each axis. If you give another goal, give `start_joints` too. Arms of fewer than six
-    joints start there in whatever attitude they reach. The strength of the stem is drawn as in `pickenv/Pick-v0` (Bu et
-    al. 2020). The branch is that of `pickenv/orchard/presets/branch.toml`.
+    and up to 12.5 cm beside it along each axis. If you give another goal, give `start_joints` too. Arms of fewer than
+    six joints start there in whatever attitude they reach. The strength of the stem is drawn as in `pickenv/Pick-v0`
+    (Bu et al. 2020). The branch is that of `pickenv/orchard/presets/branch.toml`.
 
     ## Episode End
 

@@ -200,7 +200,7 @@ class ArmBatch:
     def write(self, columns: Columns, where: Any, values: Sequence[Scalar]) -> None:
         """Write ``values`` into columns, for the environments ``where``.
 
-        The last column is written first, so that entries of a queue are moved on before they are overwritten.
+        The last column is written first, so that entries of a queue are shifted before they are overwritten.
         """
         for column, new in zip(list(columns)[::-1], list(values)[::-1], strict=True):
             self.put(column, where, new)

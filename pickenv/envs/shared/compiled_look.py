@@ -95,7 +95,7 @@ class CompiledLook:
         return ArmState(*state[:-2], sensed, tuple(parts[:memory])), self._view_of(parts[memory:])
 
     def _compiled(self, state: ArmState, command: Sequence[float]) -> Callable[[], None]:
-        """Trace and compile the function for states and commands of these lengths."""
+        """Trace and compile the function for states and commands as long as ``state`` and ``command``."""
         trace, widths = Trace(), [len(part) for part in (*state[:-1], *state.plant)]
         given = trace.inputs("given", sum(widths) + len(command))
         before, now = ArmState.of(given[: sum(widths)], widths), given[sum(widths) :]
