@@ -26,8 +26,8 @@ class PickEnv(ArmEnv):
     ## Description
 
     A six-joint picking arm (Qiao 2026) stands before a section of canopy, 0.9 m wide and 0.8 m high, that holds some
-    ten fruit. The environment chooses the next fruit among those that the camera found within reach. By default it is
-    the nearest to the believed tool (see `order`). Each fruit can be tried once. The policy
+    ten fruit. The environment chooses the next fruit among those that the camera found within reach and that were not
+    tried yet. By default it is the nearest to the believed tool (see `order`). Each fruit can be tried once. The policy
     commands the *nominal* arm, that is the model that its controller believes in. What moves is the *true* arm, which
     also vibrates after every move, so that haste costs accuracy. The gripper takes a fruit if the true tool is near
     enough to it. A failed grasp pushes neighbouring fruit aside, as does a tool that touches fruit on its way. The

@@ -125,7 +125,7 @@ class Scaling(Rescaling):
 
     @property
     def features(self) -> int:
-        """Count of numbers that the networks see."""
+        """Count of numbers in a network's observation."""
         return (self.tool or self.joints + 6) + 1
 
     @property
