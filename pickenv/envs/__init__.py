@@ -1,4 +1,4 @@
-"""Gymnasium environments; `import pickenv` registers them."""
+"""Gymnasium environments, which `import pickenv` registers."""
 
 from pickenv.base.faces import offered as _offered
 

@@ -1,7 +1,7 @@
-"""An arm as something to look at: links, joints, telescopes, a gripper, its ghost, and the camera's field of view.
+"""Solids of a drawn arm: links, joints, telescopes, a gripper, its ghost, and the camera's field of view.
 
-Pictures do not show where along the arm a deviation arises: the tool's deviation is spread evenly along the links.
-Units: m.
+The ghost is a transparent arm that shows where the controller believes the arm to be. Pictures do not show where along
+the arm a deviation arises. The tool's deviation is distributed evenly along the links. Units: m.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from pickenv.pictures.solids import ring_around, turned
 from pickenv.pictures.stage import Mesh, Rgb, Rods, rgba, spheres
 
 GAIN = 20
-"""Factor by which the ghost exaggerates the distance between the arm and where its controller believes it to be."""
+"""Factor by which the ghost exaggerates the distance between the true arm and the believed arm."""
 LINK, JOINT, METAL, GRIPPER = (236, 239, 243), (58, 68, 82), (168, 176, 188), (70, 78, 90)
 GHOST: Rgb = (52, 110, 200)
 FAINT = 0.42
@@ -31,14 +31,14 @@ THICKNESS = 0.028
 WALL = 0.0035
 """Thickness of a drawn cup's wall, m."""
 CUP_RADIUS = 0.0375
-"""Radius of a cup, m, where a picture is given no other: a cup for a fruit of 60 mm."""
+"""Default radius of a cup, m, for a fruit of 60 mm."""
 FOOT = 1.9
 """Distance from the fruit in a cup to the end of the arm, as a multiple of the cup's radius."""
 TAPER, TELESCOPE, CAP = 0.5, 0.55, 1.28
 
 
 Solids = tuple[tuple[Rods, ...], tuple[Rods, ...], tuple[Mesh, ...]]
-"""Parts of a picture, in the order in which a `pickenv.pictures.stage.Stage` takes them."""
+"""Groups of rods, of balls and of meshes, in the order in which a `pickenv.pictures.stage.Stage` takes them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,12 +46,12 @@ class ArmLook:
     """The look of one arm.
 
     Attributes:
-        parts: Parts of the arm's polyline that are drawn, by the numbers of their first points.
-        radius: Radius of each drawn part, m.
-        slides: Whether each drawn part becomes longer and shorter.
-        sleeve: Length of the outer tube of each drawn part, used for the parts that slide, m.
-        low: Lowest corner of the room that the arm's points take, m.
-        high: Highest corner of that room, m.
+        parts: Segments of the arm's polyline that are drawn, by the indices of their first points.
+        radius: Radius of each drawn segment, m.
+        slides: Whether each drawn segment changes its length.
+        sleeve: Length of the outer tube of each drawn segment, used for those that slide, m.
+        low: Lowest corner of the arm's workspace ``(3,)``, m.
+        high: Highest corner of the arm's workspace ``(3,)``, m.
     """
 
     parts: list[int]
@@ -64,7 +64,7 @@ class ArmLook:
 
 @lru_cache(maxsize=8)
 def arm_look(geometry: Geometry) -> ArmLook:
-    """The look of an arm from poses all over its joint ranges: the parts to draw, their thickness, and their room."""
+    """Compute the look of an arm from sampled poses: the segments to draw, their thickness, and the workspace."""
     points = nominal_points(geometry, halton_joints(geometry, 256))
     parts = drawn_parts(points)
     lengths = np.linalg.norm(np.diff(points, axis=-2), axis=-1)[:, parts]
@@ -76,13 +76,13 @@ def arm_look(geometry: Geometry) -> ArmLook:
 
 
 def arm_solids(look: ArmLook, points: Array, axis: Array, accent: Rgb | None = None) -> Solids:
-    """Links, joints and telescopes along a polyline ``(K, 3)``, up to the foot of a gripper.
+    """Return the solids of links, joints and telescopes along a polyline, up to the foot of a gripper.
 
     Args:
-        look: The look of the arm: its parts and how thick they are.
-        points: The polyline; its last point is the tool, within the gripper.
+        look: The look of the arm.
+        points: The polyline ``(K, 3)``, m; its last point is the tool, inside the gripper.
         axis: Direction in which the tool points ``(3,)``.
-        accent: Colour of the links, in place of white.
+        accent: Colour of the links instead of white.
     """
     points = np.concatenate([points[:-1], points[-1:] - FOOT * CUP_RADIUS * axis])
     start, end = points[look.parts], points[[i + 1 for i in look.parts]]
@@ -101,7 +101,7 @@ def arm_solids(look: ArmLook, points: Array, axis: Array, accent: Rgb | None = N
 def arm_at_work(
     geometry: Geometry, command: Array, tool: Array, axis: Array, believed: Array, accent: Rgb | None = None
 ) -> Solids:
-    """The true arm and its ghost: the arm as its controller believes it to be, the deviation drawn `GAIN` fold.
+    """Return the solids of the true arm and of the ghost, whose deviation from it is drawn `GAIN` times as large.
 
     Args:
         geometry: The nominal arm.
@@ -109,7 +109,7 @@ def arm_at_work(
         tool: True tool position ``(3,)``, m.
         axis: Direction in which the tool points ``(3,)``.
         believed: Tool position that the controller believes ``(3,)``, m.
-        accent: Colour of the true arm's links, in place of white.
+        accent: Colour of the true arm's links instead of white.
     """
     look = arm_look(geometry)
     true = arm_solids(look, true_points(geometry, command, tool), axis, accent)
@@ -117,14 +117,14 @@ def arm_at_work(
 
 
 def _ghost(look: ArmLook, points: Array) -> Solids:
-    """The ghost: a transparent arm along a polyline ``(K, 3)``."""
+    """Return the solids of the ghost, a transparent arm along a polyline ``(K, 3)``, m."""
     start, end = points[look.parts], points[[i + 1 for i in look.parts]]
     tip = spheres(points[-1:], 0.95 * look.radius[-1:], rgba(GHOST, 1, FAINT))
     return (Rods(start, end, 0.8 * look.radius, rgba(GHOST, len(start), FAINT)),), (tip,), ()
 
 
 def cup_solids(tool: Array, axis: Array, radius: float) -> Solids:
-    """A cup that opens along ``axis`` and holds the lower half of a fruit at ``tool``."""
+    """Return the solids of a cup that opens along ``axis`` and holds the lower half of a fruit at ``tool``, m."""
     deep = 1.15 * radius
     inner = radius - WALL
     across = [0.4 * radius, 0.7 * radius, radius, radius, radius, inner, inner, inner, 0.6 * radius, 0.0]
@@ -133,7 +133,7 @@ def cup_solids(tool: Array, axis: Array, radius: float) -> Solids:
 
 
 def hand_solids(tool: Array, axis: Array, radius: float, closed: bool) -> Solids:
-    """Three fingers around a fruit at ``tool``."""
+    """Return the solids of a hand with three fingers around a fruit at ``tool``, m; ``radius`` is its opening's."""
     out = ring_around(axis, 3)
     palm = tool - 1.6 * radius * axis
     knuckle, tip = palm + 0.7 * radius * out, tool + (0.75 if closed else 1.25) * radius * out + 0.5 * radius * axis
@@ -144,12 +144,12 @@ def hand_solids(tool: Array, axis: Array, radius: float, closed: bool) -> Solids
 
 
 def frustum_solids(eye: Array, ahead: Array, half_angles: Sequence[float], length: float, colour: Rgb) -> Solids:
-    """A camera at ``eye`` that looks along the level unit vector ``ahead``, and the edges of what it sees.
+    """Return the solids of a camera and of the edges of its field of view.
 
     Args:
-        eye: Where the camera stands ``(3,)``, m.
-        ahead: Direction in which it looks ``(3,)``.
-        half_angles: Tangents of its half angles of view, to the side and up.
+        eye: Position of the camera ``(3,)``, m.
+        ahead: Horizontal unit vector along which it looks ``(3,)``.
+        half_angles: Tangents of half its angles of view, horizontal and vertical.
         length: Distance from the camera to which the edges are drawn, m.
         colour: Colour of the edges.
     """
@@ -165,6 +165,6 @@ def frustum_solids(eye: Array, ahead: Array, half_angles: Sequence[float], lengt
 
 
 def joined_solids(*parts: Solids) -> Solids:
-    """The solids of several parts of a picture, together."""
+    """Join the solids of several parts of a picture."""
     rods, balls, meshes = zip(*parts, strict=True)
     return tuple(chain(*rods)), tuple(chain(*balls)), tuple(chain(*meshes))

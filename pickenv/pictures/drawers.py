@@ -1,9 +1,9 @@
-"""Draws a stage: with MuJoCo where it is installed and can draw here, else plainly with Pillow; shows it in a window.
+"""Draws a stage with MuJoCo where it is installed and works, else with Pillow, and shows pictures in a window.
 
-MuJoCo needs EGL, and a driver that fails might end the whole program. So another process tries MuJoCo first. Without
-it, rods are drawn as strokes, balls as discs, and meshes as triangles in the light of one lamp: flat shapes, drawn from
-far to near in the order of their depths, even where solids pass through one another. With either drawer, words and the
-dial of the miss are written with Pillow onto the picture. Units: px, mm on the dial.
+MuJoCo needs EGL, and a driver that fails might end the whole program. So another process tries MuJoCo first. Pillow
+draws flat shapes: rods as strokes, balls as discs, and meshes as triangles lit by one lamp. It draws them from far to
+near by their depths, also where solids intersect. With either of the two, words and the dial (the tool's miss, seen
+along the tool) are drawn onto the picture with Pillow. Units: px, mm on the dial.
 """
 
 from __future__ import annotations
@@ -27,15 +27,15 @@ if TYPE_CHECKING:
     from pickenv.pictures.mujoco_drawer import MujocoDrawer
 
 PLAIN = "PICKENV_PLAIN_PICTURES"
-"""Environment variable that, when set, has pictures drawn with Pillow even where MuJoCo is installed."""
+"""Environment variable that, if set, makes pictures be drawn with Pillow also where MuJoCo is installed."""
 TRIAL = "pickenv.pictures.mujoco_drawer"
-"""The module that is run in another process to try whether MuJoCo can draw."""
+"""Module that is run in another process to test whether MuJoCo can draw."""
 
 FINER = 2
-"""Factor by which shapes are drawn larger at first; the picture is then reduced, for smooth edges."""
+"""Factor by which pictures are drawn larger and then reduced, for smooth edges."""
 NEAREST = 0.05
 LIGHT = np.array([-0.45, 0.65, -0.6]) / np.linalg.norm([0.45, 0.65, 0.6])
-"""Unit vector towards the lamp; its components are to the right, up, and away from the eye."""
+"""Unit vector towards the lamp, with components to the right, up, and away from the viewpoint."""
 SHADE = 0.72
 """Brightness of the sides of rods and balls, as a share of their full colour."""
 
@@ -45,7 +45,8 @@ SMALL, LARGE = 1 / 26, 1 / 19
 DIAL = 0.27
 """Width of the dial, as a share of the picture's height."""
 SHOWN, RIM = 2.2, 0.93
-"""The dial's radius in radii of its ring, and the share of the dial's radius at which larger misses are drawn."""
+"""Radius of the dial as a multiple of its ring's radius, and the share of the dial's radius to which larger misses are
+moved."""
 PLATE = {False: (255, 255, 255, 205), True: (20, 23, 29, 205)}
 """Colour and opacity of the plates behind words and dial, by whether the background is dark."""
 
@@ -53,23 +54,23 @@ DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 DPI = 80
 
 Shape = tuple[float, Callable[[ImageDraw.ImageDraw], None]]
-"""A shape's depth, m, by which shapes are sorted, and the function that draws it."""
+"""Depth of a shape, m, by which shapes are sorted, and the function that draws it."""
 
 
 def painted(stage: Stage) -> Pixels:
-    """Draw a stage: red, green and blue ``(height, width, 3)``."""
+    """Draw a stage with its words and dial, as RGB pixels ``(height, width, 3)``."""
     draw = _mujoco(os.getpid()).draw if drawer_name() == "mujoco" else draw_plainly
     return lettered(draw(stage), stage)
 
 
 @lru_cache(maxsize=1)
 def drawer_name() -> str:
-    """The drawer that makes pictures here: ``mujoco`` or ``plain``; worked out once per process."""
+    """Return the name of the drawer in use, ``mujoco`` or ``plain`` (Pillow); it is determined once per process."""
     return "mujoco" if why_plain() is None else "plain"
 
 
 def why_plain() -> str | None:
-    """The reason why pictures are drawn plainly, as one sentence; None where MuJoCo draws them."""
+    """Return a sentence that says why pictures are drawn with Pillow; None if MuJoCo draws them."""
     require("matplotlib")
     if os.environ.get(PLAIN):
         return f"Pictures are drawn plainly, as {PLAIN} asks."
@@ -82,14 +83,14 @@ def why_plain() -> str | None:
 
 @lru_cache(maxsize=1)
 def _mujoco(process: int) -> MujocoDrawer:
-    """MuJoCo's drawer, made once in each process."""
+    """Return MuJoCo's drawer, which is made once in each process."""
     from pickenv.pictures.mujoco_drawer import MujocoDrawer
 
     return MujocoDrawer()
 
 
 def draw_plainly(stage: Stage) -> Pixels:
-    """Draw a stage with Pillow, without its words and dial: ``(height, width, 3)``."""
+    """Draw a stage with Pillow, without its words and dial, as RGB pixels ``(height, width, 3)``."""
     size = width, height = FINER * stage.size[0], FINER * stage.size[1]
     upper, lower = (np.array(colour, dtype=float) for colour in backdrop(stage.dark))
     share = np.linspace(0.0, 1.0, height)[:, None]
@@ -150,7 +151,7 @@ def _draw_disc(line: tuple[float, ...], radius: float, colour: Array, pen: Image
 
 
 def lettered(pixels: Pixels, stage: Stage) -> Pixels:
-    """Write the stage's words and dial onto its picture: words in corners first, then words at places of the world."""
+    """Draw the dial of a stage onto its picture, then the words in corners, then the words at points in space."""
     if not stage.words and stage.dial is None:
         return pixels
     picture = Image.fromarray(pixels)
@@ -176,7 +177,7 @@ def lettered(pixels: Pixels, stage: Stage) -> Pixels:
 
 
 def strip(text: str, size: tuple[int, int], dark: bool) -> Pixels:
-    """A line of words on a plain background, ``(height, width, 3)``."""
+    """Draw a centred line of text on a plain background, ``(height, width, 3)``; ``size`` is width and height, px."""
     width, height = size
     picture = Image.new("RGB", size, backdrop(dark)[1])
     font = _font(round(0.5 * height))
@@ -217,16 +218,16 @@ def _draw_dial(pen: ImageDraw.ImageDraw, dial: Dial, stage: Stage) -> None:
 
 @lru_cache(maxsize=8)
 def _font(height: int) -> ImageFont.FreeTypeFont:
-    """The font DejaVu Sans, which comes with matplotlib, at a height in px."""
+    """Return the font DejaVu Sans, which comes with matplotlib, at a height in px."""
     from matplotlib import get_data_path
 
     return ImageFont.truetype(Path(get_data_path()) / "fonts/ttf/DejaVuSans.ttf", height)
 
 
 class Window:
-    """A matplotlib window that shows one picture after the other.
+    """A matplotlib window that shows one picture after another.
 
-    With MPLBACKEND=agg in the environment it shows nothing and raises no error, for tests without a screen.
+    If the environment variable MPLBACKEND is "agg", it shows nothing and raises no error, for tests without a screen.
 
     Raises:
         InputError: If there is no display.
@@ -242,7 +243,7 @@ class Window:
         self._image: Any = None
 
     def show(self, picture: Pixels) -> None:
-        """Show a picture for the time of one frame."""
+        """Show a picture ``(height, width, 3)`` for the duration of one frame."""
         if self.off_screen:
             return
         from matplotlib import pyplot

@@ -1,7 +1,8 @@
-"""Draws stages with MuJoCo's renderer, off screen: lit, with smooth edges, on a graphics adapter or on the processor.
+"""Draws stages with MuJoCo's renderer, off screen, on a GPU or a CPU.
 
-Rods and balls are shapes of MuJoCo's own. All surfaces, which are opaque, are the faces of one soft body, replaced for
-each picture, and a texture has one pixel for the colour of each face. The background is a plane behind everything.
+Rods and balls are MuJoCo's own shapes. All meshes, which are opaque, become the faces of one soft body (flex). They are
+replaced for each picture, and a texture has one pixel with the colour of each face. The background is a plane behind
+everything.
 """
 
 from __future__ import annotations
@@ -20,14 +21,14 @@ from pickenv.pictures.solids import all_triangles, mesh_triangles
 from pickenv.pictures.stage import SIZE, Eye, Mesh, Pixels, Rods, Stage, backdrop
 
 NEAR, FAR = 0.02, 100.0
-"""Distances from the eye between which bodies are seen, m."""
+"""Smallest and largest distance from the viewpoint at which bodies are visible, m."""
 LIGHTS = (((-0.6, 0.9, 1.0), 0.85), ((0.8, 0.2, 1.0), 0.4), ((0.0, -0.5, 1.0), 0.35))
-"""Direction to each light (to the right, up, and back from the eye), and its strength."""
+"""Direction to each light (components to the right, up, and back from the viewpoint), and its strength."""
 AMBIENT, DIFFUSE, SPECULAR, SHININESS = 0.3, 0.8, 0.18, 24 / 128
 
 
 def screenless(width: int, height: int) -> Any:
-    """A graphics context that needs no screen."""
+    """Make an OpenGL context that needs no screen, for pictures of a width and height in px."""
     if sys.platform == "linux" and "MUJOCO_GL" not in os.environ:  # where MuJoCo itself would ask for a screen
         from mujoco.egl import GLContext
     else:
@@ -38,14 +39,14 @@ def screenless(width: int, height: int) -> Any:
 
 
 def context_of(model: Any) -> Any:
-    """What MuJoCo needs to draw a model off screen."""
+    """Make the `mujoco.MjrContext` with which MuJoCo draws a model off screen."""
     context = mujoco.MjrContext(model, mujoco.mjtFontScale.mjFONTSCALE_50)
     mujoco.mjr_setBuffer(mujoco.mjtFramebuffer.mjFB_OFFSCREEN, context)
     return context
 
 
 def pixels_of(scene: Any, context: Any, size: tuple[int, int]) -> Pixels:
-    """A scene drawn ``(height, width, 3)``; ``size`` is width and height, px."""
+    """Render a scene as RGB pixels ``(height, width, 3)``; ``size`` is width and height, px."""
     pixels, view = np.empty((*size[::-1], 3), dtype=np.uint8), mujoco.MjrRect(0, 0, *size)
     mujoco.mjr_render(view, scene, context)
     mujoco.mjr_readPixels(pixels, None, view, context)
@@ -53,7 +54,7 @@ def pixels_of(scene: Any, context: Any, size: tuple[int, int]) -> Pixels:
 
 
 class ModelPictures:
-    """Pictures of a MuJoCo model by its own cameras, without shadows.
+    """Renderer for a MuJoCo model's own cameras, without shadows.
 
     Args:
         model: `mujoco.MjModel`.
@@ -69,7 +70,14 @@ class ModelPictures:
             self.scene.flags[flag] = False
 
     def draw(self, data: Any, camera: int, option: Any, dark: bool = False) -> Pixels:
-        """What a camera of the model sees ``(height, width, 3)``, of the bodies that an option of MuJoCo's shows."""
+        """Render the picture of a camera ``(height, width, 3)``.
+
+        Args:
+            data: `mujoco.MjData`.
+            camera: Index of the camera in the model.
+            option: `mujoco.MjvOption`, which says which groups of bodies are shown.
+            dark: Whether the background is black instead of a sky.
+        """
         self.gl.make_current()
         self.scene.flags[mujoco.mjtRndFlag.mjRND_SKYBOX] = not dark
         self.camera.type, self.camera.fixedcamid = mujoco.mjtCamera.mjCAMERA_FIXED, camera
@@ -77,7 +85,7 @@ class ModelPictures:
         return pixels_of(self.scene, self.context, self.size)
 
     def close(self) -> None:
-        """Give back what drawing took."""
+        """Free the OpenGL context."""
         atexit.unregister(self.gl.free)
         self.gl.make_current()
         self.context.free()
@@ -85,14 +93,14 @@ class ModelPictures:
 
 
 class MujocoDrawer:
-    """MuJoCo's renderer without a screen; its room for pixels, faces and shapes grows with what it has to draw."""
+    """Off-screen renderer for stages; its buffers for pixels, faces and shapes grow as needed."""
 
     def __init__(self) -> None:
         self.gl = screenless(*SIZE)
         self.room = np.zeros(4, dtype=int)
 
     def draw(self, stage: Stage) -> Pixels:
-        """Draw a stage without its words and dial: ``(height, width, 3)``."""
+        """Draw a stage without its words and dial, as RGB pixels ``(height, width, 3)``."""
         self.gl.make_current()
         surfaces = all_triangles([_still_triangles(stage.still), *map(mesh_triangles, stage.meshes)])
         groups = (*stage.rods, *stage.balls)
@@ -112,7 +120,7 @@ class MujocoDrawer:
         return pixels_of(self.scene, self.context, stage.size)
 
     def _make_room(self, room: Array) -> None:
-        """Make room for a width and height, px, and for numbers of faces and of shapes."""
+        """Allocate buffers for ``room``: width and height, px, number of faces, and number of shapes."""
         self.room, side = room, int(np.ceil(np.sqrt(room[2] + 1)))
         self.model = mujoco.MjModel.from_xml_string(_model(side, *room[:3]))
         self.context = context_of(self.model)
@@ -123,7 +131,7 @@ class MujocoDrawer:
         self.scene.flextexcoord[:] = np.repeat((np.column_stack([columns, rows]) + 0.5) / side, 3, axis=0).ravel()
 
     def _add(self, kind: Any, size: Array, place: Array, turn: Array, colour: Array) -> Any:
-        """The next shape of the picture."""
+        """Add a shape to the picture, and return it."""
         shape = self.scene.geoms[self.scene.ngeom]
         self.scene.ngeom += 1
         mujoco.mjv_initGeom(shape, kind, size, place, turn.ravel(), colour.astype(np.float32))
@@ -150,7 +158,7 @@ class MujocoDrawer:
         shape.objid, shape.matid, shape.texcoord = 0, 0, 1
 
     def _look(self, eye: Eye, aspect: float) -> None:
-        """Place the eye, the lights, which go with it, and the background: the middle half of a plane is in sight."""
+        """Set the camera, the lights that move with it, and the background, a plane whose middle half is in view."""
         right, up, ahead = eye.axes()
         axes, slope = np.array([right, up, -ahead]), np.tan(np.radians(eye.angle_deg) / 2)
         for camera in self.scene.camera:
@@ -172,7 +180,7 @@ def _still_triangles(still: tuple[Mesh, ...]) -> Mesh:
 
 
 def _model(side: int, width: int, height: int, faces: int) -> str:
-    """A model with room in its textures, and in a soft body: for eight faces with each of its triangles."""
+    """Return the MJCF text of a model whose textures and soft body have room for a number of faces."""
     count = faces // 8 + 1
     return f"""<mujoco>
         <visual><global offwidth="{width}" offheight="{height}"/><quality numslices="16" numstacks="8"/></visual>

@@ -1,4 +1,4 @@
-"""Solids as triangles: surfaces of revolution, such as cups and branches, and leaves and ground.
+"""Meshes of triangles: surfaces of revolution (such as cups and branches), leaves, and ground.
 
 Units: m.
 """
@@ -16,7 +16,7 @@ from pickenv.pictures.stage import Mesh, Rgb, rgba
 
 
 def mesh_triangles(surface: Mesh) -> Mesh:
-    """A surface with normals at its corners: at each, the mean normal of the triangles around it, weighted by area."""
+    """Return a mesh with normals at its corners: the mean normal of the triangles around each, weighted by area."""
     a, b, c = (surface.corners[surface.triangles[:, k]] for k in range(3))
     face = np.cross(b - a, c - a)
     normals = np.zeros_like(surface.corners, dtype=float)
@@ -27,7 +27,7 @@ def mesh_triangles(surface: Mesh) -> Mesh:
 
 
 def all_triangles(parts: Sequence[Mesh]) -> Mesh:
-    """Join several sets of triangles into one."""
+    """Join several meshes into one."""
     if not parts:
         return Mesh(np.empty((0, 3)), np.empty((0, 3), np.intp), np.empty((0, 4), np.uint8))
     first = np.cumsum([0, *(len(part.corners) for part in parts[:-1])])
@@ -39,7 +39,7 @@ def all_triangles(parts: Sequence[Mesh]) -> Mesh:
 
 
 def ring_around(axis: Array, count: int) -> Array:
-    """Unit vectors ``(count, 3)`` at right angles to a unit vector ``(3,)``, evenly spaced around it."""
+    """Return unit vectors ``(count, 3)`` perpendicular to a unit vector ``(3,)``, at equal angles around it."""
     x = np.cross(axis, [0.0, 0.0, 1.0] if abs(axis[2]) < 0.9 else [1.0, 0.0, 0.0])
     x = x / np.linalg.norm(x)
     turn = 2.0 * np.pi * np.arange(count)[:, None] / count
@@ -47,12 +47,12 @@ def ring_around(axis: Array, count: int) -> Array:
 
 
 def turned(profile: ArrayLike, point: Array, axis: Array, colour: Rgb, around: int = 24) -> Mesh:
-    """A surface of revolution.
+    """Make a surface of revolution.
 
     Args:
-        profile: Radius and height of points along its outline ``(P, 2)``, m; a point given twice keeps its edge sharp.
-        point: The point of the axis at which height is zero ``(3,)``, m.
-        axis: Unit vector in which height grows ``(3,)``.
+        profile: Radius and height of points along its outline ``(P, 2)``, m. A point given twice makes a sharp edge.
+        point: Point on the axis where the height is zero ``(3,)``, m.
+        axis: Unit vector along the axis, in which height grows ``(3,)``.
         colour: Red, green, blue.
         around: Number of corners around the axis.
     """
@@ -70,7 +70,15 @@ def turned(profile: ArrayLike, point: Array, axis: Array, colour: Rgb, around: i
 
 
 def chequered(low: ArrayLike, high: ArrayLike, height: float, square: float, colours: tuple[Rgb, Rgb]) -> Mesh:
-    """Level ground of squares in two colours, from ``low`` (2,) or somewhat less to at least ``high`` (2,), m."""
+    """Make horizontal ground of squares in two colours.
+
+    Args:
+        low: Corner with the least x and y ``(2,)``, m; it is rounded down to whole squares.
+        high: Opposite corner ``(2,)``, m, which the ground reaches at least.
+        height: Height of the ground, m.
+        square: Side of a square, m.
+        colours: The two colours.
+    """
     low = np.floor(np.asarray(low, dtype=float) / square) * square
     nx, ny = np.maximum(np.ceil((np.asarray(high, dtype=float) - low) / square - 1e-9).astype(int), 1)
     ix, iy = (grid.ravel() for grid in np.meshgrid(np.arange(nx), np.arange(ny), indexing="ij"))
@@ -83,14 +91,14 @@ def chequered(low: ArrayLike, high: ArrayLike, height: float, square: float, col
 
 
 def leaf_mesh(places: Array, length: float, width: float, colour: ArrayLike, rng: np.random.Generator) -> Mesh:
-    """Leaves with random attitudes and shades, each a bent rhombus of two triangles.
+    """Make leaves with random attitudes and shades, each a bent rhombus of two triangles.
 
     Args:
-        places: Middles of the leaves ``(N, 3)``, m.
+        places: Centres of the leaves ``(N, 3)``, m.
         length: Length of a leaf, m.
         width: Width of a leaf, m.
         colour: Red, green, blue of a leaf of medium shade.
-        rng: Source of attitudes and shades.
+        rng: Random generator for attitudes and shades.
     """
     count = len(places)
     basis, _ = np.linalg.qr(rng.normal(size=(count, 3, 3)))
@@ -102,5 +110,5 @@ def leaf_mesh(places: Array, length: float, width: float, colour: ArrayLike, rng
 
 
 def _fans(count: int) -> NDArray[np.intp]:
-    """Two triangles for each of ``count`` quadrilaterals, whose four corners follow one another."""
+    """Return two triangles for each of ``count`` quadrilaterals, whose corners are four successive points."""
     return (np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(count)[:, None, None]).reshape(-1, 3)

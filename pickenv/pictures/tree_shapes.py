@@ -1,7 +1,7 @@
-"""The surroundings of an arm: fruit on stems, leaves and branches of a row of trees, ground, a crate. Units: m.
+"""Solids around an arm: fruit on stems, leaves and branches of a row of trees, ground, a crate. Units: m.
 
-A row stands along x. Leaves are as dense as a canopy's preset says, but they are not the leaves that hide fruit from a
-camera: environments draw those at random in every episode.
+A row of trees is along x. Leaves are as dense as in a canopy's preset. They are not the leaves that hide fruit from a
+camera, which environments draw at random in every episode.
 """
 
 from __future__ import annotations
@@ -20,17 +20,24 @@ from pickenv.pictures.stage import Eye, Mesh, Rods, rgba, spheres
 RIPE, GREEN, MISSED_FRUIT = (205, 42, 46), (170, 188, 92), (226, 120, 40)
 BARK, STEM = (122, 92, 66), (104, 84, 52)
 GROUND = {False: ((226, 230, 220), (214, 220, 208)), True: ((52, 58, 64), (46, 52, 58))}
-"""Two colours of the ground's squares, by whether the page is dark."""
+"""The two colours of the ground's squares, by whether the background is dark."""
 CRATE = (0.28, 0.8)
-"""Place of the crate's corner on the picture, as shares of the picture's width and height."""
+"""Position of the crate's corner on the picture, as shares of the picture's width and height."""
 SQUARE, SPREAD = 0.5, 6.0
 TWIG = 0.09
 BRIGHTER = 1.35
-"""Factor by which leaves are lighter here than in the images of a simulated camera."""
+"""Factor by which leaves are brighter here than in the images of a simulated camera."""
 
 
 def fruit_solids(places: Array, diameters: ArrayLike, colours: Array, hanging: ArrayLike = True) -> Solids:
-    """Fruit at ``places`` (N, 3) in colours (N, 3), with a stem where it is ``hanging`` (N,)."""
+    """Return the solids of fruit, with stems where it hangs.
+
+    Args:
+        places: Positions of the fruit (N, 3), m.
+        diameters: Diameter of all fruit, or of each (N,), m.
+        colours: Red, green, blue of each fruit (N, 3), 0 to 255.
+        hanging: Whether fruit hangs, and so has a stem: for all fruit, or for each (N,).
+    """
     radius = np.broadcast_to(np.asarray(diameters, dtype=float) / 2, len(places))
     shades = np.column_stack([colours, np.full(len(places), 255)]).astype(np.uint8).reshape(-1, 4)
     balls = spheres(places, radius, shades)
@@ -40,7 +47,7 @@ def fruit_solids(places: Array, diameters: ArrayLike, colours: Array, hanging: A
 
 
 def sprig(place: Array, diameter: float) -> Solids:
-    """A few leaves and a piece of branch above a single fruit."""
+    """Return the solids of a few leaves and a piece of branch above a single fruit."""
     top = place + np.array([0.012, 0.0, 0.9 * diameter / 2 + TWIG])
     ends = top + np.array([[-0.16, -0.05, -0.01], [0.14, 0.04, 0.03]])
     branch = Rods(ends[:1], ends[1:], np.array([0.009]), rgba(BARK, 1))
@@ -57,7 +64,14 @@ def _leaves(places: Array, rng: np.random.Generator) -> Mesh:
 def row_of_trees(
     low: tuple[float, ...], high: tuple[float, ...], leaf_area_per_volume: float, ground: float
 ) -> tuple[Mesh, ...]:
-    """Trunks, level branches and leaves in a box of the world frame; equal arguments give the same objects."""
+    """Return the meshes of trunks, horizontal branches and leaves in a box. Equal arguments give the same objects.
+
+    Args:
+        low: Lowest corner of the box (3,), m, world frame.
+        high: Highest corner (3,), m.
+        leaf_area_per_volume: Area of leaves per volume of the box, m^2/m^3.
+        ground: Height of the ground, from which trunks start, m.
+    """
     rng = np.random.default_rng(0)
     bottom, top = np.array(low), np.array(high)
     middle = (bottom[1] + top[1]) / 2
@@ -78,20 +92,28 @@ def _branch(start: ArrayLike, end: ArrayLike, radius: float) -> Mesh:
 
 @lru_cache(maxsize=8)
 def ground_around(x: float, y: float, height: float, dark: bool) -> Mesh:
-    """Level ground around a place; equal arguments give the same object."""
+    """Return the mesh of level ground around the point x, y at a height, m. Equal arguments give the same object."""
     return chequered((x - SPREAD / 2, y - SPREAD / 2), (x + SPREAD / 2, y + SPREAD / 2), height, SQUARE, GROUND[dark])
 
 
 @lru_cache(maxsize=8)
 def pedestal(x: float, y: float, ground: float, top: float, radius: float) -> Mesh:
-    """The column that an arm's base stands on."""
+    """Return the mesh of the column under an arm's base, at x, y, from height ``ground`` to ``top``, m."""
     across, high = radius * np.array([2.2, 2.2, 2.2, 1.5, 1.5, 1.5, 0.0]), top - ground
     outline = np.column_stack([across, [0.0, 0.03, 0.03, 0.06, high, high, high]])
     return turned(outline, np.array([x, y, ground]), np.array([0.0, 0.0, 1.0]), JOINT)
 
 
 def crate(eye: Eye, size: tuple[int, int], count: int, diameter: float, ground: float) -> Solids:
-    """A crate on legs that holds ``count`` picked fruit, in the lower left of what the eye sees."""
+    """Return the solids of a crate on legs with picked fruit, in the lower left of the picture.
+
+    Args:
+        eye: The viewpoint.
+        size: Width and height of the picture, px.
+        count: Number of fruit in the crate.
+        diameter: Diameter of the fruit, m.
+        ground: Height of the ground, m.
+    """
     distance = float(np.linalg.norm(eye.target - eye.position))
     corner = eye.point_at((CRATE[0] * size[0], CRATE[1] * size[1]), distance, size)
     wide, along = 5, diameter * 1.05
@@ -109,5 +131,5 @@ def crate(eye: Eye, size: tuple[int, int], count: int, diameter: float, ground: 
 
 
 def fruit_colours(count: int) -> Array:
-    """The colours of ``count`` fruit, all ripe at first (count, 3); the caller may change some."""
+    """Return the colours of ``count`` ripe fruit (count, 3), an array that the caller may change."""
     return np.tile(np.array(RIPE), (count, 1))

@@ -1,4 +1,6 @@
-"""Wrappers for environments: a calibration, a scaling for learning, a real arm's error, and an adapter for SB3.
+"""Wrappers for environments: compensation, scaling for learning, a real arm's errors, and an adapter for SB3.
+
+SB3 is Stable-Baselines3. For example:
 
     env = CompensationWrapper(gymnasium.make("pickenv/Reach-v0"), calibration.compensator())
     model = PPO("MlpPolicy", make_sb3_vec("pickenv/ReachScaled-v0", 64))

@@ -1,4 +1,4 @@
-"""Wrappers that put a calibration between policy and arm: a compensator corrects joint targets before the drives."""
+"""Wrappers that put a calibration between policy and arm: its compensator corrects joint targets for the drives."""
 
 from __future__ import annotations
 
@@ -18,18 +18,18 @@ Action = TypeVar("Action")
 
 
 Compensate: TypeAlias = Callable[[NDArray[np.float64]], NDArray[np.float64]]
-"""A function from the nominal arm's joint targets to the real arm's joint commands, ``(..., n)`` each (rad, m)."""
+"""A function that maps the nominal arm's joint targets to the real arm's joint commands, ``(..., n)`` each (rad, m)."""
 
 
 class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action], RecordConstructorArgs):
-    """Correct the joint target on its way to the drives, invisibly to the policy.
+    """Correct the joint target before it reaches the drives, without any change that the policy sees.
 
-    Spaces, seeds, episode flow and observations stay as they are: joint readings are mapped back to nominal joints, so
-    a policy that servoes on its believed tool position does not cancel the compensation. If the plant's motors move in
-    whole counts and lag behind their commands (`plant="orchard"`), the readings still change slightly, because counts
-    and lag depend on the command: by less than a count, and by a few thousandths of the difference in step. The
-    compensator sits at the environment's one seam, so the wrapper's place in a stack of wrappers does not matter;
-    closing the wrapper removes the compensator.
+    Spaces, seeds, episodes and observations stay as they are. Joint readings are mapped back to nominal joints, so that
+    a policy that servos on its believed tool position does not cancel the compensation. With a plant (true arm) whose
+    motors move in whole encoder counts and lag behind their commands (`plant="orchard"`), readings still change
+    slightly. The change is less than a count, plus a few thousandths of the difference in the step. The compensator is
+    stored in the innermost environment, so the wrapper's place in a stack of wrappers does not matter. Closing the
+    wrapper removes the compensator.
 
     Example:
         >>> import gymnasium as gym
@@ -47,13 +47,14 @@ class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action],
         """Install ``compensator`` in ``env``.
 
         Args:
-            env: The environment; its fruit stand in the arm's own base frame.
+            env: The environment, whose fruit positions are in the arm's base frame.
             compensator: The compensator.
-            allow: Reservations of the calibration to accept, by name: "fitted-frames", "do-not-use".
+            allow: Reservations (reasons against the calibration's use) to accept, by name: "fitted-frames",
+                "do-not-use".
 
         Raises:
-            InputError: If the environment has no compensation seam, or already holds a compensator; or if something
-                stands against the calibration that ``allow`` does not name.
+            InputError: If the environment takes no compensator, or already has one, or if the calibration has a
+                reservation that ``allow`` does not name.
         """
         RecordConstructorArgs.__init__(self, compensator=compensator, allow=allow)
         gym.Wrapper.__init__(self, env)
@@ -61,10 +62,10 @@ class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action],
         self._compensator = compensator
 
     def step(self, action: Action) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Step the environment; at an episode's end, add the calibrated arm's expected error to `info`.
+        """Step the environment; at the end of an episode, add the calibrated arm's expected error to `info`.
 
-        The entries are `within95_mm` and `within95_deg`, if the calibration knows them: 95 of 100 reaches of the
-        calibrated arm end nearer to their target than that, as counted on rows that the calibration never saw.
+        The entries are `within95_mm` and `within95_deg`, if the calibration has them. The calibrated arm's errors stay
+        below them in 95 of 100 reaches, as measured on data that the calibration was not fitted to.
         """
         observation, reward, terminated, truncated, info = self.env.step(action)
         if (terminated or truncated) and "joint_command" in info:
@@ -79,7 +80,7 @@ class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action],
 
 
 class CompensationVectorWrapper(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArgs):
-    """`CompensationWrapper` for vector environments: the native ones, and `SyncVectorEnv` of single ones.
+    """`CompensationWrapper` for vector environments: native vector environments, and `SyncVectorEnv`.
 
     Example:
         >>> import gymnasium as gym
@@ -97,13 +98,14 @@ class CompensationVectorWrapper(VectorWrapper[Any, Any, Any, Any, Any], RecordCo
         """Install ``compensator`` in every environment of ``env``.
 
         Args:
-            env: The environments; their fruit stand in the arm's own base frame.
+            env: The environments, whose fruit positions are in the arm's base frame.
             compensator: The compensator.
-            allow: Reservations of the calibration to accept, by name: "fitted-frames", "do-not-use".
+            allow: Reservations (reasons against the calibration's use) to accept, by name: "fitted-frames",
+                "do-not-use".
 
         Raises:
-            InputError: If an environment has no compensation seam, or already holds a compensator; or if something
-                stands against the calibration that ``allow`` does not name.
+            InputError: If an environment takes no compensator, or already has one, or if the calibration has a
+                reservation that ``allow`` does not name.
         """
         RecordConstructorArgs.__init__(self, compensator=compensator, allow=allow)
         VectorWrapper.__init__(self, env)
@@ -113,7 +115,7 @@ class CompensationVectorWrapper(VectorWrapper[Any, Any, Any, Any, Any], RecordCo
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
         """Step the environments; where episodes end, add to `infos` what `CompensationWrapper.step` adds to `info`.
 
-        If environments start anew within the step, the entries are in `final_info`, like all else of the ended episode.
+        If episodes begin within the same step, the entries are in `final_info`, like all infos of the ended episodes.
         """
         observations, rewards, terminations, truncations, infos = self.env.step(actions)
         ended = np.flatnonzero(_numpy(terminations) | _numpy(truncations))
@@ -131,7 +133,7 @@ class CompensationVectorWrapper(VectorWrapper[Any, Any, Any, Any, Any], RecordCo
 
 
 def _within95(compensator: Compensate, commands: NDArray[Any]) -> dict[str, NDArray[Any]]:
-    """Errors that 95 of 100 reaches at commands ``(..., n)`` keep within, by name in `info`; empty if unknown."""
+    """Return the 95 % quantiles of the errors at commands ``(..., n)``, by their names in `info`; empty if unknown."""
     quantile = getattr(compensator, "within95", None)
     position, attitude = (None, None) if quantile is None else quantile(commands.astype(float))
     within = {} if position is None else {"within95_mm": np.asarray(position) * 1e3}
@@ -139,12 +141,12 @@ def _within95(compensator: Compensate, commands: NDArray[Any]) -> dict[str, NDAr
 
 
 def _numpy(values: Any) -> NDArray[Any]:
-    """A NumPy array of the values of an array, or of a tensor on any device."""
+    """Convert an array, or a tensor on any device, to a NumPy array."""
     return np.asarray(values.cpu() if hasattr(values, "cpu") else values)
 
 
 def _seams(env: VectorEnv[Any, Any, Any]) -> list[Any]:
-    """The objects that hold a vector environment's compensators: itself, or each of its single environments."""
+    """Return the objects that store a vector environment's compensator: itself, or each of its single environments."""
     inner: Any = env.unwrapped
     return [single.unwrapped for single in inner.envs] if hasattr(inner, "envs") else [inner]
 

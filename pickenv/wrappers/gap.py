@@ -1,4 +1,4 @@
-"""Environments in wrappers that rescale what a policy sees and does: `pickenv.envs.shared.scaling` has the formulas."""
+"""Wrappers that rescale observations and actions; `pickenv.envs.shared.scaling` has the formulas."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ from pickenv.envs.shared.task import Task
 
 
 class ScaledEnv(gym.Wrapper[Any, Any, Any, Any]):
-    """An environment whose observations and actions are rescaled.
+    """Wrapper that rescales an environment's observations and actions.
 
     Args:
         env: The environment.
         scaling: The formulas.
-        shaping: The learner's discount, with which differences of the potential are added to the rewards; None for
-            rewards as they are.
+        shaping: Discount of the learner, for reward shaping: each reward gets the discounted potential after the step
+            minus the potential before it. None leaves rewards as they are.
     """
 
     def __init__(self, env: gym.Env[Any, Any], scaling: Rescaling, shaping: float | None = None) -> None:
@@ -39,15 +39,15 @@ class ScaledEnv(gym.Wrapper[Any, Any, Any, Any]):
         self.observation_space = scaling.space
         self.action_space = scaling.answers or env.action_space
         self.raw: Any = np.zeros(scaling.inputs, dtype=np.float32)
-        """The latest observation, as the environment gave it."""
+        """The latest observation, before rescaling."""
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin an episode; the observation is the rescaled one."""
+        """Begin an episode, and return the rescaled observation and the info."""
         self.raw, info = self.env.reset(seed=seed, options=options)
         return self.scaling.shown(self.raw), info
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Step with actions in the policy's scale, and return rescaled observations."""
+        """Step with a policy's action, and return the rescaled observation."""
         before = self.raw
         self.raw, reward, terminated, truncated, info = self.env.step(self.scaling.act(before, action, self._most))
         if self._shaping is not None:
@@ -57,7 +57,7 @@ class ScaledEnv(gym.Wrapper[Any, Any, Any, Any]):
 
 
 class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
-    """Native vector environments whose observations and actions are rescaled; arguments as for `ScaledEnv`."""
+    """Wrapper that rescales observations and actions of native vector environments; arguments as for `ScaledEnv`."""
 
     def __init__(self, env: VectorEnv[Any, Any, Any], scaling: Rescaling, shaping: float | None = None) -> None:
         VectorWrapper.__init__(self, env)
@@ -69,24 +69,24 @@ class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
             self.single_action_space = scaling.answers
             self.action_space = batch_space(scaling.answers, self.num_envs)
         self.raw: Any = np.zeros((self.num_envs, scaling.inputs), dtype=np.float32)
-        """The latest observations, as the environments gave them."""
+        """The latest observations, before rescaling."""
         self._idle = np.zeros(self.num_envs, dtype=np.bool_)
 
     @property
     def autoreset_mode(self) -> AutoresetMode:
-        """The environments' autoreset mode; torchrl asks the outermost wrapper for it."""
+        """The environments' autoreset mode, which torchrl reads from the outermost wrapper."""
         return cast(AutoresetMode, self.metadata["autoreset_mode"])
 
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin episodes; the observations are the rescaled ones."""
+        """Begin episodes, and return the rescaled observations and the infos."""
         self.raw, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         self._idle[:] = False
         return self.scaling.shown(self.raw), infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Step with actions in the policy's scale, and return rescaled observations."""
+        """Step with a policy's actions, and return the rescaled observations."""
         before = self.raw
         commands = self.scaling.act(before, actions, self._most)
         self.raw, rewards, terminations, truncations, infos = self.env.step(commands)
@@ -105,10 +105,11 @@ class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
 
 
 class GapScaling(ScaledEnv, RecordConstructorArgs):
-    """Show the gap to the fruit by direction and logarithm, and take actions as shares of it, so that plain PPO learns.
+    """Show the gap to the fruit by direction and logarithm, and multiply actions by its size, so that PPO learns.
 
-    `pickenv/ReachScaled-v0` has the same, single and native. With n joints the observation is `Box(float32)` of n + 7
-    numbers, and the size of the gap is the larger of position over 100 mm and attitude over 0.2 rad, at least 1e-6:
+    `pickenv/ReachScaled-v0` does the same without a wrapper, also as a native vector environment. With n joints the
+    observation is `Box(float32)` of n + 7 numbers. The size of the gap is the larger of two ratios: its position over
+    100 mm and its attitude over 0.2 rad. It is at least 1e-6.
 
     | Num          | Observation                                                  | Min | Max | Unit         |
     |--------------|--------------------------------------------------------------|-----|-----|--------------|
@@ -117,8 +118,8 @@ class GapScaling(ScaledEnv, RecordConstructorArgs):
     | n+3 to n+5   | attitude gap (rotation vector), divided by the size          | -1  | 1   | 0.2 rad      |
     | n+6          | half the size's logarithm                                    | -3  | 3   | two decimals |
 
-    The gap is that between fruit and believed tool, or with ``feedback="camera"`` the one that the camera measures.
-    Actions are cut to -1 to 1 and, if the size is below one, multiplied by it.
+    The gap is the pose of the fruit relative to the believed tool. With ``feedback="camera"`` its position is the one
+    that the camera measures. Actions are clipped to -1 to 1 and, if the size is below one, multiplied by it.
 
     Args:
         env: A `pickenv/Reach-v0` or `pickenv/ReachIdeal-v0`.
@@ -140,7 +141,7 @@ class GapScaling(ScaledEnv, RecordConstructorArgs):
         """Wrap ``env``.
 
         Raises:
-            InputError: If the environment's observations are not the flat ones of a reach task.
+            InputError: If the observations are not the flat observations of a reach task.
         """
         RecordConstructorArgs.__init__(self, actions=actions)
         ScaledEnv.__init__(self, env, _scaling_of(env, env.observation_space, actions))
@@ -165,7 +166,7 @@ class GapScalingVector(ScaledVector, RecordConstructorArgs):
         """Wrap ``env``; ``actions`` as in `GapScaling`.
 
         Raises:
-            InputError: If the environments' observations are not the flat ones of a reach task, in NumPy's arrays.
+            InputError: If the observations are not the flat observations of a reach task, as NumPy arrays.
         """
         RecordConstructorArgs.__init__(self, actions=actions)
         if env.metadata.get("torch"):
@@ -174,7 +175,7 @@ class GapScalingVector(ScaledVector, RecordConstructorArgs):
 
 
 def _scaling_of(env: Any, space: spaces.Space[Any], actions: bool) -> Scaling:
-    """The scaling for an environment's observations; an `InputError` if they are not the flat ones of a reach task."""
+    """Return the scaling of a reach task's flat observations; raise an `InputError` if ``env`` has others."""
     task = getattr(env.unwrapped, "task", None)
     if not isinstance(task, Task) or space.shape != (scaling_of(task).inputs,):
         raise InputError("GapScaling reads flat observations; wrap a pickenv/Reach-v0 environment")

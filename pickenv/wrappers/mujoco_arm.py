@@ -1,7 +1,8 @@
-"""A real arm's error in somebody else's environment: the true tool acts and is judged, not the one that seems.
+"""A real arm's errors in another package's MuJoCo environment, whose success then depends on the true tool.
 
-Tasks on MuJoCo end where their perfect arm believes to be. Here the environment's own arm is that belief; the true tool
-differs from it by what a plant says at the same joints, and the policy never sees it. Metres, radians.
+In such environments the arm has no error. Here the environment's arm is the nominal arm, in which the controller
+believes. A plant or a geometry describes the true arm, and gives the true tool at the same joints. The policy never
+sees the true tool. Units: m, rad.
 """
 
 from __future__ import annotations
@@ -23,10 +24,10 @@ FAR = 1e-3
 
 
 def _physics(env: gym.Env[Any, Any]) -> tuple[Any, Any]:
-    """The environment's `mujoco.MjModel` and `mujoco.MjData`: its own, or those within its simulator, as robosuite's.
+    """Return the environment's `mujoco.MjModel` and `mujoco.MjData`, which may be inside its `sim`, as in robosuite.
 
     Raises:
-        InputError: If it has none.
+        InputError: If the environment has none.
     """
     inner: Any = env.unwrapped
     for holder in (inner, getattr(inner, "sim", None)):
@@ -38,18 +39,19 @@ def _physics(env: gym.Env[Any, Any]) -> tuple[Any, Any]:
 
 
 class _Hung:
-    """What hangs on the tool inside a model, and can be moved against it.
+    """The parts of a model that are fixed to the tool, which can be shifted to where the true tool has them.
 
-    Between last joint and tool site lie bodies whose frames stay: the site's readings and welds to mocap bodies depend
-    on them, and tasks that start each move from the welded body's place would creep if it were moved. Their geoms and
-    cameras move instead, and the bodies that they carry, such as fingers. Their own inertias stay.
+    The frames of the bodies between the last joint and the tool site stay where they are. The site's readings and welds
+    to mocap bodies depend on them. Tasks that start each move from the welded body's place would drift if it were
+    moved. Their geoms and cameras are shifted instead, as are the bodies that they carry, such as fingers. Their own
+    inertias stay.
     """
 
     def __init__(self, model: Any, data: Any, nominal: Geometry) -> None:
-        """Find them, at the present joints.
+        """Find the parts at the present joints.
 
         Raises:
-            InputError: If no site that is fixed to the last link stands at the nominal arm's tool.
+            InputError: If no site that is fixed to the last link is at the nominal arm's tool.
         """
         mujoco: Any = import_module("mujoco")
         still = mujoco.MjData(model)  # the environment's own data stay as they are
@@ -83,7 +85,7 @@ class _Hung:
         )
 
     def put(self, shift: Pose | None) -> None:
-        """Move them as the true tool stands in the believed one's frame; None puts them back."""
+        """Shift the parts by the pose of the true tool in the believed tool's frame; None puts them back."""
         for hint, numbers, usual, safe in self._hints:
             hint[numbers] = usual if shift is None else safe
         for place, turn, rows, home, aim, tool in self._parts:
@@ -96,18 +98,19 @@ class _Hung:
 
 
 class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
-    """Give the arm of another package's environment on MuJoCo the errors of a real arm.
+    """Give the arm of another package's MuJoCo environment the errors of a real arm.
 
-    The observation stays what the controller believes. `info` gets `tool_error_mm`, how far the true tool is from the
-    believed one.
+    Observations stay those of the nominal arm. `info` gets `tool_error_mm`, the distance between true and believed
+    tool.
 
-    Reaching tasks have Gymnasium-Robotics' goal interface (`achieved_goal`, `desired_goal`, `compute_reward`) and a
-    goal that is a position of the tool, commanded by joint or by tool targets. Reward and `info["is_success"]` judge
-    the true tool, and `info` gets `true_distance_mm`, how far it is from the goal.
+    Without ``contact``, the task must be a reaching task with Gymnasium-Robotics' goal interface (`achieved_goal`,
+    `desired_goal`, `compute_reward`). Its goal is a position of the tool, and actions are joint or tool targets. Reward
+    and `info["is_success"]` are then computed for the true tool, and `info` gets `true_distance_mm`, the distance of
+    the true tool from the goal.
 
-    In all other tasks (``contact``) fingers and whatever else hangs on the tool stand where the true arm has them, and
-    reward and success are the environment's own. Links before the last joint stay the nominal arm's. Parts are moved
-    once per step, without velocity: what a hand holds slips by as much as the error changes on the way.
+    With ``contact``, for all other tasks, fingers and all other parts fixed to the tool are shifted to where the true
+    arm has them. Reward and success are the environment's own. Links before the last joint are not shifted. Parts are
+    shifted once per step, without velocity, so a held object slips by as much as the error changes during a move.
 
     Example:
         >>> import gymnasium as gym
@@ -132,15 +135,16 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
         Args:
             env: The environment.
-            nominal: The environment's arm as its model has it (`geometry_in_mujoco`), with the model's joint names.
+            nominal: Geometry of the arm in the environment's model (`geometry_in_mujoco`), with the model's joint
+                names.
             true: The true arm: a plant without memory, or a geometry.
-            compensator: Turns joint targets into commands for the true arm, as a calibration does; None to send targets
-                as they are.
-            contact: Whether the task is more than to bring the tool to a goal: the true tool touches things.
+            compensator: Function from joint targets to joint commands of the true arm, such as a calibration's; None to
+                send targets unchanged.
+            contact: Whether the tool's parts are shifted, so that the true tool touches things; see the class.
 
         Raises:
-            InputError: If ``env`` is no environment on MuJoCo, or without ``contact`` no goal environment, or the arms
-                differ in their number of joints, or the plant has effects with a memory.
+            InputError: If ``env`` has no MuJoCo model, or without ``contact`` no goal interface, or if the arms differ
+                in their number of joints, or if the plant has effects with memory.
         """
         RecordConstructorArgs.__init__(self, nominal=nominal, true=true, compensator=compensator, contact=contact)
         gym.Wrapper.__init__(self, env)
@@ -159,7 +163,7 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._contact = contact
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Reset the environment; `info` gets the entries that the class names."""
+        """Reset the environment; `info` gets the entries that the class describes."""
         self._put_back()
         observation, info = self.env.reset(seed=seed, options=options)
         if self._contact:
@@ -168,7 +172,7 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return observation, self._judged(observation, info)
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Step the environment; reward and success judge the true tool, or what it did."""
+        """Step the environment; reward and success are those of the true tool, see the class."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         info = self._judged(observation, info)
         if not self._contact:
@@ -177,16 +181,16 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return observation, reward, terminated, truncated, info
 
     def close(self) -> None:
-        """Put the model back and close the environment."""
+        """Put the shifted parts back and close the environment."""
         self._put_back()
         super().close()
 
     def tool_error(self) -> Array:
-        """True minus believed tool position ``(3,)`` at the present joints, m, in the model's world frame."""
+        """Compute true minus believed tool position ``(3,)`` at the present joints, m, in the model's world frame."""
         return np.asarray(pose_error(*self._tools())[:3])
 
     def _tools(self) -> tuple[Pose, Pose]:
-        """The believed tool and the true one."""
+        """Compute the poses of the believed tool and of the true tool."""
         joints = joints_in_mujoco(*_physics(self.env), self._nominal)
         command = joints if self._compensator is None else np.asarray(self._compensator(joints), dtype=float)
         true = self._true.tool_pose(command) if isinstance(self._true, Plant) else forward(self._true, command)

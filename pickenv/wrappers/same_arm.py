@@ -1,9 +1,9 @@
-"""Wrappers in which a policy picks many fruit with one arm that it does not know, and learns to calibrate it.
+"""Wrappers in which a policy picks many fruit with one unknown arm, and so can learn to calibrate it.
 
-An episode is a run of picks on one true arm; the next episode may have another arm. `ManyCanopies` makes such runs of
-whole canopies. With `SameArm` an action is a whole pick. Before each pick the policy says how far to aim beside the
-fruit. The nominal arm is put at that aim and stands there, and the camera measures how far true and believed tool
-differ. These measurements at past picks are all that tells one arm from another. Units: m and rad.
+An episode is a run of picks on one true arm; the next episode may have another arm. In `ManyCanopies` a run consists of
+whole canopies. In `SameArm` an action is a whole pick. Before each pick the policy chooses how far to aim beside the
+fruit. The nominal arm goes to that aim and stays there, and the camera measures by how much true and believed tool
+differ. Only these measurements at past picks distinguish one arm from another. Units: m and rad.
 """
 
 from __future__ import annotations
@@ -32,26 +32,26 @@ from pickenv.envs.shared.spaces import flat_space, given_options
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Task, as_numbers, check_choice, check_count, check_number
 
 SEEN_MM = 5.0
-"""The arm's error that an observation shows as 1, mm."""
+"""Unit of the arm's errors in observations, mm."""
 
 MOST_SEEN = 20.0
-"""Largest number by which an observation shows an error, in units of `SEEN_MM`."""
+"""Bound of errors in observations, in units of `SEEN_MM`; larger errors are clipped."""
 
 SAME_ARM_REWARDS = ("measured", "true")
-"""The rewards of a pick: of the gap that the camera measured, or of the true tool, which no real arm knows."""
+"""Kinds of reward for a pick: from the gap that the camera measured, or from the true tool, which no real arm knows."""
 
 LONGEST_LOOK = 59
-"""Most steps that the arm may stand at a fruit: an environment's own time limit is 60."""
+"""Largest number of steps that the arm may stay at a fruit, since the environment's own time limit is 60."""
 
 
 @dataclass(frozen=True)
 class PickMemory:
-    """The layout of a policy's observation before a pick: the joints to go to, and the arm's errors at past picks.
+    """The layout of an observation before a pick: the joints at the fruit, and the arm's errors at past picks.
 
     Attributes:
         joints: Number of joints n.
         window: Number of past picks in an observation.
-        reach_mm: Largest shift of an aim, per axis.
+        reach_mm: Largest shift of an aim per axis, mm.
     """
 
     joints: int
@@ -60,7 +60,7 @@ class PickMemory:
 
     @property
     def token(self) -> int:
-        """Count of the numbers for one past pick: its joints, the arm's error in `SEEN_MM`, and 1 if it took place."""
+        """Count of the numbers for one past pick: its joints, the arm's error (3), and 1 if the pick took place."""
         return self.joints + 4
 
     @property
@@ -69,40 +69,52 @@ class PickMemory:
         return self.joints + self.window * self.token
 
     def space(self) -> spaces.Box:
-        """Space of the observations."""
+        """Return the space of the observations."""
         ones = [1.0] * self.joints
         high = np.array(ones + [*ones, *[MOST_SEEN] * 3, 1.0] * self.window, dtype=np.float32)
         return spaces.Box(-high, high, dtype=np.float32)
 
     def empty(self, rows: int) -> NDArray[np.float32]:
-        """Tokens ``(rows, window, token)`` of arms that have not picked yet."""
+        """Return the tokens ``(rows, window, token)`` of arms that have not picked yet, which are zeros."""
         return np.zeros((rows, self.window, self.token), dtype=np.float32)
 
     def after(self, tokens: NDArray[np.float32], joints: Array, error: Array) -> NDArray[np.float32]:
-        """Tokens ``(N, window, token)`` after a pick at scaled ``joints (N, n)`` with the arm's ``error (N, 3)``, m."""
+        """Add a pick to the tokens, and drop the oldest one.
+
+        Args:
+            tokens: Tokens before the pick ``(N, window, token)``, newest first.
+            joints: Scaled joints of the pick ``(N, n)``.
+            error: True minus believed tool position at the pick ``(N, 3)``, m.
+        """
         errors = (error / (SEEN_MM * 1e-3)).clip(-MOST_SEEN, MOST_SEEN)
         new = np.concatenate([joints, errors, np.ones((len(joints), 1))], axis=1)[:, None].astype(np.float32)
         return np.concatenate([new, tokens[:, :-1]], axis=1)
 
     def shown(self, joints: Array, tokens: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Observations ``(N, inputs)`` before a pick for which the nominal arm goes to scaled ``joints (N, n)``."""
+        """Return observations ``(N, inputs)`` before a pick, from scaled ``joints (N, n)`` and the ``tokens``."""
         return np.concatenate([joints, tokens.reshape(len(tokens), -1)], axis=1, dtype=np.float32)
 
     def aim(self, geometry: Geometry, joints: Array, actions: Any) -> Array:
-        """Joints ``(N, n)`` that aim ``actions (N, 3)``, in the base frame, beside the fruit at nominal ``joints``."""
+        """Compute the joints ``(N, n)`` with which the nominal arm aims beside the fruit.
+
+        Args:
+            geometry: The nominal arm.
+            joints: Joints of the nominal arm at the fruit ``(N, n)``, rad or m.
+            actions: Shifts of the aim ``(N, 3)``, base frame, as shares of `reach_mm`.
+        """
         shift = np.clip(actions, -1.0, 1.0) * (self.reach_mm * 1e-3)
         back = truncated_inverse(joint_jacobian(geometry, joints))[..., :3]
         return np.asarray((joints + np.einsum("...ij,...j->...i", back, shift)).clip(geometry.lower, geometry.upper))
 
 
 def scaled_joints(geometry: Geometry, joints: Array) -> Array:
-    """Joints ``(..., n)`` scaled to -1 to 1 between their limits."""
+    """Scale joints ``(..., n)`` from their limits to -1 to 1."""
     low, high = geometry.lower, geometry.upper
     return np.asarray(2.0 * (joints - low) / (high - low) - 1.0)
 
 
 class _Run:
-    """The present run of each arm, one per row; every pose follows from the row's seed and the pick's number."""
+    """The present run of each arm, one arm per row; each pose follows from the row's seed and the pick's number."""
 
     def __init__(
         self, task: Task, rows: int, *, picks: int, window: int, looks: int, reach_mm: float, reward: str
@@ -125,12 +137,12 @@ class _Run:
         self.joints: Array = np.zeros((rows, task.joints))
 
     def begin(self) -> None:
-        """Begin new runs: forget the picks of the last arms, and draw the first poses."""
+        """Begin new runs: clear the picks of the last arms, and draw the first poses."""
         self.pick, self.tokens = 0, self.memory.empty(len(self.seeds))
         self.draw()
 
     def draw(self) -> None:
-        """Draw the next poses: the first that fits in each row's stream, as the environment itself would draw them."""
+        """Draw the next poses as the environment itself would: the first fitting pose in each row's random stream."""
         streams = stream_key(NUMPY, episode_key(NUMPY, self.seeds, self.count), GOAL)
         self.count = self.count + np.uint64(1)
         rows = np.arange(len(streams))
@@ -144,15 +156,15 @@ class _Run:
 
     @property
     def scaled(self) -> Array:
-        """The present joints, scaled to -1 to 1 between their limits."""
+        """The present joints, scaled from their limits to -1 to 1."""
         return scaled_joints(self.geometry, self.joints)
 
     def shown(self) -> NDArray[np.float32]:
-        """The present observations."""
+        """Return the present observations."""
         return self.memory.shown(self.scaled, self.tokens)
 
     def options(self, actions: Any, arms: Any) -> dict[str, Any]:
-        """Options of a reset that puts the arms where the actions aim, before the present fruit."""
+        """Return the options of a reset that puts the arms at the aims of ``actions``, before the present fruit."""
         shifts = as_numbers("actions", actions)
         if shifts.shape != (len(self.joints), 3) or not np.isfinite(shifts).all():
             raise InputError(f"actions have shape {shifts.shape}; give {len(self.joints)} times 3 finite numbers")
@@ -160,17 +172,17 @@ class _Run:
         return options if self.task.arms == "fixed" else options | {"arm": arms}
 
     def seed(self, seeds: Sequence[int | None], generator: np.random.Generator) -> None:
-        """Begin the stream of poses in each row that is given a seed, or that has drawn no pose yet."""
+        """Begin the random stream of poses in each row that gets a seed or has not drawn a pose yet."""
         for i, seed in enumerate(seeds):
             if seed is not None or not self.count[i]:
                 self.seeds[i] = seed_word(fresh_seed(generator) if seed is None else int(seed))
                 self.count[i] = 0
 
     def stand(self, env: Any, still: Array) -> tuple[Any, Any]:
-        """Let the arms stand, remember by how much believed and true tool differ, and go on to the next poses.
+        """Let the arms stay in place, store by how much true and believed tool differ, and draw the next poses.
 
         Returns:
-            The rewards, of what the camera measured on average or of the true tool, and the infos of the last step.
+            The rewards, from the camera's mean measurement or from the true tool, and the infos of the last step.
         """
         n, error, gap = self.task.joints, *np.zeros((2, len(self.joints), 3))
         for _ in range(self.looks):
@@ -188,7 +200,7 @@ class _Run:
 
 
 class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArgs):
-    """`SameArm` for the native vector environments: all arms pick at once, and the step that ends runs begins new ones.
+    """`SameArm` for native vector environments. All arms pick at once, and the step that ends the runs begins new runs.
 
     Example:
         >>> import gymnasium as gym
@@ -232,7 +244,7 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin runs on newly drawn arms, or on those whose numbers ``options["arm"]`` gives."""
+        """Begin runs on newly drawn arms, or on the arms whose numbers are in ``options["arm"]``."""
         options = given_options(options, ("arm",))
         self.run.seed(checked_seeds(seed, self.num_envs), self.env.unwrapped.np_random)
         _, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
@@ -255,14 +267,14 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         return observations, rewards, np.zeros_like(done), done, infos
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
-        """The arrays of everything that the next step depends on, for a checkpoint."""
+        """Return all arrays that the next step depends on, for a checkpoint."""
         run, inner = self.run, cast(Any, self.env.unwrapped)
         parts = {"seeds": run.seeds, "count": run.count, "tokens": run.tokens, "joints": run.joints, "arms": self._arms}
         arrays = {f"run/{key}": np.array(value) for key, value in (parts | {"pick": run.pick}).items()}
         return {**arrays, **inner.state_arrays()}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
-        """Take over the arrays that `state_arrays` of environments with the same arguments returned."""
+        """Restore the arrays that `state_arrays` of environments with the same arguments returned."""
         run, parts = self.run, {key: value.copy() for key, value in part_of(state, "run/").items()}
         run.seeds, run.count, run.tokens, run.joints = (parts[key] for key in ("seeds", "count", "tokens", "joints"))
         run.pick, self._arms = int(parts["pick"]), parts["arms"]
@@ -282,16 +294,17 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
 
 
 class SameArmMixture(VectorEnv[Any, Any, Any]):
-    """Several `SameArmVector` side by side as one, for learning on arms of several plants.
+    """Several `SameArmVector` joined into one vector environment, for learning on arms of several plants.
 
-    A row is what it would be in its own part with the same seed. All runs have the same length, so all end at once.
+    Each environment behaves as it would in its own part with the same seed. All runs have the same length, so they all
+    end in the same step.
 
     Change log:
      * v0.3.0 - Added.
 
     Attributes:
-        parts: The parts, the first one's rows first.
-        task: The task of the first part; every part has its nominal arm.
+        parts: The joined vector environments, in the order of their environments.
+        task: The task of the first part; all parts have the same nominal arm.
         run: The run of the first part.
     """
 
@@ -299,7 +312,7 @@ class SameArmMixture(VectorEnv[Any, Any, Any]):
         """Join ``parts``.
 
         Raises:
-            InputError: If there are none, or their nominal arms or their runs differ.
+            InputError: If there are no parts, or their nominal arms or the arguments of their runs differ.
         """
         arms = [part.run.task.plant.arm for part in parts]
         runs = {(part.run.picks, part.run.looks, part.run.measured, part.run.memory) for part in parts}
@@ -318,7 +331,7 @@ class SameArmMixture(VectorEnv[Any, Any, Any]):
     def reset(
         self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Any, dict[str, Any]]:
-        """Begin runs on newly drawn arms; there are no options."""
+        """Begin runs on newly drawn arms; ``options`` must be empty."""
         given_options(options, ())
         shares = np.split(np.array(checked_seeds(seed, self.num_envs), dtype=object), self._ends)
         done = [part.reset(seed=share.tolist()) for part, share in zip(self.parts, shares, strict=True)]
@@ -333,28 +346,28 @@ class SameArmMixture(VectorEnv[Any, Any, Any]):
         return observations, rewards, ended, cut, _joined(infos)
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
-        """The arrays of everything that the next step depends on, for a checkpoint."""
+        """Return all arrays that the next step depends on, for a checkpoint."""
         return {f"{k}/{key}": value for k, part in enumerate(self.parts) for key, value in part.state_arrays().items()}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
-        """Take over the arrays that `state_arrays` of a mixture of the same parts returned."""
+        """Restore the arrays that `state_arrays` of a mixture of the same parts returned."""
         for k, part in enumerate(self.parts):
             part.take_state_arrays(part_of(state, f"{k}/"))
 
 
 def _joined(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Infos of several vectors as those of one."""
+    """Join the infos of several vector environments."""
     columns = {key: [each[key] for each in infos] for key in infos[0]}
     return {key: (_joined if key == "final_info" else np.concatenate)(column) for key, column in columns.items()}
 
 
 class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
-    """Pick fruit after fruit with one unknown arm, one action a fruit: a task of calibrating while picking.
+    """Pick fruit after fruit with one unknown arm, one action per fruit: a task of calibrating while picking.
 
-    An episode is a run of ``picks`` fruit of `pickenv/Reach-v0` on one true arm. The nominal arm's joints at a fruit
-    are known; the action says how far to aim beside it: x, y, z of the base frame in shares of ``reach_mm``. The arm is
-    put at that aim, stands ``looks`` steps, and the camera's measurements are averaged. With n joints the observation
-    is `Box(float32)` of n + window (n + 4) numbers:
+    An episode is a run of ``picks`` fruit of `pickenv/Reach-v0` on one true arm. The nominal arm's joints at each fruit
+    are given. The action is the shift of the aim beside the fruit, x, y, z in the base frame, as shares of
+    ``reach_mm``. The arm is put at that aim and stays there for ``looks`` steps, and the camera's measurements are
+    averaged. With n joints the observation is `Box(float32)` of n + window (n + 4) numbers:
 
     | Num       | Observation                                                        | Min | Max | Unit |
     |-----------|--------------------------------------------------------------------|-----|-----|------|
@@ -363,12 +376,12 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     | then 3    | true minus believed tool there, as the camera saw it               | -20 | 20  | 5 mm |
     | then 1    | whether there was such a pick                                      | 0   | 1   | 1    |
 
-    The reward of a pick is that of `pickenv/Reach-v0` for the gap between tool and fruit that the camera measured, the
-    mean of all looks: what a real arm could measure. A policy may therefore be shown it. With `reward="true"` it is of
-    the true tool; it has no noise, so that a few probing aims would locate the fruit. Use it for training only. A run
-    is truncated after its last pick. `info` has the errors of `pickenv/Reach-v0`, the number of picks so far as `pick`,
-    and the arm's number as `arm`. Make the environment with `arms="per_episode"`, else every run has the same arm;
-    `reset(options={"arm": number})` chooses one.
+    The reward of a pick is that of `pickenv/Reach-v0` for the gap between tool and fruit that the camera measured,
+    averaged over all looks. A real arm could measure it, so a policy may observe it. With `reward="true"` the reward is
+    computed from the true tool. It has no noise, so that a few probing aims would locate the fruit. Use it for training
+    only. A run is truncated after its last pick. `info` has the errors of `pickenv/Reach-v0`, the number of picks so
+    far as `pick`, and the arm's number as `arm`. Make the environment with `arms="per_episode"`, else every run has the
+    same arm. `reset(options={"arm": number})` chooses an arm.
 
     Example:
         >>> import gymnasium as gym
@@ -393,9 +406,9 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             env: A `pickenv/Reach-v0` with a camera.
             picks: Number of fruit in a run.
             window: Number of past picks in the observation; a recurrent policy needs only one.
-            looks: Steps that the arm stands before each fruit.
-            reach_mm: Largest shift of an aim, per axis.
-            reward: "measured", of the gap that the camera saw, or "true", for training in simulation alone.
+            looks: Number of steps that the arm stays at each fruit.
+            reach_mm: Largest shift of an aim per axis, mm.
+            reward: "measured", from the gap that the camera measured, or "true", for training in simulation only.
 
         Raises:
             InputError: If ``env`` is no flat `pickenv/Reach-v0` with a camera, or an argument is impossible.
@@ -413,7 +426,7 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._arm = 0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin a run on a newly drawn arm, or on the one whose number ``options["arm"]`` gives."""
+        """Begin a run on a newly drawn arm, or on the arm with the number ``options["arm"]``."""
         options = given_options(options, ("arm",))
         _, info = self.env.reset(seed=seed, options=options)
         inner: Any = self.env.unwrapped
@@ -435,17 +448,18 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
 
 class ManyCanopies(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
-    """Pick canopy after canopy with one unknown arm in the course of a day: the task of calibrating while picking.
+    """Pick canopy after canopy with one unknown arm in the course of a day: a task of calibrating while picking.
 
-    An episode is a run of ``canopies`` episodes of `pickenv/Pick-v0` on one true arm, which warms up and sinks from
-    canopy to canopy: the hours for which it has been on rise evenly through ``hours``. Observations and actions are
-    those of the environment. With `feedback="gripper"` each fruit that the gripper took shows how far arm and camera
-    err there. The step that ends a canopy shows the next one. The run is truncated after the last.
+    An episode is a run of ``canopies`` episodes of `pickenv/Pick-v0` on one true arm. The arm warms up and sinks into
+    the ground from canopy to canopy. Its hours since switch-on increase linearly from the first to the last of
+    ``hours``. Observations and actions are those of the environment. With `feedback="gripper"` each fruit in the
+    gripper shows the error of arm and camera there. The step that ends a canopy returns the first observation of the
+    next one. The run is truncated after the last canopy.
 
-    The reward of a step is 1 for each fruit that comes into the bin, less 0.002: what a real arm could measure. A
-    policy may therefore be shown it. With `reward="true"` it is that of `pickenv/Pick-v0`, which knows of every bruise.
-    `info` is that of the environment, with the number of canopies done as `canopy`, the arm's number as `arm`, and
-    the fruit `attempted` and `collected` in the whole run so far as `run_attempted` and `run_collected`.
+    The reward of a step is 1 for each collected fruit, minus 0.002. A real arm could measure it, so a policy may
+    observe it. With `reward="true"` it is the reward of `pickenv/Pick-v0`, which includes damage. `info` is that of the
+    environment, with four more entries: `canopy` (number of finished canopies), `arm` (the arm's number), and
+    `run_attempted` and `run_collected` (counts of fruit in the run so far).
 
     Example:
         >>> import gymnasium as gym
@@ -466,10 +480,11 @@ class ManyCanopies(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         """Wrap ``env``.
 
         Args:
-            env: A `pickenv/Pick-v0`; make it with `arms="per_episode"`, or on the ladder, else every run has one arm.
+            env: A `pickenv/Pick-v0`. Make it with `arms="per_episode"` or with a `difficulty` that has a population,
+                else every run has the same arm.
             canopies: Number of canopies in a run.
-            hours: Hours for which the arm has been on before the first canopy, and before the last.
-            reward: "measured", of what a real arm could measure, or "true", for training in simulation alone.
+            hours: Hours for which the arm has been switched on at the first and at the last canopy.
+            reward: "measured", which a real arm could measure, or "true", for training in simulation only.
 
         Raises:
             InputError: If ``env`` is no `pickenv/Pick-v0`, or an argument is impossible.
@@ -487,13 +502,13 @@ class ManyCanopies(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         self._canopy, self._binned = 0, 0
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None) -> tuple[Any, dict[str, Any]]:
-        """Begin a run on a newly drawn arm, or on the one whose number ``options["arm"]`` gives."""
+        """Begin a run on a newly drawn arm, or on the arm with the number ``options["arm"]``."""
         options = given_options(options, ("arm",))
         self._canopy, self._done[:] = 0, 0
         return self._begin(seed, options)
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Act for one period; where that ends a canopy, go to the next."""
+        """Act for one period; if that ends a canopy, begin the next one."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         if self.measured:
             before, self._binned = self._binned, int(self._inner.scene.collected.sum())

@@ -1,4 +1,4 @@
-"""The native vector environments for Stable-Baselines3, which has no adapter of its own for Gymnasium's `VectorEnv`."""
+"""Adapter from vector environments to Stable-Baselines3, which has none for Gymnasium's `VectorEnv`."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from pickenv.wrappers.gap import ScaledVector
 
 
 def make_sb3_vec(id: str, num_envs: int, *, compensator: Compensate | None = None, **arguments: Any) -> Sb3Vec:
-    """N copies of a registered environment as one Stable-Baselines3 `VecEnv`.
+    """Make N copies of a registered environment as one Stable-Baselines3 `VecEnv`.
 
     Args:
         id: Name of the environment, for example "pickenv/Reach-v0".
         num_envs: N.
-        compensator: A compensator to put between policy and arms, or None.
+        compensator: A calibration's compensator, to correct joint targets for the drives, or None.
         arguments: Arguments of the environment.
 
     Example:
@@ -41,11 +41,11 @@ def make_sb3_vec(id: str, num_envs: int, *, compensator: Compensate | None = Non
 
 
 class Sb3Vec(VecEnv):
-    """A `VecEnv` around a vector environment whose autoreset mode is "SameStep" or "Disabled".
+    """A Stable-Baselines3 `VecEnv` around a vector environment with the autoreset mode "SameStep" or "Disabled".
 
-    `infos` of an episode's last step hold `terminal_observation`, `TimeLimit.truncated`, all numbers of the last `info`
-    (`is_success`, errors in mm and degrees, or what became of the fruit), and `episode` with the sum of rewards "r" and
-    the length "l", so that no monitor is needed; the `infos` of other steps are empty.
+    The `infos` of an episode's last step hold `terminal_observation`, `TimeLimit.truncated` and all numbers of the last
+    `info`, such as `is_success`, errors in mm and degrees, or counts of fruit. They also hold `episode` with the sum of
+    rewards "r" and the length "l", so that no monitor is needed. The `infos` of other steps are empty.
 
     Args:
         envs: The environments.
@@ -61,14 +61,14 @@ class Sb3Vec(VecEnv):
         if self.mode is AutoresetMode.NEXT_STEP:
             raise InputError("Stable-Baselines3 needs autoreset_mode 'SameStep' or 'Disabled', not 'NextStep'")
         self.seen: Any = None
-        """The present observations."""
+        """The latest observations."""
         self._actions: Any = None
         self._returns = np.zeros(envs.num_envs)
         self._lengths = np.zeros(envs.num_envs, dtype=np.int64)
         super().__init__(envs.num_envs, envs.single_observation_space, envs.single_action_space)
 
     def reset(self) -> Any:
-        """Begin episodes in all environments, with the seeds and options that were set."""
+        """Begin episodes in all environments, with the seeds and options that were set before."""
         options = [entry for entry in self._options if entry]
         if options and any(entry != options[0] for entry in self._options):
             raise InputError("options differ between environments; give all the same")
@@ -79,17 +79,17 @@ class Sb3Vec(VecEnv):
         return self.seen
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """Give each environment a seed of its own for the next reset; trainings with different seeds share none."""
+        """Set a different seed for each environment at the next reset; no two values of ``seed`` share a seed."""
         sequence = np.random.SeedSequence(seed) if seed is None else stream(seed, "training")
         self._seeds = list(seed_words(sequence, self.num_envs))
         return self._seeds
 
     def step_async(self, actions: NDArray[Any]) -> None:
-        """Keep the actions for `step_wait`."""
+        """Store the actions for `step_wait`."""
         self._actions = actions
 
     def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Act in all environments with the actions that `step_async` kept."""
+        """Act in all environments with the actions that `step_async` stored."""
         self.seen, rewards, terminations, truncations, batch = self.envs.step(self._actions)
         self._returns += rewards
         self._lengths += 1
@@ -110,7 +110,7 @@ class Sb3Vec(VecEnv):
     def _endings(
         self, rows: NDArray[np.intp], last: Any, final: dict[str, Any], cut: NDArray[np.bool_]
     ) -> list[dict[str, Any]]:
-        """Infos of the episodes that ended in the environments ``rows``."""
+        """Return the infos of the episodes that ended in the environments ``rows``."""
         columns: dict[str, Any] = {"terminal_observation": [last[i].copy() for i in rows]}
         columns["TimeLimit.truncated"] = cut[rows].tolist()
         numbers = {key: values for key, values in final.items() if key[0] != "_" and np.ndim(values) == 1}
@@ -120,7 +120,7 @@ class Sb3Vec(VecEnv):
         return [dict(zip(columns, values, strict=True)) for values in zip(*columns.values(), strict=True)]
 
     def state(self) -> dict[str, NDArray[Any]]:
-        """Arrays of everything that the next step depends on, for a checkpoint; only native environments on NumPy."""
+        """Return all arrays that the next step depends on, for a checkpoint of native environments on NumPy."""
         scaled = self._scaled()
         observations = self.seen if scaled is None else scaled.raw
         observations = observations if isinstance(observations, dict) else {"flat": observations}
@@ -129,7 +129,7 @@ class Sb3Vec(VecEnv):
         return {key: np.array(value) for key, value in arrays.items()}
 
     def take_state(self, state: dict[str, NDArray[Any]]) -> None:
-        """Take over the arrays that `state` of environments with the same arguments returned."""
+        """Restore the arrays that `state` of environments with the same arguments returned."""
         self._returns, self._lengths = state["returns"].copy(), state["lengths"].copy()
         observations = {key: value.copy() for key, value in part_of(state, "raw/").items()}
         self.seen = observations.get("flat", observations)
@@ -138,7 +138,7 @@ class Sb3Vec(VecEnv):
         self._remembering().take_state_arrays(part_of(state, "env/"))
 
     def _layers(self) -> Iterator[Any]:
-        """The wrappers, from the outermost inwards, and then the wrapped environments."""
+        """Yield the wrappers from the outermost to the innermost, and then the wrapped environments."""
         env: Any = self.envs
         while isinstance(env, VectorWrapper):
             yield env
@@ -146,11 +146,11 @@ class Sb3Vec(VecEnv):
         yield env
 
     def _remembering(self) -> Any:
-        """The outermost layer that can give its own state, and that of all layers inside it, as arrays."""
+        """Return the outermost layer with `state_arrays`, which includes the state of all layers inside it."""
         return next(env for env in self._layers() if hasattr(env, "state_arrays"))
 
     def _scaled(self) -> ScaledVector | None:
-        """The wrapper that scales the environments, or None."""
+        """Return the wrapper that scales the environments, or None."""
         return next((env for env in self._layers() if isinstance(env, ScaledVector)), None)
 
     def close(self) -> None:
@@ -158,7 +158,7 @@ class Sb3Vec(VecEnv):
         self.envs.close()
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
-        """The environments' common attribute, once per index."""
+        """Return an attribute that all environments share, once per index."""
         return [getattr(self.envs.unwrapped, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
@@ -174,15 +174,15 @@ class Sb3Vec(VecEnv):
     def env_method(
         self, method_name: str, *arguments: Any, indices: int | Iterable[int] | None = None, **named: Any
     ) -> list[Any]:
-        """Call a method of the environments, once per index."""
+        """Call a method of the vector environment once per index, and return the results."""
         return [getattr(self.envs.unwrapped, method_name)(*arguments, **named) for _ in self._get_indices(indices)]
 
     def env_is_wrapped(self, wrapper_class: Any, indices: int | Iterable[int] | None = None) -> list[bool]:
-        """Whether a wrapper of this class is around the environments, once per index; never of `gym.Wrapper`."""
+        """Return, once per index, whether a vector wrapper of this class is around the environments."""
         wrapped = any(isinstance(env, wrapper_class) for env in self._layers())
         return [wrapped] * len(list(self._get_indices(indices)))
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """One picture per environment."""
+        """Draw one picture per environment; return None for each without a render mode."""
         pictures: Any = self.envs.render()
         return [None] * self.num_envs if pictures is None else list(pictures)

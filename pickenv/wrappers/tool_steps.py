@@ -1,8 +1,9 @@
-"""Wrappers for picking with steps of the tool in place of joint increments, and the gap shown by size and direction.
+"""Wrappers for picking with steps of the tool instead of joint increments, and the gap shown by size and direction.
 
 A policy that moves joints must learn the arm's kinematics before it can learn to pick. Here the nominal Jacobian turns
-a step of the believed tool, kept upright, into joint increments; near the fruit a step is a share of the gap that
-remains, as in `pickenv.wrappers.GapScaling`. Only what the controller knows is used. Units: m, rad.
+a step of the believed tool, which is kept upright, into joint increments. Near the fruit, steps are multiplied by the
+size of the gap, as in `pickenv.wrappers.GapScaling`. All formulas use observations and the nominal arm only. Units: m,
+rad.
 """
 
 from __future__ import annotations
@@ -25,39 +26,39 @@ from pickenv.envs.shared.task import MOST_ACTION, as_numbers
 from pickenv.wrappers.gap import ScaledEnv, ScaledVector
 
 LARGEST = 0.03
-"""Length that an action of 1 adds to the tool's step in one period, m; at 10 Hz this is 0.3 m/s."""
+"""Length that an action of 1 adds to the tool's step in one period, m; with periods of 0.1 s this is 0.3 m/s."""
 
 NEAR = 0.05
 """Gap below which steps shrink in proportion to the gap, m."""
 
 SERVO = 0.5
-"""Share of the largest step by which the tool goes straight to the fruit if the action is zero."""
+"""Step towards the fruit if the action is zero, as a share of the step that an action of 1 adds."""
 
 ARRIVED = 2e-4
-"""Gap below which the arm stands still, m."""
+"""Gap below which the arm does not move, m."""
 
 CLOSING = 0.015
-"""Gap above which the gripper does not close, m: about the largest from which it can take a fruit."""
+"""Gap above which the gripper does not close, m: about the largest gap at which it can take a fruit."""
 
 UPRIGHT = 0.1
-"""Length that weighs as much as a radian of tilt, m."""
+"""Length whose error has the same weight as a tilt of one radian, m."""
 
 DAMPING = 1e-4
-"""Damping of the Jacobian's inverse, as a share of the mean square of the Jacobian's rows."""
+"""Damping of the Jacobian's inverse, as a share of the mean squared norm of the Jacobian's rows."""
 
 CENTRING = 0.1
-"""Share of a joint's way to mid-range that a full step adds, as far as the tool's motion does not change."""
+"""Share of each joint's way to mid-range that a full step adds in the Jacobian's null space."""
 
 COLLECTING = 0.08
-"""Distance that the tool goes down until a fruit off its stem is collected, m."""
+"""Distance by which the tool must go down to collect a detached fruit, m."""
 
 MOVES = 2
-"""Count of the numbers before the gripper's in a policy's action."""
+"""Count of the numbers for the tool in a policy's action, before the gripper's number."""
 
 
 @dataclass(frozen=True, eq=False)
 class ToolSteps(Rescaling):
-    """Formulas from the observations of `pickenv/Pick-v0` to a policy's, and from steps of the tool to its actions.
+    """Formulas that turn observations of `pickenv/Pick-v0` into a policy's, and steps of the tool into its actions.
 
     Attributes:
         geometry: The nominal arm.
@@ -71,12 +72,12 @@ class ToolSteps(Rescaling):
 
     @property
     def joints(self) -> int:
-        """Number of joints: the numbers of an environment's action before the gripper's."""
+        """Number of joints."""
         return self.geometry.joints
 
     @property
     def header(self) -> dict[str, list[float]]:
-        """The entries that a policy's file has about these formulas; the arm is stored by its name."""
+        """The entries of a policy's file that describe these formulas, apart from the arm's name."""
         return {"increment": self.increment.tolist()}
 
     @property
@@ -103,7 +104,7 @@ class ToolSteps(Rescaling):
         return spaces.Box(-1.0, 1.0, (self.outputs,), dtype=np.float32)
 
     def observe(self, values: Any, xp: Any = np) -> Any:
-        """The numbers ``(..., features)`` that the policy sees; ``xp`` is numpy or torch."""
+        """Compute the policy's observations ``(..., features)``; see `Rescaling.observe`."""
         n = self.joints
         gap, turn, others = values[..., n + 6 : n + 9], values[..., n + 9 : n + 12], values[..., n + 12 :]
         far, aside, up = _length(gap), _length(gap[..., :2]), gap[..., 2:]
@@ -113,10 +114,10 @@ class ToolSteps(Rescaling):
         return xp.concatenate((values[..., :n], *shares, xp.clip(_length(turn) ** 2, 0.0, 1.0), others), -1)
 
     def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
-        """Joint increments and gripper ``(..., n + 1)`` for steps of the tool and gripper ``(..., 3)``.
+        """Compute the environment's actions ``(..., n + 1)`` from a policy's ``(..., 3)``.
 
-        Actions of another shape, and numbers larger than ``most`` or not finite, are handed on for the environment to
-        refuse.
+        Actions of another shape are passed on unchanged, so that the environment raises the error. Numbers larger than
+        ``most``, or not finite, become numbers that the environment refuses.
         """
         numbers = as_numbers("actions", actions)
         if numbers.shape != (*values.shape[:-1], self.outputs):
@@ -126,7 +127,7 @@ class ToolSteps(Rescaling):
         return np.where(wrong, np.inf if most == MOST_ACTION["clip"] else 2.0, commands).astype(np.float32)
 
     def commands(self, values: NDArray[Any], actions: Any) -> Any:
-        """Joint increments and gripper ``(..., n + 1)`` for a policy's ``actions``, which lie between -1 and 1."""
+        """Compute joint increments and gripper ``(..., n + 1)`` from a policy's ``actions``, which are from -1 to 1."""
         n = self.joints
         holding = (values[..., n + 14 : n + 16] > 0.5).any(axis=-1, keepdims=True)
         away = ~holding & (_length(values[..., n + 6 : n + 9]) > CLOSING)
@@ -135,9 +136,10 @@ class ToolSteps(Rescaling):
         return np.concatenate([steps, np.where(away, np.minimum(gripper, 0.0), gripper)], axis=-1)
 
     def joint_steps(self, values: Array, steps: Array) -> Array:
-        """Shares of the joints' largest increments ``(..., n)`` for ``steps`` of the tool.
+        """Compute shares of the joints' largest increments ``(..., n)`` for ``steps`` of the tool ``(..., 2)``.
 
-        Of a step's two numbers the first goes sideways, towards the vertical line through the fruit, the second up.
+        The first number of a step is sideways, towards the vertical line through the fruit. The second is upwards.
+        ``values`` are the environment's observations.
         """
         n, low, high = self.joints, self.geometry.lower, self.geometry.upper
         q = low + (values[..., :n] + 1.0) / 2.0 * (high - low)
@@ -161,10 +163,10 @@ class ToolSteps(Rescaling):
         return np.asarray(joint_step / np.maximum(1.0, np.abs(joint_step).max(axis=-1, keepdims=True)))
 
     def potential(self, values: NDArray[Any]) -> Any:
-        """How far the pick has got, ``(...)`` from 0 to 0.8.
+        """Compute the progress of the pick, ``(...)`` from 0 to 0.8, for reward shaping.
 
-        The value grows with the gap's decades up to 0.35, then is 0.5 with the fruit in hand, 0.6 once it is off its
-        stem, and up to 0.8 on its way down.
+        Before the grasp it grows with the logarithm of the gap up to 0.35. It is 0.5 with a fruit in the gripper and
+        0.6 once the fruit is detached. It then grows up to 0.8 as the fruit is brought down.
         """
         n = self.joints
         gap = np.asarray(values[..., n + 6 : n + 9], dtype=float)
@@ -175,16 +177,17 @@ class ToolSteps(Rescaling):
 
 
 class ToolStepping(ScaledEnv, RecordConstructorArgs):
-    """Pick with steps of the tool, so that plain PPO learns to pick.
+    """Pick with steps of the tool, so that PPO learns to pick.
 
-    An action of zero only brings the believed tool straight to the fruit; the policy has to learn how to come from
+    An action of zero only moves the believed tool straight to the fruit. The policy has to learn how to approach from
     below, how fast, and when to grasp, twist and retreat (a residual policy; Silver et al. 2018). An action has three
-    numbers from -1 to 1. The first adds to the step sideways, the second to the step up: 1 adds 30 mm where zero alone
-    goes 15, and below 50 mm both shrink in proportion to the gap. With a fruit in the gripper the first has no effect,
-    and the second moves the tool up or down by up to 30 mm. The third is the gripper: it closes above zero, but not
-    more than 15 mm from the fruit, and twists by 0.25 N m more than the number says; it never lets go. The tool is kept
-    upright, and the arm stands still once the gap is below 0.2 mm. With n joints the observation is `Box(float32)` of
-    n + 12 numbers:
+    numbers from -1 to 1. The first adds to the sideways step, the second to the upward step. An action of zero moves 15
+    mm towards the fruit, and 1 adds 30 mm; below a gap of 50 mm both shrink in proportion to the gap. With a fruit in
+    the gripper the first number has no effect, and the second moves the tool up or down by up to 30 mm. The third is
+    the gripper. An empty gripper closes above zero, if the gap is at most 15 mm. With a fruit, the torque is 0.25 N m
+    more than the number stands for in `pickenv/Pick-v0`. The gripper never opens again. The tool is kept upright,
+    and the arm does not move once the gap is below 0.2 mm. With n joints the observation is `Box(float32)` of n + 12
+    numbers:
 
     | Num          | Observation                                                        | Min | Max | Unit         |
     |--------------|--------------------------------------------------------------------|-----|-----|--------------|
@@ -197,11 +200,12 @@ class ToolStepping(ScaledEnv, RecordConstructorArgs):
 
     Args:
         env: A `pickenv/Pick-v0`.
-        shaping: A discount g: each step's reward gets g P' - P added, where P before and P' after the step are
-            0.35 (1 - log10(1 + gap in mm) / 3), at least 0, before the grasp, 0.5 with the fruit in hand, 0.6 once it
-            is off its stem, up to 0.8 on its way down, and 0 once no fruit is left. This does not change which policy
-            gets most by rewards discounted with g (Ng, Harada and Russell 1999); 1 is for the sum of rewards. None, the
-            default, leaves the reward as it is.
+        shaping: A discount g, above 0 and at most 1, or None. With g, each reward gets g P' - P added, where P and P'
+            are the potentials before and after the step. Before the grasp the potential is 0.35 (1 - log10(1 + gap in
+            mm) / 3), at least 0. It is 0.5 with a fruit in the gripper, 0.6 once the fruit is detached, and up to 0.8
+            as it is brought down. It is 0 once no fruit is left. This does not change which policy has the largest
+            return discounted with g (Ng, Harada and Russell 1999); 1 is for the undiscounted return. None, the default,
+            leaves rewards as they are.
 
     Example:
         >>> import gymnasium as gym
@@ -219,7 +223,8 @@ class ToolStepping(ScaledEnv, RecordConstructorArgs):
         """Wrap ``env``.
 
         Raises:
-            InputError: If its observations are not those of a picking task.
+            InputError: If the observations are not those of a picking task without `feedback="gripper"`, or ``shaping``
+                is impossible.
         """
         RecordConstructorArgs.__init__(self, shaping=shaping)
         ScaledEnv.__init__(self, env, _steps_of(env, env.observation_space, shaping), shaping)
@@ -244,17 +249,17 @@ class ToolSteppingVector(ScaledVector, RecordConstructorArgs):
         """Wrap ``env``; ``shaping`` as in `ToolStepping`.
 
         Raises:
-            InputError: If its observations are not those of a picking task.
+            InputError: As in `ToolStepping`.
         """
         RecordConstructorArgs.__init__(self, shaping=shaping)
         ScaledVector.__init__(self, env, _steps_of(env, env.single_observation_space, shaping), shaping)
 
 
 def tool_steps_of(env: Any) -> ToolSteps:
-    """The formulas for a picking environment's arm; the environment may be single or a native vector.
+    """Return the formulas for the arm of a picking environment, which may be single or a native vector environment.
 
     Raises:
-        InputError: If ``env`` is no picking environment, or its gripper feels.
+        InputError: If ``env`` is no picking environment, or has `feedback="gripper"`.
     """
     inner = env.unwrapped
     if (task := getattr(inner, "task", None)) is None or not isinstance(getattr(inner, "orchard", None), PickSetting):
@@ -273,5 +278,5 @@ def _steps_of(env: Any, space: spaces.Space[Any], shaping: float | None) -> Tool
 
 
 def _length(vector: Any) -> Any:
-    """The lengths ``(..., 1)`` of vectors ``(..., k)``."""
+    """Compute the lengths ``(..., 1)`` of vectors ``(..., k)``."""
     return ((vector * vector).sum(-1)[..., None]) ** 0.5

@@ -1,1 +1,1 @@
-"""The Harvest environment: the machine of Li 2016."""
+"""The environment Harvest: picking with the multi-arm machine of Li 2016."""

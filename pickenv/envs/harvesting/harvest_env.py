@@ -22,7 +22,7 @@ from pickenv.pictures import arm_shapes, tree_shapes
 from pickenv.pictures.stage import SIZE, Eye, Mesh, Rods, Stage, Words, rgba, spheres
 
 LONGEST = 600
-"""Default number of periods in an episode: a minute."""
+"""Default number of periods in an episode, which take a minute."""
 
 
 class HarvestEnv(DrawnEnv):
@@ -30,12 +30,13 @@ class HarvestEnv(DrawnEnv):
 
     ## Description
 
-    A master arm (turn, lift, reach) carries one to six slave arms (lift, swing, stretch), each with a cup that takes a
-    fruit from below, cuts its stalk and keeps it. One policy moves all joints. What moves is the machine as built,
-    whose cups are 6 to 9 mm off while they forgive 5 to 11 mm; a cup that goes in pushes neighbouring fruit away. Arms
-    never collide: a guard holds arms that would come nearer to each other than two arm radii and a margin. As in the
-    reproduction of Li's experiment, `pickenv.harvester.picking` decides what becomes of an attempt, by how far off the
-    cup is, fruit in its way, blade and damage; pushed fruit swings on its branch, and a part of the push stays.
+    A master arm (turn, lift, reach) carries one to six slave arms (lift, swing, stretch). Each slave has a cup that
+    takes a fruit from below, cuts its stalk and keeps it. One policy moves all joints. What moves is the machine as
+    built, whose cups are 6 to 9 mm off, while they tolerate 5 to 11 mm. A cup that moves into the canopy pushes
+    neighbouring fruit away. Arms never collide, since a guard stops arms that would come nearer to each other than two
+    arm radii and a margin. As in the reproduction of Li's experiment, `pickenv.harvester.picking` decides the outcome
+    of an attempt. It considers how far off the cup is, fruit in its way, the blade and damage. Pushed fruit swings on
+    its branch, and a part of its displacement remains.
 
     ## Action Space
 
@@ -50,41 +51,46 @@ class HarvestEnv(DrawnEnv):
     | 4 + 3i | slave i swing theta5| -1          | 1           | 6                 | deg  |
     | 5 + 3i | slave i stretch d6  | -1          | 1           | 50                | mm   |
 
-    A cup whose sensor finds a fruit inside (15 mm in height) closes its blade by itself: its arm and the master stand
-    for 1 s. Afterwards it tries again only once it has gone 50 mm away.
+    A cup closes its blade by itself when its sensor detects a fruit inside, within 15 mm in height. Its arm and the
+    master then stand still for 1 s. The cup tries again only after it has gone 50 mm away from that fruit.
 
     ## Observation Space
 
     `Box(float32)`: joints scaled to their limits (3 + 3 arms, -1 to 1); for each slave the share of sensing and cutting
-    that it still has to do (arms, 0 to 1); then four numbers for each fruit: its place as the camera saw it, right of,
-    ahead of and above frame 3 (-2 to 2 m), and 1 while it hangs in reach. All four are 0 for fruit that does not hang
-    in reach or that the camera did not find.
+    that it still has to do (arms, 0 to 1); then four numbers for each fruit: its position as the camera saw it, to the
+    right of, ahead of and above frame 3 (-2 to 2 m), and 1 while it hangs in reach. Frame 3 is that of the master's
+    end. All four are 0 for fruit that does not hang in reach or that the camera did not find.
 
     ## Rewards
 
     Per period: 1 x (fruit collected whole) - 1 x (fruit damaged) + (progress in m) - 0.05 x (arms that the guard holds)
-    - 0.005 - 0.005 x (mean size of the action's numbers, held or not). Progress is the decrease of the distance left:
-    the distances from hanging fruit in reach, as the camera saw it, to the nearest believed cup, summed and divided by
-    the number of fruit in the zone. Eight fruit give at most about 8; doing nothing for a minute gives -3.
+    - 0.005 - 0.005 x (mean size of the action's numbers, held or not). Progress is the decrease of a distance. To
+    compute it, the distances from each hanging fruit in reach, as the camera saw it, to the nearest believed cup are
+    summed. The sum is divided by the number of fruit in the zone. Eight fruit give at most about 8; doing nothing for a
+    minute gives -3.
 
     ## Starting State
 
-    Fruit is spread evenly in 0.7 x 0.4 x 0.55 m somewhere on the tree's side, and the cameras 1 m before the tree find
-    some of it. The master stands at the pick point that reaches most of the fruit found, the slaves are at rest. After
-    an attempt that leaves its fruit hanging, the fruit is seen again where it hangs by then, past the same leaves and
-    so with the same error. `reset(options=...)` takes `"fruit"`, positions (fruit, 3) in m in the base frame, at whose
-    middle the cameras look, and `"start_joints"` of the whole machine (rad and m).
+    Fruit is drawn uniformly in a zone of 0.7 x 0.4 x 0.55 m somewhere on the tree's side. The cameras, 1 m before the
+    tree, find some of it. The master stands at the pick point from which its slaves reach most of the fruit found.
+    The slaves are at rest. After an attempt that leaves its fruit hanging, the camera sees this fruit again where it
+    hangs then. The same leaves are in between, so the error is the same. `reset(options=...)` takes `"fruit"`,
+    positions (fruit, 3) in m in the base frame, and `"start_joints"` of the whole machine (rad and m). The cameras look
+    at the middle of given fruit.
 
     ## Episode End
 
-    - Termination: no fruit in reach hangs any more.
+    - Termination: no fruit in reach hangs any more, and no blade is closing.
     - Truncation: after 600 periods (`max_episode_steps`).
 
     ## Information
 
-    `collected`, `lost`, `located` (by the cameras), `reachable`, `attempts`, `held` (arms held in the last period),
-    `closest_mm` (least distance between two arms' centre lines so far), `picks_per_hour`, `is_success` (all located
-    fruit in reach collected).
+    - `collected`, `lost`, `located` (by the cameras) and `reachable`: numbers of fruit.
+    - `attempts`: number of attempts so far.
+    - `held`: number of arms that the guard held in the last period.
+    - `closest_mm`: least distance between two arms' centre lines so far.
+    - `picks_per_hour`: fruit collected per hour of simulated time.
+    - `is_success`: whether all located fruit in reach is collected.
 
     ## Arguments
 
@@ -99,25 +105,28 @@ class HarvestEnv(DrawnEnv):
 
     ```
 
-    - `slaves` (1 to 6, default 3), `spacing_mm` (default 350), `fruit` (1 to 40, default 8).
+    - `slaves` (1 to 6, default 3): number of slave arms; `spacing_mm` (default 350): distance between neighbouring
+      slaves; `fruit` (1 to 40, default 8): number of fruit in the zone.
     - `ideal` (bool, default False): whether the machine is built exactly as designed.
-    - `vision`: "measured_errors" (default) draws recall and errors from the table made by reading rendered pictures of
-      this canopy; "rendered" draws and reads a stereo pair of each zone (a tenth of a second, needs the extra
-      `harvest`); "ideal" shows all fruit where it is. `detector`: "li2016" (default; R-G, Otsu, centroids) or
-      "circles". `canopy`: "li2016" (default, leafy) or "li2016_bare". Detections of no fruit are left out.
-    - `out_of_range` ("clip" or "refuse"): whether actions beyond -1 to 1 are cut to it or are an error.
+    - `vision`: how the camera's errors are made. "measured_errors" (default) draws detections and errors from a table,
+      which was made by detecting fruit in rendered pictures of this canopy. "rendered" renders a stereo pair of each
+      zone and detects the fruit in it (a tenth of a second, needs the extra `harvest`). "ideal" shows all fruit where
+      it is.
+    - `detector`: "li2016" (default; R-G, Otsu, centroids) or "circles".
+    - `canopy`: "li2016" (default, with leaves) or "li2016_bare" (without). False detections are not simulated.
+    - `out_of_range` ("clip" or "refuse"): whether actions beyond -1 to 1 are clipped or raise an error.
     - `executor` ("auto" or "numpy"): "auto" computes cups and distances between arms in machine code where llvmlite is
-      installed, up to roundings (1e-12) as NumPy does.
+      installed. Its results equal those of NumPy up to rounding (1e-12).
     - `render_mode` (None, "human" or "rgb_array").
 
-    `pickenv.wrappers.CompensationWrapper` takes a compensator of the whole machine's joints, for instance a
+    `pickenv.wrappers.CompensationWrapper` takes a compensator of the whole machine's joints, for example a
     `pickenv.harvester.true_machine.Controller`.
 
     ## Version History
 
-    * v0: First version. Before its first release, attempts came to be judged as in the reproduction of Li's experiment:
-      pushes are log-normal and fruit swings; and the cameras came to see what a stereo pair can, instead of 97 % of the
-      fruit to a millimetre. Returns from before cannot be compared.
+    * v0: First version. Two things changed before its first release. Attempts are now decided as in the reproduction of
+      Li's experiment, with log-normal pushes and swinging fruit. The cameras now see what a stereo pair can, instead of
+      97 % of the fruit to a millimetre. Returns from before these changes cannot be compared.
     """
 
     def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
@@ -131,17 +140,17 @@ class HarvestEnv(DrawnEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], Information]:
-        """Start with another zone; see the class for `options`."""
+        """Start an episode in a new zone; see the class for `options`."""
         super().reset(seed=seed)
         zones = batch.given_zones(self.task, given_options(options, batch.OPTIONS), 1)
         self.state = batch.begin_zones(self.task, [self.np_random], **zones)
         return self._shown(self.state)
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, Information]:
-        """Move all joints by ``action``.
+        """Move all joints by ``action`` for one period.
 
         Raises:
-            InputError: If the action is not finite or has another shape, or before the first reset.
+            InputError: If the action is not finite or has another shape, or if `reset` was not called before.
         """
         values = checked_action(action, (self.task.machine.joints,), self.task.most_action)
         if self.state is None:
@@ -164,10 +173,10 @@ class HarvestEnv(DrawnEnv):
 
 
 class HarvestVectorEnv(NativeVectorEnv):
-    """Many `pickenv/Harvest-v0` in one; the i-th is seeded with ``seed + i`` and does not depend on how many there are.
+    """N `pickenv/Harvest-v0` in one vector environment; the i-th has the seed ``seed + i`` and does not depend on N.
 
     Args:
-        num_envs: Number of harvesters.
+        num_envs: N, the number of harvesters.
         max_episode_steps: Periods after which an episode is truncated, or None for never.
         autoreset_mode: "NextStep", "SameStep" or "Disabled", or an `AutoresetMode`.
         render_mode: None or "rgb_array".
@@ -234,13 +243,13 @@ UP = np.array([0.0, 0.0, 1.0])
 def draw_harvest(
     task: batch.HarvestTask, states: batch.HarvestState, compensate: Compensate | None, row: int = 0, dark: bool = False
 ) -> Stage:
-    """The scene of one machine before its zone.
+    """Return the stage to draw for one machine before its zone.
 
     Args:
         task: The task.
-        states: State of one machine or more.
-        compensate: Maps nominal joints of whole machines to commands.
-        row: The machine's number.
+        states: State of one or more machines.
+        compensate: Maps nominal joints of whole machines to joint commands, or None.
+        row: Index of the machine to draw.
         dark: Whether the background is dark.
     """
     state: batch.HarvestState = tree_map(lambda values: values[row : row + 1], states)
@@ -270,7 +279,7 @@ def draw_harvest(
 
 
 def _master(machine: Machine, joints: Array, pivots: Array) -> arm_shapes.Solids:
-    """The solids of the column, the boom and the rail that the slaves hang on."""
+    """Return the solids of the column, the boom and the rail that the slaves hang on."""
     frame, foot = machine.frame3(joints[:3]), -machine.base_height
     axis, shoulder = np.array([0.0, 0.0, foot]), np.array([0.0, 0.0, frame[2]])
     ends = pivots[[0, -1]].copy()
@@ -285,7 +294,13 @@ def _master(machine: Machine, joints: Array, pivots: Array) -> arm_shapes.Solids
 
 
 def slave_solids(pivots: Array, tips: Array, radius: float) -> arm_shapes.Solids:
-    """The solids of the slave arms from their pivots to below their cups, each a tube with a rod in it."""
+    """Return the solids of the slave arms, each a tube with a rod in it that ends below its cup.
+
+    Args:
+        pivots: Positions of the slaves' pivots ``(arms, 3)``, m.
+        tips: Positions of their cups ``(arms, 3)``, m.
+        radius: Radius of the tubes, m.
+    """
     ends = tips - 0.06 * UP
     half = pivots + 0.5 * (ends - pivots)
     count = len(tips)
@@ -302,7 +317,7 @@ def _ghosts(pivots: Array, tips: Array, radius: float) -> arm_shapes.Solids:
 
 
 def zone_fruit(state: batch.HarvestState) -> arm_shapes.Solids:
-    """The solids of the fruit that is not collected: green if out of reach, lost fruit in another colour."""
+    """Return the solids of all fruit not collected; fruit out of reach is green, lost fruit has another colour."""
     hanging = state.status[0] != batch.COLLECTED
     colours = tree_shapes.fruit_colours(state.fruit.shape[1])
     colours[~state.reachable[0]] = tree_shapes.GREEN
@@ -312,14 +327,14 @@ def zone_fruit(state: batch.HarvestState) -> arm_shapes.Solids:
 
 
 def _cameras(task: batch.HarvestTask, joints: Array) -> arm_shapes.Solids:
-    """The solids of the stereo pair that looked at the zone from the aisle before the machine came."""
+    """Return the solids of the stereo pair that looked at the zone from the aisle before the machine came."""
     frame = task.machine.frame3(joints[:3])
     eye = np.array([frame[0], 0.0, frame[2]])
     return arm_shapes.frustum_solids(eye, np.array([0.0, -1.0, 0.0]), (0.6, 0.45), 0.3, (110, 96, 160))
 
 
 def _surroundings(task: batch.HarvestTask, state: batch.HarvestState, dark: bool) -> tuple[Mesh, ...]:
-    """The meshes of the ground and of the zone's trees."""
+    """Return the meshes of the ground and of the zone's trees."""
     canopy, height = task.orchard.canopy, -task.machine.base_height
     middle = np.round(state.fruit[0].mean(axis=0), 1)
     low = (float(middle[0]) - 0.6, -canopy.standoff - canopy.depth, max(float(middle[2]) - 0.5, height + 0.3))
@@ -329,7 +344,7 @@ def _surroundings(task: batch.HarvestTask, state: batch.HarvestState, dark: bool
 
 
 def _eye(state: batch.HarvestState) -> Eye:
-    """An eye behind the machine, to its side and above it; it stays in place during a zone."""
+    """Return a viewpoint (an `Eye`) behind the machine, to its side and above it; it is fixed during an episode."""
     fruit = state.fruit[0].mean(axis=0)
     target = np.array([0.45 * fruit[0], 0.62 * fruit[1], 0.95 * fruit[2]])
     return Eye(target + np.array([1.75, 1.9, 0.75]), target, 34.0)

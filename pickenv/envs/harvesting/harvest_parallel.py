@@ -1,7 +1,7 @@
-"""`pickenv/Harvest-v0` for PettingZoo: the master and each slave arm are agents of their own (extra ``marl``).
+"""`pickenv/Harvest-v0` for PettingZoo, in which the master and each slave arm are agents (extra ``marl``).
 
-The simulator is that of the Gymnasium environment. An agent moves its three joints, gets the whole machine's
-observation and its own place among the agents, and shares the team's reward.
+The simulator is that of the Gymnasium environment. Each agent moves its three joints. It observes the whole machine,
+followed by a one-hot vector that says which agent it is. All agents get the same reward.
 """
 
 from __future__ import annotations
@@ -51,17 +51,17 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         self._shared: NDArray[np.float32] | None = None
 
     def observation_space(self, agent: str) -> gym.spaces.Box:
-        """The observation space of an agent, the same object in each call."""
+        """Return the observation space of an agent, always the same object."""
         return self._observations[agent]
 
     def action_space(self, agent: str) -> gym.spaces.Box:
-        """The action space of an agent, the same object in each call."""
+        """Return the action space of an agent, always the same object."""
         return self._actions[agent]
 
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, dict[str, Any]]]:
-        """Start with another zone."""
+        """Start an episode in a new zone; ``options`` are ignored."""
         self.agents = list(self.possible_agents)
         self._shared, info = self._env.reset(seed=seed)
         return self._seen(), self._told(info)
@@ -69,10 +69,10 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
     def step(
         self, actions: dict[str, Any]
     ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
-        """Move all agents' joints; agents without an action stand still.
+        """Move all agents' joints for one period; agents without an action do not move.
 
         Raises:
-            InputError: If an action is not three finite numbers, or before the first reset.
+            InputError: If an action is not three finite numbers, or if `reset` was not called before.
         """
         if self._shared is None:
             raise InputError("step was called before reset; call reset first")
@@ -90,13 +90,13 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         return self._seen(), dict.fromkeys(names, reward), *ends, self._told(info)
 
     def state(self) -> NDArray[np.float32]:
-        """The observation that all agents share, for centralised training."""
+        """Return the part of the observation that all agents share, for centralised training."""
         if self._shared is None:
             raise InputError("state was called before reset; call reset first")
         return self._shared.copy()
 
     def render(self) -> NDArray[np.uint8] | None:
-        """A picture of the whole machine, as in `pickenv/Harvest-v0`; None without a render mode."""
+        """Draw the whole machine as in `pickenv/Harvest-v0`; return None without a render mode."""
         self._env.compensator = self.compensator
         return None if self.render_mode is None else cast(NDArray[np.uint8], self._env.render())
 

@@ -1,4 +1,4 @@
-"""Constants of the harvester's episodes: machine, orchard, eyes, rules and spaces. Units: m, rad, s."""
+"""The task of the Harvest environment: its constants, its spaces, and functions for many machines. Units: m, rad, s."""
 
 from __future__ import annotations
 
@@ -28,24 +28,24 @@ from pickenv.orchard import Eyes, Sight, fruit_masses, load_eyes, sample_diamete
 
 OPTIONS = ("fruit", "start_joints")
 DRAWS = 100
-"""Most draws of a zone until some of its fruit is located."""
+"""Largest number of draws of a zone until the cameras locate some of its fruit."""
 
 
 def given_zones(task: HarvestTask, options: Mapping[str, Any], count: int, rows: Any = slice(None)) -> dict[str, Array]:
-    """The fruit and the start joints that options of `reset` ask for.
+    """Check the fruit and the start joints that options of `reset` give, and return them.
 
     Args:
         task: The task.
-        options: The options; each is given once for all machines, or once for each.
+        options: The options. Each is given once for all machines, or once for each.
         count: Number of machines.
-        rows: The machines whose values to return; all by default.
+        rows: Indices of the machines whose values are returned, by default all.
 
     Returns:
-        "fruit", positions ``(machines, fruit, 3)``, and "joints" ``(machines, joints)``, each only if it is given, as
-        `begin_zones` takes them.
+        A dict of arguments of `begin_zones`: "fruit", positions ``(machines, fruit, 3)``, and "joints" ``(machines,
+        joints)``, each only if it is given.
 
     Raises:
-        InputError: If a shape is wrong or a number impossible.
+        InputError: If a shape is wrong, a number is not finite, or joints lie outside their limits.
     """
     machine, zones = task.machine, dict[str, Array]()
     for key, name, shape in (("fruit", "fruit", (task.fruit, 3)), ("joints", "start_joints", (machine.joints,))):
@@ -65,15 +65,19 @@ def given_zones(task: HarvestTask, options: Mapping[str, Any], count: int, rows:
 
 
 def drawn_zone(task: HarvestTask, rng: np.random.Generator, given: Array | None = None) -> tuple[Array, Array, Sight]:
-    """Draw a zone in which the cameras locate some fruit: fruit positions ``(fruit, 3)``, diameters, and the sight.
+    """Draw a zone in which the cameras locate some fruit.
 
     Args:
         task: The task.
-        rng: Source of every draw.
-        given: Positions of the fruit in place of drawn ones, or None; the cameras look at their middle.
+        rng: Random generator.
+        given: Positions of the fruit ``(fruit, 3)``, m, base frame, or None to draw them. The cameras look at the
+            middle of given fruit.
+
+    Returns:
+        The positions of the fruit ``(fruit, 3)``, m, its diameters, m, and how the cameras see it.
 
     Raises:
-        InputError: If the cameras find no fruit in many zones.
+        InputError: If the cameras find no fruit in `DRAWS` draws.
     """
     machine, canopy = task.machine, task.orchard.canopy
     zone = lab_zone(canopy)
@@ -96,15 +100,15 @@ def drawn_zone(task: HarvestTask, rng: np.random.Generator, given: Array | None 
 
 @toml_table
 class Rules:
-    """Rules of the task: when a cup tries a fruit, what observations show, and costs; see [task] of picking.toml.
+    """Rules of the task: when a cup tries a fruit, bounds of observations, and costs; see [task] of picking.toml.
 
     Attributes:
-        sensor: Height within which the position sensor finds a fruit in the cup, m.
-        rearm: Distance that a cup must go away from a fruit that it tried before it tries again, m.
-        shown: Largest offset that an observation shows, m.
-        guard_cost: Reward lost for each arm that the guard holds.
-        period_cost: Reward lost in each period.
-        motion_cost: Reward lost in a period in which all joints move as fast as they can.
+        sensor: Largest height difference at which the position sensor detects a fruit in the cup, m.
+        rearm: Distance from the last tried fruit beyond which a cup may try again, m.
+        shown: Bound of a fruit's position in observations, m.
+        guard_cost: Cost of each arm that the guard holds in a period.
+        period_cost: Cost of each period.
+        motion_cost: Cost of a period in which all joints move at full speed.
     """
 
     sensor: Annotated[float, MM.positive]
@@ -116,7 +120,7 @@ class Rules:
 
 
 load_rules = cache(partial(read_toml, Rules, SHIPPED, section="task"))
-"""Read the rules of the task from its file, once."""
+"""Read the rules of the task from their file; the result is cached."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,14 +128,14 @@ class HarvestTask:
     """Constants of a harvester's episodes.
 
     Attributes:
-        machine: The machine as designed, in which the controller believes.
+        machine: The machine as designed, which is the controller's model.
         true: The machine as built, with its errors.
-        model: Model of what becomes of attempts.
-        rules: When a cup tries a fruit, what observations show, and what costs.
-        orchard: Where fruit hangs and how big it is.
-        eyes: How the cameras see fruit.
+        model: Model of the outcome of attempts.
+        rules: When a cup tries a fruit, bounds of observations, and costs.
+        orchard: Canopy and sizes of fruit.
+        eyes: Model of how the cameras see fruit.
         fruit: Number of fruit in a zone.
-        most_action: Largest size of an action's numbers that is accepted.
+        most_action: Largest magnitude that is accepted for an action's numbers.
         compiled: Whether cups and distances are computed by machine code.
     """
 
@@ -173,7 +177,7 @@ def make_harvest_task(
     out_of_range: str = "clip",
     executor: str = "auto",
 ) -> HarvestTask:
-    """Check the arguments of an environment, read its files, and make its task.
+    """Check the arguments of `HarvestEnv`, which its class explains, read the files, and return the task.
 
     Raises:
         InputError: If an argument is impossible.
@@ -196,7 +200,7 @@ def make_harvest_task(
 
 
 def harvest_spaces(task: HarvestTask, extra: int = 0) -> tuple[Box[np.float32], Box[np.float32]]:
-    """The observation space, with room for ``extra`` numbers from 0 to 1 at its end, and the action space."""
+    """Return the observation space, with ``extra`` numbers from 0 to 1 at its end, and the action space."""
     joints, arms, most = task.machine.joints, task.machine.arms, task.rules.shown
     high = [1.0] * (joints + arms) + [most, most, most, 1.0] * task.fruit + [1.0] * extra
     low = [-1.0] * joints + [0.0] * arms + [-most, -most, -most, 0.0] * task.fruit + [0.0] * extra
@@ -211,18 +215,18 @@ def harvest_spaces(task: HarvestTask, extra: int = 0) -> tuple[Box[np.float32], 
 HANGING, COLLECTED, LOST = 0, 1, 2
 
 HALF_AND_WHOLE = np.array([0.5, 1.0]).reshape(2, 1, 1, 1)
-"""Shares of a move after which arms must be clear of each other."""
+"""Shares of a move after which the distances between arms are checked."""
 
 
 @dataclass(eq=False)
 class HarvestState:
-    """The state of many machines at work in their zones; every array has a leading axis (machines,).
+    """The state of many machines in their zones; every array has a leading axis (machines,).
 
     Attributes:
         joints: Nominal joint targets, rad or m, (machines, joints).
         fruit: True positions of the fruit at the start, m, (machines, fruit, 3).
-        shift: Displacement of the fruit that pushes have left for good, m, (machines, fruit, 3).
-        swing: Displacement of the swinging fruit from there, m, (machines, fruit, 3).
+        shift: Lasting displacement of the fruit by pushes, m, (machines, fruit, 3).
+        swing: Further displacement of the fruit as it swings, m, (machines, fruit, 3).
         velocity: Velocity of the swinging fruit, m/s, (machines, fruit, 3).
         diameters: Diameters of the fruit, m, (machines, fruit).
         masses: Masses of the fruit, kg, (machines, fruit).
@@ -231,9 +235,9 @@ class HarvestState:
         located: Whether the camera found the fruit, (machines, fruit).
         reachable: Whether the fruit is located and some arm reaches it from the pick point, (machines, fruit).
         status: `HANGING`, `COLLECTED` or `LOST`, (machines, fruit).
-        busy: Periods that each arm still has to sense and cut, (machines, arms).
-        tried: Number of the fruit that each arm tried last and has not left yet, or -1, (machines, arms).
-        periods: Periods since the start.
+        busy: Number of periods for which each arm still senses and cuts, (machines, arms).
+        tried: Number of the fruit that each arm tried last and is still near, or -1, (machines, arms).
+        periods: Number of periods since the start.
         held: Number of arms that the guard held in the last period.
         closest: Least distance between two arms' centre lines so far, m.
         attempts: Number of attempts so far.
@@ -266,7 +270,7 @@ class HarvestState:
         return self.shift + self.swing
 
     def put(self, rows: NDArray[np.intp], other: HarvestState) -> None:
-        """Overwrite the machines ``rows`` with those of the state ``other``."""
+        """Overwrite the states of the machines ``rows`` with those in ``other``."""
         for mine, theirs in zip(leaves(self), leaves(other), strict=True):
             mine[rows] = theirs
 
@@ -274,18 +278,18 @@ class HarvestState:
 def begin_zones(
     task: HarvestTask, rngs: Sequence[np.random.Generator], fruit: Array | None = None, joints: Array | None = None
 ) -> HarvestState:
-    """Draw a zone for each generator, with the machine at its start in it.
+    """Draw a zone for each generator, and return the state of the machines at the start.
 
-    Unless ``joints`` are given, the master stands at its pick point and the slaves at rest.
+    Unless ``joints`` are given, the master is at its pick point and the slaves are at rest.
 
     Args:
         task: The task.
         rngs: Random generators, one per machine.
-        fruit: Positions in place of drawn ones ``(machines, fruit, 3)``, base frame, or None.
-        joints: Joints of whole machines to start from ``(machines, joints)``, or None.
+        fruit: Positions of the fruit ``(machines, fruit, 3)``, base frame, m, or None to draw them.
+        joints: Joints of whole machines to start from ``(machines, joints)``, rad or m, or None.
 
     Raises:
-        InputError: If the cameras find no fruit in many zones, or given joints bring arms too near each other.
+        InputError: If the cameras find no fruit in `DRAWS` draws, or at the given joints arms are too near each other.
     """
     machine, n = task.machine, len(rngs)
     positions, sightings, zeros = np.zeros((3, n, task.fruit, 3))
@@ -327,7 +331,7 @@ def begin_zones(
 
 
 def distances(task: HarvestTask, joints: Array) -> Array:
-    """Least distance between two arms' centre lines, m, (machines,); for a single arm, the largest offset shown."""
+    """Compute the least distance between two arms' centre lines, m, (machines,); `Rules.shown` for a single arm."""
     machine = task.machine
     if machine.arms < 2:
         return np.full(len(joints), task.rules.shown)
@@ -335,7 +339,16 @@ def distances(task: HarvestTask, joints: Array) -> Array:
 
 
 def of_rows(task: HarvestTask, what: str, joints: Array) -> Array:
-    """The true cups ("tips") at rows of a machine's joints, or "distances" between pairs of slaves, m: (rows, k)."""
+    """Compute the true cups or the distances between slaves for many machines.
+
+    Args:
+        task: The task.
+        what: "tips" for the true positions of the cups, or "distances" for those between pairs of slaves.
+        joints: Joint commands of whole machines for "tips", joints of the slaves for "distances", (rows, joints).
+
+    Returns:
+        Coordinates of the cups or distances, m, (rows, k).
+    """
     if task.compiled:
         return rows_formula(task, what, len(joints))(joints)
     if what == "distances":
@@ -345,7 +358,7 @@ def of_rows(task: HarvestTask, what: str, joints: Array) -> Array:
 
 @lru_cache(maxsize=16)
 def rows_formula(task: HarvestTask, what: str, count: int) -> Callable[[Array], Array]:
-    """The formula of "tips" or "distances" as machine code, for a count of rows of joints."""
+    """Compile the formula for "tips" or "distances" to machine code, for arrays of ``count`` rows of joints."""
     from pickenv.arm.kinematics import machine_code
 
     def formula(m: Any, joints: Sequence[Any]) -> Sequence[Any]:
@@ -364,14 +377,14 @@ def step(
     rngs: Sequence[np.random.Generator],
     compensator: Compensate | None = None,
 ) -> Array:
-    """Let one period pass: change ``state`` and return the rewards, (machines,).
+    """Simulate one period: change ``state`` in place, and return the rewards, (machines,).
 
     Args:
         task: The task.
         state: State of the machines, changed in place.
-        actions: Joint increments as shares of the largest, (machines, joints).
+        actions: Joint increments as shares of the largest increments, (machines, joints).
         rngs: Random generators, one per machine; a machine draws six numbers for each of its attempts.
-        compensator: Maps nominal joints of whole machines to commands.
+        compensator: Maps nominal joints of whole machines to joint commands, or None.
     """
     machine = task.machine
     before = state.left
@@ -397,7 +410,7 @@ def step(
 
 
 def _guard(task: HarvestTask, start: Array, target: Array) -> tuple[NDArray[np.int64], Array]:
-    """Hold every arm whose move would bring it too near another; changes ``target``.
+    """Hold every arm whose move would bring it too near another arm; change ``target`` in place.
 
     Returns:
         The number of arms held, and the least distance between two arms' centre lines afterwards, m, (machines,) each.
@@ -428,7 +441,7 @@ def _guard(task: HarvestTask, start: Array, target: Array) -> tuple[NDArray[np.i
 def attempts(
     task: HarvestTask, state: HarvestState, tips: Array, rngs: Sequence[np.random.Generator]
 ) -> tuple[Array, Array]:
-    """Let the cups whose sensor finds a fruit close their blade.
+    """Let each cup whose sensor detects a fruit close its blade, and compute the outcomes.
 
     Args:
         task: The task.
@@ -437,7 +450,7 @@ def attempts(
         rngs: Random generators, one per machine.
 
     Returns:
-        The numbers of fruit collected and of fruit lost by each machine in this period, (machines,) each.
+        The numbers of fruit collected and of fruit lost in this period, (machines,) each.
     """
     model, rules = task.model, task.rules
     offset = (state.fruit + state.moved)[:, None] - tips[:, :, None]  # (machines, arms, fruit, 3)
@@ -473,7 +486,7 @@ def attempts(
 
 
 def _nearest(lateral: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Numbers of the cups that try a fruit, and of the fruit that each tries, (picks,) each.
+    """Return the numbers of the cups that try a fruit, and of the fruit that each tries, (picks,) each.
 
     A cup tries the nearest fruit that no earlier cup tries; ``lateral`` has the distances, (arms, fruit).
     """
@@ -488,9 +501,10 @@ def _nearest(lateral: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def work_left(task: HarvestTask, state: HarvestState) -> Array:
-    """Distances from reachable hanging fruit to the nearest believed cup, summed, over all fruit of the zone, m.
+    """Compute the distance that the reward for progress compares, m, (machines,).
 
-    The reward for progress is the decrease of this number, (machines,).
+    The distances from each fruit that hangs in reach to the nearest believed cup are summed. The sum is divided by the
+    number of all fruit in the zone. Progress is the decrease of the result.
     """
     tips = task.machine.tips(*task.machine.parted(state.joints))
     away = state.believed[:, None] - tips[:, :, None]
@@ -499,17 +513,17 @@ def work_left(task: HarvestTask, state: HarvestState) -> Array:
 
 
 def pickable(state: HarvestState) -> Flags:
-    """Flags of the fruit that hangs and that an arm reaches from the pick point, (machines, fruit)."""
+    """Return flags of the fruit that hangs and that an arm reaches from the pick point, (machines, fruit)."""
     return np.asarray((state.status == HANGING) & state.reachable)
 
 
 def finished(state: HarvestState) -> Flags:
-    """Flags of the machines with nothing left to pick and no blade at work, (machines,)."""
+    """Return flags of the machines with no fruit left to pick and no blade closing, (machines,)."""
     return np.asarray(~pickable(state).any(axis=1) & (state.busy == 0).all(axis=1))
 
 
 def observe(task: HarvestTask, state: HarvestState) -> NDArray[np.float32]:
-    """The controllers' observations, (machines, observation_size)."""
+    """Return the observations, (machines, observation_size), as `HarvestEnv` lays them out."""
     machine = task.machine
     scaled = 2 * (state.joints - machine.lower) / (machine.upper - machine.lower) - 1
     heading = state.joints[:, 0]
@@ -527,7 +541,7 @@ def observe(task: HarvestTask, state: HarvestState) -> NDArray[np.float32]:
 
 
 def information(state: HarvestState) -> dict[str, NDArray[np.generic]]:
-    """The infos of all machines: arrays (machines,) by keys that are always the same."""
+    """Return the infos of all machines: arrays (machines,) by key, always with the same keys."""
     collected = (state.status == COLLECTED).sum(axis=1)
     done = (state.status == COLLECTED) | ~state.reachable
     hours = np.maximum(state.periods, 1) * CONTROL_PERIOD / 3600

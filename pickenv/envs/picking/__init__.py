@@ -1,1 +1,1 @@
-"""The Pick environment: reaching among fruit, with a gripper."""
+"""The environment Pick: picking fruit one after the other, with a gripper."""

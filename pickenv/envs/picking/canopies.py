@@ -1,7 +1,7 @@
-"""One or many picking arms before their canopies, with all fruit in one array of which each `PickScene` has a part.
+"""One or many picking arms before their canopies, whose fruit is in one array; each `PickScene` has a part of it.
 
-What happens to all fruit in every period is computed on the whole array; what happens to one canopy now and then, such
-as a grasp or a push, is computed by its scene. Both change the same numbers. Units: m, rad, s.
+What happens to all fruit in every period is computed on the whole array. What happens to one canopy from time to time,
+such as a grasp or a push, is computed by its scene. Both change the same array. Units: m, rad, s.
 """
 
 from __future__ import annotations
@@ -25,11 +25,11 @@ from pickenv.pictures.stage import SIZE, Eye, Mesh, Stage, Words
 from pickenv.pictures.tree_shapes import GREEN, MISSED_FRUIT, crate, fruit_colours, fruit_solids, row_of_trees
 
 ABSENT = np.zeros((), pick_scene.FRUIT)
-"""A placeholder for absent fruit, far away: every row of the array has room for the fullest canopy."""
+"""Placeholder record of absent fruit, far away. It fills the rows of canopies with less fruit than the fullest one."""
 ABSENT["rest"], ABSENT["masses"] = 1e6, 1.0
 
 FUNNEL = ("visible", "reachable", "attempted", "attached", "detached", "collected", "damaged")
-"""Stages at which each canopy's fruit is counted; "collected" counts only undamaged fruit."""
+"""Stages whose fruit is counted for each canopy; "collected" counts only undamaged fruit."""
 REACHABLE, ATTEMPTED, COLLECTED = (FUNNEL.index(stage) for stage in ("reachable", "attempted", "collected"))
 
 OWN = ("sight", "number", "still", "moments")
@@ -39,22 +39,22 @@ class Canopies:
     """The latest views of N picking arms, and the fruit before them.
 
     Attributes:
-        scenes: The scenes of the canopies, one by one; each works on its part of `fruit`.
+        scenes: The scene of each canopy, which works on its part of `fruit`.
         fruit: All fruit, (N, most fruit of a canopy).
         omega: Natural frequencies of the fruit along x, y, z, rad/s, (N, most fruit of a canopy, 3).
         present: Number of fruit in each canopy.
         held: Number of the fruit in each gripper, or -1.
         off: Whether the fruit in each gripper is off its stem.
-        felt: Where the fruit in each gripper lies as the gripper feels it, fruit minus tool, m, (N, 3).
-        miss: How far each arm's last grasp was from its fruit, across and along the tool's axis, m, (N, 2).
+        felt: Position of the fruit in each gripper as the gripper measures it, fruit minus tool, m, (N, 3).
+        miss: Distance of the fruit from the tool at each arm's last grasp, across and along the tool's axis, m, (N, 2).
         counts: Number of fruit of each canopy at the stages of `FUNNEL`, (7, N).
-        sight: The arms as last seen, as `pickenv.envs.picking.pick_arm.look_at_arm` gives them, and then their joint
-            commands, (numbers, N).
-        number: Number of the fruit that each arm is after.
+        sight: The latest views of the arms, as `pickenv.envs.picking.pick_arm.look_at_arm` returns them, followed by
+            their joint commands, (numbers, N).
+        number: Number of the fruit that each arm is to pick next.
         still: Time since each joint target moved, s.
         moments: Number of steps in each episode so far.
-        time: Time that each episode has taken so far, s.
-        handling: The part of it, added on, in which grippers took hold of fruit and fruit went to the bin, s.
+        time: Simulated time of each episode so far, s.
+        handling: Time in addition to it, which is not simulated, for grasps and for bringing fruit to the bin, s.
     """
 
     def __init__(self, task: Task, orchard: pick_scene.PickSetting, count: int) -> None:
@@ -73,7 +73,7 @@ class Canopies:
         self.time, self.handling = np.zeros(count), np.zeros(count)
 
     def adopt(self, row: int, scene: pick_scene.PickScene) -> None:
-        """Put the canopy of ``scene`` before arm ``row``, and make its fruit a part of the array."""
+        """Put the canopy of ``scene`` before arm ``row``, and copy its fruit into the array."""
         n = len(scene.rest)
         if n > self.fruit.shape[1]:
             before, self.fruit = self.fruit, np.full((self.count, n), ABSENT)
@@ -90,15 +90,15 @@ class Canopies:
         self._note(row)
 
     def choose(self, row: int) -> None:
-        """Set the fruit that arm ``row`` is after: the next waiting one, or the last one if none is waiting."""
+        """Set the fruit that arm ``row`` is to pick: the next waiting one, or unchanged if none is waiting."""
         number = self.scenes[row].following(self.sight[BELIEVED][9:, row])
         self.number[row] = self.number[row] if number is None else number
 
     def meet(self, going: Flags, before: Array, period: Array) -> None:
-        """Let the fruit swing, the tools push fruit in their way, and the grippers carry the fruit that they hold.
+        """Let the fruit swing, let tools push fruit that they touch, and move held fruit with the grippers.
 
         Args:
-            going: Flags of the arms that are at work, (N,).
+            going: Flags of the arms that are active, (N,).
             before: True tool positions at the beginning of the period, m, (N, 3).
             period: Time that passes, s, (N,).
         """
@@ -122,10 +122,10 @@ class Canopies:
             self._note(row)
 
     def happen(self, going: Flags, before: Array, gripper: Array, stirred: Flags, period: Array) -> Array:
-        """Let the arms' moves have their effects on the fruit, and work the grippers.
+        """Compute the effects of the arms' moves on the fruit, and operate the grippers.
 
         Args:
-            going: Flags of the arms that are at work; the fruit before the others stay as they are, (N,).
+            going: Flags of the arms that are active, (N,); the fruit before the others does not change.
             before: True tool positions at the beginning of the period, m, (N, 3).
             gripper: The grippers' commands, (N,).
             stirred: Whether each joint target moved, (N,).
@@ -149,11 +149,11 @@ class Canopies:
         return np.where(going, pick_scene.pick_reward(collected, damaged), 0.0)
 
     def finished(self) -> Flags:
-        """Flags of the arms with no fruit left to try and an empty gripper."""
+        """Return flags (N,) of the arms with no fruit left to try and an empty gripper."""
         return np.asarray((self.held < 0) & (self._waiting() == 0))
 
     def observations(self, low: NDArray[Any], high: NDArray[Any]) -> NDArray[np.float32]:
-        """The controllers' observations, ``(N, n + 17)`` or 3 more, cut to the bounds ``low`` and ``high``."""
+        """Return observations ``(N, n + 17)``, or with 3 more numbers, clipped to the bounds ``low`` and ``high``."""
         n = self.task.joints
         sight, tools = self.sight, self.sight[BELIEVED][9:]
         positions = self.fruit["seen"][np.arange(self.count), self.number].T
@@ -169,7 +169,7 @@ class Canopies:
         return np.concatenate(parts).T.clip(low, high).astype(np.float32, order="C")
 
     def information(self) -> dict[str, NDArray[Any]]:
-        """The infos of all arms, by the keys that `pickenv/Pick-v0` explains."""
+        """Return the infos of all arms, by the keys that `pickenv/Pick-v0` explains."""
         n, tool = self.task.joints, self.sight[TOOL][9:]
         mine = self.fruit[np.arange(self.count), self.number]
         positions = mine["rest"] + mine["displacement"]
@@ -190,7 +190,7 @@ class Canopies:
         }
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
-        """Arrays of everything that the next step depends on: arms as seen, all fruit of all canopies, and grippers."""
+        """Return all arrays that the next step depends on: views of the arms, all fruit, and the grippers."""
         grips = [
             [-1.0 if scene.held is None else scene.held, *scene.miss, *scene.grip, scene.detached_at]
             for scene in self.scenes
@@ -200,7 +200,7 @@ class Canopies:
         return own | {"present": self.present, "each": each, "grips": np.array(grips)}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
-        """Take over the arrays that `state_arrays` returned."""
+        """Restore the arrays that `state_arrays` returned."""
         for name in OWN:
             getattr(self, name)[:] = state[name]
         fruit = np.split(unstructured_to_structured(state["each"], pick_scene.FRUIT), np.cumsum(state["present"])[:-1])
@@ -212,11 +212,11 @@ class Canopies:
             self.adopt(row, scene)
 
     def _waiting(self) -> NDArray[np.int64]:
-        """Number of fruit of each canopy that can still be tried, (N,)."""
+        """Count the fruit of each canopy that can still be tried, (N,)."""
         return np.asarray(self.counts[REACHABLE] - self.counts[ATTEMPTED])
 
     def _note(self, row: int) -> None:
-        """Copy into the arrays what a grasp, a push or a twist has changed in the scene of arm ``row``."""
+        """Update the arrays after a change in the scene of arm ``row``, such as a grasp, a push or a twist."""
         scene = self.scenes[row]
         self.counts[:, row] = [np.count_nonzero(scene.fruit[stage]) for stage in FUNNEL]
         self.handling[row] = self.orchard.station.handling(*self.counts[[ATTEMPTED, COLLECTED], row])
@@ -232,11 +232,11 @@ CAMERA = (110, 96, 160)
 
 
 def draw_pick(canopies: Canopies, row: int = 0, dark: bool = False) -> Stage:
-    """The scene of a picking arm: the arm, its ghost, its gripper, the camera, the fruit and the trees.
+    """Return the stage to draw for a picking arm: the arm, its ghost, gripper, camera, fruit and trees.
 
     Args:
-        canopies: One arm or more before their canopies.
-        row: The arm's number.
+        canopies: One or more arms before their canopies.
+        row: Index of the arm to draw.
         dark: Whether the background is dark.
     """
     nominal, sight, scene = canopies.task.plant.arm.nominal, canopies.sight[:, row], canopies.scenes[row]
@@ -265,9 +265,9 @@ def draw_pick(canopies: Canopies, row: int = 0, dark: bool = False) -> Stage:
 
 
 def canopy_fruit(scene: pick_scene.PickScene) -> Solids:
-    """The solids of the fruit that hangs or is in the gripper.
+    """Return the solids of the fruit that hangs or is in the gripper.
 
-    Reachable fruit has the colours of ripe fruit, other fruit is green, and missed fruit has a colour of its own.
+    Reachable fruit has the colour of ripe fruit. Other fruit is green, and missed fruit has another colour.
     """
     present = ~scene.collected & ~(scene.damaged & scene.detached)
     if scene.held is not None:
@@ -280,7 +280,7 @@ def canopy_fruit(scene: pick_scene.PickScene) -> Solids:
 
 
 def camera_solids(orchard: pick_scene.PickSetting) -> Solids:
-    """The solids of the camera that looks at the canopy, and of the view that it has."""
+    """Return the solids of the camera that looks at the canopy, and of its field of view."""
     canopy, camera = orchard.canopy, orchard.camera
     middle = (canopy.bottom + canopy.top) / 2
     eye = pick_scene.to_base(orchard, np.array([0.0, -canopy.standoff, middle]))
@@ -290,7 +290,7 @@ def camera_solids(orchard: pick_scene.PickSetting) -> Solids:
 
 
 def trees_of(orchard: pick_scene.PickSetting) -> tuple[Mesh, ...]:
-    """The meshes of the section of canopy before the arm."""
+    """Return the meshes of the section of canopy before the arm."""
     canopy = orchard.canopy
     ends = np.array([[-canopy.width / 2, 0.0, canopy.bottom], [canopy.width / 2, canopy.depth, canopy.top]])
     corners = pick_scene.to_base(orchard, ends)
@@ -299,12 +299,12 @@ def trees_of(orchard: pick_scene.PickSetting) -> tuple[Mesh, ...]:
 
 
 def ground_of(orchard: pick_scene.PickSetting) -> float:
-    """Height of the ground in the arm's base frame, m."""
+    """Return the height of the ground in the arm's base frame, m."""
     return float(pick_scene.to_base(orchard, np.zeros(3))[2])
 
 
 def pick_eye(orchard: pick_scene.PickSetting) -> Eye:
-    """An eye behind the arm, to its side and above it."""
+    """Return a viewpoint (an `Eye`) behind the arm, to its side and above it."""
     canopy = orchard.canopy
     face = pick_scene.to_base(orchard, np.array([0.0, 0.0, (canopy.bottom + canopy.top) / 2]))
     target = face * [0.62, 0.62, 0.62]

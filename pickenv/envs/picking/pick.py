@@ -1,4 +1,4 @@
-"""`pickenv/Pick-v0`: pick a canopy's fruit one after the other, under a time budget, with an arm that is not exact."""
+"""`pickenv/Pick-v0`: pick a canopy's fruit one after the other, in limited time, with an arm that is not exact."""
 
 from __future__ import annotations
 
@@ -21,16 +21,17 @@ from pickenv.pictures.stage import Stage
 
 
 class PickEnv(ArmEnv):
-    """Pick the fruit in front of the arm: come from below, settle, grasp, twist, retreat, and on to the next.
+    """Pick the fruit in front of the arm one by one: approach from below, settle, grasp, twist and retreat.
 
     ## Description
 
     A six-joint picking arm (Qiao 2026) stands before a section of canopy, 0.9 m wide and 0.8 m high, that holds some
-    ten fruit. The environment names the next fruit: the nearest to the believed tool that the camera found within reach
-    and that was not yet tried (or as `order` says). Each fruit can be tried once. The policy commands the *nominal*
-    arm; what moves is the *true* one, which also swings after every move, so that haste costs accuracy. The gripper
-    takes a fruit if the true tool is near enough to it; a failed grasp, and any fruit that the tool meets on its way,
-    pushes neighbours aside, and they swing for a while.
+    ten fruit. The environment chooses the next fruit among those that the camera found within reach and that were not
+    tried yet. By default it is the nearest to the believed tool (see `order`). Each fruit can be tried once. The policy
+    commands the *nominal* arm, that is the model that its controller believes in. What moves is the *true* arm, which
+    also vibrates after every move, so that haste costs accuracy. The gripper takes a fruit if the true tool is near
+    enough to it. A failed grasp pushes neighbouring fruit aside, as does a tool that touches fruit on its way. The
+    pushed fruit swings for a while.
 
     ## Action Space
 
@@ -46,15 +47,16 @@ class PickEnv(ArmEnv):
     | 5   | J6 twist          | -1          | 1           | 18                | deg  |
     | 6   | gripper           | -1          | 1           | see below         | 1    |
 
-    Above 0.5 an empty gripper closes at the end of the period, if the fruit is believed to be within 60 mm: that is the
-    fruit's one attempt. With a fruit in the gripper, a positive command twists, by up to 0.5 N m at 1. Below -0.5 the
-    gripper opens: a fruit on its stem swings back, a detached fruit falls and is damaged. A detached fruit is collected
-    once the believed tool has gone 80 mm down.
+    Above 0.5 an empty gripper closes at the end of the period, if the believed tool is within 60 mm of the fruit as
+    seen. This is the fruit's only attempt. With a fruit in the gripper, a positive command twists, by up to 0.5 N m at
+    1. Below -0.5 the gripper opens. A fruit on its stem then swings back; a detached fruit falls and is damaged. A
+    detached fruit is collected once the believed tool has gone 80 mm down.
 
     ## Observation Space
 
     `Box(float32)`, 23 numbers, or 26 with `feedback="gripper"`. The first 18 are laid out as in `pickenv/Reach-v0`, so
-    that a reach policy can be used again. Nothing depends on the true arm but the gripper's sensors. Base frame.
+    that a reach policy can be reused. Only the gripper's sensors (20-25) depend on where the true tool is. All vectors
+    are in the base frame.
 
     | Num   | Observation                                                          | Min  | Max  | Unit |
     |-------|----------------------------------------------------------------------|------|------|------|
@@ -78,9 +80,9 @@ class PickEnv(ArmEnv):
     hits it faster than 0.4 m/s, by being pulled off instead of twisted, and by falling. The reward is never part of an
     observation.
 
-    So haste costs more than the time it saves. The table shows what the scripted policy loses, with a calibrated arm on
-    60 canopies of some seven fruit in reach, compared with the same policy with gentle moves and half a second of
-    waiting (simulated; mean and 95 % interval per canopy, tests/envs/picking/test_pick.py):
+    So haste costs more than the time it saves. The scripted policy moves gently, waits half a second before each grasp,
+    and has a calibrated arm. The table shows what it loses without these, on 60 canopies of some seven fruit in reach
+    (simulated; mean and 95 % interval per canopy, tests/envs/picking/test_pick.py):
 
     | What is left out                 | Fruit collected        | Reward                 |
     |----------------------------------|------------------------|------------------------|
@@ -90,22 +92,28 @@ class PickEnv(ArmEnv):
 
     ## Starting State
 
-    All joints at mid-range, the arm at rest, cold and not yet sunk. Fruit is drawn until at least one is in reach: seen
-    by the camera, reachable with the tool upright there and 100 mm below, with no fruit in the way from below.
-    `reset(options=...)` takes `"fruit"`, positions (n, 3) in the base frame in m, `"start_joints"` (rad and m),
-    `"hours"`, for which the arm has been on, in place of `hours_on`, and, where `arms` is not "fixed", `"arm"`, the
-    number of the arm in the population. Every draw comes from `np_random` in
-    `reset`: what happens then depends on the actions alone, and one seed gives the same fruit to every arm.
+    All joints start at mid-range, with the arm at rest, cold and not yet sunk into the ground. Fruit is drawn until at
+    least one is in reach. Fruit is in reach if the camera sees it, the upright tool can be there and 100 mm below it,
+    and no other fruit is in the way. `reset(options=...)` takes
+
+    - `"fruit"`, positions (n, 3) in the base frame in m;
+    - `"start_joints"` (rad and m);
+    - `"hours"` (h), for which the arm has been switched on, in place of `hours_on`;
+    - where `arms` is not "fixed", `"arm"`, the number of the arm in the population.
+
+    All random numbers are drawn from `np_random` in `reset`. What happens afterwards depends only on the actions, and a
+    seed gives the same fruit to every arm.
 
     ## Episode End
 
-    - Termination: no fruit is left to try and the gripper is empty.
+    - Termination: no fruit is left to be tried, and the gripper is empty.
     - Truncation: after 400 steps of 0.1 s (`max_episode_steps`).
 
     ## Information
 
-    `info` has the same keys after `reset` and `step`. The first seven count the fruit that has got so far, each at most
-    as many as the key before. Once all fruit has been tried, the present fruit is the last one that was tried.
+    `info` has the same keys after `reset` and `step`. The first seven count the fruit that has reached each stage, so
+    each is at most as large as the one before. Once all fruit has been tried, the present fruit is the last one that
+    was tried.
 
     | Key                 | Meaning                                                             | Unit |
     |---------------------|---------------------------------------------------------------------|------|
@@ -128,10 +136,11 @@ class PickEnv(ArmEnv):
     | `fruit_position`    | true position of the present fruit                                  | m    |
     | `fruit_number`      | its number                                                          |      |
 
-    The way to a fruit, settling, twisting and the retreat are simulated. `duration_s` counts three things beside them:
-    1.0 s for each grasp, in which the gripper takes hold, 2.0 s for each fruit's way to the bin and back, and 0.5 s for
-    its release (`station.toml` of `pickenv/orchard/presets` has the sources). Picks per hour are by `duration_s`, and
-    leave out pictures and the ways from canopy to canopy. Observations, rewards and the time budget do not count it.
+    The way to a fruit, settling, twisting and the retreat are simulated. `duration_s` adds three times that are not
+    simulated: 1.0 s for each grasp, in which the gripper takes hold, 2.0 s for each fruit's way to the bin and back,
+    and 0.5 s for its release. `station.toml` of `pickenv/orchard/presets` has the sources. Picks per hour are computed
+    from `duration_s`. They leave out taking pictures and the ways from canopy to canopy. Observations, rewards and the
+    time budget do not use `duration_s`.
 
     ## Arguments
 
@@ -147,26 +156,28 @@ class PickEnv(ArmEnv):
 
     ```
 
-    - `plant` (str, default "orchard"): preset or path of a plant file; "ideal" has no error. Fruit is
-      placed for the arm qiao2026, upright tool 0.5 to 0.9 m beside its base; other arms reach less of it.
+    - `plant` (str, default "orchard"): preset or path of a plant file, which describes the true arm; "ideal" has no
+      error. Fruit is placed for the arm qiao2026, 0.5 to 0.9 m beside its base; other arms reach less of it.
     - `without` (sequence of str): effects of the plant to switch off.
-    - `gripper` (default "li_cup"; "compliant_hand"), `camera` (default "laser_line"), `canopy` (default "li2016"),
-      `fruit_map` (default "li2016_lab", singly hung; "v_trellis" is clumped), `fruit_size` (default "li2016", 60 mm):
-      presets of `pickenv.orchard.shipped` or paths of TOML files. False detections are left out.
+    - `gripper` (default "li_cup"; or "compliant_hand"), `camera` (default "laser_line"), `canopy` (default "li2016"),
+      `fruit_map` (default "li2016_lab", with single fruit; "v_trellis" has clusters), `fruit_size` (default "li2016",
+      60 mm): presets of `pickenv.orchard.shipped` or paths of TOML files. False detections are not simulated.
     - `fruit` (float, default 10): mean number of fruit in the section.
-    - `looks` (int, default 16): images that the camera averages; noise falls, bias and occlusion's pull stay.
-    - `vision`: "published" (default) goes by what is published of `camera`; the others see with Li's stereo pair
-      instead: "rendered" draws its two pictures and reads them (a tenth of a second and more; needs the extra
-      `harvest`), "measured_errors" draws recall and errors from the table made that way in this canopy, "ideal" shows
-      all fruit where it is. `detector`: what reads the pictures, "li2016" (default) or "circles".
-    - `order` ("nearest" to the believed tool, the default, "lowest", "highest" or "foremost"): the fruit named next.
-    - `feedback` ("encoders", the default, or "gripper"): with "gripper" the gripper feels where a fruit that it took
-      lies in it, with noise of `grip_noise_mm` per axis (default 1). A fruit that it missed tells nothing.
-    - `arms` ("fixed", "per_env" or "per_episode"), `tolerances`, `population` and `population_seed`: the plant's own
-      true arm, or one of a population, as in `pickenv/Reach-v0`.
+    - `looks` (int, default 16): number of images that the camera averages. This reduces its noise, but neither its bias
+      nor the error from partly hidden fruit.
+    - `vision`: how the camera's errors are made. "published" (default) uses the published errors of `camera`. The
+      others use Li's stereo pair instead. "rendered" renders its two pictures and detects the fruit in them (a tenth of
+      a second and more; needs the extra `harvest`). "measured_errors" draws detections and errors from the table made
+      that way in this canopy. "ideal" shows all fruit where it is.
+    - `detector` ("li2016", the default, or "circles"): what detects fruit in the pictures.
+    - `order` ("nearest" to the believed tool, the default, "lowest", "highest" or "foremost"): which fruit is next.
+    - `feedback` ("encoders", the default, or "gripper"): with "gripper" the gripper measures where a fruit that it took
+      lies in it, with noise of `grip_noise_mm` per axis (default 1). After a failed grasp it measures nothing.
+    - `arms` ("fixed", "per_env" or "per_episode"), `tolerances`, `population` and `population_seed`: whether the true
+      arm is the plant's own or one of a population, as in `pickenv/Reach-v0`.
     - `out_of_range` ("clip" or "refuse"): as in `pickenv/Reach-v0`.
-    - `control_period_s`, `latency` (of joint readings), `action_delay` (of the gripper too), `joint_noise`, `hours_on`
-      and `start_spread`, numbers or ranges: as in `pickenv/Reach-v0`.
+    - `control_period_s`, `latency` (of joint readings), `action_delay` (of arm and gripper), `joint_noise`, `hours_on`
+      and `start_spread`: as in `pickenv/Reach-v0`.
     - `difficulty` and `split`: as in `pickenv/Reach-v0`.
     - `executor` ("auto", "compiled", "floats" or "numpy"): as in `pickenv/Reach-v0`.
     - `render_mode` (None, "human" or "rgb_array").
@@ -194,7 +205,7 @@ class PickEnv(ArmEnv):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[NDArray[np.float32], Information]:
-        """Start before another section of canopy; see the class for `options`."""
+        """Start an episode before a new section of canopy; see the class for `options`."""
         super().reset(seed=seed)
         options = given_options(options, PICK_OPTIONS)
         task, joints, arm = self.task, options.get("start_joints"), options.get("arm")
@@ -218,10 +229,10 @@ class PickEnv(ArmEnv):
         return self._shown(self.canopies)
 
     def step(self, action: ArrayLike) -> tuple[NDArray[np.float32], float, bool, bool, Information]:
-        """Move the joint target by `action`, then work the gripper.
+        """Move the joint target by `action` for one period, then operate the gripper.
 
         Raises:
-            InputError: If the action has another shape or impossible numbers, or before the first reset.
+            InputError: If the action has another shape or invalid numbers, or if `reset` was not called before.
         """
         values, canopies = checked_action(action, (self.task.joints + 1,), self.task.most_action), self.canopies
         if canopies is None or self._state is None:
@@ -239,7 +250,7 @@ class PickEnv(ArmEnv):
         return None if self.canopies is None else draw_pick(self.canopies, dark=self.dark)
 
     def _look(self, canopies: Canopies, state: ArmState, dt: Scalar) -> None:
-        """Let ``dt`` seconds pass at the joint target of ``state``, and store in ``canopies`` how the arm is seen."""
+        """Simulate ``dt`` seconds at the joint target of ``state``, and store the view of the arm in ``canopies``."""
         sight, command = self._looked(state, int(canopies.moments[0]), dt)
         canopies.sight[:, 0] = self._plain([*sight, *command])
 

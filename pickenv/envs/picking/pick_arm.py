@@ -1,4 +1,4 @@
-"""The arm of `pickenv/Pick-v0` as pure functions on components: floats for one environment, NumPy's arrays for many.
+"""The arm of `pickenv/Pick-v0` as pure functions on components: floats for one environment, NumPy arrays for many.
 
 What happens to the fruit is in `pickenv.envs.picking.pick_scene`. Units: m, rad, s.
 """
@@ -24,17 +24,18 @@ from pickenv.envs.shared.task import Task, inexact
 
 
 ITERATIONS = 8
-"""Steps of the inverse kinematics that judge whether a point is in reach; 15 steps judge none of 4000 differently."""
+"""Number of steps of the inverse kinematics that decides whether a point is in reach. With 15 steps, none of 4000
+points is decided differently."""
 
 UP = np.array([0.0, 0.0, 1.0])
-"""Direction in which the tool comes to a fruit, and in which it points there."""
+"""Direction in which the tool approaches a fruit, and in which it points there, base frame."""
 
 
 class Reach:
-    """Test of whether the nominal arm, its tool upright, reaches both a point and the place ``approach`` m below it."""
+    """Test whether the nominal arm, tool upright, reaches both a point and the point ``approach`` m below it."""
 
     def __init__(self, geometry: Geometry, approach: float) -> None:
-        """Sample the arm's upright poses once; the test of each point then starts from the nearest pose."""
+        """Sample the arm's upright poses once; each test then starts from the sampled pose nearest to its point."""
         self.geometry, self.approach = geometry, approach
         joints, poses = spread_poses(geometry)
         upright = poses.rotation[:, 2, 2] > np.cos(np.radians(30.0))
@@ -45,7 +46,7 @@ class Reach:
         self.tree = cKDTree(poses.position[upright])
 
     def __call__(self, positions: Array) -> Flags:
-        """Flags (n,) of the positions (n, 3), m, that are in reach."""
+        """Return flags (n,) of the positions (n, 3), m, that are in reach."""
         if not len(positions):
             return np.zeros(0, dtype=np.bool_)
         points = np.concatenate([positions, positions - self.approach * UP])
@@ -65,12 +66,12 @@ class Reach:
 
 @lru_cache(maxsize=4)
 def reach_of(geometry: Geometry, approach: float) -> Reach:
-    """The `Reach` of an arm; its poses are sampled once per arm and approach."""
+    """Return the `Reach` of an arm, whose poses are sampled once per arm and ``approach`` (m)."""
     return Reach(geometry, approach)
 
 
 def _upright(rotation: Array) -> Array:
-    """The attitude (3, 3) with the tool axis straight up and nearly the yaw of ``rotation`` (3, 3)."""
+    """Return the attitude (3, 3) near ``rotation`` (3, 3) whose tool axis points straight up."""
     x = rotation[:, 0] - rotation[2, 0] * UP
     x /= np.linalg.norm(x)
     return np.stack([x, np.cross(UP, x), UP], axis=-1)
@@ -81,9 +82,9 @@ STIRRED = 1e-9
 
 
 BELIEVED, TOOL, TURN, TILT, SIGHT = slice(0, 12), slice(12, 24), slice(24, 27), 27, 28
-"""Places of the numbers in a view of the arm: the frame of the believed tool, the frame of the true tool, the rotation
-vector from the believed attitude to upright, the angle between the true tool's axis and the vertical (degrees), and
-from `SIGHT` on the joint readings, scaled to the limits."""
+"""Positions of the numbers in a view of the arm. `BELIEVED` is the frame of the believed tool, `TOOL` that of the true
+tool. `TURN` is the rotation vector from the believed attitude to upright. `TILT` is the angle between the true tool's
+axis and the vertical (degrees). From `SIGHT` on follow the joint readings, scaled to the limits."""
 
 
 def act_arm(
@@ -92,7 +93,8 @@ def act_arm(
     """Move the joint target by an action, or by an earlier one if actions are delayed.
 
     Returns:
-        The state with its new target, the gripper's command, whether the target moved, and the time that passes (s).
+        The state with its new target, the gripper's command, whether the target moved, and the length of the period
+        (s).
     """
     setting, values = task.situation, state.drawn
     arrived, sent = situation.acted(x, setting, values, state.sent, action)
@@ -118,7 +120,7 @@ def look_at_arm(
     """Hold the joint command for ``dt`` seconds; arguments as in `pickenv.envs.shared.simulation.look`.
 
     Returns:
-        The state afterwards, and the view of the arm, laid out as `BELIEVED` to `SIGHT` say.
+        The state afterwards, and the view of the arm, in the layout of `BELIEVED` to `SIGHT`.
     """
     plant_state, ended = plant.advance(x.m, state.plant, command, dt)
     read = simulation.nominal_readings(x, plant, plant_state, state.target, command)
@@ -130,7 +132,7 @@ def look_at_arm(
 
 
 def upright_turn(m: ModuleType, axis: Sequence[Scalar]) -> simulation.Components:
-    """Rotation vector of the shortest turn that brings a unit vector upright, three components in rad."""
+    """Compute the rotation vector (rad, 3) of the shortest rotation that turns a unit vector upright."""
     ax, ay, az = axis
     sine = m.sqrt(ax * ax + ay * ay)
     scale = m.atan2(sine, az) / (sine + 1e-30)

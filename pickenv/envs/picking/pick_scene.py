@@ -1,8 +1,8 @@
 """The fruit before a picking arm: where it hangs and is seen, how it is pushed, taken, twisted off and collected.
 
-Everything is in the arm's base frame (m, s, N), which is the orchard frame turned by half a turn about z, so that trees
-stand at -y. The tool is a cylinder below its point that opens upwards, and comes from below. Every random number is
-drawn at the start, so that two policies meet the same fruit, the same camera and the same luck.
+Everything is in the arm's base frame (m, s, N). It is the orchard frame turned by half a turn about z (and shifted), so
+that trees stand at -y. The tool is a cylinder that opens upwards, with its point on top, and approaches from below. All
+random numbers are drawn at the start, so that two policies meet the same fruit and the same random outcomes.
 """
 
 from __future__ import annotations
@@ -28,17 +28,20 @@ from pickenv.orchard import DRAWS
 
 FATES = ("attempted", "attached", "detached", "collected", "damaged")
 CLOSE, OPEN = 0.5, -0.5
-"""Commands to the gripper: above `CLOSE` it closes, below `OPEN` it opens."""
+"""Thresholds of the gripper's command: above `CLOSE` it closes, below `OPEN` it opens."""
 
 ATTEMPTS, GIVEN_ATTEMPTS = 200, 10
-"""Most draws until a fruit is in reach, for drawn and for given fruit; given fruit keeps its positions in each draw."""
+"""Largest numbers of draws until a fruit is in reach, for drawn and for given fruit. Given fruit keeps its positions in
+each draw."""
 
 
 @dataclass(frozen=True, eq=False)
 class PickSetting:
-    """The kind of fruit before the arm, the camera that sees it and the gripper that takes it.
+    """The orchard before the arm, the camera that sees its fruit, and the gripper that takes it.
 
-    `felt` is the noise per axis with which the gripper feels where a fruit lies in it, m; None if it feels nothing.
+    `looks` is the number of images that the camera averages. `order` is a key of `ORDERS`. `eyes` is the stereo pair
+    that sees fruit instead of `camera`, or None. `felt` is the noise per axis with which the gripper measures where a
+    fruit lies in it, m, or None if it measures nothing.
     """
 
     canopy: trees.Canopy
@@ -61,19 +64,20 @@ ORDERS: dict[str, tuple[float, float, float] | None] = {
     "highest": (0.0, 0.0, -1.0),
     "foremost": (0.0, -1.0, 0.0),
 }
-"""Orders in which fruit is picked: the nearest to the believed tool, or the first along a direction (base frame)."""
+"""Orders in which fruit is picked. None stands for the nearest to the believed tool, a vector for the first along it
+(base frame)."""
 
 PUBLISHED = "published"
-"""Name of the vision that uses a camera's published figures; `pickenv.orchard.VISIONS` names the others."""
+"""Name of the vision that uses a camera's published errors; `pickenv.orchard.VISIONS` names the others."""
 
 
 def to_base(orchard: PickSetting, positions: Array) -> Array:
-    """Positions (..., 3), given in the orchard frame, in the base frame."""
+    """Convert positions (..., 3), m, from the orchard frame to the base frame."""
     return _origin(orchard) + positions * [-1.0, -1.0, 1.0]
 
 
 def to_orchard(orchard: PickSetting, positions: Array) -> Array:
-    """Positions (..., 3), given in the base frame, in the orchard frame."""
+    """Convert positions (..., 3), m, from the base frame to the orchard frame."""
     return np.asarray((positions - _origin(orchard)) * [-1.0, -1.0, 1.0])
 
 
@@ -83,18 +87,21 @@ def _origin(orchard: PickSetting) -> Array:
 
 
 Contact = tuple[Array, Array, Array, Flags]
-"""Contacts of fruit with a tool: the vector from the tool's axis to each fruit, m, (..., n, 3), the length of that
-vector, how far the tool is inside the fruit, m, and whether it touches the fruit, (..., n) each."""
+"""Contacts of fruit with a tool, in four arrays. The first is the vector from the tool's axis to each fruit, m,
+(..., n, 3). The others, (..., n) each, are the length of that vector, how far the tool is inside the fruit, m, and
+whether it touches the fruit."""
 
 
 def contact(station: trees.Station, positions: Array, diameters: Array, point: Array, axis: Array) -> Contact:
-    """Contacts of fruit with a tool; every canopy gives each fruit the same bits, whatever else is in the arrays.
+    """Compute the contacts of fruit with a tool.
+
+    The result for a fruit has the same bits whatever else is in the arrays.
 
     Args:
-        station: The tool.
+        station: The station, which has the tool's radius and length.
         positions: Positions of the fruit, m, shape (..., n, 3).
         diameters: Diameters of the fruit, m, shape (..., n).
-        point: The tool's point, m, shape (..., 3).
+        point: Position of the tool's point, m, shape (..., 3).
         axis: Direction of the tool's axis, shape (..., 3).
     """
     away = positions - point[..., None, :]
@@ -126,31 +133,31 @@ Fruit = NDArray[np.void]
 
 
 class PickScene:
-    """All fruit of an episode, and what has become of it; arrays with one entry per fruit.
+    """All fruit of an episode and its present state. Arrays have one entry per fruit.
 
     Attributes:
-        orchard: The kind of fruit, the camera and the gripper.
+        orchard: The orchard, the camera and the gripper.
         fruit: Records of all fruit (n,); the attributes from `rest` to `damaged` are fields of it.
         rest: Where each fruit hangs at rest, m, shape (n, 3).
         seen: Where the camera saw the fruit, m, shape (n, 3).
-        noise: Error with which the gripper will feel the fruit's place, m, shape (n, 3).
+        noise: Error of the gripper when it measures the fruit's position, m, shape (n, 3).
         diameters: Diameters of the fruit, m.
         masses: Masses of the fruit, kg.
         displacement: Present position of the fruit minus `rest`, m, shape (n, 3).
         velocity: Velocity of the fruit, m/s, shape (n, 3).
-        chance: Uniform numbers that decide grasps.
+        chance: Uniform random numbers; a grasp succeeds if its probability is larger.
         pull_limit: Pull that takes the fruit off its stem, N.
         twist_limit: Twist about the stem that takes the fruit off, N m.
         visible: Whether the camera found the fruit.
-        reachable: Whether the camera found the fruit where the arm can get at it, with a free way from below.
+        reachable: Whether the camera found the fruit, the arm reaches it there, and the way from below is free.
         attempted: Whether the gripper has closed on the fruit.
         attached: Whether the gripper took the fruit.
         detached: Whether the fruit came off its stem.
         collected: Whether the fruit is collected.
         damaged: Whether the fruit is damaged.
         held: Number of the fruit in the gripper, or None.
-        miss: How far the last grasp was from its fruit, across and along the tool's axis, m.
-        grip: Displacement of the fruit in the gripper minus the tool's position, m.
+        miss: Distance of the fruit from the tool at the last grasp, across and along the tool's axis, m.
+        grip: Displacement (as in `displacement`) of the fruit in the gripper, minus the tool's position, m.
         detached_at: Height of the believed tool when the fruit in the gripper came off its stem, m.
     """
 
@@ -159,10 +166,10 @@ class PickScene:
         self.held: int | None = None
         self.miss, self.grip, self.detached_at = (0.0, 0.0), np.zeros(3), 0.0
         self.fruit = fruit
-        """The scene's own array, or its part of an array of many canopies; changes to the fruit are written there."""
+        """The scene's own array, or its part of an array of many canopies; the scene changes it in place."""
 
     def __getattr__(self, name: str) -> NDArray[Any]:
-        """The field ``name`` of `fruit`."""
+        """Return the field ``name`` of `fruit`."""
         if name not in (FRUIT.names or ()):
             raise AttributeError(name)
         return self.fruit[name]
@@ -184,11 +191,11 @@ class PickScene:
 
     @property
     def felt(self) -> Array:
-        """Where the fruit in the gripper lies as the gripper feels it, fruit minus tool, m, (3,); zeros without one."""
+        """Position of the held fruit as the gripper measures it, fruit minus tool, m, (3,); zeros without a fruit."""
         return np.zeros(3) if self.held is None else self.rest[self.held] + self.grip + self.noise[self.held]
 
     def following(self, tool: ArrayLike) -> int | None:
-        """Number of the waiting fruit that comes next for a tool at position ``tool``; None if none is waiting."""
+        """Return the number of the waiting fruit to pick next with the tool at ``tool`` (3,), m; None if none waits."""
         waiting = np.flatnonzero(self.waiting)
         if not waiting.size:
             return None
@@ -197,14 +204,21 @@ class PickScene:
         return int(waiting[np.argmin(rank)])
 
     def carry(self, point: Array, moved: Array) -> None:
-        """Take the fruit in the gripper, and its branch, along with the tool, which ``moved`` to ``point``."""
+        """Move the held fruit and its branch with the tool, which has moved by ``moved`` to ``point``, (3,), m."""
         assert self.held is not None
         self._push(self.rest[self.held], moved)
         self.displacement[self.held] = self.grip + point
         self.velocity[self.held] = 0.0
 
     def meet(self, found: Contact, target: int, moved: Array, dt: float) -> None:
-        """Push the fruit that the tool touches, except fruit off its stem and the fruit in the gripper."""
+        """Push the fruit that the tool touches, except fruit off its stem and the fruit in the gripper.
+
+        Args:
+            found: Contacts of the fruit with the tool.
+            target: Number of the fruit to pick, which is not pushed if it is above the tool's opening.
+            moved: Motion of the tool in the period (3,), m.
+            dt: Length of the period, s.
+        """
         across, gap, overlap, touched = found
         touched = touched & ~self.detached
         if self.held is not None:
@@ -216,12 +230,12 @@ class PickScene:
             self.damaged[i] |= speed > self.orchard.station.bruise_speed
 
     def work_gripper(self, share: float, number: int, believed: Frame, tool: Frame) -> None:
-        """Close the gripper on fruit ``number``, twist, open or empty it.
+        """Operate the gripper: close it on fruit ``number``, twist, open it, or collect a fruit.
 
         Args:
             share: The command, -1 to 1.
-            number: The fruit that the arm is after.
-            believed: Frame of the believed tool, by which the controller decides.
+            number: Number of the fruit to pick.
+            believed: Frame of the believed tool, with which the controller decides.
             tool: Frame of the true tool, which decides the outcome.
         """
         if self.held is None:
@@ -238,7 +252,7 @@ class PickScene:
             self.detached_at = believed[11]
 
     def grasp(self, i: int, tool: Frame) -> None:
-        """Close the gripper on fruit ``i``, whose only attempt this is."""
+        """Close the gripper on fruit ``i``, which cannot be tried again; ``tool`` is the true tool's frame."""
         point, axis = np.array(tool[9:]), np.array(tool[6:9])
         lateral, axial, angle = trees.misalignment(self.positions[i] - point, axis, UP)
         probability = trees.capture_probability(self.orchard.gripper, lateral, axial, angle, self.diameters[i])
@@ -252,7 +266,7 @@ class PickScene:
         self._push(self.positions[i], self.orchard.station.knock * away / max(float(np.linalg.norm(away)), 1e-9))
 
     def twist(self, share: float) -> None:
-        """Twist the fruit in the gripper by a share of the largest torque; pulled or twisted enough, it comes off."""
+        """Twist the held fruit by a share of the largest torque, and detach it if torque or pull reaches its limit."""
         i, branch = self.held, self.orchard.branch
         assert i is not None
         spring = np.array([branch.stiffness_sideways] * 2 + [branch.stiffness_upright])
@@ -263,19 +277,19 @@ class PickScene:
         self.damaged[i] |= torn and not turned
 
     def let_go(self) -> None:
-        """Open the gripper: a fruit on its stem swings back, a detached fruit falls and is damaged."""
+        """Open the gripper; a fruit on its stem swings back, a detached fruit falls and is damaged."""
         if self.held is not None:
             self.damaged[self.held] |= self.detached[self.held]
             self.held = None
 
     def collect(self) -> None:
-        """Take the detached fruit out of the gripper."""
+        """Collect the detached fruit, which empties the gripper."""
         assert self.held is not None
         self.collected[self.held] = True
         self.held = None
 
     def _push(self, contact: Array, push: Array) -> None:
-        """Displace the fruit around the point ``contact`` by ``push``, each at most to the largest displacement."""
+        """Displace the fruit around the point ``contact`` by ``push`` (3,), m; no displacement exceeds its bound."""
         displacement = self.displacement + trees.pushed(self.orchard.branch, self.rest, contact, push)
         far = np.linalg.norm(displacement, axis=1, keepdims=True)
         self.displacement[:] = displacement * np.minimum(1.0, self.orchard.station.most_push / np.maximum(far, 1e-9))
@@ -287,13 +301,13 @@ def draw_scenes(
     """Draw the fruit of several episodes, each with at least one fruit in reach.
 
     Args:
-        orchard: The kind of fruit, the camera and the gripper.
-        reach: Test of what the arm reaches; it is called for the fruit of all episodes at once.
-        rngs: For each episode the source of every random draw.
-        given: For each episode fruit positions (n, 3) in the base frame, m, in place of drawn ones, or None.
+        orchard: The orchard, the camera and the gripper.
+        reach: Test of what the arm reaches, called for the fruit of all episodes at once.
+        rngs: Random generator of each episode.
+        given: For each episode fruit positions (n, 3) in the base frame, m, or None to draw them.
 
     Raises:
-        InputError: If no given fruit is found within reach, or no drawn fruit in many draws.
+        InputError: If no fruit is both seen and in reach, for given fruit or in `ATTEMPTS` draws.
     """
     centres = [None if positions is None else _given_fruit(positions) for positions in given]
     scenes: dict[int, PickScene] = {}
@@ -327,9 +341,9 @@ def _given_fruit(given: Any) -> Array:
 
 
 def _seen_scene(orchard: PickSetting, rng: np.random.Generator, given: Array | None) -> PickScene | None:
-    """A scene of fruit, drawn or given, and seen by the camera; None if no fruit was drawn.
+    """Make a scene of fruit, drawn or given, as the camera sees it; return None if no fruit was drawn.
 
-    Its `reachable` flags the fruit that is seen and has a free way from below, whether or not the arm gets there.
+    Here its `reachable` marks the fruit that is seen and has a free way from below, whether the arm reaches it or not.
     """
     if given is None:
         positions, diameters = trees.sample_fruit(orchard.fruit_map, orchard.size, orchard.canopy, rng)
@@ -353,7 +367,17 @@ def _seen_scene(orchard: PickSetting, rng: np.random.Generator, given: Array | N
 def looked_at(
     orchard: PickSetting, rng: np.random.Generator, positions: Array, diameters: Array
 ) -> tuple[Array, Flags]:
-    """Positions of fruit as the camera sees it (n, 3), orchard frame, m, and flags (n,) of the fruit that it finds."""
+    """Simulate how the camera sees fruit.
+
+    Args:
+        orchard: The orchard, the camera and the gripper.
+        rng: Random generator.
+        positions: True positions (n, 3), orchard frame, m.
+        diameters: Diameters (n,), m.
+
+    Returns:
+        The positions that the camera measures (n, 3), orchard frame, m, and flags (n,) of the fruit that it finds.
+    """
     canopy, camera, count = orchard.canopy, orchard.camera, len(positions)
     viewpoint, ahead = np.array([0.0, -canopy.standoff, (canopy.bottom + canopy.top) / 2]), np.array([0.0, 1.0, 0.0])
     if orchard.eyes is not None:
@@ -381,17 +405,17 @@ def looked_at(
 
 
 LONGEST = 400
-"""Steps of the time budget, whatever `max_episode_steps` is, since the environment does not know that number."""
+"""Number of steps of the time budget. It does not follow `max_episode_steps`, which the environment does not know."""
 STILL = 1.0
-"""Longest time that the observation shows since the joint target moved, s."""
+"""Upper bound of the time since the joint target moved in observations, s."""
 MOST_LEFT = 50
 COLLECTED, DAMAGED, STEP = 1.0, -0.25, -0.002
 
 PICK_FEEDBACK = ("encoders", "gripper")
-"""What a policy gets to know of the true arm: nothing, or where each fruit that the gripper took lies in it."""
+"""Values of `feedback`. With "gripper" the policy observes where each held fruit lies in the gripper."""
 
 MOST_FELT = 0.1
-"""Bound of an observation of where a fruit lies in the gripper; fruit that far off was missed."""
+"""Bound of observations of where a fruit lies in the gripper; the gripper misses fruit as far off as this."""
 
 
 def make_pick(
@@ -416,10 +440,13 @@ def make_pick(
     out_of_range: str = "clip",
     **situation: Any,
 ) -> tuple[Task, PickSetting]:
-    """The arm's task and the setting of fruit for arguments that `pickenv/Pick-v0` explains, checked.
+    """Check the arguments of a picking environment, which `pickenv/Pick-v0` explains.
+
+    Returns:
+        The arm's task, and the setting of fruit, camera and gripper.
 
     Raises:
-        InputError: If an argument is impossible; one sentence says which.
+        InputError: If an argument is impossible. The message names it.
     """
     check_number("fruit", fruit, positive=True)
     check_count("looks", looks)
@@ -455,7 +482,7 @@ def make_pick(
 
 
 def pick_spaces(task: Task, orchard: PickSetting) -> tuple[spaces.Box, spaces.Box]:
-    """The observation space and the action space."""
+    """Return the observation space and the action space."""
     bounds = box([1.0] * task.joints + [task.reach] * 6 + [2 * task.reach] * 3 + [math.pi] * 3)
     felt = np.full(0 if orchard.felt is None else 3, MOST_FELT, np.float32)
     low = np.concatenate([bounds.low, np.zeros(5, np.float32), -felt])
@@ -464,7 +491,7 @@ def pick_spaces(task: Task, orchard: PickSetting) -> tuple[spaces.Box, spaces.Bo
 
 
 def pick_reward(collected: Scalar, damaged: Scalar) -> Scalar:
-    """Reward of a step in which ``collected`` fruit were collected undamaged and ``damaged`` fruit newly damaged."""
+    """Compute the reward of a step from the numbers of fruit collected undamaged and of fruit newly damaged."""
     return COLLECTED * collected + DAMAGED * damaged + STEP
 
 
@@ -476,10 +503,17 @@ PICK_OPTIONS = ("fruit", "start_joints", "arm", "hours")
 
 
 def given_hours(hours: Any, count: int | None = None) -> Array:
-    """The hours that a reset option asks for, a number or, if ``count`` is given, ``(count,)``.
+    """Check the hours that a reset option gives, and return them as an array.
+
+    Args:
+        hours: A number, or ``(count,)`` if ``count`` is given, h.
+        count: Number of environments, or None for a single one.
+
+    Returns:
+        The hours, ``()``, or ``(count,)`` if ``count`` is given.
 
     Raises:
-        InputError: If there are more or fewer, or one is not from 0 to `MOST_HOURS`.
+        InputError: If the shape is wrong, or a number is not from 0 to `MOST_HOURS`.
     """
     values = as_numbers("option hours", hours)
     if values.shape not in ((), () if count is None else (count,)) or not np.all(
@@ -491,8 +525,8 @@ def given_hours(hours: Any, count: int | None = None) -> Array:
 
 
 PickStart = tuple[PickScene, int | None, int]
-"""The draws of an episode: the fruit, the number of the true arm (None if there is only one), and the key of the random
-streams for the situation."""
+"""What is drawn for an episode: the fruit, the number of the true arm (None if there is only one), and the key of the
+random streams for the situation."""
 
 
 def draw_starts(
@@ -508,12 +542,12 @@ def draw_starts(
 
     Args:
         task: The arm's task.
-        orchard: The kind of fruit, the camera and the gripper.
+        orchard: The orchard, the camera and the gripper.
         reach: Test of what the arm reaches.
-        rngs: Sources of every random draw.
-        before: Numbers of the true arms so far; with arms "per_env", an arm is drawn if its number is None.
-        fruit: Positions in place of drawn ones, as `reset` takes them, or None.
-        arms: Numbers of arms in place of drawn ones, or None.
+        rngs: Random generators.
+        before: Numbers of the true arms so far. With `arms="per_env"`, an arm is drawn only if its number is None.
+        fruit: Fruit positions as `reset` takes them, or None to draw fruit.
+        arms: Numbers of true arms, or None to draw them.
 
     Raises:
         InputError: If no fruit is within reach, or the population has no arm of a given number.

@@ -27,12 +27,12 @@ from pickenv.pictures.stage import Stage
 class PickVectorEnv(NativeVectorEnv):
     """N `pickenv/Pick-v0` in one vector environment.
 
-    Environment i is the same, number by number, as a single `pickenv/Pick-v0` with seed ``seed + i``, whatever N is: to
-    the bit if the single environment has `executor="numpy"`.
+    Environment i returns the same numbers as a single `pickenv/Pick-v0` with the seed ``seed + i``, whatever N is. They
+    are equal to the bit if the single environment has `executor="numpy"`.
 
-    `reset(options={"reset_mask": mask})` begins episodes where the mask is True and leaves the others alone; the other
-    options are as in `pickenv/Pick-v0`, given once for all environments or once for each: "fruit" as ``(n, 3)`` or
-    ``(N, n, 3)``, "start_joints" as ``(6,)`` or ``(N, 6)``, "arm" and "hours" as a number or ``(N,)``.
+    `reset(options={"reset_mask": mask})` begins episodes where the mask is True; the other environments continue. The
+    other options are those of `pickenv/Pick-v0`. Each is given once for all environments or once for each: "fruit" as
+    ``(n, 3)`` or ``(N, n, 3)``, "start_joints" as ``(6,)`` or ``(N, 6)``, "arm" and "hours" as a number or ``(N,)``.
 
     Args:
         num_envs: N.
@@ -76,15 +76,15 @@ class PickVectorEnv(NativeVectorEnv):
         self.batch = PickBatch(task, self.orchard, self.num_envs)
         self._armed = np.zeros(self.num_envs, dtype=np.bool_)
         self._ahead: dict[int, tuple[Any, pick_scene.PickStart]] = {}
-        """Episodes drawn ahead by environment, each after the state that its generator had before the draw."""
+        """Next episodes drawn already, by environment: the generator's state before the draw, and the start."""
 
     @property
     def plant(self) -> Plant:
-        """The true arm that all environments share, or the true arms, one per environment."""
+        """The true arm that all environments share, or else the true arms, one per environment."""
         return self.batch.plant
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
-        """Arrays of everything that the next step depends on, for a checkpoint."""
+        """Return all arrays that the next step depends on, for a checkpoint."""
         states = [
             self._ahead[row][0] if row in self._ahead else rng.bit_generator.state for row, rng in enumerate(self._rngs)
         ]
@@ -93,7 +93,7 @@ class PickVectorEnv(NativeVectorEnv):
         return {key: np.array(value) for key, value in (arrays | self.batch.state_arrays()).items()}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
-        """Take over the arrays that `state_arrays` of an environment with the same arguments returned."""
+        """Restore the arrays that `state_arrays` of an environment with the same arguments returned."""
         self._rngs = [np.random.Generator(np.random.PCG64(0)) for _ in range(self.num_envs)]
         for rng, words in zip(self._rngs, state["rngs"], strict=True):
             rng.bit_generator.state = state_of_words(words)
@@ -139,9 +139,9 @@ class PickVectorEnv(NativeVectorEnv):
         )
 
     def _draw_ahead(self) -> None:
-        """Draw the next episodes of all environments that have none drawn ahead.
+        """Draw the start of the next episode for all environments that have none drawn yet.
 
-        Drawing many canopies takes little longer than drawing one, and nothing else draws from these generators.
+        Drawing many canopies takes little longer than drawing one. Nothing else draws from these generators.
         """
         rows = np.array([row for row in range(self.num_envs) if row not in self._ahead])
         before = [self._rngs[row].bit_generator.state for row in rows]
@@ -165,7 +165,7 @@ class PickVectorEnv(NativeVectorEnv):
 
 
 def _each(options: Information, name: str, count: int, rank: int) -> list[Any]:
-    """The values of option ``name``, one per environment, given once for all environments or once for each."""
+    """Return the values of option ``name``, one per environment, whether given once for all or once for each."""
     values = options.get(name)
     if values is None or np.ndim(values) < rank:
         return [values] * count
@@ -201,11 +201,11 @@ class PickBatch(NumpyArms):
         """Begin an episode in the environments ``rows``.
 
         Args:
-            rows: Numbers of the environments.
-            starts: What was drawn for each.
+            rows: Indices of the environments.
+            starts: The fruit, true arm and key drawn for each.
             joints: Joint targets to start from ``(rows, n)``, or None.
             compensate: Turns joint targets into joint commands, or None.
-            hours: Hours for which the arms have been on ``(rows,)``, or None for those of the situation.
+            hours: Time for which the arms have been switched on ``(rows,)``, h, or None for that of the situation.
         """
         x, task, canopies = self.x, self.task, self.canopies
         scenes, arms, words = zip(*starts, strict=True)
@@ -225,7 +225,13 @@ class PickBatch(NumpyArms):
             canopies.choose(row)
 
     def advance(self, actions: Array, going: Flags, compensate: Compensate | None) -> Array:
-        """Act in all environments and give the rewards; fruit and rewards change only in those that are ``going``."""
+        """Act in all environments, and return the rewards.
+
+        Args:
+            actions: Actions component by component, ``(n + 1, N)``.
+            going: Flags ``(N,)`` of the environments in which fruit may change; the others get no reward.
+            compensate: Turns joint targets into joint commands, or None.
+        """
         before = self.canopies.sight[TOOL][9:].T.copy()
         gripper, period, stirred = np.empty(self.count), np.empty(self.count), np.empty(self.count, dtype=np.bool_)
         self.canopies.moments += np.uint64(1)
@@ -237,11 +243,11 @@ class PickBatch(NumpyArms):
         return self.canopies.happen(going, before, gripper, stirred, period)
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
-        """Arrays of everything that the next step depends on."""
+        """Return all arrays that the next step depends on."""
         return super().state_arrays() | self.canopies.state_arrays()
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
-        """Take over the arrays that `state_arrays` returned."""
+        """Restore the arrays that `state_arrays` returned."""
         super().take_state_arrays(state)
         self.canopies.take_state_arrays(state)
 

@@ -1,1 +1,1 @@
-"""The environments Reach, ReachGoal and ReachIdeal, single and as native vectors."""
+"""The environments Reach, ReachGoal, ReachIdeal, ReachScaled and ReachTool, single and as native vectors."""

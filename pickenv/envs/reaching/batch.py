@@ -1,6 +1,7 @@
-"""The state of many reach tasks side by side, component by component, and the start of their episodes.
+"""The state of many reach tasks, one array per number of the state, and the start of their episodes.
 
-`Batch` is for any executor; `NumpyBatch` and `torch_batch` say where the numbers live and how a step is computed.
+`Batch` works on any executor. Its subclasses `NumpyBatch` and `pickenv.envs.reaching.torch_batch.TorchBatch` choose the
+kind of array and compute the steps.
 """
 
 from __future__ import annotations
@@ -23,11 +24,12 @@ class Views(NamedTuple):
     """Many environments' views, component by component, one column per environment; see `simulation.View`.
 
     Attributes:
-        observation: One array ``(k, count)`` per part of the observation, float32.
+        observation: Parts of the observation, each an array ``(k, count)`` of float32.
         reward: Rewards ``(count,)``.
-        success: Flags ``(count,)`` of the environments whose fruit is inside the capture region.
-        numbers: The errors that `simulation.NUMBER_KEYS` names, four rows ``(count,)``.
-        vectors: The vectors of `View.vectors`, ``(12 + n, count)``; no rows, or None, without poses.
+        success: Whether the fruit is inside the capture region, ``(count,)``.
+        numbers: The errors that `simulation.NUMBER_KEYS` names, ``(4, count)``.
+        vectors: The vectors of `simulation.View.vectors`, ``(12 + n, count)``; no rows, or None, if poses are not asked
+            for.
     """
 
     observation: tuple[Scalar, ...]
@@ -38,11 +40,11 @@ class Views(NamedTuple):
 
 
 class Batch(ArmBatch, ABC):
-    """The state of N reach tasks.
+    """The state of N reach tasks: the base class for all executors.
 
     Attributes:
-        goal_dict: Whether observations are goal dictionaries, and rewards are computed from these.
-        poses: Whether views hold pose errors, commands and positions.
+        goal_dict: Whether observations are goal dictionaries, and rewards are computed from them.
+        poses: Whether views hold pose errors, joint commands and positions.
     """
 
     def __init__(self, task: Task, count: int, goal_dict: bool, poses: bool) -> None:
@@ -51,15 +53,15 @@ class Batch(ArmBatch, ABC):
 
     @abstractmethod
     def show(self, rows: Rows, compensate: Compensate | None) -> Views:
-        """Views of the environments ``rows`` at the beginning of their episodes."""
+        """Return the views of the environments ``rows`` at the beginning of their episodes."""
 
     @abstractmethod
     def advance(self, actions: Scalar, moments: Words, compensate: Compensate | None) -> Views:
-        """Act in all environments.
+        """Act in all environments, and return their views after one period.
 
         Args:
             actions: Actions component by component, ``(n, N)``.
-            moments: Number of the step in each environment's episode.
+            moments: Number of the step in each environment's episode, ``(N,)``.
             compensate: Turns joint targets into joint commands, or None.
         """
 
@@ -74,16 +76,17 @@ class Batch(ArmBatch, ABC):
         frames: Array | None = None,
         arm: NDArray[np.intp] | None = None,
     ) -> None:
-        """Begin an episode in the environments ``rows``; the other arrays have one entry for each of these.
+        """Begin an episode in the environments ``rows``. The other arrays have one entry for each of these.
 
         Args:
-            rows: Numbers of the environments.
+            rows: Indices of the environments.
             seeds: Seeds of their random streams.
             episodes: Numbers of the episodes.
             compensate: Turns joint targets into joint commands, or None.
-            start: Joint targets ``(count, n)``, or None for mid-range.
+            start: Joint targets ``(count, n)``, or None to draw them if the task has a spread, else for mid-range.
             goal: Joints of wanted poses ``(count, n)``, or None.
-            frames: Frames of wanted poses ``(count, 12)``, or None; poses are drawn if neither is given.
+            frames: Frames of wanted poses ``(count, 12)``, or None. Poses are drawn if neither ``goal`` nor ``frames``
+                is given.
             arm: Numbers of true arms ``(count,)``, or None to draw them.
         """
         x, task, places = self.x, self.task, self.indices(rows)
@@ -106,7 +109,7 @@ class Batch(ArmBatch, ABC):
             self.write(self.columns, some, state.columns)
 
     def scene(self, row: int, compensate: Compensate | None) -> simulation.View:
-        """The view of environment ``row``, on floats; no time passes."""
+        """Return the present view of environment ``row`` with floats as numbers; no time passes."""
         place = self.indices(np.array([row]))
         state = self.state_of([column[place] for column in self.columns])
         command, key = self.commands(compensate, list(state.target)), self.keys[place]
@@ -115,14 +118,14 @@ class Batch(ArmBatch, ABC):
         return simulation.View(*plain)  # type: ignore[arg-type]
 
     def merged(self, out: Views, rows: Rows, some: Views) -> Views:
-        """A copy of the views ``out`` of all environments, with those of the environments ``rows`` replaced."""
+        """Copy the views ``out`` of all environments, and replace those of the environments ``rows`` by ``some``."""
         out, places = deepcopy(out), self.indices(rows)
         for all_, few in zip(leaves(out), leaves(some), strict=True):
             all_[..., places] = few
         return out
 
     def widths(self) -> tuple[int, ...]:
-        """Count of numbers in each part of the observation."""
+        """Return the count of numbers in each part of the observation."""
         n = self.task.joints
         return (
             (n + 3, simulation.GOAL_NUMBERS, simulation.GOAL_NUMBERS)
@@ -131,7 +134,7 @@ class Batch(ArmBatch, ABC):
         )
 
     def _draw_goals(self, keys: Scalar) -> Columns:
-        """The joints of the first pose that fits in the goal stream of each episode key."""
+        """Draw the joints of wanted poses: the first fitting pose in the goal stream of each episode."""
         task, streams = self.task, stream_key(self.x, keys, GOAL)
         joints = list(self.numbers(np.zeros((task.joints, len(keys)))))
         open_ = self.indices(np.arange(len(keys)))
@@ -151,7 +154,7 @@ class Batch(ArmBatch, ABC):
 
 
 class NumpyBatch(NumpyArms, Batch):
-    """The state of N reach tasks in arrays; arguments as in `pickenv.envs.reaching.batch.Batch`."""
+    """The state of N reach tasks in NumPy arrays; arguments as in `pickenv.envs.reaching.batch.Batch`."""
 
     def __init__(self, task: Task, count: int, goal_dict: bool, poses: bool) -> None:
         super().__init__(task, count, goal_dict, poses)
@@ -169,7 +172,7 @@ class NumpyBatch(NumpyArms, Batch):
         return out
 
     def show(self, rows: Rows, compensate: Compensate | None) -> Views:
-        """Views of the environments ``rows`` at the beginning of their episodes."""
+        """Return the views of the environments ``rows`` at the beginning of their episodes."""
         out = self._empty(len(rows))
         for a, b in self.blocks(len(rows)):
             some, still = rows[a:b], np.zeros(b - a, dtype=np.uint64)
@@ -188,7 +191,7 @@ class NumpyBatch(NumpyArms, Batch):
         moments: Words,
         dt: Scalar,
     ) -> None:
-        """Let ``dt`` seconds pass for the environments ``where``, and put their views into ``out`` at ``place``."""
+        """Simulate ``dt`` seconds for the environments ``where``, and write their views into ``out`` at ``place``."""
         x, task = self.x, self.task
         command = self.commands(compensate, list(state.target))
         state, scene = simulation.look(x, task, plant, state, command, self.keys[where], moments, dt)

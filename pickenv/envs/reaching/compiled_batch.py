@@ -1,7 +1,7 @@
-"""Many reach tasks side by side on NumPy's arrays, with the step compiled into one pass over the environments.
+"""Many reach tasks on NumPy arrays, with the step compiled into one pass over the environments.
 
-Results equal those of `NumpyBatch` up to roundings. The step is traced and becomes machine code
-(`pickenv.arm.kinematics.machine_code`) when it is first taken. Episodes begin on NumPy.
+Results equal those of `NumpyBatch` up to rounding. The first step traces the simulation and compiles it to machine code
+(`pickenv.arm.kinematics.machine_code`). Episodes begin on NumPy.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from pickenv.envs.shared.task import Compensate, Task
 
 
 class CompiledBatch(NumpyBatch):
-    """The state of N reach tasks in arrays; arguments as in `pickenv.envs.reaching.batch.Batch`."""
+    """The state of N reach tasks, with compiled steps; arguments as in `pickenv.envs.reaching.batch.Batch`."""
 
     remade = ("_table", "_arms", "_code", "_fast")
 
@@ -31,7 +31,7 @@ class CompiledBatch(NumpyBatch):
         self.remake()
 
     def remake(self) -> None:
-        """Put the state into one array and the arms' numbers into another, and drop all compiled code."""
+        """Put the state into one array and the arms' numbers into another, and discard all compiled code."""
         self._table = np.array(self.columns)
         self.columns = list(self._table)
         self._arms = np.array([values for values in arrays_of(self.plant) if values.ndim == 1])
@@ -77,12 +77,12 @@ class CompiledBatch(NumpyBatch):
         return Compiled(trace, goals, self.count)
 
     def _remembered(self, trace: Trace, state: simulation.ArmState) -> Goals:
-        """Outputs of the trace that write the state's changed numbers."""
+        """Return the outputs of the trace that write the state's changed numbers."""
         changed = trace.outputs("columns", state.columns[self.fixed :], DOUBLE, self.fixed)
         return trace.outputs("columns", state.columns[: self.task.joints]) + changed
 
     def _looked(self, trace: Trace, state: simulation.ArmState, command: Sequence[Traced]) -> Goals:
-        """Outputs of the trace that write the changed state and the views after a joint command."""
+        """Return the outputs of the trace that write the changed state and the views after a joint command."""
         x, task = TRACER, self.task
         (key,), (moment,) = trace.inputs("keys", 1, WORD), trace.inputs("moments", 1, WORD)
         period = task.situation.value("period", state.drawn)

@@ -1,4 +1,4 @@
-"""`pickenv/Reach-v0`: bring the tool to a fruit with an arm that is not quite the one its controller believes in."""
+"""`pickenv/Reach-v0`: bring the tool to a fruit with an arm that differs slightly from its controller's model."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ from pickenv.pictures.tree_shapes import fruit_colours, fruit_solids, sprig
 
 
 FRUIT = 0.06
-"""Diameter with which fruit is drawn; the reach task itself has only the fruit's position."""
+"""Diameter with which fruit is drawn. The reach task itself has only the fruit's position."""
 
 
 def draw_reach(nominal: Geometry, scene: simulation.View, tolerance_mm: float, dark: bool) -> Stage:
-    """The scene of a reach: the arm, its ghost and the fruit.
+    """Return the stage to draw for a reach task: the true arm, a ghost of the believed arm, and the fruit.
 
     Args:
-        nominal: The arm as its controller believes it to be.
-        scene: The view of the environment, on floats.
-        tolerance_mm: Radius of the capture region.
+        nominal: The nominal arm, that is the arm as its controller believes it to be.
+        scene: The view of the environment, whose numbers are floats.
+        tolerance_mm: Radius of the capture region, mm.
         dark: Whether the background is dark.
     """
     look = arm_look(nominal)
@@ -58,7 +58,7 @@ def draw_reach(nominal: Geometry, scene: simulation.View, tolerance_mm: float, d
 
 
 def reach_eye(geometry: Geometry) -> Eye:
-    """An eye that sees the whole space in which an arm moves."""
+    """Return a viewpoint (an `Eye`) that shows the arm's whole workspace and its base."""
     look = arm_look(geometry)
     low, high = np.minimum(look.low, geometry.base.position), np.maximum(look.high, geometry.base.position)
     corners = np.array(np.meshgrid(*np.stack([low, high], -1))).reshape(3, -1).T
@@ -66,18 +66,18 @@ def reach_eye(geometry: Geometry) -> Eye:
 
 
 VIEW: Array = np.array([0.8, 1.0, 0.45])
-"""Direction from the arm to the eye, base frame."""
+"""Direction from the arm to the viewpoint, base frame."""
 
 
 class ReachEnv(ArmEnv):
-    """Bring the tool to a fruit, in the attitude asked for, with an arm that is not what its controller believes.
+    """Bring the tool to a fruit, in the wanted attitude, with an arm that differs from its controller's model.
 
     ## Description
 
     A six-joint picking arm (Qiao 2026: pitch, horizontal rail, telescopic boom, end rotation, end slide, twist) must
-    bring its tool to a fruit, in the attitude asked for. The policy commands the *nominal* arm; what moves is the
-    *true* arm, whose parts are off by tenths of millimetres and whose joints and boom bend. How far the true tool ends
-    from the fruit is what is scored; the policy never sees it.
+    bring its tool to a fruit, in the wanted attitude. The policy commands the *nominal* arm, that is the model that the
+    controller believes in. What moves is the *true* arm, whose parts are off by tenths of millimetres and whose joints
+    and boom bend. The score is the distance of the true tool from the fruit, which the policy never sees.
 
     ## Action Space
 
@@ -92,8 +92,9 @@ class ReachEnv(ArmEnv):
     | 4   | J5 end slide      | -1          | 1           | 50                | mm   |
     | 5   | J6 twist          | -1          | 1           | 18                | deg  |
 
-    The environment adds the increments to a nominal joint target, keeps it inside the joint limits, and hands it to the
-    drives, through a compensator if `pickenv.wrappers.CompensationWrapper` has installed one.
+    The environment adds the increments to a nominal joint target, keeps the target inside the joint limits, and hands
+    it to the drives. If `pickenv.wrappers.CompensationWrapper` has installed a compensator, this corrects the target
+    first.
 
     ## Observation Space
 
@@ -109,39 +110,38 @@ class ReachEnv(ArmEnv):
     | 15-17 | wanted against believed attitude, rotation vector                    | -pi  | pi   | rad  |
     | 18-20 | fruit minus true tool position as the camera measures it (camera)    | -2R  | 2R   | m    |
 
-    R is an upper bound of the arm's reach plus 1 m.
+    R is an upper bound of the arm's reach plus 1 m. "Believed" means computed with the nominal arm.
 
     ## Rewards
 
     With e the distance between true tool and fruit in mm and t the angle between true and wanted attitude in degrees:
 
-    - dense (default): -log10(1 + e) - 0.5 log10(1 + t). Outside the capture region, the cost at the region's farthest
-      corner (1.30 with the usual tolerances) is subtracted as well, so that no failure scores as high as a success. The
-      reward goes from about -5.7 (far away) to 0 (perfect). One more decimal of accuracy is worth as much at a
-      millimetre as at a metre.
+    - dense (default): -log10(1 + e) - 0.5 log10(1 + t). Outside the capture region, 1.30 (the cost at both tolerances,
+      here the default ones) is subtracted as well. So no failure scores as high as a success. The reward goes from
+      about -5.7 (far away) to 0 (perfect). Well above a millimetre, reducing e tenfold adds about 1, whatever e is.
     - sparse: 0 while the fruit is inside the capture region, else -1.
 
     ## Starting State
 
-    All joints at mid-range, or drawn with `start_spread`. Wanted poses are drawn from the nominal arm's joint ranges,
-    5 % away from the limits, such that the tool points upwards within `max_tilt_deg`: the arm picks from below. A plant
-    with memory (backlash, vibration, warm-up) starts at rest, cold and not yet sunk, or after `hours_on`.
-    `reset(options=...)` takes
+    All joints start at mid-range, or at random with `start_spread`. Wanted poses are drawn from the nominal arm's joint
+    ranges, 5 % away from the limits. The tool then points upwards within `max_tilt_deg`, since the arm picks from
+    below. A plant, that is a model of the true arm, may have memory (backlash, vibration, warm-up). It starts at rest,
+    cold and not yet sunk into the ground, or as it is after `hours_on`. `reset(options=...)` takes
 
     - `"start_joints"` (rad and m);
     - the goal as one of `"goal_joints"` (rad and m), `"goal_position"` (x, y, z in m; the attitude is the arm's own
-      there, within `max_tilt_deg`) and `"goal_pose"` (x, y, z and a rotation vector, m and rad; what the arm cannot
-      turn to counts as `noncompensable_deg`), in the base frame;
+      there, within `max_tilt_deg`) and `"goal_pose"` (x, y, z and a rotation vector, m and rad; the part of the
+      rotation that the arm cannot reach counts as `noncompensable_deg`), in the base frame;
     - where `arms` is not "fixed", `"arm"`, the number of the arm in the population.
 
-    Every random number is a hash of seed and episode (`pickenv.envs.shared.backends`): resets without a seed go on
-    through the seed's episodes, and an environment gives the same episodes alone, in a `SyncVectorEnv` and in the
-    native vector environment.
+    Every random number is a hash of the seed and the episode's number (`pickenv.envs.shared.backends`). A reset without
+    a seed begins the next episode of the last seed. An environment gives the same episodes alone, in a `SyncVectorEnv`
+    and in the native vector environment.
 
     ## Episode End
 
-    - Termination: never, unless `end_on_success`; final accuracy is the point, so reaching the fruit does not end the
-      episode.
+    - Termination: never, unless `end_on_success` is True. The task is about final accuracy, so reaching the fruit does
+      not end the episode by default.
     - Truncation: after 60 steps (`max_episode_steps` of `gym.make`).
 
     ## Information
@@ -172,15 +172,16 @@ class ReachEnv(ArmEnv):
 
     ```
 
-    - `plant` (str, default "qiao2026"): preset or path of a plant file; "geometry_only" is Table 1 alone, "ideal" has
-      no error at all. "ideal:ur5e" is any other arm without error, shipped (`pickenv arms`) or by its file
-      ("ideal:my.urdf#flange"), and "coarse:ur5e" one that `population_seed` draws from a tolerance class: geometry,
-      compliance, backlash and heat.
+    - `plant` (str, default "qiao2026"): preset or path of a plant file, which describes the true arm. "geometry_only"
+      has only the geometric errors of Table 1, "ideal" no error at all. "ideal:ur5e" is another arm without error: one
+      that ships with pickenv (`pickenv arms`) or one from a file ("ideal:my.urdf#flange"). "coarse:ur5e" is an arm with
+      errors of a tolerance class (geometry, compliance, backlash and heat), drawn with `population_seed`.
     - `without` (sequence of str): effects of the plant to switch off.
     - `feedback` ("encoders" or "camera"): whether the camera's tool-to-fruit offset is part of the observation.
-    - `camera_noise_mm` (float, 0 to 100, default 0): standard deviation per axis of all that the camera sees.
-    - `fruit_noise_mm` (float, 0 to 100, default None): standard deviation per axis of the fruit's position, seen once
-      per episode, if it differs from that of the camera's view of the gap.
+    - `camera_noise_mm` (float, 0 to 100, default 0): standard deviation per axis of the tool-to-fruit offset that the
+      camera measures in every step, and of the fruit's position unless `fruit_noise_mm` is given.
+    - `fruit_noise_mm` (float, 0 to 100, default None): standard deviation per axis of the fruit's position as the
+      camera saw it, which is drawn once per episode.
     - `tolerance_mm` (float, default 5): radius of the gripper's capture region; 5 mm is the clearance of Li's cup.
     - `angle_tolerance_deg` (float, default 10): attitude tolerance of the capture region.
     - `reward` ("dense" or "sparse").
@@ -188,29 +189,32 @@ class ReachEnv(ArmEnv):
       is given, and 60, 90, … for an arm that cannot point its tool up so far.
     - `end_on_success` (bool, default False): whether the first step inside the capture region ends the episode.
     - `arms` ("fixed", "per_env" or "per_episode"): the plant's own true arm, or one of a population, chosen once per
-      environment or anew in every episode. `tolerances` (class or file, default "medium"; a class that `plant` names
-      goes before), `population` (int, default 256) and `population_seed` (int, default 0) say which; judge a policy on
-      a population that it never saw.
-    - `out_of_range` ("clip" or "refuse"): whether actions beyond -1 to 1, as networks without bounds give them, are cut
-      to this range or are an error; numbers that are not finite are always an error.
+      environment or anew in every episode. Three arguments define the population: `tolerances` (class or file, default
+      "medium"; a class that `plant` names takes precedence), `population` (int, default 256: its size) and
+      `population_seed` (int, default 0). Judge a policy on a population that it never saw.
+    - `out_of_range` ("clip" or "refuse"): whether actions beyond -1 to 1, as networks without bounds give them, are
+      clipped to this range or raise an error. Numbers that are not finite always raise an error.
     - `goal_region` (two corners [[x, y, z], [x, y, z]] of a box, m, base frame, default None): where goals are drawn.
-    - `control_period_s` (s, 0.001 to 10, default 0.1): time between two actions, and with it the largest increment.
+    - `control_period_s` (s, 0.001 to 10, default 0.1): time between two actions. The largest increment is proportional
+      to it.
     - `latency` (whole periods, 0 to 20, default 0): how late readings of joints and camera arrive.
     - `action_delay` (whole periods, 0 to 20, default 0): how late actions take effect.
     - `joint_noise` (mrad of joints that turn, mm of those that slide; 0 to 100, default 0): standard deviation of each
       joint reading.
-    - `hours_on` (h, 0 to 1000, default 0): how long the arm has been on, and standing, when an episode begins.
-    - `start_spread` (0 to 1, default 0): share of each joint's range from which starts are drawn, about mid-range.
+    - `hours_on` (h, 0 to 1000, default 0): how long the arm has been switched on, at rest, when an episode begins.
+    - `start_spread` (0 to 1, default 0): share of each joint's range, about mid-range, from which starts are drawn.
 
-    Period, latency, delay, noise and hours may be ranges, [least, largest], from which every episode draws its own.
+    Instead of a number, `control_period_s`, `latency`, `action_delay`, `joint_noise` and `hours_on` may be a range,
+    [least, largest], from which every episode draws a number.
 
-    - `difficulty` (None, "ideal", "fine", "coarse", "orchard", "day" or "own_eyes"): a rung of the ladder
-      (`pickenv.envs.shared.difficulty`), which fixes plant, arms, eyes and situation; and `split` ("train" or "test"),
-      which of its two populations of arms, that have none in common.
-    - `executor`: "compiled" takes steps in machine code, which needs llvmlite of the extra `pickenv[compiled]`;
-      "floats" takes them on Python's floats, with results up to roundings (1e-12) the same; "auto" (default) is
-      "compiled" where llvmlite is installed and the plant has no effects from other packages. With "numpy" an
-      environment gives the same bits as the native vector environment on NumPy.
+    - `difficulty` (None, "ideal", "fine", "coarse", "orchard", "day" or "own_eyes"): a named difficulty
+      (`pickenv.envs.shared.difficulty`), which fixes the arguments of plant, arms, camera, delays, noise and start.
+    - `split` ("train" or "test"): which of the difficulty's two disjoint populations of arms is used.
+    - `executor` ("auto", "compiled", "floats" or "numpy"): how steps are computed. "compiled" uses machine code, which
+      needs llvmlite of the extra `pickenv[compiled]`. "floats" uses Python's floats, with the same results up to
+      rounding (1e-12). "auto" (default) is "compiled" where llvmlite is installed, `arms` is "fixed" and the plant has
+      no effects from other packages, else "floats". "numpy" gives the same bits as the native vector environment on
+      NumPy.
     - `render_mode` (None, "human" or "rgb_array").
 
     `gym.make_vec("pickenv/Reach-v0", num_envs=4096)` makes the native vector environment,
@@ -222,9 +226,9 @@ class ReachEnv(ArmEnv):
     """
 
     task_of: Callable[..., Task] = staticmethod(make_task)
-    """Makes the task of the arguments."""
+    """Function that makes the task from the environment's arguments."""
     gripper = 0
-    """Count of the numbers that follow the arm's in an action."""
+    """Count of the gripper's numbers, which follow the arm's numbers in an action."""
 
     def __init__(self, *, executor: str = "auto", render_mode: str | None = None, **arguments: Any) -> None:
         """See the class for the arguments; raises `InputError` for impossible ones."""
@@ -262,11 +266,11 @@ class ReachEnv(ArmEnv):
         return observation, information
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, Information]:
-        """Move the joint target by `action` and see where the true tool goes.
+        """Move the joint target by `action` and measure where the true tool is after one period.
 
         Raises:
-            InputError: If the action has another shape or numbers that are not finite (or, with
-                `out_of_range="refuse"`, beyond -1 to 1), or before the first reset.
+            InputError: If the action has another shape or numbers that are not finite, if its numbers are beyond -1 to
+                1 with `out_of_range="refuse"`, or if `reset` was not called before.
         """
         values = checked_action(action, (self.task.moves,), self.task.most_action)
         if self._state is None:
@@ -284,12 +288,12 @@ class ReachEnv(ArmEnv):
         return draw_reach(self.task.plant.arm.nominal, scene, self.task.tolerance_mm, self.dark)
 
     def _observe(self, scene: simulation.View) -> tuple[Any, float]:
-        """The observation and the reward of a view; variants with other observations override this method."""
+        """Return the observation and the reward of a view; subclasses with other observations override this method."""
         reward: Scalar = simulation.true_reward(self._x, self.task, scene)
         return np.array(self._plain(simulation.flat_observation(scene)), dtype=np.float32), self._plain((reward,))[0]
 
     def _look(self, dt: Scalar) -> tuple[Any, float, Information]:
-        """Let ``dt`` seconds pass at the present joint target, and return observation, reward and information."""
+        """Hold the present joint target for ``dt`` seconds, and return observation, reward and information."""
         assert self._state is not None
         plain, (scene, _) = self._plain, self._looked(self._state, self._step, dt)
         self._scene = scene
@@ -307,7 +311,7 @@ class ReachEnv(ArmEnv):
         return observation, reward, information
 
     def _wanted(self, options: dict[str, Any]) -> Frame:
-        """Frame of the wanted pose: the one that options ask for, or the first drawn pose that fits the task."""
+        """Return the frame of the wanted pose: that in the options, or else the first drawn pose that fits the task."""
         x, task = self._x, self.task
         joints, frame = given_goals(task, options)
         if frame is not None:
@@ -329,13 +333,13 @@ class ReachEnv(ArmEnv):
 
 
 class ReachIdealEnv(ReachEnv):
-    """Bring the tool to a fruit with a perfect arm: the oracle for integrators.
+    """Bring the tool to a fruit with an arm without error: a reference to test one's own code against.
 
     ## Description
 
-    `pickenv/Reach-v0` with `plant="ideal"`: the true arm is the nominal one, nothing bends, nothing drifts. A policy
-    that ends where it believes to be ends on the fruit, so whatever error remains is the policy's or the integration's
-    own; a test of one's own code can ask for exactly zero.
+    `pickenv/Reach-v0` with `plant="ideal"`: the true arm equals the nominal arm, nothing bends, nothing drifts. The
+    believed tool is always the true tool. So any error that remains comes from the policy or from the code around it.
+    A test can require an error of exactly zero.
 
     ## Action Space
 
@@ -370,7 +374,7 @@ class ReachIdealEnv(ReachEnv):
 
     ```
 
-    Those of `pickenv/Reach-v0` without `plant` and `without`.
+    Those of `pickenv/Reach-v0`, except for `plant` and `without`.
 
     ## Version History
 
@@ -386,14 +390,14 @@ GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")
 
 
 class ReachGoalEnv(ReachEnv):
-    """Bring the tool to a fruit, and learn from the fruit that it would have reached.
+    """Bring the tool to a fruit, with goals that hindsight experience replay (HER) can exchange.
 
     ## Description
 
     The arm, the fruit and the plant are those of `pickenv/Reach-v0`; observation and reward differ. The reward is
-    computed from what a controller can measure, so that a goal can be exchanged afterwards: position and attitude of
-    the tool as the chosen feedback measures them, against the fruit as the camera saw it and the wanted attitude. The
-    truth is in `info`.
+    computed from what a controller can measure, so that a goal can be exchanged afterwards. It compares the tool's
+    position and attitude, as the chosen feedback measures them, with the fruit as the camera saw it and the wanted
+    attitude. The errors of the true tool are in `info`.
 
     ## Action Space
 
@@ -401,8 +405,8 @@ class ReachGoalEnv(ReachEnv):
 
     ## Observation Space
 
-    `Dict` of three float32 boxes; positions and axes are in the base frame, R is as in `pickenv/Reach-v0`. Only the
-    goals depend on the goal, so that hindsight may exchange them.
+    `Dict` of three float32 boxes; positions and axes are in the base frame, R is as in `pickenv/Reach-v0`. The entry
+    `observation` does not depend on the goal, so that hindsight may exchange goals.
 
     `observation`:
 
@@ -432,9 +436,8 @@ class ReachGoalEnv(ReachEnv):
 
     ## Rewards
 
-    With e the distance between achieved and desired goal in mm and t the angle between their attitudes in degrees, by
-    `compute_reward(achieved_goal, desired_goal, info)`, which takes single goals or batches and does not look at
-    `info`:
+    `compute_reward(achieved_goal, desired_goal, info)` computes them for single goals or batches, and ignores `info`.
+    With e the distance between achieved and desired goal in mm and t the angle between their attitudes in degrees:
 
     - sparse (default): 0 while e is within `tolerance_mm` and t within `angle_tolerance_deg`, else -1.
     - dense: as in `pickenv/Reach-v0`.
@@ -445,7 +448,7 @@ class ReachGoalEnv(ReachEnv):
 
     ## Episode End
 
-    As in `pickenv/Reach-v0`: truncation after 60 steps. `info["is_success"]` judges true tool and true attitude.
+    As in `pickenv/Reach-v0`: truncation after 60 steps. `info["is_success"]` judges the true tool and its attitude.
 
     ## Arguments
 
@@ -474,7 +477,16 @@ class ReachGoalEnv(ReachEnv):
         self.observation_space = goal_space(self.task)
 
     def compute_reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any) -> Any:
-        """Reward for achieved against desired goals: a number for ``(9,)``, an array ``(N,)`` for ``(N, 9)``."""
+        """Compute the reward from the gap between achieved and desired goals.
+
+        Args:
+            achieved_goal: Achieved goals ``(9,)`` or ``(N, 9)``, as in observations.
+            desired_goal: Desired goals ``(9,)`` or ``(N, 9)``.
+            info: Ignored.
+
+        Returns:
+            A float for single goals, else an array ``(N,)``.
+        """
         return rewards_of_goals(self.task, achieved_goal, desired_goal)
 
     def _observe(self, scene: simulation.View) -> tuple[Any, float]:
@@ -484,9 +496,9 @@ class ReachGoalEnv(ReachEnv):
 
 
 def rewards_of_goals(task: Task, achieved: ArrayLike, desired: ArrayLike) -> Any:
-    """Rewards, in float64, for achieved and desired goals ``(..., 9)`` from observations.
+    """Compute rewards, in float64, from achieved and desired goals ``(..., 9)`` of observations.
 
-    A row's reward has the same bits whatever batch the row is in.
+    The reward of a goal has the same bits whatever batch the goal is in.
     """
     pair = [np.asarray(goals, dtype=np.float64) for goals in (achieved, desired)]
     shape = np.broadcast_shapes(*(goals.shape for goals in pair))

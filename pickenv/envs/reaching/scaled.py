@@ -1,4 +1,4 @@
-"""`pickenv/ReachScaled-v0` and `pickenv/ReachTool-v0`: reaching as a policy learns it, by joints and by the tool."""
+"""`pickenv/ReachScaled-v0` and `pickenv/ReachTool-v0`: reaching with observations and actions scaled for learning."""
 
 from __future__ import annotations
 
@@ -17,24 +17,25 @@ from pickenv.envs.shared.tool_space import make_tool_task
 
 
 class ReachScaledEnv(ReachEnv):
-    """`pickenv/Reach-v0` as a policy learns it: the gap by direction and logarithm, actions as shares of it.
+    """`pickenv/Reach-v0` with the gap given by direction and logarithm, and actions that shrink with the gap.
 
     ## Description
 
-    Arm, fruit, plant, reward, information and arguments are those of `pickenv/Reach-v0`. A network that reads a gap in
-    metres is blind to millimetres, and the noise of its exploration hides them: plain PPO stays at some 20 mm there.
-    Here it sees the gap by direction and logarithm and acts in shares of what is left, and comes to where its
-    calibration is what counts ("Training a policy" in the documentation has the figures).
+    Arm, fruit, plant, reward, information and arguments are those of `pickenv/Reach-v0`. The gap is the fruit's pose
+    minus the tool's pose. A network that reads the gap in metres hardly notices millimetres, and the noise of its
+    exploration hides them: PPO stays at some 20 mm in `pickenv/Reach-v0`. Here the network sees the gap by direction
+    and logarithm, and its actions shrink with the gap. It then becomes so accurate that the arm's calibration limits it
+    ("Training a policy" in the documentation has the results).
 
     ## Action Space
 
-    `Box(-1, 1, (6,), float32)`: joint increments as in `pickenv/Reach-v0`, multiplied by the size of the gap where
-    that is below one.
+    `Box(-1, 1, (6,), float32)`: joint increments as in `pickenv/Reach-v0`, multiplied by the size of the gap (see
+    below) where this size is below one.
 
     ## Observation Space
 
-    `Box(float32)`, 13 numbers. The size of the gap is the larger of position over 100 mm and attitude over 0.2 rad, at
-    least 1e-6.
+    `Box(float32)`, 13 numbers. The size of the gap is the larger of two ratios: its position over 100 mm and its
+    attitude over 0.2 rad. It is at least 1e-6.
 
     | Num   | Observation                                                         | Min | Max | Unit         |
     |-------|---------------------------------------------------------------------|-----|-----|--------------|
@@ -84,7 +85,11 @@ class ReachScaledEnv(ReachEnv):
         """The latest observation, as `pickenv/Reach-v0` gives it."""
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, Information]:
-        """Act in the policy's scale; errors as in `pickenv/Reach-v0`."""
+        """Scale the action by the size of the gap, and act as `pickenv/Reach-v0` does.
+
+        Raises:
+            InputError: As in `pickenv/Reach-v0`.
+        """
         return super().step(self.scaling.act(self.raw, action, self.task.most_action))
 
     def _observe(self, scene: View) -> tuple[Any, float]:
@@ -105,11 +110,11 @@ class ReachScaledVectorEnv(ReachVectorEnv):
         """The latest observations, as `pickenv/Reach-v0` gives them."""
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
-        """Arrays of everything that the next step depends on; see `ReachVectorEnv.state_arrays`."""
+        """Return all arrays that the next step depends on; see `ReachVectorEnv.state_arrays`."""
         return super().state_arrays() | {"raw": np.array(self.raw)}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
-        """Take over the arrays that `state_arrays` of an environment with the same arguments returned."""
+        """Restore the arrays that `state_arrays` of an environment with the same arguments returned."""
         super().take_state_arrays(state)
         self.raw = state["raw"].copy()
 
@@ -122,33 +127,33 @@ class ReachScaledVectorEnv(ReachVectorEnv):
 
 
 class ReachToolEnv(ReachScaledEnv):
-    """Bring the tool to a fruit by increments of the tool: a reach that plain PPO learns on any arm.
+    """Bring the tool to a fruit by increments of the tool's pose: a task that PPO learns on any arm.
 
     ## Description
 
     Plant, fruit, information and score are those of `pickenv/Reach-v0`. But the policy says how the tool shall move,
-    and the arm that its controller believes in turns this into joint increments. Observations and actions are the same
-    for every arm, so that a policy of one arm acts on another.
+    and the nominal arm's Jacobian turns this into joint increments. Observations and actions are the same for every
+    arm, so that a policy trained on one arm can act on another.
 
     ## Action Space
 
     `Box(-1, 1, (6,), float32)`: increments of the believed tool per period, in the base frame, in which the gap is
-    given too. Below a size of the gap of one they are multiplied by the size: an action that equals the gap as it is
-    shown closes it.
+    given too. Where the size of the gap (see below) is below one, they are multiplied by it. Then an action equal to
+    the gap in the observation closes the gap.
 
     | Num | Action                         | Control Min | Control Max | Largest increment | Unit |
     |-----|--------------------------------|-------------|-------------|-------------------|------|
     | 0-2 | tool along x, y, z             | -1          | 1           | 25                | mm   |
     | 3-5 | tool about x, y, z             | -1          | 1           | 10                | deg  |
 
-    With `actions="position"` there are the first three alone, for arms of three joints and more. A damped step of the
-    nominal Jacobian makes joint increments of them (Wampler 1986); joints stay within their largest increments, all
-    slower by one factor, and within their limits.
+    With `actions="position"` there are only the first three, for arms of three joints and more. Damped least squares
+    with the nominal Jacobian turn them into joint increments (Wampler 1986). Where a joint would exceed its largest
+    increment, all joints are slowed by one factor. Joints stay within their limits.
 
     ## Observation Space
 
-    `Box(float32)`, 7 numbers. The size of the gap is the larger of position over 25 mm and attitude over 10 deg, at
-    least 1e-6. With `actions="position"` there are 4 numbers, without those of the attitude.
+    `Box(float32)`, 7 numbers. The size of the gap is the larger of two ratios: its position over 25 mm and its attitude
+    over 10 deg. It is at least 1e-6. With `actions="position"` there are 4 numbers, without those of the attitude.
 
     | Num | Observation                                                         | Min | Max | Unit         |
     |-----|---------------------------------------------------------------------|-----|-----|--------------|
@@ -163,10 +168,11 @@ class ReachToolEnv(ReachScaledEnv):
 
     ## Starting State
 
-    A box of joints: that of an upright pose from which the tool moves freely in every direction, as wide as
-    `goal_spread` says. The arm starts in its middle, or with `start_spread` in that share of it. Wanted poses are
-    drawn as joints in the box, such that the tool points upwards as in `pickenv/Reach-v0`: each can be reached, and
-    no joint has to turn by more than half a circle. `reset(options=...)` as there.
+    Starts and goals lie in a box of joint positions. Its middle is an upright pose from which the tool moves freely in
+    every direction, and `goal_spread` sets its width. The arm starts in the middle, or with `start_spread` at random in
+    that share of the box. Wanted poses are drawn as joints in the box, such that the tool points upwards as in
+    `pickenv/Reach-v0`. So each can be reached, and no joint has to turn by more than half a circle.
+    `reset(options=...)` takes the options of `pickenv/Reach-v0`.
 
     ## Episode End
 
@@ -189,9 +195,9 @@ class ReachToolEnv(ReachScaledEnv):
     Those of `pickenv/Reach-v0`, and
 
     - `actions` ("pose" or "position"): whether an action moves the tool in position and attitude, or in position alone.
-    - `tool_step_mm` (float, default 25) and `tool_turn_deg` (float, default 10): the largest increments.
-    - `goal_spread` (above 0, at most 1, default 0.25): edges of the box, as shares of the joints' ranges; of a range
-      no more than a whole turn counts.
+    - `tool_step_mm` (float, default 25) and `tool_turn_deg` (float, default 10): the largest increments per period.
+    - `goal_spread` (above 0, at most 1, default 0.25): edges of the box, as shares of the joints' ranges. A range of
+      more than a whole turn counts as a whole turn.
 
     ## Version History
 

@@ -1,4 +1,4 @@
-"""Many reach tasks side by side on torch: the same formulas as on NumPy, compiled into few kernels.
+"""Many reach tasks on torch tensors: the same formulas as on NumPy, compiled into few kernels.
 
 A step takes and returns tensors on any device, and does not wait for the device. Episodes begin eagerly, only in the
 environments concerned. float64 agrees with NumPy within 1e-9; float32 keeps positions within 1 um.
@@ -24,10 +24,11 @@ from pickenv.envs.shared.task import Compensate, Task, as_numbers, check_choice
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
 BLOCK = 32768
-"""Number of environments that begin an episode together on a processor: as many as its cache holds."""
+"""Number of environments that begin an episode together on a CPU: as many as its cache holds."""
 
 MOST_FUSED = 4096
-"""Most operations in one loop; torch's own limit of 64 would cut the step into pieces that wait for the memory."""
+"""Largest number of operations in one loop. torch's own limit of 64 would split the step into loops that wait for
+memory."""
 
 Tensor = torch.Tensor
 
@@ -38,14 +39,14 @@ class TorchBatch(Batch):
     Args:
         task: The task that all environments have in common.
         count: N.
-        goal_dict: Whether observations are goal dictionaries, and rewards are computed from these.
-        poses: Whether views hold pose errors, commands and positions.
+        goal_dict: Whether observations are goal dictionaries, and rewards are computed from them.
+        poses: Whether views hold pose errors, joint commands and positions.
         device: "cpu", "cuda", ...
         dtype: "float64" or "float32".
         compiled: Whether the step is compiled.
 
     Raises:
-        InputError: If there is no such device or number type.
+        InputError: If the device cannot be used, or the number type is unknown.
     """
 
     remade = ("_step", "_see", "_pack")
@@ -78,35 +79,35 @@ class TorchBatch(Batch):
         self.remake()
 
     def remake(self) -> None:
-        """Compile the step, if asked for."""
+        """Wrap the step for compilation, if compilation is asked for."""
         self._step, self._see = self._fused(self._act), self._fused(self._shown)
         self._pack = self._fused(_packed)
 
     def _fused(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """``function``, compiled if asked for; on a processor into one loop that stores no intermediate results."""
+        """Compile ``function`` if asked for, on a CPU into one loop that stores no intermediate results."""
         if not self._compiled:
             return function
         options: Any = {"max_fusion_size": MOST_FUSED} if self.device.type == "cpu" else {}
         return torch.compile(function, fullgraph=True, dynamic=False, options=options)
 
     def numbers(self, values: Array) -> Tensor:
-        """NumPy's numbers on the device, in the batch's number type."""
+        """Copy a NumPy array to the device, in the batch's number type."""
         return torch.as_tensor(np.array(values), device=self.device, dtype=self.dtype)
 
     def words(self, words: Words) -> Tensor:
-        """64-bit words, kept in int64."""
+        """Copy 64-bit words to the device, as int64 with the same bits."""
         return torch.as_tensor(words.view(np.int64), device=self.device)
 
     def indices(self, rows: Rows) -> Tensor:
-        """Numbers of environments, or of arms, on the device."""
+        """Copy indices of environments, or of arms, to the device."""
         return torch.as_tensor(rows, device=self.device)
 
     def flags(self, flags: Flags) -> Tensor:
-        """Truth values on the device."""
+        """Copy booleans to the device."""
         return torch.tensor(flags, device=self.device)
 
     def host(self, values: Scalar) -> NDArray[Any]:
-        """The numbers as a NumPy array; waits for the device."""
+        """Convert a tensor to a NumPy array; this waits for the device."""
         return np.asarray(values.cpu().numpy() if isinstance(values, Tensor) else values)
 
     def put(self, column: Tensor, where: Any, values: Scalar) -> None:
@@ -114,14 +115,14 @@ class TorchBatch(Batch):
         column[where] = values.to(column.dtype)
 
     def given(self, actions: ArrayLike | Tensor) -> Tensor:
-        """Actions on the device."""
+        """Convert actions to a tensor on the device."""
         values = actions if isinstance(actions, Tensor) else as_numbers("actions", actions)
         return torch.as_tensor(values, device=self.device)
 
     def components(self, actions: Tensor) -> tuple[Tensor, float, float]:
-        """Actions component by component, with the least and the largest number in them.
+        """Return actions ``(N, n)`` as components ``(n, N)``, and the smallest and the largest number in them.
 
-        On a device both numbers are given as zero, so that the step need not wait for them.
+        On a device other than the CPU both numbers are returned as zero, so that the step need not wait for them.
         """
         low, high = torch.aminmax(actions) if self.device.type == "cpu" else (0.0, 0.0)
         return actions.T.to(self.dtype, copy=True).contiguous(), float(low), float(high)
@@ -146,7 +147,7 @@ class TorchBatch(Batch):
         return self._outcome(out[n + memory :], self.columns[n + 9 : n + 12])
 
     def show(self, rows: Rows, compensate: Compensate | None) -> Views:
-        """Views of the environments ``rows`` at the beginning of their episodes."""
+        """Return the views of the environments ``rows`` at the beginning of their episodes."""
         n, places = self.task.joints, self.indices(rows)
         columns, keys = [column[places] for column in self.columns], self.keys[places]
         commands, still = self.commands(compensate, columns[:n]), torch.zeros_like(keys)
@@ -156,16 +157,16 @@ class TorchBatch(Batch):
         return self._outcome(out[memory:], columns[n + 9 : n + 12])
 
     def _act(self, columns: Columns, actions: Columns, *rest: Any) -> Columns:
-        """One step of all environments without a compensator: the new joint targets, then the columns of `_shown`."""
+        """Act without a compensator; return the new joint targets, then the columns of `_shown`."""
         state = simulation.act(self.x, self.task, self.state_of(columns), actions)
         return [*state.target, *self._shown(state.columns, list(state.target), *rest)]
 
     def _shown(
         self, columns: Columns, commands: Columns, keys: Tensor, when: Tensor, dt: Scalar, plant: Plant | None = None
     ) -> Columns:
-        """Columns of memory, observation, reward, numbers and vectors, side by side and all in one number type.
+        """Return the columns of memory, observation, reward, numbers and vectors, all in one number type.
 
-        A processor's compiled loop is fast on these; stacking, float32 and truth values come afterwards.
+        A CPU's compiled loop is fast on these. Stacking, and conversion to float32 and booleans, come afterwards.
         """
         x, plant = self.x, plant or self.plant
         state, scene = simulation.look(x, self.task, plant, self.state_of(columns), commands, keys, when, dt)
@@ -176,7 +177,7 @@ class TorchBatch(Batch):
         return [*memory, *chain.from_iterable(parts), *reward, *scene.numbers, *vectors]
 
     def _outcome(self, out: Columns, fruit: Columns) -> Views:
-        """The views made of the columns of `_shown` after the memory, and of the fruit's position."""
+        """Make views from the columns of `_shown` after the memory, and from the fruit's position."""
         parts = []
         for width in self.widths():
             parts.append(self._pack(out[:width], torch.float32))

@@ -1,4 +1,4 @@
-"""Native vector environments of the reach tasks: `gym.make_vec` makes them, for any number of environments at once."""
+"""Native vector environments of the reach tasks, which `gym.make_vec` makes."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from pickenv.envs.shared.task import Task, check_choice, make_task
 from pickenv.pictures.stage import Stage
 
 STATE = {"seeds": "_seeds", "episodes": "_episodes", "elapsed": "_elapsed", "ended": "_over"}
-"""Attributes of the environments that a checkpoint stores, by their names in the checkpoint."""
+"""Names of the attributes that a checkpoint stores, by their names in the checkpoint."""
 
 
 class ReachVectorEnv(NativeVectorEnv):
     """N `pickenv/Reach-v0` in one vector environment.
 
-    Environment i is the same, number by number, as a single `pickenv/Reach-v0` with seed ``seed + i``, whatever N is:
-    to the bit with ``executor="numpy"`` in both, within 1e-9 between executors in float64.
+    Environment i returns the same numbers as a single `pickenv/Reach-v0` with the seed ``seed + i``, whatever N is.
+    With ``executor="numpy"`` in both they are equal to the bit, between executors in float64 within 1e-9.
 
     | `autoreset_mode`       | step after the end of an episode          | last observation of the episode             |
     |------------------------|-------------------------------------------|---------------------------------------------|
@@ -39,25 +39,25 @@ class ReachVectorEnv(NativeVectorEnv):
     | "SameStep"             | the step that ends it begins the next one | `infos["final_obs"]`, `infos["final_info"]` |
     | "Disabled"             | refused until `reset` has been called     | returned by the step that ended it          |
 
-    `reset(options={"reset_mask": mask})` begins episodes where the mask is True and leaves the others alone;
-    the other options are as in `pickenv/Reach-v0`, given once for all environments or once for each, as ``(6,)`` or
-    ``(N, 6)``. Infos are dicts of arrays with a mask ``_key`` for every key.
+    `reset(options={"reset_mask": mask})` begins episodes where the mask is True; the other environments continue. The
+    other options are those of `pickenv/Reach-v0`. Each is given once for all environments or once for each, for example
+    as ``(6,)`` or ``(N, 6)``. Infos are dicts of arrays with a mask ``_key`` for every key.
 
     Args:
         num_envs: N.
         max_episode_steps: Steps after which an episode is truncated, or None for never.
         autoreset_mode: An `AutoresetMode` or its name, see the table.
-        executor: "numpy"; "compiled", also on arrays but with the step as machine code, whose results agree up to
-            roundings (1e-12) and whose compilation takes 0.1 s once (half a second from 1024 environments on); "auto"
-            (default), which is "compiled" if llvmlite of the extra `pickenv[compiled]` is installed, else "numpy"; or
-            "torch" for tensors in and out.
+        executor: "numpy" runs on NumPy arrays. "compiled" does so with the step as machine code. Its results agree up
+            to rounding (1e-12), and compilation takes 0.1 s once (half a second from 1024 environments on). "auto"
+            (default) is "compiled" if llvmlite of the extra `pickenv[compiled]` is installed, else "numpy". "torch"
+            takes and returns tensors.
         compiled: torch only: whether the step is compiled (half a minute, once) or run eagerly.
         device: torch only: "cpu", "cuda", "cuda:1".
-        dtype: torch only: "float64" or "float32" (positions then hold to 1 um).
-        pose_infos: Whether infos hold `pose_error`, `joint_command`, `tool_position` and `fruit_position`: at a hundred
-            thousand environments writing them down takes as long as a third of the step.
+        dtype: torch only: "float64" or "float32" (with an accuracy of positions of 1 um).
+        pose_infos: Whether infos hold `pose_error`, `joint_command`, `tool_position` and `fruit_position`. With a
+            hundred thousand environments, writing them takes about a third of a step's time.
         render_mode: None or "rgb_array".
-        arguments: Those of `pickenv/Reach-v0`.
+        arguments: Other arguments of `pickenv/Reach-v0`.
 
     Example:
         >>> import gymnasium as gym
@@ -107,17 +107,20 @@ class ReachVectorEnv(NativeVectorEnv):
 
     @property
     def plant(self) -> Plant:
-        """The true arm that all environments share, or the true arms, one per environment."""
+        """The true arm that all environments share, or else the true arms, one per environment."""
         return self.batch.plant
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
-        """Arrays of everything that the next step depends on, for a checkpoint; on NumPy and not in mode "Disabled"."""
+        """Return all arrays that the next step depends on, for a checkpoint.
+
+        This works for environments on NumPy with an autoreset mode other than "Disabled".
+        """
         arrays: dict[str, NDArray[Any]] = {key: getattr(self, name) for key, name in STATE.items()}
         arrays["seeded"] = np.full(self.num_envs, self._begun)
         return {key: np.array(value) for key, value in (arrays | self.batch.state_arrays()).items()}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
-        """Take over the arrays that `state_arrays` of an environment with the same arguments returned."""
+        """Restore the arrays that `state_arrays` of an environment with the same arguments returned."""
         for key, name in STATE.items():
             setattr(self, name, state[key].copy())
         self._begun = bool(state["seeded"].all())
@@ -137,7 +140,7 @@ class ReachVectorEnv(NativeVectorEnv):
         self._views = views if len(rows) == self.num_envs else self.batch.merged(self._views, rows, views)
 
     def _asked(self, options: dict[str, Any], rows: Rows) -> dict[str, Any]:
-        """Starts, goals and arms that options ask for in the environments ``rows``, as `Batch.restart` takes them."""
+        """Return starts, goals and arms from options for the environments ``rows``, as arguments of `Batch.restart`."""
         joints, frames = given_goals(self.task, options, self.num_envs)
         how: dict[str, Any] = {
             "goal": None if joints is None else joints[rows],
@@ -192,7 +195,7 @@ Settings = Mapping[str, Any]
 
 @register("backend", "compiled")
 def _compiled(task: Task, count: int, goal_dict: bool, poses: bool, settings: Settings) -> Batch:
-    """A batch whose step is machine code on NumPy's arrays.
+    """Make a batch whose step is machine code on NumPy arrays.
 
     Raises:
         MissingExtra: If llvmlite is not installed.
@@ -205,13 +208,13 @@ def _compiled(task: Task, count: int, goal_dict: bool, poses: bool, settings: Se
 
 @register("backend", "numpy")
 def _numpy(task: Task, count: int, goal_dict: bool, poses: bool, settings: Settings) -> Batch:
-    """A batch whose step runs on NumPy's arrays."""
+    """Make a batch whose step runs on NumPy arrays."""
     return NumpyBatch(task, count, goal_dict, poses)
 
 
 @register("backend", "torch")
 def _torch(task: Task, count: int, goal_dict: bool, poses: bool, settings: Settings) -> Batch:
-    """A batch whose step runs on torch's tensors.
+    """Make a batch whose step runs on torch tensors.
 
     Raises:
         MissingExtra: If torch is not installed.
@@ -231,7 +234,7 @@ class ReachGoalVectorEnv(ReachVectorEnv):
         super().__init__(num_envs, reward=reward, **arguments)
 
     def compute_reward(self, achieved_goal: ArrayLike, desired_goal: ArrayLike, info: Any) -> Any:
-        """Rewards for achieved against desired goals, as in `pickenv/ReachGoal-v0`."""
+        """Compute rewards from achieved and desired goals ``(N, 9)``, as in `pickenv/ReachGoal-v0`; ignore ``info``."""
         return rewards_of_goals(self.task, achieved_goal, desired_goal)
 
 

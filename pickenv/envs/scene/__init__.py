@@ -1,1 +1,1 @@
-"""The Pick scene: fruit that hangs from a branch, touched and seen, in MuJoCo."""
+"""The environment PickScene: fruit that hangs from a branch, with contact and cameras, in MuJoCo."""

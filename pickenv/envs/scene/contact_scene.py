@@ -1,8 +1,9 @@
-"""What stands in the scene of `pickenv/PickScene-v0`, as a MuJoCo model: the arm, fruit on a branch, leaves, cameras.
+"""The scene of `pickenv/PickScene-v0` as a MuJoCo model: the arm, fruit on a branch, leaves and cameras.
 
-The model's arm is the true one. Its joints are driven to where the plant has them once drives, gears and joints have
-erred, and its last link to where the plant has the tool, so that whatever touches the fruit is the true gripper. Arms
-carry no weight of their own here: how they sag is the plant's business. Units: m, kg, s, N, rad.
+The model's arm is the true arm. The plant, that is the model of the true arm, computes the frame of its tool, and its
+joints with the errors of drives, gears and joints. MuJoCo drives the joints there, and shifts the last link so that
+the true gripper touches the fruit. Arms have no weight in MuJoCo, since the plant computes how they sag. Units: m, kg,
+s, N, rad.
 """
 
 from __future__ import annotations
@@ -37,23 +38,25 @@ from pickenv.orchard.gripper import Gripper, Suction
 from pickenv.pictures.stage import Eye, Pixels
 
 TIMESTEP, CHUNK = 0.004, 5
-"""Length of a physical step, and the number of them after which stems are asked whether they hold."""
+"""Length of a physics step, and the number of steps after which stems and holds are checked for breaking."""
 
 STIFFNESS, DAMPING, ARMATURE = 5000.0, 150.0, 1.0
-"""Of the drives of arms without a model of their own, which settle within a control period or two, and the inertia
-that their gears add. Without it the damping would rule the wrist, and touching it would be unstable."""
+"""Stiffness and damping of the drives of arms that are made from an arm file, and the inertia that their gears add.
+These drives settle within one or two control periods. Without the inertia, damping would dominate at the wrist and
+contacts would be unstable."""
 
 CAMERAS = ("world", "wrist")
 HULL, AS_DRAWN, UNSEEN = 48, 2, 5
-"""Most corners of the hulls by which meshes of a maker touch, and as which they are drawn; and the group of those that
-only show what the arm looks like, which are ten times as slow to draw, and of those that are not drawn."""
+"""Largest number of corners of the convex hulls that stand for a manufacturer's meshes in contacts and pictures. Then
+the group of geoms that only show the arm's look, which take ten times as long to draw, and the group of geoms that are
+not drawn."""
 
 OTHER, GRIPPER_BIT, FRUIT_BIT, LEAF_BIT = 0, 1, 2, 4
 SMALLEST, LARGEST = 16, 1024
-"""Bounds of the size of pictures."""
+"""Bounds of the width and height of pictures."""
 
 GRIP, WIDE = (1.5, 0.02, 1e-3), 60.0
-"""Friction of grippers and fruit (sliding, turning, rolling), and the wrist camera's angle of view."""
+"""Friction of grippers and fruit (sliding, torsional, rolling), and the wrist camera's angle of view."""
 
 METAL, WOOD, SKIN, LEAF = (
     (0.6, 0.6, 0.65, 1.0),
@@ -65,21 +68,21 @@ METAL, WOOD, SKIN, LEAF = (
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """What stands around the arm, and what the arm holds.
+    """The surroundings of the arm and its gripper.
 
     Attributes:
-        model: A maker's model of the arm (.xml), or None for one that is made of the arm file.
+        model: Path of a manufacturer's model of the arm (.xml), or None for a model made from the arm file.
         fruit: Number of fruit.
-        leaves: Number of leaves around the first one.
+        leaves: Number of leaves around the first fruit.
         scale: Lengths of fruit, branch and gripper, as a multiple of an apple tree's.
         size: Diameter and density of fruit.
         cup: Clearance of the cup.
-        suction: How it takes hold.
-        detachment: Pull that takes fruit off.
-        branch: What fruit hangs from.
-        camera_mm: Standard deviation of the cameras' true places per axis, mm.
-        camera_deg: Standard deviation of their true attitudes per axis, deg.
-        eye: Where the world camera is said to stand.
+        suction: Properties of the cup's suction.
+        detachment: Pull that detaches fruit.
+        branch: Branch that the fruit hangs from.
+        camera_mm: Standard deviation per axis of the errors of the cameras' positions, mm.
+        camera_deg: Standard deviation per axis of the errors of their attitudes, deg.
+        eye: Nominal viewpoint of the world camera.
     """
 
     model: str | None
@@ -102,7 +105,7 @@ class Surroundings:
 
     @property
     def clearance(self) -> float:
-        """How far a fruit's centre may lie beside a cup's axis, m: as in `li_cup`."""
+        """Largest distance of a fruit's centre from the cup's axis at which the cup takes it, m, as in `li_cup`."""
         return self.scale * self.cup.tolerance
 
     @property
@@ -112,23 +115,23 @@ class Surroundings:
 
     @property
     def sag(self) -> float:
-        """How far a fruit's weight draws its branch down, m."""
+        """Distance by which a fruit's weight pulls its branch down, m."""
         return self.mass * GRAVITY / (self.branch.stiffness_upright * self.scale)
 
 
 class ContactScene:
-    """The scene of one environment: a model that is made once, and its present state.
+    """The MuJoCo scene of one environment: a model that is compiled once, and its present state.
 
     Args:
         arm: The nominal arm.
-        around: What stands around it.
+        around: The surroundings of the arm and its gripper.
 
     Attributes:
         model: `mujoco.MjModel`.
         data: `mujoco.MjData`.
         held: Whether each fruit is on its stem ``(f,)``.
         suction: Whether the cup's suction is on.
-        strength: Pull that each stem bears ``(f,)``, N.
+        strength: Pull at which each stem breaks ``(f,)``, N.
     """
 
     def __init__(self, arm: Arm, around: Surroundings) -> None:
@@ -164,7 +167,7 @@ class ContactScene:
         self._sent: Array = np.zeros(self.model.nu)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What a copy keeps: all but what draws pictures."""
+        """Return all attributes but the renderers, for pickling and copying."""
         return self.__dict__ | {"_pictures": {}, "_shown": None}
 
     @property
@@ -172,7 +175,7 @@ class ContactScene:
         return import_module("mujoco")
 
     def _robot(self, arm: Arm) -> Any:
-        """The arm alone, which carries no weight, and the world camera."""
+        """Return the specification of the arm, without weight, and of the world camera."""
         mujoco, around = self._mujoco, self.around
         if around.model is None:
             spec = mujoco.MjSpec.from_string(mjcf_text(arm.nominal, arm.name))
@@ -220,7 +223,7 @@ class ContactScene:
         return spec
 
     def _equip(self, spec: Any, last: Any, tool: Frame) -> None:
-        """Add to the last link what stands at its tool: the site, the wrist camera and the gripper."""
+        """Add the tool's site, the wrist camera and the gripper to the link ``last``, at the frame ``tool`` in it."""
         mujoco, around = self._mujoco, self.around
         rotation, place, face = np.array(tool[:9]).reshape(3, 3).T, np.array(tool[9:]), -around.radius
         stand = around.radius + 0.08 * around.scale
@@ -259,20 +262,20 @@ class ContactScene:
         self._rod(hand, [0.0, 0.0, face - deep], [0.0, 0.0, -stand], 0.3 * radius)
 
     def _rods_end(self, body: Any, end: Array) -> None:
-        """Put one rod from a body's origin to ``end (3,)``, m, in the place of its own."""
+        """Replace the rods of a body by one rod from its origin to ``end (3,)``, m."""
         for geom in body.geoms:
             geom.group = UNSEEN
         self._rod(body, np.zeros(3), end, 0.02)
 
     def _rod(self, body: Any, start: ArrayLike, end: ArrayLike, radius: float) -> None:
-        """Add a rod that touches nothing and weighs next to nothing."""
+        """Add a rod without contacts and almost without mass."""
         if np.linalg.norm(np.subtract(end, start)) > radius:
             look = {"contype": OTHER, "conaffinity": OTHER, "mass": 1e-3, "rgba": METAL}
             ends = [*np.asarray(start).tolist(), *np.asarray(end).tolist()]
             body.add_geom(type=self._mujoco.mjtGeom.mjGEOM_CAPSULE, fromto=ends, size=[radius, 0.0, 0.0], **look)
 
     def _hang(self, spec: Any, number: int) -> None:
-        """Add a branch with a fruit; leaves hang about the first one."""
+        """Add a branch with a fruit, and leaves around the first fruit."""
         mujoco, around = self._mujoco, self.around
         scale, radius, stem = around.scale, around.radius, around.scale * around.detachment.stem
         bearer = spec.worldbody.add_body(name=f"bearer {number}", pos=[0.0, 0.0, 2.0])
@@ -336,7 +339,7 @@ class ContactScene:
             )
 
     def _find(self) -> None:
-        """Keep the numbers of what is read and written at every step."""
+        """Store the indices of all parts of the model that are read or written in every step."""
         model, around = self.model, self.around
         self.arm: ModelArm = arm_in_mujoco(model, self.nominal)
         joints = self.arm.joints.tolist()
@@ -364,19 +367,19 @@ class ContactScene:
         self._said = {name: (model.cam_pos[i].copy(), turned[name].reshape(3, 3)) for name, i in self._cameras.items()}
 
     def _untouchable(self) -> None:
-        """Leave contacts to fruit, leaves and the cup: the arm has hulls to be drawn, not to touch."""
+        """Switch off the contacts of the arm except for the cup; its hulls are only drawn."""
         robot = (self.model.geom_contype == GRIPPER_BIT) & (np.arange(self.model.ngeom) != self._cup)
         self.model.geom_contype[robot] = self.model.geom_conaffinity[robot] = OTHER
 
     def begin(self, plant: Plant, joints: Sequence[float], tool: Frame, fruit: Array, rng: np.random.Generator) -> None:
-        """Begin an episode: the arm at rest, fruit on its stems.
+        """Begin an episode with the arm at rest and all fruit on its stems.
 
         Args:
             plant: The true arm.
             joints: Positions of its joints ``(n,)``.
             tool: Frame of its tool.
             fruit: Where fruit hangs at rest ``(f, 3)``, m.
-            rng: Draws strengths of stems, places of leaves and errors of cameras.
+            rng: Random generator for strengths of stems, places of leaves and errors of cameras.
         """
         mujoco, model, data, around = self._mujoco, self.model, self.data, self.around
         mujoco.mj_resetData(model, data)
@@ -406,7 +409,14 @@ class ContactScene:
         mujoco.mj_forward(model, data)
 
     def carry(self, joints: Sequence[float], tool: Frame, grip: float, period: float) -> None:
-        """Let the drives go on to positions of the joints ``(n,)`` within a period, s; ``grip`` is from -1 to 1."""
+        """Simulate one period, in which the drives move on to new joint positions.
+
+        Args:
+            joints: Positions of the true arm's joints at the end ``(n,)``, rad or m.
+            tool: Frame of the true tool at the end.
+            grip: The gripper's command, -1 to 1; suction is on above 0.
+            period: Length of the period, s.
+        """
         data, count = self.data, max(round(period / self.model.opt.timestep), 1)
         self._place(joints, tool)
         self.suction = grip > 0.0
@@ -427,7 +437,7 @@ class ContactScene:
             self.arm.put_tool(self._plant.chain, list(joints), tool)
 
     def _hold(self) -> None:
-        """Let a cup whose suction is on take the fruit that lies in it, and drop what it holds when suction is off."""
+        """Let the cup take the fruit that lies in it if suction is on, and release what it holds if suction is off."""
         data, model, touched = self.data, self.model, self.touched
         for i, hold in enumerate(self._holds) if self.suction or self.taken.any() else ():
             if data.eq_active[hold]:
@@ -444,7 +454,7 @@ class ContactScene:
                     data.eq_active[hold] = 1
 
     def _break(self) -> None:
-        """Let stems go that are pulled harder than they hold, and fruit that the cup cannot hold."""
+        """Break stems that are pulled beyond their strength, and release fruit that pulls too hard on the cup."""
         data, strength = self.data, self.around.suction.holds * self.around.detachment.pull_95 * self.around.scale**2
         rows, forces = data.efc_id[: data.ne], data.efc_force[: data.ne]
         for tie, limit in [*zip(self._stems, self.strength, strict=True), *((hold, strength) for hold in self._holds)]:
@@ -465,7 +475,11 @@ class ContactScene:
 
     @property
     def wrist_eye(self) -> tuple[Array, Array, float]:
-        """Where the wrist camera is said to be: place ``(3,)``, m, and axes ``(3, 3)`` in the tool's frame, tangent."""
+        """The nominal wrist camera in the tool's frame: position, attitude, and angle of view.
+
+        These are the position ``(3,)``, m, the rotation ``(3, 3)`` with the camera's axes as columns, and the tangent
+        of half the angle of view.
+        """
         return (*self._said["wrist"], math.tan(math.radians(WIDE) / 2))
 
     @property
@@ -475,7 +489,7 @@ class ContactScene:
 
     @property
     def touched(self) -> NDArray[np.bool_]:
-        """Which fruit the cup touches ``(f,)``."""
+        """Whether the cup touches each fruit ``(f,)``."""
         if not self.data.ncon:
             return np.zeros(self.around.fruit, dtype=np.bool_)
         pairs = self.data.contact.geom[: self.data.ncon]
@@ -483,14 +497,19 @@ class ContactScene:
 
     @property
     def taken(self) -> NDArray[np.bool_]:
-        """Which fruit the cup holds ``(f,)``."""
+        """Whether the cup holds each fruit ``(f,)``."""
         return np.asarray(self.data.eq_active[self._holds] != 0)
 
     def picture(self, camera: str, size: tuple[int, int], dark: bool = False) -> Pixels:
-        """What a camera sees ``(height, width, 3)``; ``size`` is width and height, px; a dark background is black.
+        """Render the picture of a camera ``(height, width, 3)``.
+
+        Args:
+            camera: One of `CAMERAS`.
+            size: Width and height, px.
+            dark: Whether the background is black instead of a sky.
 
         Raises:
-            InputError: If nothing on this machine draws without a screen.
+            InputError: If this machine cannot render without a screen.
         """
         mujoco = self._mujoco
         if size not in self._pictures:  # films are larger than what is observed, and a context takes long to make
@@ -509,6 +528,6 @@ class ContactScene:
         return cast(Pixels, self._pictures[size].draw(self.data, self._cameras[camera], self._shown, dark))
 
     def close(self) -> None:
-        """Give back what drawing took."""
+        """Free the renderers."""
         while self._pictures:
             self._pictures.popitem()[1].close()

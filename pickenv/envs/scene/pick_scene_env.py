@@ -1,4 +1,4 @@
-"""`pickenv/PickScene-v0`: take a hanging fruit, by touch and by sight, with an arm that is not exact."""
+"""`pickenv/PickScene-v0`: pick a hanging fruit with contact and pictures, with an arm that is not exact."""
 
 from __future__ import annotations
 
@@ -29,66 +29,68 @@ from pickenv.pictures.stage import SIZE, Pixels, fitted_eye
 OBSERVATIONS = ("state", "pixels", "pixels_agent_pos", "pixels_environment_state_agent_pos")
 USUAL_PLANT = "ideal:ur5e"
 PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25
-"""Default of `control_period_s`, what each step costs, and what a fruit off its stem earns."""
+"""Default of `control_period_s`, the cost of each step, and the reward for detaching a fruit from its stem."""
 
 HELD_STEPS, REACH_OF_APPLES = 5, 0.85
-"""Steps for which a fruit must be held to count, and the reach of an arm before a tree of apple's size."""
+"""Number of steps for which a detached fruit must be held to count as picked. Then the reach of an arm from which
+`scale` is 1 by default."""
 
 SPREAD, ATTEMPTS = 64, 2000
-"""Number of poses over which the mean of `error_mm` is taken, and of poses tried to see where fruit may hang."""
+"""Number of poses over which `error_mm` is the mean, and number of poses tried to find places for fruit."""
 
 TRIES = 1, 3, 12, 34
-"""Numbers of fruit with a start before them that are drawn together, until the arm reaches both of one."""
+"""Numbers of pairs of a fruit and a start that are drawn at once. Drawing ends when the arm reaches both of a
+pair."""
 
 
 class PickSceneEnv(ReachEnv):
-    """Take a fruit that hangs from a branch, by touch and by sight, with an arm that is not what it is believed to be.
+    """Pick a fruit that hangs from a branch, with contact and pictures, with an arm that differs from its model.
 
     ## Description
 
     `pickenv/Reach-v0` in MuJoCo, with contact and pictures. An arm with a suction cup stands before a branch; the
-    fruit's stem breaks when it is pulled hard enough. The policy commands the *nominal* arm. What moves, touches and
-    carries the cameras is the *true* arm: parts, joint zeros, compliance, play and warmth are the plant's, and its
-    delays and noise those of `pickenv/Reach-v0`. With an ideal plant the states are those of the plain MuJoCo model,
-    bit by bit. What is touched, how hard, and what a picking tells of a gripper holds for this cup and this branch; all
-    of it is simulated.
+    fruit's stem breaks when it is pulled hard enough. The policy commands the *nominal* arm, that is the model that its
+    controller believes in. What moves, touches and carries the wrist camera is the *true* arm. Its parts, joint zeros,
+    compliance, backlash and warm-up are those of the plant. Delays and noise are those of `pickenv/Reach-v0`. With an
+    ideal plant the states equal those of the plain MuJoCo model, to the bit. Contacts, their forces and the success of
+    picks are simulated, and hold for this cup and this branch only.
 
-    The arm is one that the arm file describes, as rods, or a maker's MJCF file (`model`). Its links touch nothing but
-    by the cup. It carries no weight in MuJoCo, since how it sags is the plant's business.
+    The arm is drawn as rods from the arm file, or comes from a manufacturer's MJCF file (`model`). Of the arm, only the
+    cup has contacts. The arm has no weight in MuJoCo, since the plant computes how it sags.
 
     ## Action Space
 
     `Box(-1, 1, (n + 1,), float32)`: increments of the n joints as in `pickenv/Reach-v0`, per period of 0.04 s, and
     last the suction, which is on above 0. A cup takes the fruit that it touches if the fruit's centre is within 5 mm of
-    its axis (`li_cup`, at full scale), and holds it against one and a half times the pull that takes off 95 % of fruit.
+    its axis (`li_cup`, at full scale). It holds against 1.5 times the pull that detaches 95 % of fruit.
 
     ## Observation Space
 
     By `obs_type`:
 
     - "state" (default): `Box(float32)`, the n + 12 numbers of `pickenv/Reach-v0` (n + 15 with `feedback="camera"`), the
-      suction, and whether the cup holds the fruit. The fruit is where it was seen before the episode.
+      suction, and whether the cup holds the fruit. The fruit's position is the one seen before the episode.
     - "pixels": `Dict` with `pixels`, itself a `Dict` of `(pixels, pixels, 3)` uint8 pictures by camera.
-    - "pixels_agent_pos": that, and `agent_pos`, the joint readings (rad, m) and the gripper, as LeRobot names them: 0
-      when suction is off, 0.5 when it is on, 1 when it holds the fruit.
-    - "pixels_environment_state_agent_pos": that, and the numbers of "state" as `environment_state`.
+    - "pixels_agent_pos": `pixels`, and `agent_pos`, as LeRobot names it: the joint readings (rad, m) and the gripper.
+      The gripper is 0 when suction is off, 0.5 when it is on, and 1 when it holds the fruit.
+    - "pixels_environment_state_agent_pos": `pixels`, `agent_pos`, and the numbers of "state" as `environment_state`.
 
-    The camera "world" stands before the tree; "wrist" rides behind the tool. Pictures need EGL or OSMesa where there is
-    no screen.
+    The camera "world" stands before the tree. The camera "wrist" is fixed to the tool, behind it. Pictures need EGL or
+    OSMesa where there is no screen.
 
     ## Rewards
 
-    1 when the fruit has been held off its stem for 0.2 s, 0.25 when it comes off, and -0.002 per step. Nothing in it
-    tells where the true tool is.
+    1 when the fruit has been held off its stem for 5 steps (0.2 s), 0.25 when it comes off, and -0.002 per step. The
+    reward does not measure where the true tool is.
 
     ## Starting State
 
-    As in `pickenv/Reach-v0`: joints at mid-range or drawn, the fruit where the nominal arm's tool can be. `reset` takes
-    its options. With `within_mm` the fruit hangs about one place that suits the arm, and the tool is 6 to 30 cm before
-    it and up to 12.5 cm beside along each axis, at full scale, where the wrist camera sees it; for another goal give
-    `start_joints` too. Arms of fewer than six joints come to these places in an attitude of their own. The strength of
-    the stem is drawn as in `pickenv/Pick-v0` (Bu et al. 2020), the branch is that of
-    `pickenv/orchard/presets/branch.toml`.
+    As in `pickenv/Reach-v0`: joints are at mid-range or drawn, and the fruit is where the nominal arm's tool can be.
+    `reset` takes the same options. With `within_mm` the fruit hangs near a place where the arm moves well in every
+    direction. The tool then starts where the wrist camera sees the fruit. At full scale this is 6 to 30 cm before it
+    and up to 12.5 cm beside it along each axis. If you give another goal, give `start_joints` too. Arms of fewer than
+    six joints start there in whatever attitude they reach. The strength of the stem is drawn as in `pickenv/Pick-v0`
+    (Bu et al. 2020). The branch is that of `pickenv/orchard/presets/branch.toml`.
 
     ## Episode End
 
@@ -97,14 +99,14 @@ class PickSceneEnv(ReachEnv):
 
     ## Information
 
-    That of `pickenv/Reach-v0`, with distances to the fruit where it is now, and
+    That of `pickenv/Reach-v0`, with distances to the fruit's present position, and
 
     | Key                | Meaning                                                                      | Unit |
     |--------------------|------------------------------------------------------------------------------|------|
     | `is_success`       | whether the fruit has been picked                                            | bool |
     | `attached`         | whether the cup holds the fruit                                              | bool |
     | `detached`         | whether the fruit is off its stem                                            | bool |
-    | `grasp_lateral_mm` | when suction first met the fruit: fruit from true tool, across its axis      | mm   |
+    | `grasp_lateral_mm` | fruit from true tool at the first touch with suction on, across the axis     | mm   |
     | `grasp_axial_mm`   | the same along the axis, positive beyond the tool (both 0 before)            | mm   |
 
     ## Arguments
@@ -119,22 +121,24 @@ class PickSceneEnv(ReachEnv):
 
     ```
 
-    Those of `pickenv/Reach-v0`, of which `executor` is always "floats", and
+    Those of `pickenv/Reach-v0` except `executor`, which is always "floats", and
 
     - `plant` (default "ideal:ur5e"), `control_period_s` (default 0.04).
-    - `error_mm` (default None): makes the parts of the true arm err in the same proportions by so much that its tool
-      errs by these millimetres on average over the joints' range; effects are off then.
-    - `obs_type`, `pixels` (px, 16 to 1024, default 64) and `cameras` (default both): what is observed.
-    - `within_mm` (default None): largest distance per axis of the fruit from that place; None for all the arm's reach.
-    - `camera_mm`, `camera_deg` (default 0): standard deviations per axis of where the cameras truly are, drawn in every
-      episode.
-    - `model` (path, default None): a maker's MJCF file of the plant's arm, with the same joint names.
-    - `fruit` (default 1): number of fruit; the first one is wanted. `leaves` (default 0): leaves about it, which hide
-      and touch.
-    - `scale` (default None): lengths of fruit, branch and cup as a multiple of an apple tree's; forces go with its
+    - `error_mm` (default None): mean error of the tool over the joints' ranges. The errors of the true arm's parts are
+      scaled by one factor to reach it, and the plant's effects are off. None leaves the plant as it is.
+    - `obs_type`, `pixels` (width and height of pictures, px, 16 to 1024, default 64) and `cameras` (default both): what
+      is observed.
+    - `within_mm` (default None): largest distance of the fruit per axis from the place above; None for the arm's whole
+      reach.
+    - `camera_mm`, `camera_deg` (default 0): standard deviations per axis of the errors of the cameras' positions and
+      attitudes, drawn in every episode.
+    - `model` (path, default None): a manufacturer's MJCF file of the plant's arm, with the same joint names.
+    - `fruit` (default 1): number of fruit; the first one is the goal. `leaves` (default 0): number of leaves around it,
+      which hide the fruit and have contacts.
+    - `scale` (default None): lengths of fruit, branch and cup as a multiple of an apple tree's. Forces scale with its
       square, masses with its cube. None is 1, or less for arms that reach less than 0.85 m.
     - `fruit_size` (default "li2016"): as in `pickenv/Pick-v0`.
-    - `render_mode` (None, "human" or "rgb_array"): what the world camera sees.
+    - `render_mode` (None, "human" or "rgb_array"): how pictures of the world camera are rendered.
 
     `gym.make_vec("pickenv/PickScene-v0", num_envs=4)` makes a `SyncVectorEnv`.
 
@@ -145,8 +149,9 @@ class PickSceneEnv(ReachEnv):
 
     gripper = 1
     before, beside, turned = (0.06, 0.3), (0.02, 0.35), 0.1
-    """With `within_mm`, how far before the fruit the tool starts, m; how far beside it at most, m, and further per
-    metre before it, at full scale; and the standard deviation per axis of its attitude, rad."""
+    """Starts with `within_mm`, at full scale. `before` is the range of the tool's distance before the fruit, m. The
+    largest distance beside it is `beside[0]`, m, plus `beside[1]` times the distance before it. `turned` is the
+    standard deviation per axis of the attitude, rad."""
 
     def __init__(
         self,
@@ -215,7 +220,7 @@ class PickSceneEnv(ReachEnv):
         self._holding, self._closed = 0, (0.0, 0.0)
 
     def _places(self) -> Array:
-        """Where fruit may hang ``(k, 3)``, m, and where the arm stands."""
+        """Return places where fruit may hang, and last the place of the arm's base, ``(k + 1, 3)``, m."""
         tries = (simulation.goal_attempt(FLOATS, self.task, 0, attempt) for attempt in range(ATTEMPTS))
         joints: Array = np.array([pose for pose, fits in tries if fits][:SPREAD])
         geometry = self.task.plant.arm.nominal
@@ -224,7 +229,7 @@ class PickSceneEnv(ReachEnv):
         return np.concatenate([forward(geometry, joints).position, [geometry.base.position]])
 
     def _before_fruit(self, within: float) -> tuple[Array, Array]:
-        """Joints with the tool at this episode's fruit, and those that it starts from, both ``(n,)``."""
+        """Return the joints with the tool at this episode's fruit, and the joints at the start, ``(n,)`` each."""
         rng, geometry = np.random.default_rng([int(self._key), 1]), self.task.plant.arm.nominal
         place, attitude = forward(geometry, self._favoured)
         how: dict[str, Any] = {"restarts": 0, "position_only": geometry.joints < 6}
@@ -257,7 +262,7 @@ class PickSceneEnv(ReachEnv):
         self.plant = self._scaled(self.plant)
 
     def _scaled(self, plant: Plant) -> Plant:
-        """The true arm with its error made as large as asked for."""
+        """Return the true arm with its errors scaled to `error_mm`, if given."""
         if self._error is None:
             return plant
         return erring_by(plant, 1e-3 * self._error, halton_joints(plant.arm.nominal, SPREAD))
@@ -278,10 +283,10 @@ class PickSceneEnv(ReachEnv):
         return spaces.Dict(parts)
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, Information]:
-        """Move the joint target by the action, and the gripper.
+        """Move the joint target by the action and set the suction, for one period.
 
         Raises:
-            InputError: If the action has another shape or impossible numbers, or before the first reset.
+            InputError: If the action has another shape or invalid numbers, or if `reset` was not called before.
         """
         values = checked_action(action, (self.task.joints + 1,), self.task.most_action)
         if self._state is None:
@@ -305,7 +310,7 @@ class PickSceneEnv(ReachEnv):
         moment: Scalar,
         dt: Scalar,
     ) -> tuple[ArmState, View]:
-        """Hold the joint command for ``dt`` seconds in the scene; arguments as in `simulation.look`."""
+        """Hold the joint command for ``dt`` seconds in MuJoCo; arguments and result are as in `simulation.look`."""
         memory = plant.carried(x.m, state.plant, command, dt)
         joints, tool = plant.stands(x.m, memory, command)
         scene = self.scene
@@ -369,6 +374,6 @@ class PickSceneEnv(ReachEnv):
         return self.scene.picture("world", SIZE, self.dark)
 
     def close(self) -> None:
-        """Close the window and what draws pictures."""
+        """Close the window and the renderers."""
         self.scene.close()
         super().close()

@@ -1,4 +1,4 @@
-"""The state of many arms side by side, component by component, on any executor: the base of every native batch."""
+"""The state of many arms, one array per number of the state, on any executor: the base class of every batch."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ Columns = list[Scalar]
 
 @contextmanager
 def naming_effects(plant: Plant, executor: str) -> Iterator[None]:
-    """A context in which an executor's error becomes a sentence that names the plant's effects from other packages.
+    """Context manager that turns an executor's error into one that names the plant's effects from other packages.
 
     Raises:
         InputError: If anything is raised inside, and the plant has effects from other packages.
@@ -43,7 +43,8 @@ def naming_effects(plant: Plant, executor: str) -> Iterator[None]:
 class ArmBatch:
     """The state of N arms, one per environment.
 
-    The methods from `numbers` to `components` decide where the state's numbers live: in NumPy, unless overridden.
+    The methods from `numbers` to `components` decide in which kind of array the state is stored. Here it is NumPy's;
+    subclasses may override them.
 
     Attributes:
         x: The executor.
@@ -54,9 +55,9 @@ class ArmBatch:
         arm: Number of each environment's true arm in the population.
         plant: The true arms of the environments.
         population: The population that true arms are taken from.
-        keys: Keys of the environments' episodes.
-        columns: The state, one column per number.
-        remade: Names of the attributes that are neither pickled nor copied, but made anew by `remake`.
+        keys: Keys of the environments' episodes, ``(N,)``.
+        columns: The state, one array ``(N,)`` (a column) per number.
+        remade: Names of the attributes that are neither pickled nor copied, but made again by `remake`.
     """
 
     x: Executor
@@ -73,11 +74,11 @@ class ArmBatch:
         self._widths: list[int] = []
 
     def __getstate__(self) -> dict[str, Any]:
-        """All attributes but those in `remade`."""
+        """Return all attributes but those in `remade`."""
         return {key: value for key, value in vars(self).items() if key not in self.remade}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take over the attributes that `__getstate__` returned."""
+        """Restore the attributes that `__getstate__` returned, and make those in `remade`."""
         vars(self).update(state)
         self.remake()
 
@@ -85,11 +86,11 @@ class ArmBatch:
         """Make the attributes in `remade`."""
 
     def make_room(self, goal: int, seen: int) -> None:
-        """Make room for the arms' states, one column per number, and for the plants' memories.
+        """Allocate the columns for the arms' states and for the plants' memories.
 
         Args:
             goal: Count of numbers in a goal.
-            seen: Count of numbers in the goal as the camera saw it.
+            seen: Count of numbers in the goal position as the camera saw it.
         """
         n, middle = self.task.joints, list(self.numbers(np.array([self.task.middle]).T))
         memory = [len(part) for part in self.plant_of(slice(0, 1)).initial_state(self.x.m, middle)]
@@ -98,27 +99,27 @@ class ArmBatch:
 
     @property
     def fixed(self) -> int:
-        """Count of the first columns, which stay fixed during an episode except for the joint target."""
+        """Count of the first columns: the joint target, and numbers that do not change during an episode."""
         return sum(self._widths[:4])
 
     def numbers(self, values: Array) -> Scalar:
-        """NumPy's numbers in the executor's memory, one component ``(count,)`` per row."""
+        """Convert a NumPy array, one component ``(count,)`` per row, to the executor's kind of array."""
         return np.ascontiguousarray(values)
 
     def words(self, words: Words) -> Scalar:
-        """64-bit words in the executor's memory."""
+        """Convert 64-bit words to the executor's kind of array."""
         return words
 
     def indices(self, rows: Rows) -> Scalar:
-        """Numbers of environments, or of arms, in the form that the executor indexes with."""
+        """Convert indices of environments, or of arms, to the kind of array that the executor indexes with."""
         return rows
 
     def flags(self, flags: Flags) -> Scalar:
-        """A copy of truth values in the executor's memory."""
+        """Copy booleans to the executor's kind of array."""
         return flags.copy()
 
     def host(self, values: Scalar) -> NDArray[Any]:
-        """The executor's numbers as a NumPy array."""
+        """Convert the executor's numbers to a NumPy array."""
         return np.asarray(values)
 
     def put(self, column: Scalar, where: Any, values: Scalar) -> None:
@@ -126,33 +127,35 @@ class ArmBatch:
         column[where] = values
 
     def given(self, actions: ArrayLike) -> Scalar:
-        """Actions as the executor's array; actions that need no conversion are not copied."""
+        """Convert actions to the executor's kind of array, without a copy if none is needed."""
         ready = isinstance(actions, np.ndarray) and actions.dtype.kind == "f"
         return np.asarray(actions) if ready else as_numbers("actions", actions)
 
     def components(self, actions: Scalar) -> tuple[Scalar, float, float]:
-        """Actions ``(N, n)`` as components ``(n, N)``, with the least and the largest number in them."""
+        """Return actions ``(N, n)`` as components ``(n, N)``, and the smallest and the largest number in them."""
         numbers = actions.T.astype(np.float64, order="C")
         return numbers, float(numbers.min()), float(numbers.max())
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
-        """The arrays of everything that the arms' next step depends on."""
+        """Return all arrays that the arms' next step depends on, for a checkpoint."""
         table = np.array([self.host(column) for column in self.columns])
         return {"table": table, "keys": self.host(self.keys).view(np.uint64), "arm": self.arm}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
-        """Take over the arrays that `state_arrays` returned."""
+        """Restore the arrays that `state_arrays` returned."""
         self.write(self.columns, slice(None), self.numbers(state["table"]))
         self.keys[:] = self.words(state["keys"])
         if self.task.arms != "fixed":
             self.take_arms(np.arange(self.count), state["arm"])
 
     def numbers_of_actions(self, actions: ArrayLike) -> Scalar:
-        """Actions component by component ``(n, N)``, checked; on a device only their shape is checked.
+        """Check actions ``(N, n)``, and return their components ``(n, N)``.
+
+        On a device such as a GPU only the shape is checked.
 
         Raises:
-            InputError: If actions have another shape, or numbers that are not finite, or numbers beyond -1 to 1 that
-                the task refuses.
+            InputError: If actions have another shape or numbers that are not finite, or if the task refuses numbers
+                beyond -1 to 1.
         """
         values, shape, most = self.given(actions), (self.count, self.actions), self.task.most_action
         if tuple(values.shape) != shape:
@@ -167,22 +170,28 @@ class ArmBatch:
         return numbers
 
     def plant_of(self, where: Any) -> Plant:
-        """The true arms of the environments ``where``."""
+        """Return the true arms of the environments ``where``, an index or a slice."""
         return plants_on(self.plant, lambda values: values[where])
 
     def state_of(self, columns: Columns) -> ArmState:
-        """The state that is stored in ``columns``."""
+        """Return the state that is stored in ``columns``."""
         return ArmState.of(columns, self._widths)
 
     def starts(self, keys: Scalar, joints: Array | None) -> Columns:
-        """Joint targets that episodes start from: ``joints (episodes, n)`` if given, else drawn, else mid-range."""
+        """Return the joint targets from which episodes start, component by component.
+
+        Args:
+            keys: Keys of the episodes.
+            joints: Joint targets ``(episodes, n)``, rad or m; None to draw them if the task has a spread, else to
+                start at mid-range.
+        """
         task = self.task
         if joints is None and task.situation.spread:
             return drawn_start(self.x, task.situation, keys, *task.box)
         return list(self.numbers((np.repeat([task.middle], len(keys), axis=0) if joints is None else joints).T))
 
     def commands(self, compensate: Compensate | None, targets: Columns) -> Columns:
-        """Joint commands for joint targets; if there is a compensator, it gets and returns NumPy arrays."""
+        """Compute joint commands from joint targets; a compensator gets and returns NumPy arrays ``(..., n)``."""
         if compensate is None:
             return targets
         joints = np.stack([self.host(target) for target in targets], axis=-1, dtype=np.float64, casting="same_kind")
@@ -191,17 +200,17 @@ class ArmBatch:
     def write(self, columns: Columns, where: Any, values: Sequence[Scalar]) -> None:
         """Write ``values`` into columns, for the environments ``where``.
 
-        The last column is written first, so that entries of a queue are moved on before they are overwritten.
+        The last column is written first, so that entries of a queue are shifted before they are overwritten.
         """
         for column, new in zip(list(columns)[::-1], list(values)[::-1], strict=True):
             self.put(column, where, new)
 
     def blocks(self, count: int) -> Iterator[tuple[int, int]]:
-        """The first environment of each block of ``count`` environments, and the first one after the block."""
+        """Split ``count`` environments into blocks; yield the first index of each and the first index after it."""
         return ((a, min(a + self.block, count)) for a in range(0, count, self.block))
 
     def take_arms(self, rows: Rows, arms: NDArray[np.intp]) -> None:
-        """Give the environments ``rows`` the true arms of their episodes."""
+        """Give the environments ``rows`` the true arms with the numbers ``arms``."""
         self.arm[rows] = arms
         places, numbers = self.indices(rows), self.indices(self.arm[rows])
         for mine, all_ in zip(arrays_of(self.plant), arrays_of(self.population), strict=True):
@@ -211,16 +220,16 @@ class ArmBatch:
 class NumpyArms(ArmBatch):
     """The state of N arms in NumPy's arrays.
 
-    Arms are simulated in blocks that stay in the cache, so that an arm's step does not cost more the more arms there
-    are.
+    Arms are simulated in blocks that fit into the processor's cache, so that the time per arm does not grow with the
+    number of arms.
     """
 
     x = NUMPY
     block = 2048
-    """Number of arms in a block: a component then has 16 KiB, and a few components fit into a core's first cache."""
+    """Number of arms in a block. A component then takes 16 KiB, and a few fit into a core's first-level cache."""
 
     def make_plants(self) -> None:
-        """Make the true arms of all environments, and those of each block of environments."""
+        """Set the true arms of all environments, and those of each block of environments."""
         self.population = self.plant = self.task.plant
         if self.task.arms != "fixed":
             self.plant = plants_on(self.task.plant, lambda values: values[self.arm])

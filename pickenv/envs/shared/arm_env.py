@@ -1,4 +1,4 @@
-"""The common part of single environments of one arm: the task, the true arm, its compensator and its arithmetic."""
+"""Base classes of single environments: rendering, and one arm with its task, true arm and compensator."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ RENDER_MODES = ("human", "rgb_array")
 
 
 class DrawnEnv(PlainSpec, gym.Env[Any, NDArray[Any]]):
-    """An environment that can be drawn; its `_stage` gives the scene to draw, once an episode has begun.
+    """Base class of environments that can be rendered; subclasses return what to draw from `_stage`.
 
     Attributes:
         render_mode: None, "human" or "rgb_array".
@@ -43,10 +43,11 @@ class DrawnEnv(PlainSpec, gym.Env[Any, NDArray[Any]]):
         self._window: Any = None
 
     def render(self) -> Any:
-        """Draw the arms, their ghosts where the controller believes them to be, and the fruit.
+        """Draw the true arms, ghosts of the arms as the controller believes them to be, and the fruit.
 
         Returns:
-            An RGB array with render mode "rgb_array"; None with "human", which shows a window, and without a mode.
+            An RGB array ``(height, width, 3)`` with the render mode "rgb_array". None with "human", which shows a
+            window, and without a render mode.
         """
         if self.render_mode is None:
             gym.logger.warn(
@@ -69,7 +70,7 @@ class DrawnEnv(PlainSpec, gym.Env[Any, NDArray[Any]]):
             self._window = None
 
     def _picture(self) -> Pixels:
-        """What is rendered, as RGB pixels."""
+        """Draw the present scene, as RGB pixels."""
         return drawn(self._stage())
 
     def _stage(self) -> Stage | None:
@@ -78,7 +79,7 @@ class DrawnEnv(PlainSpec, gym.Env[Any, NDArray[Any]]):
 
 
 def checked_render_mode(mode: str | None, modes: tuple[str, ...]) -> str | None:
-    """The render mode ``mode``, after a check that it is known and that matplotlib is installed to draw with.
+    """Check that a render mode is one of ``modes`` and that matplotlib is installed, and return it.
 
     Raises:
         InputError: If the mode is unknown.
@@ -91,7 +92,7 @@ def checked_render_mode(mode: str | None, modes: tuple[str, ...]) -> str | None:
 
 
 def drawn(stage: Stage | None) -> Pixels:
-    """The picture of a stage, as RGB pixels.
+    """Draw a stage, as RGB pixels ``(height, width, 3)``.
 
     Raises:
         InputError: If ``stage`` is None, since no episode has begun.
@@ -105,7 +106,7 @@ def drawn(stage: Stage | None) -> Pixels:
 
 Information = dict[str, Any]
 EXECUTORS = {"auto": FLOATS, "floats": FLOATS, "compiled": FLOATS, "numpy": NUMPY}
-"""What environments run on; episodes begin on floats where steps are compiled."""
+"""The arithmetic for each value of `executor`. Where steps are compiled, episodes still begin on floats."""
 
 
 class ArmEnv(DrawnEnv):
@@ -114,8 +115,9 @@ class ArmEnv(DrawnEnv):
     Attributes:
         task: The task that it simulates.
         plant: The true arm.
-        compensator: Turns joint targets into joint commands, or None.
-        look: `simulation.look`, or what an environment looks at its arm by in its place.
+        compensator: Function from joint targets to joint commands, or None.
+        look: Function that simulates a period and returns the view of the arm: `simulation.look`, or another one with
+            the same arguments.
     """
 
     look: Callable[..., Any] = staticmethod(simulation.look)
@@ -161,7 +163,7 @@ class ArmEnv(DrawnEnv):
         return np.array(self.task.increment)
 
     def _use_arm(self, number: int) -> None:
-        """Make the arm ``number`` of the population the true arm."""
+        """Use arm ``number`` of the population as the true arm."""
         self._arm = number
         if self._x is FLOATS:
             self.plant = plant_at(self.task.plant, number)
@@ -169,7 +171,7 @@ class ArmEnv(DrawnEnv):
             self.plant = exact_plant(plants_on(self.task.plant, lambda values: values[number : number + 1]))
 
     def _start(self, joints: Any) -> Sequence[Scalar]:
-        """The joint target that an episode starts from: ``joints`` if given, else drawn, else mid-range."""
+        """Return the joint target at the start: ``joints`` if given, drawn if the task has a spread, else mid-range."""
         task = self.task
         if joints is not None:
             return self._numbers(task.given_joints("start_joints", joints).tolist())
@@ -178,7 +180,7 @@ class ArmEnv(DrawnEnv):
         return self._numbers(task.middle)
 
     def _command(self, target: Sequence[Scalar]) -> Sequence[Scalar]:
-        """The joint command for a joint target."""
+        """Compute the joint command for a joint target, with the compensator if there is one."""
         if self.compensator is None:
             return target
         joints = np.array(self._plain(target))
@@ -188,7 +190,7 @@ class ArmEnv(DrawnEnv):
         return self._numbers(command.tolist())
 
     def _looked(self, state: ArmState, moment: int, dt: Scalar) -> tuple[Any, Sequence[Scalar]]:
-        """Let ``dt`` seconds pass at the joint target of ``state``; return the view, and the joint command."""
+        """Simulate ``dt`` seconds at the joint target of ``state``; return the view, and the joint command."""
         command = self._command(state.target)
         if self._compiled is not None and dt != 0.0:
             self._state, view = self._compiled(state, command, self._key, moment, self.arm)
@@ -198,11 +200,11 @@ class ArmEnv(DrawnEnv):
         return view, command
 
     def _numbers(self, values: Sequence[float]) -> Sequence[Scalar]:
-        """Floats in the executor's form: as they are, or as NumPy arrays of one number."""
+        """Convert floats to the executor's form: floats, or NumPy arrays of one number."""
         return values if self._x is FLOATS else [np.array([value]) for value in values]
 
     def _plain(self, values: Sequence[Scalar]) -> list[float]:
-        """The executor's numbers as floats."""
+        """Convert the executor's numbers to floats."""
         if self._x is FLOATS:
             return list(values)
         return [float(value[0]) if isinstance(value, np.ndarray) else float(value) for value in values]
@@ -220,18 +222,24 @@ GHOST_WORDS = f"ghost: the arm as believed, deviation × {arm_shapes.GAIN}"
 
 
 def standing(geometry: Geometry, ground: float, dark: bool) -> tuple[Mesh, ...]:
-    """The ground, and the pedestal that the arm's base stands on."""
+    """Return the meshes of the ground and of the pedestal that the arm's base stands on."""
     x, y, z = (float(value) for value in geometry.base.position)
     return ground_around(x, y, ground, dark), pedestal(x, y, ground, z, float(arm_shapes.arm_look(geometry).radius[0]))
 
 
 def ground_below(look: arm_shapes.ArmLook, geometry: Geometry) -> float:
-    """Height of a ground that is low enough for an arm never to reach it, m."""
+    """Return a height for the drawn ground, m, at which the arm does not reach it."""
     return float(min(look.low[2] - 0.1, geometry.base.position[2] - 0.35))
 
 
 def tool_dial(axis: Array, offset: Array, tolerance_mm: float) -> Dial:
-    """A dial of the true tool's offset from the fruit (tool minus fruit, m), right and up along the tool's axis."""
+    """Return the dial that shows the true tool's offset from the fruit, seen along the tool's axis.
+
+    Args:
+        axis: Unit vector of the true tool's axis ``(3,)``, base frame.
+        offset: True tool minus fruit ``(3,)``, m, base frame.
+        tolerance_mm: Radius of the ring on the dial, mm.
+    """
     right = np.cross([0.0, 1.0, 0.0], axis)
     right /= max(float(np.linalg.norm(right)), 1e-9)
     across_mm = 1e3 * np.array([offset @ -right, offset @ -np.cross(axis, right)])

@@ -1,8 +1,8 @@
 """The arithmetic that the simulation runs on: Python floats, NumPy arrays, torch tensors, or machine code.
 
-An executor bundles the namespace that kinematics uses (`pickenv.arm.kinematics.backend` has the functions that math,
-NumPy and torch spell differently) with 64-bit integers modulo 2^64 for the random streams. torch is imported only when
-its executor is asked for.
+An executor bundles the functions that kinematics uses with the arithmetic of 64-bit integers modulo 2^64 for the random
+streams. `pickenv.arm.kinematics.backend` has the functions that math, NumPy and torch name differently. torch is
+imported only when its executor is first used.
 """
 
 from __future__ import annotations
@@ -21,28 +21,28 @@ from pickenv.arm.kinematics.forward import Scalar as Scalar
 from pickenv.base import require
 
 Flags = NDArray[np.bool_]
-"""Truth values, one for each environment, or one for each fruit, and so on."""
+"""Array of booleans, for example one per environment or one per fruit."""
 
 Rows = NDArray[np.intp]
-"""Array of environments' numbers, counted from 0."""
+"""Array of indices of environments, counted from 0."""
 
 MASK = 2**64 - 1
 
 
 @dataclass(frozen=True)
 class Executor:
-    """One way to run the simulation.
+    """One kind of arithmetic to run the simulation with.
 
     Attributes:
         name: "floats", "numpy", "torch" or "compiled".
         m: Namespace with sin, cos, sqrt, log, log10.
         times: Product of 64-bit words with a constant, modulo 2^64.
         plus: Sum of two 64-bit words, modulo 2^64.
-        shifted: A 64-bit word shifted to the right by a constant, zeros moving in.
+        shifted: A 64-bit word shifted to the right by a constant number of bits, filled with zeros.
         unit: Uniform number in [0, 1) from the upper 53 bits of a word.
-        word: A 64-bit word from Python integers in [0, 2^64).
-        spares_constants: Whether the `Exact` zeros and ones of `pickenv.envs.shared.task` save work, as they do if
-            every operation goes through an array.
+        word: The 64-bit word of a Python integer, modulo 2^64.
+        spares_constants: Whether to use the `Exact` zeros and ones of `pickenv.envs.shared.task`. They save work where
+            every operation runs on a whole array.
     """
 
     name: str
@@ -80,12 +80,12 @@ NUMPY = Executor(
     word=lambda number: np.uint64(number & MASK),
     spares_constants=True,
 )
-"""The executor of batches of environments as NumPy arrays, one array per component."""
+"""The executor of many environments on NumPy arrays, one array per component."""
 
 
 @lru_cache(maxsize=1)
 def torch_executor() -> Executor:
-    """The executor of batches of environments as torch tensors on any device; 64-bit words are kept in int64."""
+    """Return the executor of many environments on torch tensors, on any device; 64-bit words are stored as int64."""
     require("torch")
     import torch
 
@@ -104,12 +104,12 @@ def torch_executor() -> Executor:
 
 
 def executor_named(name: str) -> Executor:
-    """The executor with this name: "floats", "numpy" or "torch"."""
+    """Return the executor with this name: "floats", "numpy" or "torch"."""
     return torch_executor() if name == "torch" else {executor.name: executor for executor in (FLOATS, NUMPY)}[name]
 
 
 def signed(number: int) -> int:
-    """The int64 that has the same 64 bits as ``number``."""
+    """Return the int64 with the same 64 bits as ``number``."""
     number &= MASK
     return number - (1 << 64) if number >> 63 else number
 
@@ -121,41 +121,42 @@ def signed(number: int) -> int:
 
 
 GOLDEN = 0x9E3779B97F4A7C15
-"""2^64 divided by the golden ratio, odd: the step of the Weyl sequence."""
+"""Step of the Weyl sequence: an odd integer near 2^64 divided by the golden ratio."""
 
 GOAL, FRUIT, CAMERA, ARM, DRAWN, START, JOINTS = range(1, 8)
-"""Numbers of an episode's random streams: for the wanted pose, the fruit as the camera saw it, the camera's noise in
-each step, the true arm, the numbers of the situation, the start, and the joint readings' noise in each step."""
+"""Indices of an episode's random streams. `GOAL` is for the wanted pose, `FRUIT` for the noise of the fruit as the
+camera saw it, and `CAMERA` for the camera's noise in each step. `ARM` is for the choice of the true arm, `DRAWN` for
+the numbers of the situation, `START` for the start, and `JOINTS` for the noise of joint readings in each step."""
 
 
 def mixed(x: Executor, word: Scalar) -> Scalar:
-    """The 64-bit word ``word`` with its bits thoroughly mixed, one to one."""
+    """Mix the bits of a 64-bit word by a one-to-one function, the finaliser of splitmix64."""
     word = x.times(word ^ x.shifted(word, 30), 0xBF58476D1CE4E5B9)
     word = x.times(word ^ x.shifted(word, 27), 0x94D049BB133111EB)
     return word ^ x.shifted(word, 31)
 
 
 def episode_key(x: Executor, seed: Scalar, episode: Scalar) -> Scalar:
-    """Key of an episode, a 64-bit word, from the words of its seed and its number; arrays of words give an array."""
+    """Compute the key of an episode, a 64-bit word, from the words of its seed and its number (or arrays of them)."""
     first = mixed(x, x.plus(seed, x.word(GOLDEN)))
     return mixed(x, x.plus(first, x.times(episode, GOLDEN)))
 
 
 def stream_key(x: Executor, key: Scalar, stream: int) -> Scalar:
-    """Key of one of an episode's streams."""
+    """Compute the key of the random stream ``stream`` of the episode with the key ``key``."""
     return mixed(x, x.plus(key, x.word(stream * GOLDEN)))
 
 
 def uniform(x: Executor, key: Scalar, draw: Scalar) -> Scalar:
-    """The uniform number in [0, 1) at place ``draw``, an int or words like ``key``, of the stream ``key``."""
+    """Return the uniform number in [0, 1) with index ``draw``, an int or 64-bit words, of the stream ``key``."""
     step = x.word(draw * GOLDEN) if isinstance(draw, int) else x.times(draw, GOLDEN)
     return x.unit(mixed(x, x.plus(key, step)))
 
 
 def normal(x: Executor, key: Scalar, draw: Scalar) -> Scalar:
-    """The standard normal number at place ``draw`` of the stream ``key`` (Box and Muller 1958).
+    """Return the standard normal number with index ``draw`` of the stream ``key`` (Box and Muller 1958).
 
-    It uses up the stream's uniform numbers 2 ``draw`` and 2 ``draw`` + 1.
+    It is computed from the stream's uniform numbers with the indices 2 ``draw`` and 2 ``draw`` + 1.
     """
     first = 2 * draw if isinstance(draw, int) else x.times(draw, 2)
     second = first + 1 if isinstance(draw, int) else x.plus(first, x.word(1))
@@ -164,7 +165,7 @@ def normal(x: Executor, key: Scalar, draw: Scalar) -> Scalar:
 
 
 def seed_word(seed: int) -> int:
-    """A seed of any size as a word of 64 bits; seeds below 2^64 stay as they are."""
+    """Reduce a seed of any size to a 64-bit word; seeds below 2^64 stay as they are."""
     word = 0
     while True:
         word ^= seed & MASK
@@ -174,19 +175,19 @@ def seed_word(seed: int) -> int:
 
 
 def fresh_seed(generator: Any) -> int:
-    """A seed drawn from an environment's own generator, for an environment that was given no seed."""
+    """Draw a seed from an environment's own generator, for a reset without a seed."""
     return int(generator.integers(2**63))
 
 
 def words_of_state(state: Mapping[str, Any]) -> list[int]:
-    """The state of a Gymnasium generator (PCG64) as six words of 64 bits."""
+    """Convert the state of a Gymnasium generator (PCG64) to six 64-bit words."""
     inner = state["state"]
     wide = [word for number in (inner["state"], inner["inc"]) for word in (number >> 64, number & MASK)]
     return [*wide, state["has_uint32"], state["uinteger"]]
 
 
 def state_of_words(words: Iterable[int]) -> dict[str, Any]:
-    """The state of a generator (PCG64) from the six words that `words_of_state` returned."""
+    """Convert the six words that `words_of_state` returned back to the state of a generator (PCG64)."""
     high, low, high_step, low_step, has, last = map(int, words)
     numbers = {"state": high << 64 | low, "inc": high_step << 64 | low_step}
     return {"bit_generator": "PCG64", "state": numbers, "has_uint32": has, "uinteger": last}

@@ -1,4 +1,4 @@
-"""The look at one arm after a step as machine code, which replaces most of a step's work on Python floats."""
+"""`simulation.look` for one arm as machine code, which replaces most of a step's work on Python floats."""
 
 from __future__ import annotations
 
@@ -25,31 +25,33 @@ TRACER = Executor(
     word=lambda number: number & MASK,
     spares_constants=True,
 )
-"""The executor that records the simulation's operations, to be compiled."""
+"""The executor that records the simulation's operations, which are then compiled."""
 
 
 def with_numbers(plants: Plant, numbers: Iterable[Scalar]) -> Plant:
-    """The arms ``plants`` with others in place of the numbers that are arrays, one entry per arm."""
+    """Return ``plants`` with its arrays ``(arms,)`` replaced, in order, by ``numbers``."""
     rows = iter(numbers)
     return plants_on(plants, lambda values: next(rows) if values.ndim == 1 else values)
 
 
 class LatestCompiled:
-    """Compensators as machine code for a count of poses, of which only the latest is kept."""
+    """A cache of one: the machine code of the compensator that was used last, for ``count`` poses at once."""
 
     def __init__(self, count: int) -> None:
         self._count = count
         self._known: Any = None, None
 
     def __call__(self, compensate: Compensate) -> Compensate:
-        """The compensator's machine code, or itself where it has none."""
+        """Return the machine code of a compensator, or the compensator itself if it has none."""
         if self._known[0] is not compensate:
             self._known = compensate, getattr(compensate, "compiled", lambda _: compensate)(self._count)
         return cast(Compensate, self._known[1])
 
 
 class CompiledLook:
-    """`simulation.look`, or a function called like it, of one arm after one period; equal up to roundings.
+    """Machine code of `simulation.look`, or of a function with the same arguments, for one arm and one period.
+
+    Results agree up to rounding.
 
     Args:
         look: The function.
@@ -64,13 +66,21 @@ class CompiledLook:
         self._run: Callable[[], None] | None = None
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """Pickle and copy what it is made of; the code is compiled anew."""
+        """Pickle and copy the function and the task; the copy compiles the code again."""
         return CompiledLook, (self._look, self._task)
 
     def __call__(
         self, state: ArmState, command: Sequence[float], key: int, moment: int, arm: int
     ) -> tuple[ArmState, Any]:
-        """The state and the view after a period at the joint command, with arm number ``arm`` of the population."""
+        """Hold a joint command for one period; return the state and the view afterwards.
+
+        Args:
+            state: The state, with its new joint target.
+            command: Joint command, rad or m.
+            key: Key of the episode.
+            moment: Number of the step in its episode.
+            arm: Number of the true arm in the population.
+        """
         if self._run is None:
             with naming_effects(self._plants, "compiled"):
                 self._run = self._compiled(state, command)
@@ -85,7 +95,7 @@ class CompiledLook:
         return ArmState(*state[:-2], sensed, tuple(parts[:memory])), self._view_of(parts[memory:])
 
     def _compiled(self, state: ArmState, command: Sequence[float]) -> Callable[[], None]:
-        """Trace and compile the function for states and commands of these lengths."""
+        """Trace and compile the function for states and commands as long as ``state`` and ``command``."""
         trace, widths = Trace(), [len(part) for part in (*state[:-1], *state.plant)]
         given = trace.inputs("given", sum(widths) + len(command))
         before, now = ArmState.of(given[: sum(widths)], widths), given[sum(widths) :]

@@ -1,7 +1,7 @@
-"""The ladder: named difficulties of Reach and Pick, so that results can be compared.
+"""The ladder: a list of named difficulties of Reach and Pick, which makes results comparable.
 
-Each difficulty fixes some arguments of an environment, and with them arms to train on and other arms to test on. These
-arguments never change within a version of the ladder; all others are for the user to choose.
+Each difficulty fixes some arguments of an environment. Most also fix two populations of arms, one to train on and one
+to test on. These arguments never change within a version of the ladder. The user may choose all others.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _ORCHARD: dict[str, Any] = {
 _DAY: dict[str, Any] = {**_ORCHARD, "hours_on": [0.0, 8.0]}
 
 LADDER_VERSION = 2
-"""Version of the ladder, to be stated beside results. In version 1 the sizes of "own_eyes" in Reach had no source."""
+"""Version of the ladder, to be stated with results. In version 1 the noise of "own_eyes" in Reach had no source."""
 
 LADDER: dict[str, dict[str, Any]] = {
     "ideal": {"plant": "ideal"},
@@ -33,22 +33,23 @@ LADDER: dict[str, dict[str, Any]] = {
     "day": _DAY,
     "own_eyes": _DAY,
 }
-"""Arguments that each difficulty fixes, from the easiest on. "ideal" has no error, "fine" has arms made well, "coarse"
-arms made badly. "orchard" adds compliance, backlash, heat and ground, with late and noisy readings; "day" is that at
-any hour of a working day; "own_eyes" is that seen with the machine's own cameras."""
+"""Arguments that each difficulty fixes, from the easiest to the hardest. "ideal" has no error. "fine" has arms with
+small manufacturing errors, "coarse" arms with large ones. "orchard" has medium errors, and adds compliance, backlash,
+heat and soft ground, with delayed and noisy readings. "day" is "orchard" at any hour of a working day. "own_eyes" is
+"day" with the errors of the machine's own cameras."""
 
 EYES: dict[str, dict[str, Any]] = {
     "Reach": {"feedback": "camera", "camera_noise_mm": 1.6, "fruit_noise_mm": 6.3},
     "Pick": {"vision": "measured_errors"},
 }
-"""Arguments that "own_eyes" adds, from pictures of trees that were rendered and read
+"""Arguments that "own_eyes" adds, by task. They come from detecting fruit in rendered pictures of trees
 (`pickenv/orchard/presets/sight.toml`).
 
-Pick draws recall and errors from the tables in that file. Reach has one size of error for all axes, the root of the
-axes' mean square. Its fruit noise is that of fruit among leaves as Li's detector locates them from 1.0 to 1.4 m (table
-li2016-li2016; 4.4 mm across, 4.0 up, 9.2 in depth). Its camera noise, for the camera on the tool, from which no leaf
-hides the fruit, is that of bare fruit located by circles (table li2016_bare-circles; 0.4, 0.4 and 2.7 mm). All these
-are simulated; a real camera had an RMSE of 6 mm and a bias of 17 mm (Neupane et al. 2021)."""
+Pick draws detections and errors from the tables in that file. Reach has one standard deviation for all axes, the root
+mean square over the axes. Its fruit noise is that of fruit among leaves, located by Li's detector from 1.0 to 1.4 m
+(table li2016-li2016; 4.4 mm across, 4.0 up, 9.2 in depth). Its camera noise is for a camera on the tool, from which no
+leaf hides the fruit. It is that of fruit without leaves, located by circles (table li2016_bare-circles; 0.4, 0.4 and
+2.7 mm). All these are simulated; a real camera had an RMSE of 6 mm and a bias of 17 mm (Neupane et al. 2021)."""
 
 SPLITS = ("train", "test")
 """Names of a difficulty's two populations of arms: one to train on, another to test on."""
@@ -57,7 +58,7 @@ POPULATION = {"train": 256, "test": 64}
 
 
 def on_ladder(task: str, *, difficulty: str | None = None, split: str = "train", **arguments: Any) -> dict[str, Any]:
-    """An environment's arguments, together with those that a difficulty fixes.
+    """Return an environment's arguments together with those that a difficulty fixes.
 
     Args:
         task: "Reach" or "Pick".

@@ -1,4 +1,4 @@
-"""The common part of the native vector environments: seeds, masks, the three autoreset modes, infos and pictures."""
+"""Base class of the native vector environments: seeds, masks, the three autoreset modes, infos and pictures."""
 
 from __future__ import annotations
 
@@ -23,11 +23,11 @@ from pickenv.pictures.stage import Stage
 
 
 class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
-    """N environments in one; the i-th is seeded with ``seed + i`` and does not depend on how many there are.
+    """Base class for N environments in one; environment i has the seed ``seed + i`` and does not depend on N.
 
     Attributes:
         task: The task that all environments simulate.
-        options: Names of the options that `reset` takes beside a mask.
+        options: Names of the options that `reset` takes in addition to "reset_mask".
         max_episode_steps: Steps after which an episode is truncated, or None for never.
         compensator: Turns joint targets into joint commands, or None.
     """
@@ -69,9 +69,12 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         """Begin episodes in all environments, or in those where ``options["reset_mask"]`` is True.
 
         Args:
-            seed: Environment i gets ``seed + i``, or entry i of a sequence; with None it goes on with its own stream
-                of random numbers.
+            seed: Environment i gets ``seed + i``, or entry i of a sequence. With None it continues its own stream of
+                random numbers.
             options: See the class.
+
+        Returns:
+            The observations and the infos.
         """
         options = given_options(options, (*self.options, "reset_mask"))
         mask = checked_mask(options.pop("reset_mask", None), self.num_envs)
@@ -86,11 +89,11 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         return self._observation(), self._masked(mask)
 
     def step(self, actions: ArrayLike) -> tuple[Any, Any, Any, Any, Information]:
-        """Act in all environments; those whose episode is over begin a new one as the autoreset mode says.
+        """Act in all environments; those whose episode is over begin a new one according to the autoreset mode.
 
         Raises:
-            InputError: If actions have another shape or impossible numbers, if `reset` was never called, or if an
-                episode that ended was not reset.
+            InputError: If actions have another shape or invalid numbers, if `reset` was never called, or if an ended
+                episode was not reset where the autoreset mode requires it.
         """
         values, over, live = self._checked(actions), self._over, np.ones(self.num_envs, dtype=np.bool_)
         if not self._begun:
@@ -117,13 +120,13 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         return self._observation(), rewards, self._flags(terminated), self._flags(truncated), infos
 
     def render(self) -> tuple[NDArray[np.uint8], ...] | None:
-        """One picture per environment."""
+        """Draw one picture per environment, as RGB pixels; None without a render mode."""
         if self.render_mode is None:
             return None
         return tuple(drawn(self._stage(row) if self._begun else None) for row in range(self.num_envs))
 
     def _set_spaces(self, observations: Space[Any], actions: Space[Any]) -> None:
-        """Set the spaces of one environment, and those of all N made of them."""
+        """Set the spaces of a single environment, and the batched spaces of all N."""
         self.single_observation_space, self.single_action_space = observations, actions
         self.observation_space = batch_space(observations, self.num_envs)
         self.action_space = batch_space(actions, self.num_envs)
@@ -134,31 +137,31 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         self._elapsed[rows], self._over[rows] = 0, False
 
     def _masked(self, mask: Flags) -> Information:
-        """Infos as a dict of arrays, each with ``mask`` as its ``_key``; values outside the mask are zero."""
+        """Return infos as a dict of arrays, each with ``mask`` as its ``_key``; values outside the mask are zero."""
         infos, flags = self._information(), self._flags(mask)
         if not mask.all():
             infos = {key: values * flags.reshape(-1, *[1] * (values.ndim - 1)) for key, values in infos.items()}
         return infos | {f"_{key}": flags for key in infos}
 
     def _flags(self, flags: Flags) -> Any:
-        """A copy of truth values in the form in which `step` returns them."""
+        """Copy booleans to the kind of array that `step` returns."""
         return flags.copy()
 
     def _seed(self, row: int, seed: int | None) -> None:
-        """Give environment ``row`` a new stream of random numbers, from ``seed`` or, if it is None, a fresh seed."""
+        """Start a new stream of random numbers for environment ``row``, from ``seed``, or from a fresh seed if None."""
         self._rngs[row] = seeding.np_random(seed)[0]
 
     @abstractmethod
     def _checked(self, actions: ArrayLike) -> Any:
-        """Actions, checked and in the form that `_act` takes."""
+        """Check actions, and return them in the form that `_act` takes."""
 
     @abstractmethod
     def _begin(self, rows: Rows, options: Information, seeded: Flags) -> None:
-        """Begin episodes in the environments ``rows``; ``seeded`` flags those of all N that were just given a seed."""
+        """Begin episodes in the environments ``rows``; ``seeded (N,)`` marks the environments that just got a seed."""
 
     @abstractmethod
     def _act(self, actions: Any, live: Flags) -> Any:
-        """Let time pass in the environments ``live``; the others begin new episodes afterwards.
+        """Simulate one period in the environments marked by ``live (N,)``; the others begin new episodes afterwards.
 
         Returns:
             The rewards of all environments, zero in those that are not live.
@@ -166,26 +169,26 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
 
     @abstractmethod
     def _finished(self) -> Flags:
-        """Flags of the environments whose episode is over."""
+        """Return flags ``(N,)`` of the environments whose episode is over."""
 
     @abstractmethod
     def _observation(self) -> Any:
-        """The observations of all environments."""
+        """Return the observations of all environments."""
 
     @abstractmethod
     def _information(self) -> Information:
-        """The infos of all environments: arrays by name, with a leading axis of environments."""
+        """Return the infos of all environments: arrays ``(N, ...)`` by name."""
 
     @abstractmethod
     def _stage(self, row: int) -> Stage:
-        """The scene of environment ``row``, to be drawn."""
+        """Return the stage to draw for environment ``row``."""
 
 
 def checked_mask(mask: Any, count: int) -> Flags:
-    """Flags of those of ``count`` environments that a reset begins anew; all of them if ``mask`` is None.
+    """Check a reset mask, and return it as an array of ``count`` booleans, all True if ``mask`` is None.
 
     Raises:
-        InputError: If ``mask`` is not one truth value per environment, at least one of them True.
+        InputError: If ``mask`` is not one boolean per environment, or none is True.
     """
     flags = np.ones(count, dtype=np.bool_) if mask is None else np.array(mask)
     if flags.dtype != np.bool_ or flags.shape != (count,) or not flags.any():
@@ -197,7 +200,14 @@ def checked_mask(mask: Any, count: int) -> Flags:
 
 
 def checked_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
-    """A seed for each of ``count`` environments: ``seed + i`` for the i-th; None lets it go on with its own stream.
+    """Return a seed for each of ``count`` environments.
+
+    Args:
+        seed: A number, from which environment i gets ``seed + i``; or a sequence of seeds; or None.
+        count: Number of environments.
+
+    Returns:
+        The seeds. None means that an environment continues its own stream of random numbers.
 
     Raises:
         InputError: If another number of seeds is given, or a negative seed.
@@ -214,7 +224,7 @@ def checked_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[i
 
 
 def final_rows(observations: Any, rows: Rows, count: int) -> Any:
-    """The observations of ``rows`` in an object array of length ``count``, as `SyncVectorEnv` gives them.
+    """Return the observations of ``rows`` in an object array of length ``count``, as `SyncVectorEnv` does.
 
     The other entries are None. Tensors are returned as they are.
     """

@@ -1,9 +1,9 @@
-"""Observations and actions scaled so that a policy learns to the last millimetre.
+"""Scaling of observations and actions, with which a policy learns to reach within a millimetre.
 
-A network that reads a gap in metres is blind to millimetres, and the noise of its actions hides them. Here the network
-sees the gap to the fruit as a direction of about unit length and the logarithm of its size, and near the fruit an
-action is a share of the gap that remains: what a policy learns about decimetres then holds for micrometres. The
-formulas run on NumPy and on torch.
+The gap is the fruit's pose minus the tool's pose. A network that reads the gap in metres hardly notices millimetres,
+and the noise of its actions hides them. Here the network sees the gap as a direction of about unit length and the
+logarithm of its size. Near the fruit, actions are multiplied by the size of the gap. So what a policy learns about
+decimetres also holds for micrometres. The formulas run on NumPy and on torch.
 """
 
 from __future__ import annotations
@@ -22,21 +22,21 @@ from pickenv.envs.shared.simulation import GOAL_NUMBERS, goal_gap
 from pickenv.envs.shared.task import MOST_ACTION, Task, as_numbers
 
 SMALLEST = 1e-6
-"""Smallest size of a gap, as a share of the near gap: smaller gaps count as this."""
+"""Smallest size of a gap, as a share of `Scaling.near` and `Scaling.near_turn`; smaller gaps count as this size."""
 
 ROUNDING = 1e-3
-"""Margin for rounding in the bounds of numbers that are at most one."""
+"""Margin for rounding in the bounds of observed numbers that are at most one."""
 
 
 class Rescaling(ABC):
-    """Formulas from an environment's observations ``(..., inputs)`` to a policy's, and from its actions to commands.
+    """Formulas that turn an environment's observations into a policy's, and a policy's actions into the environment's.
 
     Attributes:
         inputs: Count of numbers in the environment's observation.
         features: Count of numbers that the policy sees.
         space: Space of the observations that the policy sees.
-        answers: Space of the policy's actions, if it differs from the environment's action space; else None.
-        home: Words for an error message: what the policy has to be used with ("use ... of its training").
+        answers: Space of the policy's actions; None if it is the environment's action space.
+        home: Part of an error message: what the policy must be used with ("use ... of its training").
     """
 
     inputs: Any
@@ -46,10 +46,14 @@ class Rescaling(ABC):
     home: ClassVar[str]
 
     def check(self, width: int, scaled: bool = False) -> None:
-        """Refuse observations that are not `inputs` numbers long, or `features` where they come ``scaled``.
+        """Check the length of observations.
+
+        Args:
+            width: Count of numbers in an observation.
+            scaled: Whether observations are scaled already, and so must have `features` numbers instead of `inputs`.
 
         Raises:
-            InputError: If ``width`` is another.
+            InputError: If ``width`` is another number.
         """
         trained, home = (self.features, "the environment") if scaled else (self.inputs, self.home)
         if width != trained:
@@ -59,38 +63,48 @@ class Rescaling(ABC):
             )
 
     def shown(self, values: NDArray[Any]) -> NDArray[np.float32]:
-        """The result of `observe` as an environment returns it: a float32 array of NumPy."""
+        """Return the result of `observe` as a NumPy array of float32, as environments do."""
         return np.asarray(self.observe(values, np), dtype=np.float32)
 
     @abstractmethod
     def observe(self, values: Any, xp: Any) -> Any:
-        """The numbers ``(..., features)`` that the policy sees; ``xp`` is numpy or torch."""
+        """Compute the policy's observations ``(..., features)``.
+
+        Args:
+            values: The environment's observations ``(..., inputs)``.
+            xp: The module numpy or torch.
+        """
 
     @abstractmethod
     def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
-        """Commands to the environment for a policy's ``actions``.
+        """Compute the environment's actions from a policy's.
 
-        Actions that the environment refuses stay as they are, for the environment to refuse.
+        Invalid actions are passed on, so that the environment raises the error.
+
+        Args:
+            values: The environment's observations ``(..., inputs)``.
+            actions: The policy's actions.
+            most: Largest magnitude of a number that the environment accepts.
         """
 
     @abstractmethod
     def potential(self, values: NDArray[Any]) -> Any:
-        """A number that grows as an observation gets nearer to the task's goal, for reward shaping."""
+        """Compute a potential for reward shaping, which grows as observations get nearer to the task's goal."""
 
 
 @dataclass(frozen=True)
 class Scaling(Rescaling):
-    """The scaling of the gap in a reach task: the layout of its observations, and which gap counts as near.
+    """The scaling of the gap in a reach task. It holds the layout of observations and the gaps that count as near.
 
     Attributes:
         joints: Number of joints n.
-        camera: Whether the flat observation ends with the camera's gap.
-        goal: Whether observations are goal observations: observation, achieved and desired goal, one after the other.
+        camera: Whether the flat observation ends with the position gap that the camera measures.
+        goal: Whether observations are joined goal observations, see `joined_observation`.
         actions: Whether actions shrink with the gap; if not, only the observation changes.
         near: Position gap below which actions shrink in proportion to it, m.
         near_turn: Attitude gap below which actions shrink in proportion to it, rad.
-        tool: Count of the numbers of an action that moves the tool, 6, or 3 where no attitude is asked for; 0 where
-            actions move joints. A network that moves the tool is not shown the joints.
+        tool: Count of the numbers of an action that moves the tool: 6, or 3 without attitude. It is 0 where actions
+            move joints. A network that moves the tool does not see the joints.
     """
 
     joints: int
@@ -111,7 +125,7 @@ class Scaling(Rescaling):
 
     @property
     def features(self) -> int:
-        """Count of numbers that the networks see."""
+        """Count of numbers in a network's observation."""
         return (self.tool or self.joints + 6) + 1
 
     @property
@@ -127,7 +141,7 @@ class Scaling(Rescaling):
         return self.tool or self.joints
 
     def gap(self, values: Any, xp: Any) -> tuple[Any, Any]:
-        """The position gap between tool and fruit (m) and the gap between their attitudes (rad), ``(..., 3)`` each."""
+        """Return the position gap (m) and the attitude gap (rotation vector, rad), ``(..., 3)`` each."""
         n = self.joints
         if self.goal:
             numbers = [values[..., i] for i in range(n + 3, self.inputs)]
@@ -136,7 +150,7 @@ class Scaling(Rescaling):
         return values[..., n + 12 :] if self.camera else values[..., n + 6 : n + 9], values[..., n + 9 : n + 12]
 
     def size(self, values: Any, xp: Any) -> Any:
-        """Size of the gap ``(..., 1)``: the larger of position over `near` and attitude over `near_turn`."""
+        """Compute the gap's size ``(..., 1)``: the larger of position over `near` and attitude over `near_turn`."""
         gap, turn = self.gap(values, xp)
         far, turned = (
             ((part * part).sum(-1)[..., None]) ** 0.5 / near
@@ -145,12 +159,12 @@ class Scaling(Rescaling):
         return xp.clip(far if self.tool == 3 else xp.maximum(far, turned), SMALLEST, None)
 
     def share(self, values: Any, xp: Any) -> Any:
-        """The factor ``(..., 1)`` by which a network's actions are multiplied."""
+        """Compute the factor ``(..., 1)`` by which a network's actions are multiplied."""
         size = self.size(values, xp)
         return xp.clip(size, None, 1.0) if self.actions else 0.0 * size + 1.0
 
     def observe(self, values: Any, xp: Any) -> Any:
-        """The numbers ``(..., features)`` that the networks see; ``xp`` is numpy or torch."""
+        """Compute the observations ``(..., features)`` that the networks see; see `Rescaling.observe`."""
         gap, turn = self.gap(values, xp)
         size = self.size(values, xp)
         parts = (values[..., : self.joints], gap / (self.near * size), turn / (self.near_turn * size))
@@ -159,18 +173,18 @@ class Scaling(Rescaling):
         return xp.concatenate((*parts, xp.log10(size) / 2.0), -1)
 
     def commands(self, values: Any, actions: Any) -> Any:
-        """Commands to the environment for a network's ``actions``, which lie between -1 and 1."""
+        """Compute the environment's actions from a network's ``actions``, which lie between -1 and 1."""
         return actions * self.share(values, np)
 
     def potential(self, values: NDArray[Any]) -> Any:
-        """The negative decimal logarithm of the gap's size; rewards of reaching are as dense already."""
+        """Compute the negative decimal logarithm of the gap's size, for reward shaping."""
         return -np.log10(self.size(values, np))[..., 0]
 
     def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
-        """Commands to the environment for a policy's ``actions`` at the observations ``values``.
+        """Compute the environment's actions from a policy's ``actions`` at the observations ``values``.
 
-        Actions of another shape, and numbers larger than ``most`` or not finite, stay as they are, for the environment
-        to refuse.
+        Actions of another shape, and numbers that are larger than ``most`` or not finite, are passed on unchanged, so
+        that the environment raises the error.
         """
         numbers = as_numbers("actions", actions)
         if numbers.shape != (*values.shape[:-1], self.outputs):
@@ -180,16 +194,19 @@ class Scaling(Rescaling):
 
 
 def scaling_of(task: Task, actions: bool = True) -> Scaling:
-    """The scaling of a task's flat observations; ``actions`` as in `Scaling`.
+    """Return the scaling for a task's flat observations; ``actions`` as in `Scaling`.
 
-    Where actions move the tool, a gap is near if one action can close it.
+    Where actions move the tool, a gap counts as near if one action can close it.
     """
     near = dict(zip(("near", "near_turn"), task.tool[::3], strict=False))
     return Scaling(task.joints, task.camera, actions=actions, tool=len(task.tool), **near)
 
 
 def joined_observation(observation: Any, xp: Any = np) -> Any:
-    """A goal observation joined into one array; a flat observation stays as it is."""
+    """Concatenate the parts of a goal observation: observation, achieved goal, desired goal.
+
+    A flat observation is returned as it is. ``xp`` is the module numpy or torch.
+    """
     if not isinstance(observation, dict):
         return observation
     return xp.concatenate([observation[key] for key in ("observation", "achieved_goal", "desired_goal")], -1)

@@ -1,8 +1,9 @@
 """The reach task as pure functions on components: increments, joint target, plant, errors, observation and reward.
 
-Written once and run on Python floats (one environment), NumPy arrays or torch tensors (many): see
-`pickenv.envs.shared.backends`. Between `move` and `look` is the one place where a compensator turns joint targets into
-joint commands. Units: m, rad, s; millimetres and degrees only where a name ends in mm or deg.
+A component is one number of a vector: a Python float for one environment, or a NumPy array or torch tensor with one
+entry per environment. `pickenv.envs.shared.backends` has the arithmetic for each. The plant is the model of the true
+arm. A compensator, if there is one, turns joint targets into joint commands between `move` and `look`, and nowhere
+else. Units: m, rad, s; millimetres and degrees only where a name ends in mm or deg.
 """
 
 from __future__ import annotations
@@ -23,7 +24,8 @@ DEGREES = 57.29577951308232
 """Degrees in one radian."""
 
 DAMPING = 1e-5
-"""Damping of the joint motion for a motion of the tool, as a share of the sum of the Jacobian's squares."""
+"""Damping of the least squares that turn a tool motion into joint motions, as a share of the sum of the Jacobian's
+squared entries."""
 
 GOAL_NUMBERS = 9
 """Count of numbers in a goal: its position, and the z and x axes of its attitude."""
@@ -56,7 +58,7 @@ class ArmState(NamedTuple):
 
     @classmethod
     def of(cls, columns: Sequence[Scalar], widths: Sequence[int]) -> ArmState:
-        """The state whose numbers are ``columns``, for the count of numbers in each of its parts."""
+        """Return the state whose numbers are ``columns``; ``widths`` has the count of numbers in each of its parts."""
         ends = accumulate(widths)
         parts = [tuple(columns[end - width : end]) for end, width in zip(ends, widths, strict=True)]
         target, goal, sighting, drawn, sent, late, *memory = parts
@@ -64,12 +66,14 @@ class ArmState(NamedTuple):
 
     @property
     def columns(self) -> list[Scalar]:
-        """All numbers of the state, one after the other."""
+        """All numbers of the state, concatenated."""
         return list(chain(*self[:-1], *self.plant))
 
 
 class View(NamedTuple):
-    """Everything that can be measured at one moment, beliefs and truth; observation and information are parts of it.
+    """All measured and true quantities at one moment, from which observation and information are made.
+
+    "Believed" means computed from the joint readings with the nominal arm. Vectors are in the base frame, m.
 
     Attributes:
         readings: Joint readings scaled to the joint limits, n.
@@ -77,12 +81,13 @@ class View(NamedTuple):
         attitude: The believed tool's z and x axes, 6.
         wanted: The wanted tool's z and x axes, 6.
         seen: Fruit position as the camera saw it, 3.
-        offset: Fruit as seen, with the wanted attitude, against the believed tool: m and rotation vector, 6.
+        offset: Pose of the fruit as seen, with the wanted attitude, relative to the believed tool: m and rotation
+            vector, 6.
         camera: Fruit minus true tool position as the camera measures it, 3; empty without camera feedback.
         command: Joint command that the drives got, n.
         tool: True tool position, 3.
         fruit: True fruit position, 3.
-        error: True tool against fruit: m and rotation vector, 6.
+        error: Pose of the true tool relative to the fruit: m and rotation vector, 6.
         numbers: Size of the error in the order of `NUMBER_KEYS`: its length, mm, its angle, the part of the angle that
             no joint motion removes, and the rest of the angle, deg.
         success: Whether the fruit is inside the capture region.
@@ -109,7 +114,7 @@ class View(NamedTuple):
 
 
 def nominal_frames(x: Executor, task: Task, q: Sequence[Scalar]) -> tuple[list[Frame], Frame]:
-    """The frames of the nominal arm's links (base first), and the frame of its tool, at joints ``q``."""
+    """Compute the frames of the nominal arm's links (base first), and the frame of its tool, at joints ``q``."""
     chain = task.exact if x.spares_constants else task.nominal
     links = frames(x.m, chain, q)
     tool = attach(links[-1], chain.tool)
@@ -117,7 +122,7 @@ def nominal_frames(x: Executor, task: Task, q: Sequence[Scalar]) -> tuple[list[F
 
 
 def goal_attempt(x: Executor, task: Task, key: Scalar, attempt: int) -> tuple[list[Scalar], Scalar]:
-    """Draw joints for a wanted pose, and say whether the pose fits.
+    """Draw joints for a wanted pose, and check whether the pose fits the task.
 
     It fits if its tool is in the task's region and points upwards within the largest tilt.
 
@@ -143,12 +148,12 @@ def goal_attempt(x: Executor, task: Task, key: Scalar, attempt: int) -> tuple[li
 
 
 def drawn_arm(x: Executor, task: Task, seed: Scalar, key: Scalar) -> Scalar:
-    """Number of an episode's true arm, with a fraction that the caller cuts off.
+    """Draw the number of an episode's true arm, with a fraction that the caller cuts off.
 
     Args:
         x: The executor.
         task: The task, whose arms are a population.
-        seed: Seed of the environment's stream; with one arm per environment it alone decides.
+        seed: Seed of the environment's stream. If each environment keeps one arm ("per_env"), only this seed counts.
         key: Key of the episode.
     """
     if task.arms == "per_env":
@@ -167,7 +172,7 @@ def begin(
     gripper: int = 0,
     hours: Scalar | None = None,
 ) -> ArmState:
-    """The state of an arm at the start of an episode.
+    """Return the state of an arm at the start of an episode.
 
     Args:
         x: The executor.
@@ -177,8 +182,8 @@ def begin(
         start: Joint target to start from.
         goal: Frame of the fruit with the wanted attitude, or empty.
         command: Joint command that the drives get for ``start``.
-        gripper: Count of the numbers that follow the arm's in an action.
-        hours: Hours for which the arm has been on; as the situation says, when left out.
+        gripper: Count of the gripper's numbers, which follow the arm's numbers in an action.
+        hours: Time for which the arm has been switched on, h; None for that of the task's situation.
     """
     setting, sighting = task.situation, goal[9:]
     if task.fruit_noise:
@@ -192,14 +197,18 @@ def begin(
 
 
 def move(x: Executor, task: Task, target: Sequence[Scalar], action: Sequence[Scalar]) -> Components:
-    """The nominal joint target after an action: clipped shares of the largest increments, kept in the joint limits."""
+    """Return the nominal joint target after an action.
+
+    The action's numbers are clipped to -1 to 1 and multiplied by the largest increments. The target is kept within the
+    joint limits.
+    """
     m, limits = x.m, zip(target, action, task.increment, task.lower, task.upper, strict=True)
     joints = [clipped(m, q + clipped(m, share, -1.0, 1.0) * most, low, high) for q, share, most, low, high in limits]
     return tuple(joints)
 
 
 def act(x: Executor, task: Task, state: ArmState, action: Sequence[Scalar]) -> ArmState:
-    """The state after an action: its joint target moved by the action, or by an earlier one if actions are delayed."""
+    """Return the state with its joint target moved by the action, or by an earlier action if actions are delayed."""
     setting, values = task.situation, state.drawn
     action, sent = situation.acted(x, setting, values, state.sent, action)
     if task.tool:
@@ -209,9 +218,10 @@ def act(x: Executor, task: Task, state: ArmState, action: Sequence[Scalar]) -> A
 
 
 def joint_shares(x: Executor, task: Task, target: Sequence[Scalar], action: Sequence[Scalar]) -> list[Scalar]:
-    """Shares of the joints' largest increments that move the believed tool as an action says.
+    """Compute the shares of the joints' largest increments that move the believed tool by an action.
 
-    Where a joint would have to be faster than it is, all joints move less, so that the tool keeps its direction.
+    If a joint would exceed its largest increment, all joints are slowed by one factor, so that the tool keeps its
+    direction.
 
     Args:
         x: The executor.
@@ -243,7 +253,7 @@ def look(
     moment: Scalar,
     dt: Scalar,
 ) -> tuple[ArmState, View]:
-    """Hold the joint command for ``dt`` seconds and measure where the true tool is.
+    """Hold the joint command for ``dt`` seconds, then measure where the true tool is.
 
     Args:
         x: The executor.
@@ -253,7 +263,7 @@ def look(
         command: Joint command that the drives get for that target.
         key: Key of the episode.
         moment: Number of the step in its episode, a 64-bit word; used only for the noise of camera and joints.
-        dt: Time, s: one number or one per environment; the plain number 0.0 at the start of an episode.
+        dt: Time, s: one number, or one per environment. At the start of an episode it is the plain number 0.0.
 
     Returns:
         The state afterwards, and the view of it.
@@ -274,7 +284,7 @@ def viewed(
     moment: Scalar,
     dt: Scalar,
 ) -> tuple[ArmState, View]:
-    """Measure an arm whose encoders read ``read (n,)`` and whose true tool is at ``true``; else as in `look`."""
+    """Return the view for encoder readings ``read (n,)`` and the true tool's frame ``true``; all else as in `look`."""
     m, goal, sighting, setting = x.m, state.goal, state.seen, task.situation
     dx, dy, dz, *turn = error = frame_error(m, goal, true)
     camera: Components = ()
@@ -316,32 +326,35 @@ def viewed(
 def nominal_readings(
     x: Executor, plant: Plant, state: PlantState, target: Sequence[Scalar], command: Sequence[Scalar]
 ) -> list[Scalar]:
-    """Joint readings mapped back to nominal joints, so that a compensator stays invisible to the policy."""
+    """Return the joint readings as nominal joints: the joint target plus the reading minus the command.
+
+    So the difference that a compensator makes between target and command does not appear in observations.
+    """
     readings = plant.readings(x.m, state, command)
     return [q + (reading - sent) for q, reading, sent in zip(target, readings, command, strict=True)]
 
 
 def scaled(x: Executor, task: Task, joints: Sequence[Scalar]) -> Components:
-    """Joints scaled to their limits, -1 to 1."""
+    """Scale joints from their limits to -1 to 1, and clip them."""
     m, limits = x.m, zip(joints, task.lower, task.upper, strict=True)
     return tuple([clipped(m, (2.0 * q - (low + high)) / (high - low), -1.0, 1.0) for q, low, high in limits])
 
 
 def length(x: Executor, vector: Sequence[Scalar]) -> Scalar:
-    """Length of a vector of three components."""
+    """Compute the length of a vector of three components."""
     along_x, along_y, along_z = vector
     return x.m.sqrt(along_x * along_x + along_y * along_y + along_z * along_z)
 
 
 def in_capture_region(task: Task, distance_mm: Scalar, angle_deg: Scalar) -> Scalar:
-    """Whether a tool at this distance and angle from the fruit has the fruit inside its capture region."""
+    """Return whether a fruit at this distance and angle from the tool is inside the capture region."""
     if not task.attitude:
         return distance_mm <= task.tolerance_mm
     return (distance_mm <= task.tolerance_mm) & (angle_deg <= task.angle_tolerance_deg)
 
 
 def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Sequence[Scalar]) -> Scalar:
-    """Size of the part of a small turn that is perpendicular to all revolute axes: no joint motion removes it."""
+    """Compute the size of the part of a small rotation vector that is perpendicular to all revolute axes."""
     if task.lost_axes is None:
         return 0.0 * sum(turn)
     ax, ay, az = inexact(links[task.lost_axes[0] + 1][6:9])
@@ -352,16 +365,16 @@ def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Sequence[
 
 
 def flat_observation(scene: View) -> Components:
-    """The numbers of the flat observation."""
+    """Return the numbers of the flat observation, in the order of `pickenv/Reach-v0`."""
     return (*scene.readings, *scene.believed, *scene.seen, *scene.offset, *scene.camera)
 
 
 def goal_observation(scene: View) -> tuple[Components, Components, Components]:
-    """The numbers of observation, achieved goal and desired goal.
+    """Return the numbers of observation, achieved goal and desired goal.
 
     Goals are `GOAL_NUMBERS` long: a position, and an attitude by its z and x axes. The achieved goal is the tool as the
-    chosen feedback measures it: at the believed position, or with a camera at the fruit as seen minus the camera's
-    offset, in the believed attitude. The desired goal is the fruit as the camera saw it, in the wanted attitude.
+    chosen feedback measures it, in the believed attitude. Its position is the believed one, or with a camera the fruit
+    as seen minus the camera's offset. The desired goal is the fruit as the camera saw it, in the wanted attitude.
     """
     place = scene.believed
     if scene.camera:
@@ -370,30 +383,30 @@ def goal_observation(scene: View) -> tuple[Components, Components, Components]:
 
 
 def goal_gap(m: ModuleType, achieved: Sequence[Scalar], desired: Sequence[Scalar]) -> tuple[Scalar, ...]:
-    """The gap from an achieved to a desired goal: position (m) and rotation vector (rad), 6."""
+    """Compute the gap from an achieved to a desired goal: position (m) and rotation vector (rad), 6."""
     return frame_error(m, _frame(achieved), _frame(desired))
 
 
 def _frame(goal: Sequence[Scalar]) -> Frame:
-    """The frame of a goal."""
+    """Return the frame of a goal."""
     px, py, pz, zx, zy, zz, xx, xy, xz = goal
     return xx, xy, xz, zy * xz - zz * xy, zz * xx - zx * xz, zx * xy - zy * xx, zx, zy, zz, px, py, pz
 
 
 def true_reward(x: Executor, task: Task, scene: View) -> Scalar:
-    """Reward for where the true tool is: see `pickenv/Reach-v0`."""
+    """Compute the reward from the error of the true tool, as `pickenv/Reach-v0` defines it."""
     distance_mm, angle_deg, *_ = scene.numbers
     return _reward(x, task, scene.success, distance_mm, angle_deg)
 
 
 def goal_reward(x: Executor, task: Task, achieved: Sequence[Scalar], desired: Sequence[Scalar]) -> Scalar:
-    """Reward for an achieved against a desired goal, `GOAL_NUMBERS` each: see `pickenv/ReachGoal-v0`."""
+    """Compute the reward from an achieved and a desired goal, `GOAL_NUMBERS` each, as in `pickenv/ReachGoal-v0`."""
     dx, dy, dz, *turn = goal_gap(x.m, achieved, desired)
     return gap_reward(x, task, (dx, dy, dz), turn)
 
 
 def gap_reward(x: Executor, task: Task, gap: Sequence[Scalar], turn: Sequence[Scalar]) -> Scalar:
-    """Reward for a gap (m) and a rotation vector (rad) between tool and fruit, 3 each, whoever measured them."""
+    """Compute the reward from the gap (m) and the rotation vector (rad) between tool and fruit, 3 numbers each."""
     distance_mm, angle_deg = 1e3 * length(x, gap), DEGREES * length(x, turn)
     return _reward(x, task, in_capture_region(task, distance_mm, angle_deg), distance_mm, angle_deg)
 

@@ -1,8 +1,8 @@
-"""The situation of an episode: delays and noise of acting and sensing, hours on, and the start.
+"""The situation of an episode: delays and noise of acting and sensing, hours since switch-on, and the start.
 
-Each is a number, or a range from which every episode draws. The functions work on components, like those of
-`pickenv.envs.shared.simulation`, for floats, arrays and tensors. Arguments left at their defaults cost nothing and
-change no bit. Units: s, rad, m.
+Each is a number, or a range from which every episode draws a number. The functions work on components (one float, array
+or tensor for each number of a vector), like those of `pickenv.envs.shared.simulation`. Arguments left at their defaults
+cost no time and change no bit of the results. Units: s, rad, m.
 """
 
 from __future__ import annotations
@@ -20,42 +20,45 @@ from pickenv.base import InputError, shown
 from pickenv.envs.shared.backends import DRAWN, JOINTS, START, Executor, normal, stream_key, uniform
 
 CONTROL_PERIOD = 0.1
-"""Default time between two actions, s: with the joint speeds of the arm's file it bounds one increment."""
+"""Default time between two actions, s: multiplied by a joint's speed in the arm file, it is the largest increment."""
 
 MOST_STEPS = 20
-"""Largest number of periods by which actions or readings can be late; so many of them have to be stored."""
+"""Largest number of periods by which actions or readings can be late, since all late ones have to be stored."""
 
 MOST_HOURS = 1000.0
-"""Bound of `hours_on`."""
+"""Largest value of `hours_on`."""
 
 Components = tuple[Scalar, ...]
 Given = float | Sequence[float]
-"""A number, or a range by its least and its largest number."""
+"""A number, or a range given as [least, largest]."""
 
 
 class Span(NamedTuple):
-    """The range of a number that each episode draws uniformly; it is constant if both ends are equal, whole if ints."""
+    """Range of a number that each episode draws uniformly.
+
+    If both ends are equal, the number is constant. If they are ints, it is whole.
+    """
 
     low: float
     high: float
 
     @property
     def varies(self) -> bool:
-        """Whether the number is drawn, since the ends differ."""
+        """Whether the number is drawn for each episode, which is so if the ends differ."""
         return self.low != self.high
 
 
 @dataclass(frozen=True)
 class Situation:
-    """Timing, sensing and start of an environment's episodes; SI units.
+    """Delays, noise and start of an environment's episodes; SI units.
 
     Attributes:
         period: Time between two actions, s.
         latency: Periods by which readings of joints and camera are late.
         delay: Periods by which actions are late.
         joint_noise: Standard deviation of a joint's reading, rad or m.
-        hours: Time for which the arm has been on when an episode begins, h.
-        spread: Share of each joint's range from which starts are drawn, about mid-range.
+        hours: Time for which the arm has been switched on when an episode begins, h.
+        spread: Share of each joint's range, about mid-range, from which starts are drawn.
     """
 
     period: Span
@@ -73,7 +76,7 @@ class Situation:
 
     @property
     def frames_per_second(self) -> float:
-        """Steps per second of the arm's time, the frame rate of recordings; with varying periods the lowest rate."""
+        """Steps per second of simulated time, the frame rate of recordings; the lowest rate if the period varies."""
         return round(1.0 / self.period.high, 6)
 
     @property
@@ -82,11 +85,16 @@ class Situation:
         return not (self.drawn or self.spread or self.joint_noise.high)
 
     def widths(self, joints: int, sensed: int) -> tuple[int, int, int]:
-        """Counts of the numbers that a state stores: drawn for the episode, of late actions, of late readings."""
+        """Return how many numbers a state stores: those drawn for the episode, delayed actions, and delayed readings.
+
+        Args:
+            joints: Count of the numbers in an action.
+            sensed: Count of the numbers in a reading of joints and camera.
+        """
         return len(self.drawn), int(self.delay.high) * joints, int(self.latency.high) * sensed
 
     def value(self, name: str, drawn: Components) -> Scalar:
-        """The value of attribute ``name`` in an episode whose drawn numbers are ``drawn``."""
+        """Return the attribute ``name`` for an episode: its number among those ``drawn``, or else the constant."""
         return drawn[self.drawn.index(name)] if name in self.drawn else getattr(self, name).low
 
 
@@ -98,10 +106,10 @@ def make_situation(
     hours_on: Given = 0.0,
     start_spread: float = 0.0,
 ) -> Situation:
-    """Check arguments, which `pickenv/Reach-v0` explains, and make the situation of them.
+    """Check the arguments, which `pickenv/Reach-v0` explains, and return the situation.
 
     Raises:
-        InputError: If a number or range is impossible; one sentence says which.
+        InputError: If a number or range is impossible. The message names it.
     """
     noise = _span("joint_noise", joint_noise, 0.0, 100.0)
     if isinstance(start_spread, Sequence):
@@ -117,7 +125,7 @@ def make_situation(
 
 
 def _span(name: str, given: Any, least: float, most: float) -> Span:
-    """The span of a number or range, checked; if ``least`` is an int, it must be of whole numbers."""
+    """Check a number or a range, and return its span; if ``least`` is an int, the ends must be whole numbers."""
     ends = tuple(given) if isinstance(given, Sequence | np.ndarray) and not isinstance(given, str) else (given, given)
     kind: Any = (int, np.integer) if isinstance(least, int) else Real
     numbers = all(isinstance(end, kind) and not isinstance(end, bool) for end in ends)
@@ -128,7 +136,10 @@ def _span(name: str, given: Any, least: float, most: float) -> Span:
 
 
 def drawn_values(x: Executor, setting: Situation, key: Scalar) -> Components:
-    """The numbers that episode ``key`` draws, in the order of `Situation.drawn`; whole ones still have a fraction."""
+    """Draw the numbers of the episode with the key ``key``, in the order of `Situation.drawn`.
+
+    Numbers that are to be whole still have a fraction, which later comparisons cut off.
+    """
     values, stream = [], stream_key(x, key, DRAWN)
     for name in setting.drawn:
         low, high = getattr(setting, name)
@@ -140,7 +151,7 @@ def drawn_values(x: Executor, setting: Situation, key: Scalar) -> Components:
 def drawn_start(
     x: Executor, setting: Situation, key: Scalar, lower: Sequence[float], upper: Sequence[float]
 ) -> list[Scalar]:
-    """The joints, drawn, from which the episode ``key`` starts."""
+    """Draw the joints from which the episode with the key ``key`` starts, from joints ``lower`` to ``upper``."""
     stream, half = stream_key(x, key, START), 0.5 * setting.spread
     limits = enumerate(zip(lower, upper, strict=True))
     return [low + (high - low) * ((0.5 - half) + setting.spread * uniform(x, stream, i)) for i, (low, high) in limits]
@@ -155,7 +166,17 @@ def warmed_up(
     command: Sequence[Scalar],
     hours: Scalar | None = None,
 ) -> PlantState:
-    """The memory of a plant that has stood at its first command for ``hours``, or else for the situation's."""
+    """Return the memory of a plant (the true arm) after it has stood at a joint command for some hours.
+
+    Args:
+        x: The executor.
+        setting: The situation.
+        drawn: Numbers drawn for the episode.
+        plant: The true arm.
+        state: Memory of the plant before.
+        command: Joint command at which the arm stands.
+        hours: Time for which the arm stands, h; None for that of the situation.
+    """
     if hours is None and not setting.hours.high:
         return state
     return plant.carried(x.m, state, command, 3600.0 * (setting.value("hours", drawn) if hours is None else hours))
@@ -164,14 +185,14 @@ def warmed_up(
 def acted(
     x: Executor, setting: Situation, drawn: Components, sent: Components, action: Sequence[Scalar]
 ) -> tuple[Sequence[Scalar], Components]:
-    """The action that takes effect now, and the delayed actions that are still under way, the latest first."""
+    """Return the action that takes effect now, and the delayed actions that are still pending, latest first."""
     if not setting.delay.high:
         return action, sent
     return _late(x, setting, "delay", drawn, sent, action)
 
 
 def in_period(x: Executor, setting: Situation, drawn: Components, action: Sequence[Scalar]) -> Sequence[Scalar]:
-    """An action as shares of the increments of the longest period, so that a shorter period moves the arm less."""
+    """Scale an action by the episode's period over the longest period, so that a shorter period moves the arm less."""
     if not setting.period.varies:
         return action
     share = setting.value("period", drawn) / setting.period.high
@@ -189,10 +210,21 @@ def sensed(
     camera: Components,
     dt: Scalar,
 ) -> tuple[Sequence[Scalar], Components]:
-    """The readings that arrive now, and the delayed readings that are still under way, the latest first.
+    """Return the readings that arrive now, and the delayed readings that are still pending, latest first.
 
     Readings are those of the joints, with the encoders' noise, and of the camera. At the start of an episode, where
-    ``dt`` is the plain number 0.0, all readings under way equal the first one.
+    ``dt`` is the plain number 0.0, all pending readings equal the first one.
+
+    Args:
+        x: The executor.
+        setting: The situation.
+        drawn: Numbers drawn for the episode.
+        past: Delayed readings pending before.
+        key: Key of the episode.
+        moment: Number of the step in its episode, a 64-bit word.
+        joints: Joint readings without noise, rad or m.
+        camera: What the camera measures, m; empty without a camera.
+        dt: Time that has passed, s.
     """
     fresh = (*joints, *camera)
     if setting.joint_noise.high:
@@ -210,7 +242,7 @@ def sensed(
 def _late(
     x: Executor, setting: Situation, name: str, drawn: Components, past: Components, fresh: Sequence[Scalar]
 ) -> tuple[Sequence[Scalar], Components]:
-    """The entry that comes out of a queue after its lag when ``fresh`` goes in, and the queue afterwards."""
+    """Put ``fresh`` into a queue; return the entry that is as old as the lag, and the queue afterwards."""
     width, queue = len(fresh), (*fresh, *past)
     lag, queued = setting.value(name, drawn), queue[: len(past)]
     if name not in setting.drawn:

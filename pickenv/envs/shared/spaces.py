@@ -22,13 +22,13 @@ from pickenv.envs.shared.task import Task, as_numbers
 
 
 class PlainSpec:
-    """An environment, single or vector, whose `spec.to_json()` works even if its arguments contain path objects."""
+    """Base class of environments whose `spec.to_json()` works with path objects among the arguments."""
 
     _spec: EnvSpec | None = None
 
     @property
     def spec(self) -> EnvSpec | None:
-        """The specification that the environment was made from, with paths as text."""
+        """The specification that the environment was made from, with paths as strings."""
         return self._spec
 
     @spec.setter
@@ -46,13 +46,13 @@ OPTIONS = ("start_joints", *GOALS, "arm")
 
 
 def flat_space(task: Task) -> spaces.Box:
-    """Space of the flat observation."""
+    """Return the space of the flat observation of `pickenv/Reach-v0`."""
     reach, camera = task.reach, [2 * task.reach] * 3 if task.camera else []
     return box([1.0] * task.joints + [reach] * 6 + [2 * reach] * 3 + [math.pi] * 3 + camera)
 
 
 def goal_space(task: Task) -> spaces.Dict:
-    """Space of the goal observation."""
+    """Return the space of the goal observation of `pickenv/ReachGoal-v0`."""
     reach = task.reach
     return spaces.Dict(
         {
@@ -64,19 +64,19 @@ def goal_space(task: Task) -> spaces.Dict:
 
 
 def action_space(task: Task) -> spaces.Box:
-    """Space of the increments of joints or tool."""
+    """Return the space of actions, which are increments of the joints or of the tool."""
     return spaces.Box(-1.0, 1.0, (task.moves,), dtype=np.float32)
 
 
 def box(high: Sequence[float]) -> spaces.Box:
-    """Symmetric float32 box; pi is rounded upwards, so that a half turn stays inside."""
+    """Return the float32 box from -``high`` to ``high``, rounded outwards, so that a turn by pi is inside."""
     bound = np.array(high, dtype=np.float32)
     bound = np.where(bound < np.array(high), np.nextafter(bound, np.float32(np.inf)), bound)
     return spaces.Box(-bound, bound, dtype=np.float32)
 
 
 def given_options(options: Any, allowed: tuple[str, ...] = OPTIONS) -> dict[str, Any]:
-    """The options of `reset` as a dict, empty if ``options`` is None.
+    """Check the options of `reset`, and return them as a dict, which is empty if ``options`` is None.
 
     Raises:
         InputError: If ``options`` is no mapping, or has a name that is not in ``allowed``.
@@ -96,16 +96,21 @@ def given_options(options: Any, allowed: tuple[str, ...] = OPTIONS) -> dict[str,
 
 
 POOL, NEAREST = 2**14, 16
-"""The number of poses among which those near a position are sought, and how many of the nearest are tried."""
+"""Number of sampled poses, and how many of those nearest to a position inverse kinematics starts from."""
 
 
 Goals = tuple[Array | None, Array | None]
-"""Goals that options ask for, one row per environment: joints of the nominal arm at the goal ``(..., n)``, or frames of
-the goal ``(..., 12)``, axes and origin. One of the two is None, or both if no goal is given."""
+"""Goals given by reset options: joints of the nominal arm at the goal ``(..., n)``, and frames of the goal
+``(..., 12)``, axes and origin. One of the two is None, or both if no goal is given."""
 
 
 def given_goals(task: Task, options: Mapping[str, Any], count: int | None = None) -> Goals:
-    """The goals that options ask for, for one environment or for ``count`` environments.
+    """Return the goals that reset options give.
+
+    Args:
+        task: The task.
+        options: The options; of `GOALS` at most one may be given.
+        count: Number of environments, or None for a single one.
 
     Raises:
         InputError: If more than one option gives a goal, a shape is wrong, or the nominal arm cannot get to a position.
@@ -133,7 +138,7 @@ def given_goals(task: Task, options: Mapping[str, Any], count: int | None = None
 
 
 def _reached(task: Task, position: Array) -> Array:
-    """Joints ``(n,)`` that bring the nominal tool to a position ``(3,)``, upwards within the largest tilt."""
+    """Find joints ``(n,)`` that bring the nominal tool to a position ``(3,)`` within the largest tilt."""
     geometry = task.plant.arm.nominal
     joints, poses = spread_poses(geometry)
     upright = np.flatnonzero(poses.rotation[:, 2, 2] >= task.min_upright)
@@ -149,7 +154,7 @@ def _reached(task: Task, position: Array) -> Array:
 
 
 def _framed(task: Task, pose: Array) -> Array:
-    """Frame ``(12,)`` of a pose ``(6,)``; the arm must reach its position, but need not reach its attitude."""
+    """Return the frame ``(12,)`` of a pose ``(6,)``, whose position (but not attitude) the nominal arm must reach."""
     position, rotation = pose[:3], rotation_matrix(pose[3:])
     solution = inverse(task.plant.arm.nominal, Pose(position, rotation), position_tolerance=1e-6, position_only=True)
     if not solution.reached:
@@ -164,6 +169,6 @@ def _far(name: str, task: Task, position: Array, how: str = "") -> InputError:
 
 @lru_cache(maxsize=4)
 def spread_poses(geometry: Geometry) -> tuple[Array, Pose]:
-    """Joints ``(POOL, n)`` spread evenly over their ranges, and the poses of the nominal tool there."""
+    """Return joints ``(POOL, n)`` from a Halton sequence over their ranges, and the nominal tool's poses there."""
     joints = halton_joints(geometry, POOL)
     return joints, forward(geometry, joints)

@@ -32,7 +32,7 @@ FACTORS = ("cos_alpha", "sin_alpha", "a", "d", "cos_theta", "sin_theta")
 
 
 class Exact:
-    """0, 1 or -1 as a factor or summand of arrays."""
+    """A constant 0, 1 or -1, whose products and sums with arrays need no array arithmetic where possible."""
 
     __slots__ = ("value",)
     __array_ufunc__ = None  # arrays leave the arithmetic to this class
@@ -63,7 +63,7 @@ class Exact:
 
 
 def exact(value: Scalar) -> Any:
-    """``value`` as an `Exact` if it is a float near 0, 1 or -1; else as it is, like arrays with one entry per arm."""
+    """Return ``value`` as an `Exact` if it is a float near 0, 1 or -1; return other floats and all arrays unchanged."""
     for number in (0.0, 1.0, -1.0) if isinstance(value, float) else ():
         if abs(value - number) < ROUNDING:
             return Exact(number)
@@ -71,7 +71,7 @@ def exact(value: Scalar) -> Any:
 
 
 def exact_plant(plant: Plant) -> Plant:
-    """The plant ``plant`` with `Exact` zeros and ones in its base frame, its payload and the payload's centre."""
+    """Return ``plant`` with `Exact` zeros and ones in its base frame, its payload and the payload's centre."""
     load = plant.load
     if load is not None and isinstance(load.payload, float):
         centre = tuple(tuple(exact(value) for value in point) for point in load.centre)
@@ -81,25 +81,26 @@ def exact_plant(plant: Plant) -> Plant:
 
 
 def inexact(frame: Frame) -> tuple[Scalar, ...]:
-    """The frame ``frame`` with plain numbers in place of `Exact` ones."""
+    """Return ``frame`` with plain floats in place of `Exact` numbers."""
     return tuple([value.value if type(value) is Exact else value for value in frame])
 
 
 MOST_ACTION = {"clip": float(np.finfo(np.float32).max), "refuse": 1.0 + 1e-6}
-"""Largest size of an action's numbers that is accepted, by `out_of_range`: any finite size, which is then cut to 1; or
-1 with a margin for rounding to single precision."""
+"""Largest magnitude that is accepted for an action's numbers, for each value of `out_of_range`. "clip" accepts all
+finite numbers and clips them to -1 to 1. "refuse" accepts 1, with a margin for rounding to single precision."""
 
 MOST_CAMERA_NOISE_MM = 100.0
-"""Largest camera noise: ten standard deviations stay within the metre that observation bounds leave for errors."""
+"""Largest camera noise that is accepted. Ten such standard deviations stay within the metre that observation bounds
+leave for errors."""
 
 MOST_NUMBER = 1e6
-"""Largest number of millimetres, degrees or other units among an environment's arguments."""
+"""Largest value that is accepted for an environment's numeric arguments, whatever their unit."""
 
 FEEDBACK = ("encoders", "camera")
 REWARDS = ("dense", "sparse")
 ARMS = ("fixed", "per_env", "per_episode")
 GOAL_MARGIN = 0.05
-"""Share of each joint's range that goals keep away from its limits."""
+"""Share of each joint's range by which goals keep away from both limits."""
 
 GOAL_ATTEMPTS = 10_000
 
@@ -107,10 +108,10 @@ USUAL_TILT = 30.0
 """Largest tilt of goals if `max_tilt_deg` is not given, deg."""
 
 UPRIGHT, TILTED_POSES = 0.01, 2**10
-"""The share of an arm's poses that must keep within the largest tilt, and the number of poses to judge that by."""
+"""Least share of an arm's poses whose tilt must be below the largest tilt, and the number of poses sampled for that."""
 
 Compensate = Callable[[Array], Array]
-"""A function that turns joint targets into joint commands."""
+"""A function that maps joint targets ``(..., n)`` to joint commands ``(..., n)``, rad or m."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -124,7 +125,7 @@ class Task:
         lower: Lower joint limits, rad or m.
         upper: Upper joint limits, rad or m.
         increment: Largest increment of each joint in one action, rad or m.
-        camera: Whether the camera's tool-to-fruit offset is fed back.
+        camera: Whether the camera's tool-to-fruit offset is part of observations.
         camera_noise: Standard deviation per axis of the tool-to-fruit offset that the camera measures, m.
         fruit_noise: Standard deviation per axis of the fruit's position as the camera saw it, m.
         tolerance_mm: Radius of the capture region.
@@ -132,11 +133,12 @@ class Task:
         sparse: Whether the reward is sparse.
         end_on_success: Whether reaching the fruit ends the episode.
         min_upright: Smallest z component of the wanted tool axis.
-        lost_axes: Links whose z axes span the plane in which the tool cannot be turned freely, or None.
-        most_action: Largest size of an action's numbers that is accepted.
+        lost_axes: Two links, counted from 0; no joint turns the tool about the normal to both their z axes. None if
+            there are no such links.
+        most_action: Largest magnitude that is accepted for an action's numbers.
         region: Two opposite corners of the box that goals are drawn from, m, or None for the arm's whole workspace.
-        situation: Timing, sensing and start of episodes.
-        box: Least and largest joints between which episodes start and goals are drawn, rad or m.
+        situation: Delays, noise and start of episodes.
+        box: Lower and upper bounds of the joints at which episodes start and goals are drawn, rad or m.
         tool: Largest increments of the tool's position and attitude in one action, m and rad, or of its position alone;
             empty where actions move joints.
     """
@@ -174,18 +176,18 @@ class Task:
 
     @property
     def attitude(self) -> bool:
-        """Whether an attitude of the tool is asked for."""
+        """Whether the goal includes an attitude of the tool."""
         return len(self.tool) != 3
 
     @cached_property
     def edge_cost(self) -> float:
-        """The dense reward's cost at the farthest corner of the capture region, which is also added outside it."""
+        """The dense reward's cost at both tolerances; outside the capture region this is added to the cost."""
         angle_cost = 0.5 * math.log10(1.0 + self.angle_tolerance_deg) if self.attitude else 0.0
         return math.log10(1.0 + self.tolerance_mm) + angle_cost
 
     @cached_property
     def exact(self) -> Chain:
-        """The nominal chain with `Exact` zeros and ones, which cost no arithmetic; joint angles stay numbers."""
+        """The nominal chain with `Exact` zeros and ones among its constants, which save array arithmetic."""
         chain = self.nominal
         links = [link._replace(**{name: exact(getattr(link, name)) for name in FACTORS}) for link in chain.links]
         tool = None if chain.tool is None else tuple(map(exact, chain.tool))
@@ -193,12 +195,12 @@ class Task:
 
     @cached_property
     def middle(self) -> tuple[float, ...]:
-        """Joints in the middle of the box, which is mid-range unless actions move the tool."""
+        """Joints in the middle of `box`, rad or m; this is mid-range unless actions move the tool."""
         return tuple((low + high) / 2 for low, high in zip(*self.box, strict=True))
 
     @cached_property
     def reach(self) -> float:
-        """Radius of a sphere that holds all tool positions, m: the sum of all lengths plus 1 m for errors and noise."""
+        """Upper bound of the tool's distance from the origin, m: sum of all lengths, plus 1 m for errors and noise."""
         g = self.plant.arm.nominal
         slides = np.array(g.prismatic) * np.maximum(np.abs(g.lower), np.abs(g.upper))
         lengths = np.abs(g.a).sum() + np.abs(g.d).sum() + slides.sum()
@@ -206,14 +208,22 @@ class Task:
 
     @property
     def population(self) -> int:
-        """Size of the population: the number of arms that environments choose from."""
+        """Number of arms in the population that environments choose from; 1 without a population."""
         return plant_count(self.plant) or 1
 
     def given_joints(self, name: str, joints: Sequence[float] | Array, count: int | None = None) -> Array:
-        """The joints that a reset option asks for, ``(n,)`` or, if ``count`` is given, ``(count, n)``.
+        """Check the joints that a reset option gives, and return them as an array.
+
+        Args:
+            name: Name of the option, for error messages.
+            joints: Joints ``(n,)``, or ``(count, n)`` if ``count`` is given, rad or m.
+            count: Number of environments, or None for a single one.
+
+        Returns:
+            The joints ``(n,)``, or ``(count, n)`` if ``count`` is given.
 
         Raises:
-            InputError: If their number is wrong or they lie outside the joint limits.
+            InputError: If the shape is wrong or joints lie outside the joint limits.
         """
         values, lower, upper = as_numbers(name, joints), np.array(self.lower), np.array(self.upper)
         shapes = [(self.joints,)] if count is None else [(self.joints,), (count, self.joints)]
@@ -225,7 +235,7 @@ class Task:
         return values if count is None else np.broadcast_to(values, (count, self.joints))
 
     def given_arm(self, number: int) -> int:
-        """The number of an arm of the population, checked.
+        """Check the number of an arm of the population, and return it.
 
         Raises:
             InputError: If the population has no arm of this number, or there is no population.
@@ -237,7 +247,7 @@ class Task:
         return int(number)
 
     def no_goal(self) -> InputError:
-        """The error to raise when no pose is found that meets `min_upright`, inside `region` if there is one."""
+        """Return the error to raise when no pose was found that meets `min_upright` and, if given, `region`."""
         tilt = math.degrees(math.acos(self.min_upright))
         place, advice = (" in goal_region", " or move goal_region") if self.region else ("", "")
         return InputError(
@@ -265,10 +275,10 @@ def make_task(
     goal_region: Sequence[Sequence[float]] | None = None,
     **situation: Any,
 ) -> Task:
-    """Check an environment's arguments (`pickenv/Reach-v0` explains them) and make its task of them.
+    """Check the arguments of a reach environment, which `pickenv/Reach-v0` explains, and return its task.
 
     Raises:
-        InputError: If an argument is impossible; one sentence says which.
+        InputError: If an argument is impossible. The message names it.
     """
     setting = make_situation(**situation)
     check_choice("feedback", feedback, FEEDBACK)
@@ -319,7 +329,7 @@ def make_task(
 
 
 def checked_region(given: Any) -> tuple[Components, Components]:
-    """The two corners of a box, as floats.
+    """Check the two corners of a goal region, and return them as floats.
 
     Raises:
         InputError: If ``given`` is not two corners, or the first is not below the second in every coordinate.
@@ -334,7 +344,17 @@ def checked_region(given: Any) -> tuple[Components, Components]:
 
 
 def load_true_arm(plant: str, without: Sequence[str] = (), seed: int = 0) -> Plant:
-    """The plant of `pickenv.arm.load_plant`; for a tolerance class ("coarse:ur5e"), the first arm drawn by ``seed``."""
+    """Load the plant that describes the true arm.
+
+    Args:
+        plant: Preset or path of a plant file, or "ideal:ARM", as `pickenv.arm.load_plant` takes them. "CLASS:ARM" (for
+            example "coarse:ur5e") draws one arm from a tolerance class.
+        without: Names of effects to switch off.
+        seed: Seed of the draw from a tolerance class.
+
+    Raises:
+        InputError: If an argument is impossible.
+    """
     check_name("plant", plant, 'a plant preset or a path to a plant file (.toml), "ideal:ARM" or "CLASS:ARM"')
     if isinstance(without, str) or not isinstance(without, Sequence) or not all(isinstance(e, str) for e in without):
         raise InputError(f"without is {without!r}; give a list of names of effects")
@@ -345,10 +365,10 @@ def load_true_arm(plant: str, without: Sequence[str] = (), seed: int = 0) -> Pla
 
 
 def usual_tilt(geometry: Geometry) -> float:
-    """Largest angle between a goal's tool axis and the vertical if `max_tilt_deg` is not given, deg.
+    """Compute the largest tilt of goals for an arm if `max_tilt_deg` is not given, deg.
 
-    It is `USUAL_TILT`, or for an arm that keeps within that in less than a share `UPRIGHT` of its poses, the smallest
-    multiple of `USUAL_TILT` that will do.
+    The tilt is the angle between the tool's axis and the vertical. The result is the smallest multiple of `USUAL_TILT`
+    below which at least a share `UPRIGHT` of the arm's poses lies.
     """
     shares = qmc.Halton(geometry.joints, scramble=False).random(TILTED_POSES)
     shares = GOAL_MARGIN + (1.0 - 2.0 * GOAL_MARGIN) * shares
@@ -358,7 +378,7 @@ def usual_tilt(geometry: Geometry) -> float:
 
 
 def check_choice(name: str, value: str, allowed: tuple[str, ...]) -> None:
-    """Raise an `InputError` if ``value`` is not among the ``allowed`` ones."""
+    """Raise an `InputError`, which names the argument ``name``, if ``value`` is not one of ``allowed``."""
     if value not in allowed:
         raise InputError(f"{name} is {value!r}; give one of {', '.join(allowed)}")
 
@@ -381,16 +401,17 @@ def check_count(name: str, value: int, least: int = 1) -> None:
 
 
 def check_name(name: str, value: str | Path, wanted: str) -> None:
-    """Raise an `InputError` that asks for the name of ``wanted``, unless ``value`` is a text or a path."""
+    """Raise an `InputError` that asks for the name of ``wanted``, unless ``value`` is a string or a path."""
     if not isinstance(value, str | Path):
         raise InputError(f"{name} is {value!r}; give the name of {wanted}")
 
 
 def as_numbers(name: str, given: Any) -> Array:
-    """The value ``given`` as an array of numbers.
+    """Convert ``given`` to an array of floats.
 
     Raises:
-        InputError: If it is no array of numbers, but for example text, or rows of different lengths.
+        InputError: If this is impossible, for example for text or for rows of different lengths. The message uses
+            ``name``.
     """
     try:
         return np.asarray(given, dtype=float)
@@ -399,12 +420,12 @@ def as_numbers(name: str, given: Any) -> Array:
 
 
 def checked_action(action: Any, shape: tuple[int, ...], most: float) -> Array:
-    """The actions of one environment, or of several, checked and cut to -1 to 1.
+    """Check the actions of one environment or of several, and return them clipped to -1 to 1.
 
     Args:
         action: The action, or actions, as the user gave them.
         shape: The shape that they must have.
-        most: Largest size of a number that is accepted, from `MOST_ACTION`.
+        most: Largest magnitude of a number that is accepted, from `MOST_ACTION`.
 
     Raises:
         InputError: If ``action`` has another shape, or numbers that are not finite or too large.
@@ -418,15 +439,18 @@ def checked_action(action: Any, shape: tuple[int, ...], most: float) -> Array:
 
 
 def bounds_of(most: float) -> str:
-    """The range of actions in the words of an error message; empty if actions are cut to the range."""
+    """Return the range of actions as the end of an error message; empty if larger actions are clipped."""
     return " between -1 and 1" if most == MOST_ACTION["refuse"] else ""
 
 
 def lost_axes(geometry: Geometry) -> tuple[int, int] | None:
-    """Two links (counted from 0) such that no joint turns the tool about the normal to both their z axes, or None.
+    """Find two links, counted from 0, such that no joint turns the tool about the normal to both their z axes.
 
-    There are such links if all revolute axes have one of two directions, as on the picking arm: J1, J2 and J4 are
-    parallel, and so are J5 and J6 (Qiao 2026 digest, fact 4).
+    There are such links if all revolute axes have one of two directions. This is so on the picking arm, where J1, J2
+    and J4 are parallel, and so are J5 and J6 (Qiao 2026 digest, fact 4).
+
+    Returns:
+        The numbers of the two links, or None if there are no such links.
     """
     poses = np.random.default_rng(0).uniform(geometry.lower, geometry.upper, (16, geometry.joints))
     columns = [np.ascontiguousarray(column) for column in poses.T]

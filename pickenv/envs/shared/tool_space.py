@@ -1,4 +1,4 @@
-"""Tasks whose actions move the tool in place of the joints, near a pose from which the tool moves freely.
+"""Tasks whose actions are increments of the tool instead of the joints, near a pose far from singularities.
 
 Units: m, rad; millimetres and degrees only where a name says so.
 """
@@ -18,10 +18,10 @@ from pickenv.base import InputError
 from pickenv.envs.shared.task import Task, check_choice, check_number, make_task
 
 ACTIONS = {"pose": 6, "position": 3}
-"""Count of the numbers in an action, by what it moves of the tool."""
+"""Count of the numbers in an action, for each value of the argument `actions`."""
 
 PLACES = 2**10
-"""Number of poses among which the one is sought that episodes start from."""
+"""Number of sampled poses, from which the middle of the box of starts and goals is chosen."""
 
 
 def make_tool_task(
@@ -31,7 +31,7 @@ def make_tool_task(
     goal_spread: float = 0.25,
     **arguments: Any,
 ) -> Task:
-    """Check an environment's arguments (`pickenv/ReachTool-v0` explains them) and make its task of them.
+    """Check the arguments of an environment, which `pickenv/ReachTool-v0` explains, and return its task.
 
     Raises:
         InputError: If an argument is impossible, or the arm has fewer joints than an action has numbers.
@@ -56,17 +56,21 @@ def make_tool_task(
 def free_box(
     geometry: Geometry, increment: Array, tool: tuple[float, ...], min_upright: float, spread: float
 ) -> tuple[Array, Array]:
-    """The least and the largest joints of a box of poses from which the tool moves freely.
+    """Find a box of joints around a pose from which the tool moves well in every direction.
 
-    In its middle the tool's slowest motion is the fastest among `PLACES` upright poses, evenly spread; motions that
-    are impossible everywhere do not count. The box lies inside the joint limits and inside a whole turn of each joint.
+    The middle of the box is one of `PLACES` upright poses from a Halton sequence. It is the pose where the smallest
+    singular value of the scaled Jacobian is largest. Directions in which the arm cannot move anywhere do not count. The
+    box lies inside the joint limits and inside a whole turn of each joint.
 
     Args:
         geometry: The arm.
         increment: Largest increments of the joints, rad or m.
         tool: Largest increments of the tool, m and rad.
         min_upright: Smallest z component of the tool's axis.
-        spread: Edges of the box, as shares of the joints' ranges, of which no more than a whole turn counts.
+        spread: Edges of the box, as shares of the joints' ranges. A range of more than a whole turn counts as one.
+
+    Returns:
+        The lower and the upper bounds of the box ``(n,)``, rad or m.
     """
     middle, span = (geometry.lower + geometry.upper) / 2.0, geometry.upper - geometry.lower
     span = np.where(geometry.prismatic, span, np.minimum(span, math.tau))
