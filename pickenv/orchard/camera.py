@@ -1,10 +1,10 @@
 """An error model of cameras: the positions of fruit as a stereo or RGB-D camera measures them.
 
-Along the line of sight, the error has a bias, which depends on distance d and light, and noise with the standard
-deviation σ_z = sqrt(floor² + (a d²)²). A stereo camera with focal length f_px and baseline b has a =
-σ_disparity/(f_px b). Across the line of sight, the standard deviation is pixel noise × d/f_px. The measured centroid of
-a partly hidden fruit is shifted to the visible side, by up to the fruit's radius. A fruit is missed more often if less
-of it is visible. Units: m, px, lx.
+Along the line of sight, the error has a bias, which depends on distance d and light. It also has noise with the
+standard deviation σ_z = sqrt(floor² + (a d²)²). A stereo camera with focal length f_px and baseline b has
+a = σ_disparity/(f_px b). Across the line of sight, the standard deviation is pixel noise × d/f_px. The measured
+centroid of a partly hidden fruit is shifted to the visible side, by up to the fruit's radius. A fruit is missed more
+often if less of it is visible. Units: m, px, lx.
 """
 
 from __future__ import annotations

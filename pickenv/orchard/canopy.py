@@ -326,8 +326,8 @@ class Station(checks.Preset):
         tool_length: Length of the gripper below the tool's point, m.
         approach: Length of the straight approach from below to a fruit, m.
         blocked: Distance from the approach's axis within which another fruit blocks the approach, m.
-        near: The gripper closes below this distance between the tool position that the controller computes and the
-            measured fruit position, m.
+        near: Largest distance between the controller's tool position and the measured fruit position at which the
+            gripper closes, m.
         collected_below: Distance that the tool moves down with a detached fruit before the fruit counts as collected,
             m.
         bruise_speed: Least speed at which a tool bruises a fruit that it hits, m/s.

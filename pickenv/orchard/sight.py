@@ -332,8 +332,8 @@ def located_fruit(
         diameters: Fruit diameters, m, (n,).
 
     Returns:
-        Whether each fruit is located, (n,); measured positions, camera frame, m, (n, 3), or the true position for a
-        fruit that is not located; and positions of false detections, camera frame, m, (m, 3).
+        Whether each fruit is located, (n,); positions of the fruit, m, (n, 3); and positions of false detections, m,
+        (m, 3). Positions are in the camera frame. That of a fruit that is not located is the true position.
     """
     located, positions = np.zeros(len(places), dtype=bool), places.copy()
     visible = np.flatnonzero(pair.visible > 0)

@@ -137,8 +137,8 @@ class GravityYield(Effect, place=JOINT + 0.2):
 
     Attributes:
         moments: For each term: the joint that yields, the link whose weight loads it (both indices from 0), and the
-            mass parameter of that link. This is "m" for its mass, placed at the link's origin, or "x", "y" or "z" for
-            its first moment of mass along that axis of the link's frame.
+            mass parameter of that link. "m" is its mass, placed at the link's origin. "x", "y" and "z" are its first
+            moments of mass along the axes of the link's frame.
         sizes: Coefficient of each term: rad/m for a mass on a revolute joint, rad for a first moment.
         up: Direction against gravity in the axes of frame 0.
     """

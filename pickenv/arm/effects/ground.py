@@ -89,7 +89,7 @@ LARGEST_DAMPING = 0.5
 @register("effect", "settling")
 @toml_table
 class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "damping": "damping"}):
-    """Vibration of the structure behind each joint.
+    """Vibration of the structure after each joint: one damped mode per joint, excited by the joint's acceleration.
 
     Attributes:
         frequency: Natural frequency of each joint's vibration mode (n,), Hz.

@@ -246,8 +246,8 @@ class DriveHarmonics(Effect, place=DRIVE + 0.5):
         """Return the drives whose periodic errors follow from uniform random numbers.
 
         Args:
-            even: Uniform random numbers from 0 to 1 ``(..., 3 W)`` for W waves: for each wave one for its order, and
-                one for each of its two coefficients.
+            even: Uniform random numbers from 0 to 1 ``(..., 3 W)`` for W waves. Each wave has one number for its order
+                and one for each of its two coefficients.
         """
         order, sine, cosine = np.moveaxis(even.reshape(*even.shape[:-1], len(self.spread), 3), -1, 0)
         harmonics = []

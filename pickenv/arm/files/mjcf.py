@@ -1,8 +1,9 @@
 """Read and write MJCF. The hinges and slides between the world and a body or a site can be read as a `Geometry`.
 
-Poses are read as MuJoCo 3 reads them: pos with quat, axisangle, euler, xyaxes or zaxis, compiler angle and eulerseq,
-default classes, childclass, frames, several joints on a body, ref, and included files. A joint that an equality
-constraint ties to another joint follows that joint. A constraint that closes a loop through the chain is refused.
+Poses are read as MuJoCo 3 reads them: pos with quat, axisangle, euler, xyaxes or zaxis. So are compiler angle and
+eulerseq, default classes, childclass, frames, several joints on a body, ref, and included files. A joint that an
+equality constraint ties to another joint follows that joint. A constraint that closes a loop through the chain is
+refused.
 
 A `Geometry` is in metres and radians. MJCF has no joint speeds; 1 rad/s and 1 m/s are taken.
 """
@@ -46,8 +47,8 @@ TOOL_SITE = "tool"
 def mjcf_text(geometry: Geometry, name: str, comment: str = "") -> str:
     """Return a MuJoCo model of an arm as text; its site "tool" has the tool's pose.
 
-    If a joint moves several links, the first link with ratio 1 and the joint's type gets the joint itself, and
-    equality constraints make the others follow. MuJoCo does not apply these constraints if it computes only kinematics;
+    If a joint moves several links, the first link with ratio 1 and the joint's type gets the joint itself. Equality
+    constraints make the other links follow. MuJoCo does not apply these constraints if it computes only kinematics;
     then set the positions of all joints yourself. Characters that XML cannot hold are left out of names.
 
     Args:

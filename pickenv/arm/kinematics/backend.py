@@ -23,8 +23,8 @@ ONE: Any = SimpleNamespace(
     maximum=max,
     clip=lambda value, low, high: min(max(value, low), high),
 )
-"""A namespace for floats with NumPy's sine and cosine, so that a single pose gets the same bits as in an array of
-poses, without the cost of arrays."""
+"""A namespace for floats with NumPy's sine and cosine. A single pose thus gets the same bits as in an array of poses,
+without the cost of arrays."""
 
 
 def namespace_of(m: ModuleType, value: Scalar) -> ModuleType:

@@ -123,7 +123,7 @@ Frame = tuple[Scalar, ...]
 """(xx, xy, xz, yx, yy, yz, zx, zy, zz, px, py, pz): components of the axes x, y, z and of the origin p."""
 
 Flexure = Callable[[int, Frame], Frame]
-"""Bends the frame of link i (counted from 0) before the next link is attached."""
+"""A function from the index (from 0) and the frame of a link to the bent frame, to which the next link is attached."""
 
 
 class Link(NamedTuple):

@@ -3,8 +3,8 @@
 Link i is T(i-1,i) = Rot(x, alpha) Trans(x, a) Rot(y, beta) Rot(z, theta) Trans(z, d): Qiao 2026 eq (1), with Hayati's
 beta added for consecutive parallel axes (zero in every nominal table). Units: metres and radians.
 
-One drive may move several links (a two-stage lift, a parallelogram). The numbers of links and joints then differ: the
-link table has a row per link, and joint values, names and limits belong to the commanded joints (`Coupling`).
+One drive may move several links (a two-stage lift, a parallelogram), so there may be more links than joints. The link
+table has a row per link. Joint values, names and limits belong to the commanded joints (`Coupling`).
 """
 
 from __future__ import annotations
@@ -243,7 +243,7 @@ class Geometry:
         """Return this geometry with ``delta`` (5L + 12,) added to its parameters, in the order of `parameter_names`.
 
         Base and tool are moved on the manifold. Position changes are added. Rotations are multiplied from the left by
-        the rotation of the given rotation vector (axes of the world for the base, of the last link for the tool).
+        the rotation of the given rotation vector. It is in world axes for the base, in the last link's for the tool.
 
         Raises:
             ValueError: If ``delta`` has another shape.
@@ -302,8 +302,8 @@ def from_standard_dh(
 ) -> Geometry:
     """Return the `Geometry` of a standard (distal) DH table, Rot(z, theta) Trans(z, d) Trans(x, a) Rot(x, alpha).
 
-    The factors are regrouped into modified DH links. The values a and alpha of link i become those of modified link
-    i + 1, and the last link's a and alpha move into the tool pose. The conversion is exact.
+    The factors are regrouped into modified DH links: a and alpha of link i become those of modified link i + 1. The
+    last link's a and alpha become part of the tool pose. The conversion is exact.
 
     Args:
         joint_names: Names of the joints.

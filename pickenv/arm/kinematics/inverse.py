@@ -3,8 +3,8 @@
 The solver takes Gauss-Newton steps through the truncated pseudo-inverse, with a pull to mid-range in the null space
 (Liegeois 1977). A joint at its limit that a step would move outwards is locked. Targets not reached are tried again
 from other joints, spread by a Halton sequence. Targets still not reached are tried by damped steps (Levenberg 1944,
-Marquardt 1963) from the nearest of many sample poses; a damped step that increases the error is rejected. The result
-says which targets cannot be reached, and the error that remains. Metres and radians.
+Marquardt 1963) from the nearest of many sample poses. A damped step that increases the error is rejected. The result
+says which targets were not reached, and the error that remains. Metres and radians.
 """
 
 from __future__ import annotations
@@ -83,7 +83,7 @@ def inverse(
     Args:
         geometry: A single arm.
         target: Tool poses, position ``(..., 3)`` and rotation ``(..., 3, 3)``, world frame.
-        start: Joints ``(..., n)`` to start from; mid-range when left out.
+        start: Joints ``(..., n)`` to start from, rad or m; mid-range by default.
         position_tolerance: Largest remaining position error that counts as reached, m.
         attitude_tolerance: Largest remaining compensable attitude error that counts as reached, rad.
         rank_tolerance: Relative singular value below which a direction of tool motion is not corrected.

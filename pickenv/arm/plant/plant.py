@@ -1,10 +1,9 @@
 """The plant, that is the simulated true arm: it computes the true tool pose that a joint command leads to.
 
 A plant has a true geometry and a list of effects. They act in this order: motor (encoder counts, lag), drive error,
-friction, backlash, compliance, vibration, thermal growth, slides and boom, ground, local structure, residual of a
-calibration. Without effects the plant is exactly the true geometry. Some effects depend on the joints alone; the others
-have a memory, whose components may be floats, arrays or tensors. Numbers may be arrays with one entry per arm, for many
-arms at once.
+friction, backlash, compliance, vibration, thermal growth, slides and boom, ground, local structure, residual. Without
+effects the plant is exactly the true geometry. Some effects depend on the joints alone. The others have a memory, whose
+components may be floats, arrays or tensors. Numbers may be arrays with one entry per arm, for many arms at once.
 """
 
 from __future__ import annotations

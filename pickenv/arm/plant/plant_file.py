@@ -94,8 +94,7 @@ def shipped_plants() -> list[str]:
 def read_plant(name: str | Path) -> Plant:
     """Read a preset plant by its name, or a plant from a TOML file or a calibrated arm's file (.npz).
 
-    The true geometry of a plant from a TOML file is that of its arm's file, or the nominal geometry if that file gives
-    no true one.
+    The true geometry of a plant from a TOML file is that in its arm's file, or else the nominal geometry.
 
     Args:
         name: Name or path. It may end in "#" and a number, as in `load_plant`.
