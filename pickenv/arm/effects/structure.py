@@ -266,7 +266,7 @@ class Backlash(Effect, place=GEAR + 0.5, spreads={"width": "backlash"}):
         at.joints = memory
 
     def begin(self, at: Passage) -> Components:
-        """Return the joint positions at rest: in the middle of the backlash, or on the side to which gravity pulls."""
+        """Return the joint positions at rest: in the middle of the backlash, or on gravity's side above the preload."""
         return self.carry(at, tuple(at.joints), 0.0)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:

@@ -192,7 +192,7 @@ def arm_in_mujoco(model: Any, nominal: Geometry) -> ModelArm:
     data, places, chain = mujoco.MjData(model), model.jnt_qposadr[joints], chain_of(nominal)
 
     def stands(joints: Array) -> tuple[list[Frame], list[Frame]]:
-        """Frames of the bodies' parents in those of the links before, and of the bodies in those of their links."""
+        """Return each body's parent frame, relative to the link before, and each body's frame, relative to its link."""
         data.qpos[:] = model.qpos0
         data.qpos[places] = joints
         mujoco.mj_kinematics(model, data)

@@ -23,7 +23,7 @@ REVERSED = -0.99
 matrix, because the sine is too small."""
 
 SMALL_SINE = 0.1
-"""Sine of a rotation up to which the series of its arc sine is exact to rounding."""
+"""Largest sine of a rotation angle at which the series `ARC_SINE` is exact to rounding."""
 
 ARC_SINE = tuple(math.comb(2 * k, k) / 4.0**k / (2 * k + 1) for k in range(8))
 """Taylor coefficients of arcsin(s) / s in s^2."""

@@ -200,7 +200,7 @@ class NormalDraws(NamedTuple):
 
 
 def load_instrument(name: str | Path) -> Instrument:
-    """Read an instrument by name ("laser_tracker", "ideal") or from a path to a TOML file.
+    """Read an instrument by its name ("laser_tracker", "ideal"), or from a TOML file by its path.
 
     Raises:
         InputError: If the instrument is unknown or a number is impossible; the message names the file and the key.
@@ -337,7 +337,7 @@ def effect_shares(
     start = np.roll(joints, 1, axis=0)
 
     def share(*names: str) -> dict[str, float]:
-        """The tool's distance from the nominal tool, mm, after reaches from the joints before (first from last)."""
+        """Return statistics of the distance between true and nominal tool, mm, with only these causes on."""
         some = alone(plant, *names)
         _, frame = moved(some, np, switched_on(some, np, start, running_time), start, joints, pace)
         error = np.stack(np.broadcast_arrays(*frame[9:]), -1) - nominal

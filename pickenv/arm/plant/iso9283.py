@@ -39,7 +39,7 @@ FEWEST_CYCLES = 3
 """Least number of measurements for RP: two have the same distance from their mean, whose deviation is always zero."""
 
 NO_SCATTER = 1e-9
-"""Scatter below this value, in mm or deg, counts as rounding."""
+"""Scatter below this value counts as rounding, for positions and for attitudes."""
 
 NORM_OF_NOISE = 2.0 * math.sqrt(2.0 / math.pi) + 3.0 * math.sqrt(3.0 - 8.0 / math.pi)
 """RP_l of normal noise with standard deviation 1 in each of three axes, whose norm has a Maxwell distribution."""
