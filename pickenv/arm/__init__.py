@@ -1,4 +1,4 @@
-"""Arms: geometry, kinematics, Jacobians, rank-aware inverse, and the plant (what the true arm does with a command)."""
+"""Arms: geometry, kinematics, Jacobians, rank-aware inverse kinematics, and the plant (the simulated true arm)."""
 
 from pickenv.base.faces import offered as _offered
 

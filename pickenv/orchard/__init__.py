@@ -1,4 +1,4 @@
-"""The orchard: fruit and canopy, what cameras see of it, what grippers forgive, and how fruit swings and comes off."""
+"""The orchard: fruit and canopy, how cameras see fruit, what misalignment grippers tolerate, and how fruit detaches."""
 
 from pickenv.base.faces import offered as _offered
 

@@ -1,9 +1,10 @@
 """An error model of cameras: the positions of fruit as a stereo or RGB-D camera measures them.
 
-Along the line of sight an error has a bias, which depends on distance d and light. It also has noise σ_z = sqrt(floor²
-+ (a d²)²). A stereo camera of focal length f_px and base line b has a = σ_disparity/(f_px b). Across the line of sight
-it is pixel noise × d/f_px. The centroid of a partly hidden fruit moves to the visible side, by up to its radius. The
-less of a fruit is visible, the more often it is missed. Units: m, px, lx.
+Along the line of sight, the error has a bias, which depends on distance d and light. It also has noise with the
+standard deviation σ_z = sqrt(floor² + (a d²)²). A stereo camera with focal length f_px and baseline b has
+a = σ_disparity/(f_px b). Across the line of sight, the standard deviation is pixel noise × d/f_px. The measured
+centroid of a partly hidden fruit is shifted to the visible side, by up to the fruit's radius. A fruit is missed more
+often if less of it is visible. Units: m, px, lx.
 """
 
 from __future__ import annotations
@@ -22,30 +23,32 @@ DRAWS = 5  # normal numbers per measurement: three of noise, two for the side fr
 
 @toml_table
 class Camera(checks.Preset):
-    """A camera as an error model.
+    """The parameters of a camera's error model.
 
     Attributes:
         name: Name of the preset.
         source: Source of its numbers.
         focal_length: Focal length, px.
         image: Width and height of the image, px.
-        nearest: Least distance that it measures, m.
-        farthest: Largest distance that it measures, m.
-        depth_noise: Standard deviation of depth at 1 m, growing with the square of distance, 1/m.
-        pixel_noise: Standard deviation of a centroid in the image, px.
-        depth_noise_floor: Part of the depth noise that does not grow with distance, m.
-        noise_light: Light at which the depth noise holds, lx.
-        noise_growth: Growth of depth noise with light: factor exp(growth × (light − noise_light)), 1/lx.
-        bias: Mean error along the line of sight at ``bias_distance`` and ``bias_light``, m; positive is too far.
-        bias_distance: Distance at which ``bias`` holds, m.
-        bias_light: Light at which ``bias`` holds, lx.
+        nearest: Least distance at which fruit is detected, m.
+        farthest: Largest distance at which fruit is detected, m.
+        depth_noise: Standard deviation of depth divided by the square of distance, 1/m.
+        pixel_noise: Standard deviation of a centroid in the image, px per axis.
+        depth_noise_floor: Part of the depth noise that does not depend on distance, m.
+        noise_light: Illuminance at which ``depth_noise`` and ``depth_noise_floor`` are valid, lx.
+        noise_growth: Growth of depth noise with illuminance, 1/lx: factor exp(noise_growth × (light − noise_light)).
+        bias: Mean error along the line of sight at ``bias_distance`` and ``bias_light``, m. If positive, the measured
+            distance is too large.
+        bias_distance: Distance at which ``bias`` is valid, m.
+        bias_light: Illuminance at which ``bias`` is valid, lx.
         bias_per_distance: Change of the bias with distance, m/m.
-        bias_per_light: Change of the bias with light, m/lx.
+        bias_per_light: Change of the bias with illuminance, m/lx.
         dropout: Probability of missing a fruit in full view.
-        lost_below: Visible share of a fruit below which it is never found.
-        found_above: Visible share from which on only ``dropout`` loses it. Between the two the probability is linear.
+        lost_below: Visible share of a fruit below which it is never detected.
+        found_above: Visible share from which the probability of missing a fruit is ``dropout``. Between
+            ``lost_below`` and ``found_above`` the probability of detection is linear in the visible share.
         occlusion_pull: Largest shift of the centroid to the visible side, as a share of the fruit's radius.
-        light: Light in which the camera is used, lx.
+        light: Illuminance in which the camera is used, lx.
     """
 
     name: str
@@ -81,29 +84,29 @@ class Camera(checks.Preset):
 
 
 load_camera = preset_files.loader("camera", Camera)
-"""Reads a camera by name (`shipped("camera")`) or from a path to a TOML file."""
+"""Read a camera by its name, one of `shipped("camera")`, or from a TOML file by its path."""
 
 
 def depth_noise(camera: Camera, distance: ArrayLike) -> Array:
-    """Standard deviation along the line of sight, m, at distances in m."""
+    """Return the standard deviation of an error along the line of sight, m, at distances in m of any shape."""
     law = np.hypot(camera.depth_noise_floor, camera.depth_noise * np.asarray(distance, dtype=float) ** 2)
     return np.asarray(law * np.exp(camera.noise_growth * (camera.light - camera.noise_light)))
 
 
 def depth_bias(camera: Camera, distance: ArrayLike) -> Array:
-    """Mean error along the line of sight, m, at distances in m; positive is too far."""
+    """Return the mean error of the measured distance along the line of sight, m, at true distances, m, of any shape."""
     beyond = np.asarray(distance, dtype=float) - camera.bias_distance
     brighter = camera.light - camera.bias_light
     return np.asarray(camera.bias + camera.bias_per_distance * beyond + camera.bias_per_light * brighter)
 
 
 def detection_probability(camera: Camera, distance: ArrayLike, visible: ArrayLike = 1.0) -> Array:
-    """Probability that a fruit inside the image is detected.
+    """Return the probability that a fruit inside the image is detected.
 
     Args:
         camera: Error model.
-        distance: Distance of the fruit, m. Shapes broadcast.
-        visible: Visible share of the fruit.
+        distance: Distance of the fruit, m. The shapes of the arguments broadcast.
+        visible: Visible share of the fruit, 0 to 1.
     """
     distance, visible = np.asarray(distance, dtype=float), checks.numbers("the visible share", visible, lowest=0.0)
     ramp = np.clip((visible - camera.lost_below) / max(camera.found_above - camera.lost_below, 1e-12), 0.0, 1.0)
@@ -121,17 +124,17 @@ def measured_positions(
     diameters: ArrayLike = 0.0,
     visible_side: ArrayLike | None = None,
 ) -> Array:
-    """Positions that the camera measures of the fruit that it detects.
+    """Return the positions that the camera measures for detected fruit, with bias, noise and shift by occlusion.
 
     Args:
         camera: Error model.
-        positions: True fruit centres, m, shape (..., 3).
-        viewpoint: Camera positions, m, shape (..., 3).
-        draws: Standard normal numbers, shape (..., DRAWS), so that the caller owns the randomness.
-        visible: Visible share of each fruit, shape (...).
-        diameters: Fruit diameters, m, shape (...); they scale the shift of hidden fruit.
-        visible_side: Directions from the centre to the visible part, shape (..., 3). The direction is random where the
-            vector is zero, and everywhere if it is None: leaves then hide a random side.
+        positions: True fruit centres, m, shape (..., 3), in any frame with z up.
+        viewpoint: Camera positions in that frame, m, shape (..., 3).
+        draws: Standard normal random numbers that decide the errors, shape (..., DRAWS).
+        visible: Visible share of each fruit, 0 to 1, shape (...).
+        diameters: Fruit diameters, m, shape (...). The shift of partly hidden fruit is proportional to them.
+        visible_side: Directions from each centre to the visible part, shape (..., 3). For zero vectors the direction is
+            random, because leaves may hide any side. None means zero vectors for all fruit.
 
     Returns:
         Measured positions, m, shape (..., 3).
@@ -165,7 +168,14 @@ def measured_positions(
 
 
 def in_image(camera: Camera, positions: ArrayLike, viewpoint: ArrayLike, looking: ArrayLike) -> Flags:
-    """Flags (...) of positions (..., 3) inside the image of a level camera that looks along ``looking``, (..., 3)."""
+    """Return whether positions lie inside the image of a level camera, (...).
+
+    Args:
+        camera: Error model, which has the image size and the focal length.
+        positions: Positions in the orchard frame, m, (..., 3).
+        viewpoint: Position of the camera in the orchard frame, m, (..., 3).
+        looking: Direction of view in the orchard frame, (..., 3).
+    """
     local = camera_frame(positions, viewpoint, looking)
     half = np.array(camera.image) / 2 / camera.focal_length
     ahead = local[..., 2] > 0
@@ -173,31 +183,35 @@ def in_image(camera: Camera, positions: ArrayLike, viewpoint: ArrayLike, looking
 
 
 def camera_axes(looking: ArrayLike) -> Array:
-    """Axes of a level camera that looks along ``looking``: rows x right, y down, z ahead, shape (..., 3, 3)."""
+    """Return the axes of a level camera as rows: x right, y down, z ahead, shape (..., 3, 3).
+
+    Args:
+        looking: Direction of view, (..., 3), in a frame with z up; the axes are given in that frame.
+    """
     ahead = checks.directions("the direction in which the camera looks", looking)
     right, up = _across(ahead)
     return np.stack([right, -up, ahead], axis=-2)
 
 
 def camera_frame(positions: ArrayLike, viewpoint: ArrayLike, looking: ArrayLike) -> Array:
-    """Positions (..., 3) of the orchard frame in the camera's frame: x right, y down, z ahead, m.
+    """Transform positions (..., 3), m, from the orchard frame to the camera's frame: x right, y down, z ahead.
 
     Args:
         positions: Positions in the orchard frame, m, (..., 3).
         viewpoint: Position of the camera in the orchard frame, m, (..., 3).
-        looking: Direction in which it looks, (..., 3).
+        looking: Direction of view of the level camera in the orchard frame, (..., 3).
     """
     offset = checks.points("positions", positions) - checks.points("the viewpoint", viewpoint)
     return np.asarray(np.einsum("...ij,...j->...i", camera_axes(looking), offset))
 
 
 def orchard_frame(positions: ArrayLike, viewpoint: ArrayLike, looking: ArrayLike) -> Array:
-    """Positions (..., 3) of the camera's frame in the orchard frame, m: inverse of `camera_frame`.
+    """Transform positions (..., 3), m, from the camera's frame to the orchard frame; the inverse of `camera_frame`.
 
     Args:
         positions: Positions in the camera's frame, m, (..., 3).
         viewpoint: Position of the camera in the orchard frame, m, (..., 3).
-        looking: Direction in which it looks, (..., 3).
+        looking: Direction of view of the level camera in the orchard frame, (..., 3).
     """
     local, eye = checks.points("positions", positions), checks.points("the viewpoint", viewpoint)
     return np.asarray(np.einsum("...ji,...j->...i", camera_axes(looking), local) + eye)

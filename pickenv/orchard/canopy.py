@@ -1,9 +1,10 @@
 """The canopy: a slab of foliage beside the aisle, upright or leaning, in which the fruit hangs.
 
-Orchard frame: x along the row, y from the aisle into the trees, z up from the ground. The face of the canopy has y = 0
-at its lowest height. Foliage dims a line of sight by the law of Beer and Lambert: exp(−projection × leaf area per
-volume × path). Fruit are spheres. From a viewpoint each is a disc of angular radius asin(r/d), and nearer discs cover
-parts of farther ones. Units: m, rad, m²/m³.
+Orchard frame: x along the row, y from the aisle into the trees, z up from the ground. The face is the surface of the
+canopy towards the aisle; it has y = 0 at the height of the lowest fruit. The share of a target that is visible through
+foliage follows the law of Beer and Lambert: exp(−projection × leaf area per volume × path length). Fruit are spheres.
+From a viewpoint each appears as a disc of angular radius asin(r/d), and nearer discs cover parts of farther ones.
+Units: m, rad, m²/m³.
 """
 
 from __future__ import annotations
@@ -29,20 +30,20 @@ OVERLAP = 1e-4  # m that two fruit may dent each other
 
 
 def sample_fruit(fruit_map: FruitMap, size: FruitSize, canopy: Canopy, rng: np.random.Generator) -> tuple[Array, Array]:
-    """Draw the fruit of one canopy.
+    """Draw positions and diameters of the fruit in one canopy.
 
-    The map's rows of blocks are spread over the canopy's height, and its width is cut into whole blocks. The number of
-    fruit per metre of row stays.
+    The blocks of the fruit map are scaled so that a whole number of them fills the canopy's height and width. The
+    expected number of fruit per metre of row is unchanged.
 
     Args:
         fruit_map: Expected numbers of fruit per block, by row of blocks.
-        size: Fruit diameters.
+        size: Distribution of diameters.
         canopy: The volume to fill.
-        rng: Source of every random draw.
+        rng: Random generator for all draws.
 
     Returns:
-        Centres in the orchard frame, m, (n, 3), and diameters, m, (n,), cluster by cluster. All fruit is inside the
-        canopy, and none overlaps another.
+        Centres in the orchard frame, m, (n, 3), and diameters, m, (n,), cluster by cluster. All centres are inside the
+        canopy, and fruit do not overlap.
 
     Raises:
         InputError: If the canopy is so full that fruit cannot be kept apart.
@@ -127,7 +128,7 @@ ROUNDING = 1e-9  # m
 
 @toml_table
 class Canopy(checks.Preset):
-    """The slab of foliage in front of one stop of a machine. Along the row, foliage goes on beyond the fruit.
+    """The slab of foliage in front of one stop of a picking machine; it continues along the row beyond the fruit.
 
     Attributes:
         name: Name of the preset.
@@ -135,11 +136,11 @@ class Canopy(checks.Preset):
         bottom: Height of the lowest fruit above the ground, m.
         top: Height of the highest fruit above the ground, m.
         depth: Horizontal thickness of the slab, m.
-        width: Length of row that one stop serves and that bears fruit here, m; x runs from −width/2 to width/2.
-        standoff: Distance from the machine's column to the face, m; the column stands at y = −standoff.
-        lean: Angle of the face from upright, rad; positive leans away from the aisle, negative hangs over it.
-        leaf_area_per_volume: One-sided leaf area, m²/m³.
-        leaf_projection: Mean share of a leaf's area that a line of sight meets.
+        width: Length of row that is picked from one stop, m. Fruit has x from −width/2 to width/2.
+        standoff: Distance from the machine's column to the face, m; the column is at y = −standoff.
+        lean: Angle of the face from the vertical, rad. Positive leans away from the aisle, negative over the aisle.
+        leaf_area_per_volume: One-sided leaf area per volume of canopy, m²/m³.
+        leaf_projection: Mean projected area of a leaf across the line of sight, as a share of its area.
     """
 
     name: str
@@ -164,22 +165,33 @@ class Canopy(checks.Preset):
 
 
 load_canopy = preset_files.loader("canopy", Canopy)
-"""Reads a canopy by name (`shipped("canopy")`) or from a path to a TOML file."""
+"""Read a canopy by its name, one of `shipped("canopy")`, or from a TOML file by its path."""
 
 
 def face(canopy: Canopy, height: ArrayLike) -> Array:
-    """The canopy's face as y in the orchard frame, m, at heights in m of any shape."""
+    """Return y of the canopy's face in the orchard frame, m, at heights above the ground, m, of any shape."""
     return np.asarray((np.asarray(height, dtype=float) - canopy.bottom) * np.tan(canopy.lean))
 
 
 def depth_behind_face(canopy: Canopy, positions: ArrayLike) -> Array:
-    """Horizontal distance behind the canopy's face, m, of positions (..., 3); negative is in the aisle."""
+    """Return the horizontal distance of positions behind the canopy's face, m, (...); negative in the aisle.
+
+    Args:
+        canopy: The canopy.
+        positions: Positions in the orchard frame, m, (..., 3).
+    """
     positions = checks.points("positions", positions)
     return np.asarray(positions[..., 1] - face(canopy, positions[..., 2]))
 
 
 def foliage_path(canopy: Canopy, start: ArrayLike, end: ArrayLike) -> Array:
-    """Length of the straight line from ``start`` to ``end``, (..., 3) each, that runs through foliage, m."""
+    """Return the length of the part of straight lines that lies in foliage, m, (...).
+
+    Args:
+        canopy: The canopy.
+        start: Start points in the orchard frame, m, (..., 3). Shapes broadcast.
+        end: End points in the orchard frame, m, (..., 3).
+    """
     start, end = checks.points("start points", start), checks.points("end points", end)
     start, end = np.broadcast_arrays(start, end)
     slabs = (
@@ -199,13 +211,19 @@ def foliage_path(canopy: Canopy, start: ArrayLike, end: ArrayLike) -> Array:
 
 
 def foliage_transmission(canopy: Canopy, start: ArrayLike, end: ArrayLike) -> Array:
-    """Expected share of a small target at ``end`` that leaves do not hide from ``start``; points (..., 3)."""
+    """Return the expected share of small targets that leaves do not hide, (...), 0 to 1.
+
+    Args:
+        canopy: The canopy.
+        start: Viewpoints in the orchard frame, m, (..., 3). Shapes broadcast.
+        end: Targets in the orchard frame, m, (..., 3).
+    """
     extinction = canopy.leaf_projection * canopy.leaf_area_per_volume
     return np.asarray(np.exp(-extinction * foliage_path(canopy, start, end)))
 
 
 def occlusion(canopy: Canopy, positions: ArrayLike, diameters: ArrayLike, viewpoint: ArrayLike) -> tuple[Array, Array]:
-    """Expected visible share of each fruit from a viewpoint.
+    """Return the expected visible share of each fruit from a viewpoint, and the side that is visible.
 
     Args:
         canopy: The foliage.
@@ -214,8 +232,9 @@ def occlusion(canopy: Canopy, positions: ArrayLike, diameters: ArrayLike, viewpo
         viewpoint: Camera positions in the orchard frame, m, shape (..., 3).
 
     Returns:
-        Share of each fruit's disc that neither leaves nor other fruit hide, shape (..., n). And unit vectors across the
-        line of sight, away from the fruit that hide this one, shape (..., n, 3); zero where none does.
+        Share of each fruit's disc that neither leaves nor other fruit hide, shape (..., n). And the visible side: unit
+        vectors across the line of sight, away from the fruit that cover this one, shape (..., n, 3). They are zero if
+        no fruit does.
 
     Raises:
         InputError: If a number is not finite, a diameter not above zero, or a viewpoint lies inside a fruit.
@@ -243,12 +262,12 @@ def occlusion(canopy: Canopy, positions: ArrayLike, diameters: ArrayLike, viewpo
 
 
 def disc_cover(radius: ArrayLike, other: ArrayLike, apart: ArrayLike) -> Array:
-    """Share of a disc's area that is under another disc.
+    """Return the share of a disc's area that another disc covers, 0 to 1.
 
     Args:
-        radius: Radius of the disc. Shapes broadcast.
-        other: Radius of the other disc.
-        apart: Distance between the two centres.
+        radius: Radius of the covered disc, in any unit. Shapes broadcast.
+        other: Radius of the covering disc, in the same unit.
+        apart: Distance between the two centres, in the same unit.
     """
     r, s, d = (np.asarray(value, dtype=float) for value in np.broadcast_arrays(radius, other, apart))
     inside = d <= np.abs(r - s) + 1e-12 * (r + s)
@@ -263,17 +282,17 @@ def disc_cover(radius: ArrayLike, other: ArrayLike, apart: ArrayLike) -> Array:
 def approach_clear(
     positions: ArrayLike, diameters: ArrayLike, direction: ArrayLike, tool_radius: float, buffer: float = 0.1
 ) -> Flags:
-    """Flags of fruit that a round tool can come up to without touching another fruit.
+    """Return for each fruit whether a round tool can approach it without touching another fruit.
 
     Args:
         positions: Fruit centres, m, shape (n, 3).
         diameters: Fruit diameters, m, shape (n,) or a number.
-        direction: Direction of approach, shape (3,) or (n, 3).
+        direction: Direction in which the tool moves to the fruit, shape (3,) or (n, 3).
         tool_radius: Radius of the tool, m.
         buffer: Length of the straight approach that ends at the fruit's centre, m.
 
     Returns:
-        Flags, shape (n,).
+        Booleans, shape (n,).
 
     Raises:
         InputError: If a number is impossible or a shape is wrong.
@@ -294,7 +313,7 @@ def approach_clear(
 
 @toml_table
 class Station(checks.Preset):
-    """A section of canopy in front of an arm's base, and the gripper that comes from below.
+    """A section of canopy in front of an arm's base, and a gripper that approaches fruit from below.
 
     Attributes:
         middle: x of the section's middle in the base frame, m.
@@ -305,17 +324,19 @@ class Station(checks.Preset):
         depth: Depth of the section, m.
         tool_radius: Outer radius of the gripper, m.
         tool_length: Length of the gripper below the tool's point, m.
-        approach: Length of the straight way from below to a fruit, m.
-        blocked: Distance from the axis of that way at which another fruit blocks it, m.
-        near: Distance to the believed fruit below which the gripper closes, m.
-        collected_below: Way down after which a detached fruit counts as collected, m.
-        bruise_speed: Speed of a tool from which on it bruises a fruit that it hits, m/s.
+        approach: Length of the straight approach from below to a fruit, m.
+        blocked: Distance from the approach's axis within which another fruit blocks the approach, m.
+        near: Largest distance between the controller's tool position and the measured fruit position at which the
+            gripper closes, m.
+        collected_below: Distance that the tool moves down with a detached fruit before the fruit counts as collected,
+            m.
+        bruise_speed: Least speed at which a tool bruises a fruit that it hits, m/s.
         knock: Distance by which a failed grasp pushes its fruit, m.
         most_push: Largest distance by which a fruit can be pushed, m.
         twist: Torque of the gripper at full command, N·m.
-        grip: Time in which the gripper takes hold of a fruit, s; counted for each grasp, not simulated.
-        deposit: Time of a fruit's way to the bin and of the way back, s; counted for each fruit, not simulated.
-        release: Time in which the gripper gives a fruit away, s; counted likewise.
+        grip: Time for gripping a fruit, s. It is added for each grasp, not simulated.
+        deposit: Time for the way to the bin and back, s. It is added for each fruit brought there, not simulated.
+        release: Time for releasing a fruit, s. It is added for each fruit brought to the bin, not simulated.
         source: Source of its numbers.
     """
 
@@ -341,9 +362,14 @@ class Station(checks.Preset):
     source: str = ""
 
     def handling(self, grasps: int, fruit: int) -> float:
-        """Time that some grasps, and bringing the fruit that is off the tree to the bin, take without moves, s."""
+        """Return the time for gripping, depositing and releasing, s, which is not simulated.
+
+        Args:
+            grasps: Number of grasps.
+            fruit: Number of fruit brought to the bin.
+        """
         return self.grip * grasps + (self.deposit + self.release) * fruit
 
 
 load_station = preset_files.loader("station", Station)
-"""Reads a station by name (`shipped("station")`) or from a path to a TOML file."""
+"""Read a station by its name, one of `shipped("station")`, or from a TOML file by its path."""

@@ -1,6 +1,6 @@
-"""Checks of the orchard's numbers and arrays: finite, of the right shape, physically possible.
+"""Checks of the orchard's numbers and arrays: they must be finite, of the right shape and physically possible.
 
-Each refusal is an `InputError` of one sentence. ``what`` is the name of the number or array in that sentence.
+Other input raises an `InputError`. The argument ``what`` is the name of the number or array in the error message.
 """
 
 from __future__ import annotations
@@ -18,17 +18,21 @@ Flags: TypeAlias = NDArray[np.bool_]
 Integers: TypeAlias = NDArray[np.int64]
 
 MM = Unit("mm", per=1000.0)
-"""Millimetres of the orchard's files, where a camera may see any distance."""
+"""Millimetres in the orchard's files, without an upper limit, because a camera may see any distance."""
 
 
 def measuring_range(what: str, nearest: float, farthest: float) -> None:
-    """Refuse a camera whose range of distances, m, has no end or ends before it begins."""
+    """Check that a camera's range of distances, m, is finite and that ``nearest`` is below ``farthest``.
+
+    Raises:
+        InputError: If it is not.
+    """
     if not nearest < farthest < np.inf:
         raise InputError(f"the range of {what} ends at {farthest} m; give more than its beginning, {nearest} m")
 
 
 class Preset:
-    """Base of preset classes: numbers stay within the bounds of their annotations, however an object is made."""
+    """Base of preset classes; an object whose number is outside the bounds of its annotation raises an `InputError`."""
 
     def __post_init__(self) -> None:
         words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(self).__name__).lower()
@@ -40,7 +44,17 @@ class Preset:
 
 
 def numbers(what: str, values: ArrayLike, *, lowest: float = -np.inf, positive: bool = False) -> Array:
-    """Array of finite numbers, none below ``lowest``, all above zero if ``positive``; other input is refused."""
+    """Return ``values`` as an array of float64 after checking them.
+
+    Args:
+        what: Name of the array in error messages.
+        values: Numbers of any shape.
+        lowest: Least value allowed.
+        positive: Whether all numbers must be above zero.
+
+    Raises:
+        InputError: If a value is no number, not finite or too small.
+    """
     try:
         array = np.asarray(values, dtype=np.float64)
     except (TypeError, ValueError) as error:
@@ -55,7 +69,11 @@ def numbers(what: str, values: ArrayLike, *, lowest: float = -np.inf, positive: 
 
 
 def points(what: str, values: ArrayLike) -> Array:
-    """Array of finite points or vectors, shape (..., 3); other input is refused."""
+    """Return ``values`` as an array of points or vectors (..., 3) after checking them.
+
+    Raises:
+        InputError: If the last dimension is not 3, or a number is not finite.
+    """
     array = numbers(what, values)
     if array.ndim == 0 or array.shape[-1] != 3:
         raise InputError(f"{what} must have three coordinates each, not shape {array.shape}")
@@ -63,7 +81,11 @@ def points(what: str, values: ArrayLike) -> Array:
 
 
 def directions(what: str, values: ArrayLike) -> Array:
-    """Unit vectors, shape (..., 3), of vectors of any length above zero; other input is refused."""
+    """Return the unit vectors (..., 3) in the directions of vectors (..., 3).
+
+    Raises:
+        InputError: If a vector is zero or not finite, or the last dimension is not 3.
+    """
     array = points(what, values)
     length = np.linalg.norm(array, axis=-1, keepdims=True)
     if (length == 0).any():
@@ -72,7 +94,15 @@ def directions(what: str, values: ArrayLike) -> Array:
 
 
 def fruit_arrays(positions: ArrayLike, diameters: ArrayLike) -> tuple[Array, Array]:
-    """Fruit centres (n, 3) and diameters (n,) in m; one diameter serves all fruit. Other input is refused."""
+    """Return fruit centres (n, 3), m, and diameters (n,), m, as arrays after checking them.
+
+    Args:
+        positions: Fruit centres, m, (n, 3).
+        diameters: Fruit diameters, m, (n,), or one number for all fruit.
+
+    Raises:
+        InputError: If a shape is wrong, a number is not finite, or a diameter is not above zero.
+    """
     centres = points("fruit positions", positions)
     if centres.ndim != 2:
         raise InputError(f"fruit positions must have shape (n, 3), not {centres.shape}")

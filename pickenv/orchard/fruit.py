@@ -1,13 +1,13 @@
-"""Fruit: its numbers along a row, its sizes, the loads that detach it, and its swing on the branch.
+"""Fruit: its number and sizes, the loads that detach it, and its swing on the branch.
 
-Fruit is clumped, so a uniform distribution is wrong. The number of clusters per block of the fruiting wall has a
-negative binomial distribution. Its mean depends on the row of blocks, and its ratio of variance to mean is the same
-everywhere. Each cluster holds ``cluster_size`` fruit. Blocks are independent, although in the field neighbours
-correlate by 0.1 to 0.3.
+Fruit grows in clusters, so its positions are not uniform. The fruiting wall, a vertical plane along the row, is divided
+into square blocks. The number of clusters per block has a negative binomial distribution. Its mean depends on the
+height of the block, and its ratio of variance to mean is the same everywhere. Each cluster has ``cluster_size`` fruit.
+Blocks are independent, although in the field neighbours have correlations of 0.1 to 0.3.
 
-Fruit on its branch is a damped spring-pendulum, so a push displaces it and its neighbours for a while. Each axis obeys
-x'' + 2ζω x' + ω² x = 0, with ω² = g/l + k/m sideways and ω² = k/m upright. Steps of any length are solved exactly.
-Units: m, s, N, kg. Axes as in canopy.py: x and y sideways, z up.
+A fruit on its branch is a damped spring-pendulum, so a push displaces it and its neighbours for some time. Each axis
+obeys x'' + 2ζω x' + ω² x = 0, with ω² = g/l + k/m sideways and ω² = k/m upright. The solution is exact for any time
+step. Units: m, s, N, kg. Axes as in canopy.py: x and y sideways, z up.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ class Detachment(checks.Preset):
     """Distribution of the loads that detach fruit.
 
     Attributes:
-        pull_95: Pull that detaches 95 % of fruit, N.
+        pull_95: Pulling force that detaches 95 % of fruit, N.
         twist_95: Torque about the stem that detaches 95 % of fruit, N·m.
         spread: Standard deviation of the natural logarithm of both loads.
         stem: Length of the stem, m.
@@ -49,15 +49,15 @@ class Detachment(checks.Preset):
 
 
 load_detachment = preset_files.loader("detachment", Detachment)
-"""Reads detachment limits by name (`shipped("detachment")`) or from a path to a TOML file."""
+"""Read a `Detachment` by its name, one of `shipped("detachment")`, or from a TOML file by its path."""
 
 
 def sample_strength(
     detachment: Detachment, shape: int | tuple[int, ...], rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Draw the loads that detach fruit: pulls, N, and torques, N·m, of ``shape`` each.
+    """Draw the loads that detach fruit: pulling forces, N, and torques, N·m, of ``shape`` each.
 
-    One normal number per fruit scales both.
+    Both loads of a fruit have the same log-normal factor.
     """
     scale = np.exp(detachment.spread * (rng.normal(size=shape) - QUANTILE_95))
     return np.asarray(detachment.pull_95 * scale), np.asarray(detachment.twist_95 * scale)
@@ -65,13 +65,14 @@ def sample_strength(
 
 @toml_table
 class FruitMap(checks.Preset):
-    """Expected numbers of fruit per block along a row of trees, and their clumping.
+    """Distribution of the number of fruit per block of the fruiting wall along a row of trees.
 
     Attributes:
-        block: Edge of the square blocks of the fruiting wall, m.
+        block: Edge of the square blocks, m.
         row_means: Expected number of fruit per block in each row of blocks, from the top row to the bottom row.
         cluster_size: Number of fruit per cluster.
-        cluster_variance_ratio: Variance/mean of the number of clusters per block; 1 is Poisson, more is clumped.
+        cluster_variance_ratio: Ratio of variance to mean of the number of clusters per block. With 1 it has a Poisson
+            distribution; above 1 clusters are clumped.
         source: Source of its numbers.
     """
 
@@ -92,7 +93,7 @@ class FruitMap(checks.Preset):
         return sum(self.row_means) / self.block
 
     def scaled(self, density: float) -> FruitMap:
-        """This map with ``density`` fruit per metre of row, its clumping and its profile of height unchanged.
+        """Return this map with ``density`` fruit per metre of row; clusters and shares of the rows are unchanged.
 
         Raises:
             InputError: If the density is negative or this map has no fruit.
@@ -103,10 +104,10 @@ class FruitMap(checks.Preset):
         return replace(self, row_means=tuple(mean * density / self.density for mean in self.row_means))
 
     def with_rows(self, rows: int) -> FruitMap:
-        """This map with another number of rows of blocks, its fruit per metre and its profile of height unchanged.
+        """Return this map with another number of rows of blocks; fruit per metre and height profile are unchanged.
 
         Raises:
-            InputError: If there would be no row.
+            InputError: If ``rows`` is below 1.
         """
         if rows < 1:
             raise InputError(f"a fruit map cannot have {rows} rows of blocks; give 1 or more")
@@ -117,16 +118,16 @@ class FruitMap(checks.Preset):
 
 
 def sample_counts(fruit_map: FruitMap, columns: int, rng: np.random.Generator, shape: tuple[int, ...] = ()) -> Integers:
-    """Draw numbers of fruit per block, ``(*shape, rows, columns)``, rows from top to bottom.
+    """Draw the number of fruit in each block, ``(*shape, rows, columns)``, rows from top to bottom.
 
     Args:
-        fruit_map: Expected numbers and clumping.
-        columns: Number of blocks along the row.
-        rng: Source of every random draw.
-        shape: Shape of further samples in front.
+        fruit_map: Distribution of the numbers.
+        columns: Number of blocks along the row of trees.
+        rng: Random generator for all draws.
+        shape: Shape of the batch of independent samples; one sample by default.
 
     Raises:
-        InputError: If there would be no column.
+        InputError: If ``columns`` is below 1.
     """
     if columns < 1:
         raise InputError(f"a row of trees cannot be {columns} blocks long; give 1 or more")
@@ -144,11 +145,11 @@ def sample_counts(fruit_map: FruitMap, columns: int, rng: np.random.Generator, s
 
 @toml_table
 class FruitSize(checks.Preset):
-    """Distribution of diameters, a normal one cut at both ends, and the density of fruit.
+    """Truncated normal distribution of fruit diameters, and density of fruit.
 
     Attributes:
-        mean: Mean diameter before cutting, m.
-        std: Standard deviation before cutting, m.
+        mean: Mean diameter before truncation, m.
+        std: Standard deviation before truncation, m.
         smallest: Smallest diameter, m.
         largest: Largest diameter, m.
         density: Mass per volume, kg/m³.
@@ -171,7 +172,7 @@ class FruitSize(checks.Preset):
 
 
 def sample_diameters(size: FruitSize, count: int, rng: np.random.Generator) -> Array:
-    """Draw ``count`` diameters, m, by inverting the truncated normal distribution: one uniform number each."""
+    """Draw ``count`` diameters, m, from the truncated normal distribution, by inversion of one uniform number each."""
     from scipy.special import ndtr, ndtri
 
     uniform = rng.random(count)
@@ -183,29 +184,29 @@ def sample_diameters(size: FruitSize, count: int, rng: np.random.Generator) -> A
 
 
 def fruit_masses(size: FruitSize, diameters: ArrayLike) -> Array:
-    """Masses of round fruit, kg, from diameters, m, of any shape."""
+    """Return the masses of spherical fruit, kg, from diameters, m, of any shape."""
     return np.asarray(size.density * np.pi / 6.0 * checks.numbers("fruit diameters", diameters, lowest=0.0) ** 3)
 
 
 load_fruit_map = preset_files.loader("fruit", FruitMap)
-"""Reads a fruit map by name (`shipped("fruit")`) or from a path to a TOML file."""
+"""Read a fruit map by its name, one of `shipped("fruit")`, or from a TOML file by its path."""
 
 
 load_fruit_size = preset_files.loader("fruit_size", FruitSize)
-"""Reads fruit diameters and density by name (`shipped("fruit_size")`) or from a path to a TOML file."""
+"""Read a `FruitSize` by its name, one of `shipped("fruit_size")`, or from a TOML file by its path."""
 
 
 @toml_table
 class Branch(checks.Preset):
-    """The branch that fruit hangs from.
+    """The branch that fruit hangs from: parameters of the damped spring-pendulum.
 
     Attributes:
         pendulum: Length of the pendulum, m.
-        stiffness_sideways: Stiffness along x and y, besides the pendulum's, N/m.
-        stiffness_upright: Stiffness along z, N/m.
+        stiffness_sideways: Stiffness of the branch along x and y, in addition to the pendulum's, N/m.
+        stiffness_upright: Stiffness of the branch along z, N/m.
         wood: Mass of wood that moves with the fruit, kg.
-        damping_ratio: Damping as a share of critical damping.
-        coupling: Distance over which a push on one fruit falls to 1/e at its neighbours, m.
+        damping_ratio: Damping ratio ζ (1 is critical damping).
+        coupling: Distance from a pushed fruit at which its neighbours move by 1/e of the push, m.
         source: Source of its numbers.
     """
 
@@ -219,11 +220,11 @@ class Branch(checks.Preset):
 
 
 load_branch = preset_files.loader("branch", Branch)
-"""Reads a branch by name (`shipped("branch")`) or from a path to a TOML file."""
+"""Read a branch by its name, one of `shipped("branch")`, or from a TOML file by its path."""
 
 
 def natural_frequencies(branch: Branch, mass: ArrayLike) -> Array:
-    """Undamped angular frequencies along x, y and z, rad/s, shape (..., 3), for fruit masses (...) in kg."""
+    """Return the undamped angular frequencies along x, y, z, rad/s, (..., 3), for fruit masses (...), kg."""
     moving = checks.numbers("the mass of fruit (kg)", mass, positive=True) + branch.wood
     omega = np.empty((*moving.shape, 3))
     omega[..., 0] = omega[..., 1] = np.sqrt(GRAVITY / branch.pendulum + branch.stiffness_sideways / moving)
@@ -234,7 +235,7 @@ def natural_frequencies(branch: Branch, mass: ArrayLike) -> Array:
 def swing(
     branch: Branch, displacement: ArrayLike, velocity: ArrayLike, mass: ArrayLike, dt: ArrayLike
 ) -> tuple[Array, Array]:
-    """Displacement and velocity of freely swinging fruit after a time ``dt``.
+    """Return the displacement and velocity of freely swinging fruit after a time ``dt``.
 
     Args:
         branch: Branch that the fruit hangs from.
@@ -256,7 +257,7 @@ def swing(
 
 
 def swung(branch: Branch, x: Array, speed: Array, omega: Array, time: Array) -> tuple[Array, Array]:
-    """Displacement and velocity as of `swing`, without its checks.
+    """Return the same displacement and velocity as `swing`, without its checks.
 
     Args:
         branch: Branch that the fruit hangs from.
@@ -285,12 +286,15 @@ def swung(branch: Branch, x: Array, speed: Array, omega: Array, time: Array) -> 
 
 
 def coupling(branch: Branch, distance: ArrayLike) -> Array:
-    """Share of a push on one fruit that reaches another at ``distance`` m: exp(−distance/coupling length)."""
+    """Return the displacement of a fruit at ``distance``, m, from a pushed one, as a share of the push.
+
+    The share is exp(−distance / branch.coupling).
+    """
     return np.asarray(np.exp(-checks.numbers("the distance between fruit (m)", distance, lowest=0.0) / branch.coupling))
 
 
 def pushed(branch: Branch, positions: ArrayLike, contact: ArrayLike, push: ArrayLike) -> Array:
-    """Displacement of each fruit by a push on one of them.
+    """Return the displacement of each fruit after a push at one point.
 
     Args:
         branch: Branch that the fruit hangs from.
@@ -299,7 +303,7 @@ def pushed(branch: Branch, positions: ArrayLike, contact: ArrayLike, push: Array
         push: Displacement at that point, m, shape (..., 3).
 
     Returns:
-        Displacements, m, shape (..., n, 3): start values for `swing`.
+        Displacements, m, shape (..., n, 3), which are initial values for `swing`.
     """
     positions, contact = checks.points("fruit positions", positions), checks.points("the contact", contact)
     push = checks.points("the push", push)

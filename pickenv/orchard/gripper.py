@@ -1,6 +1,7 @@
-"""Grippers and the misalignment that they tolerate: a cup with a hard edge, or a compliant hand that fails gradually.
+"""Grippers and the misalignment that they tolerate: a rigid cup with fixed tolerances, or a compliant hand.
 
-Misalignment of the fruit in the tool is lateral (across the tool's axis), axial (along it) and an angle. Units: m, rad.
+The probability that a compliant hand takes a fruit falls gradually with misalignment. The misalignment of a fruit in
+the tool has three parts: lateral (across the tool's axis), axial (along it) and an angle. Units: m, rad.
 """
 
 from __future__ import annotations
@@ -23,29 +24,32 @@ KIND = Check(lambda value: value in names("gripper"), "'cup' or 'hand'")
 
 
 class Gripper(Protocol):
-    """The members of a gripper. A class of grippers is registered by name; files choose it by their field ``kind``."""
+    """Interface of grippers. Classes of grippers are registered by name; a gripper file gives this name as ``kind``."""
 
     @property
     def name(self) -> str:
-        """Name of the gripper in tables."""
+        """Name of this gripper, used in result tables."""
 
     @property
     def kind(self) -> str:
-        """Name by which its class is registered."""
+        """Name under which the gripper's class is registered."""
 
     def probability(self, lateral: Array, axial: Array, angle: Array, diameter: ArrayLike | None) -> Array:
-        """Probability that the gripper takes the fruit.
+        """Return the probability that the gripper takes the fruit, 0 to 1, as an array.
 
         Args:
-            lateral: Size of the lateral misalignment, m. Shapes broadcast.
-            axial: Size of the axial misalignment, m.
-            angle: Size of the angle, rad.
-            diameter: Fruit diameter, m; None is the fruit that the gripper is meant for.
+            lateral: Absolute value of the lateral misalignment, m. Shapes broadcast.
+            axial: Absolute value of the axial misalignment, m.
+            angle: Absolute value of the angle, rad.
+            diameter: Fruit diameter, m; None for the diameter for which the gripper is designed.
         """
 
     @property
     def tolerance(self) -> float:
-        """Distance from the tool's axis at which a fruit is taken, m: always by a cup, one time in two by a hand."""
+        """Lateral misalignment that is tolerated without other misalignment, m.
+
+        For a cup, it is the largest at which the fruit is taken. For a hand, it is that with a probability of 0.5.
+        """
 
 
 @register("gripper", "cup")
@@ -57,10 +61,10 @@ class Cup(checks.Preset):
         name: Name of the preset.
         source: Source of its numbers.
         opening: Inner diameter, m.
-        fruit: Diameter of the fruit that the cup is meant for, m.
+        fruit: Fruit diameter for which the cup is designed, m.
         axial: Largest axial misalignment, m.
-        angle: Largest angle between the cup's axis and the wanted one, rad.
-        kind: Kind of gripper in a file.
+        angle: Largest angle between the cup's axis and the wanted axis, rad.
+        kind: Always "cup"; selects this class in a gripper file.
     """
 
     name: str
@@ -72,30 +76,30 @@ class Cup(checks.Preset):
     kind: Annotated[Literal["cup"], KIND, REQUIRED] = "cup"
 
     def probability(self, lateral: Array, axial: Array, angle: Array, diameter: ArrayLike | None) -> Array:
-        """Probability: 1 inside the tolerances, 0 outside. Without a diameter, the fruit is the one in ``fruit``."""
+        """Return 1 inside the tolerances and 0 outside; arguments as in `Gripper.probability`."""
         fruit = self.fruit if diameter is None else checks.numbers("the fruit diameter (m)", diameter, lowest=0.0)
         inside = (lateral <= (self.opening - fruit) / 2) & (axial <= self.axial) & (angle <= self.angle)
         return np.asarray(inside, dtype=np.float64)
 
     @property
     def tolerance(self) -> float:
-        """Distance aside up to which the fruit that the cup is meant for is always taken, m."""
+        """Largest lateral misalignment at which a fruit of the diameter ``fruit`` is taken, m."""
         return (self.opening - self.fruit) / 2.0
 
 
 @register("gripper", "hand")
 @toml_table
 class CompliantHand(checks.Preset):
-    """A hand with soft fingers: logit of success = intercept − lateral·|x| − axial·|z| − angle·|φ|.
+    """A hand with soft fingers: logit of the success probability = intercept − lateral·|x| − axial·|z| − angle·|φ|.
 
     Attributes:
         name: Name of the preset.
         source: Source of its numbers.
         intercept: Logit without misalignment.
-        lateral: Fall of the logit with lateral misalignment, 1/m.
-        axial: Fall of the logit with axial misalignment, 1/m.
-        angle: Fall of the logit with the angle, 1/rad.
-        kind: Kind of gripper in a file.
+        lateral: Decrease of the logit per lateral misalignment x, 1/m.
+        axial: Decrease of the logit per axial misalignment z, 1/m.
+        angle: Decrease of the logit per angle φ, 1/rad.
+        kind: Always "hand"; selects this class in a gripper file.
     """
 
     name: str
@@ -107,25 +111,28 @@ class CompliantHand(checks.Preset):
     kind: Annotated[Literal["hand"], KIND, REQUIRED] = "hand"
 
     def probability(self, lateral: Array, axial: Array, angle: Array, diameter: ArrayLike | None) -> Array:
-        """Probability by the logistic curve; the fruit's diameter does not matter."""
+        """Return the probability by the logistic function; it does not depend on ``diameter``.
+
+        Arguments as in `Gripper.probability`.
+        """
         logit = self.intercept - self.lateral * lateral - self.axial * axial - self.angle * angle
         return np.asarray(0.5 * (1.0 + np.tanh(logit / 2)))
 
     @property
     def tolerance(self) -> float:
-        """Distance aside at which a fruit is taken one time in two, m."""
+        """Lateral misalignment at which a fruit is taken with a probability of 0.5, m; 0 if there is none."""
         return max(self.intercept / self.lateral, 0.0)
 
 
 @toml_table
 class Suction(checks.Preset):
-    """A suction cup where contact is simulated, and what it meets.
+    """Parameters of a suction cup for simulations with contact.
 
     Attributes:
         thickness: Thickness of the cup, m.
-        lip: Distance at which its soft lip closes on a fruit, m.
-        holds: Force with which it holds fruit, as a multiple of the pull that detaches 95 % of fruit.
-        turning: Damping of a fruit that turns about its stem, N·m·s.
+        lip: Distance between cup and fruit at which the cup's soft lip seals, m.
+        holds: Holding force, as a multiple of the pulling force that detaches 95 % of fruit.
+        turning: Damping of the rotation of a fruit about its stem, N·m·s.
         source: Source of its numbers.
     """
 
@@ -137,22 +144,22 @@ class Suction(checks.Preset):
 
 
 load_suction = preset_files.loader("suction", Suction)
-"""Reads a suction cup by name (`shipped("suction")`) or from a path to a TOML file."""
+"""Read a suction cup by its name, one of `shipped("suction")`, or from a TOML file by its path."""
 
 
 def misalignment(
     offset: ArrayLike, tool_axis: ArrayLike, wanted_axis: ArrayLike | None = None
 ) -> tuple[Array, Array, Array]:
-    """Misalignment of a fruit in the tool, as `capture_probability` takes it.
+    """Compute the misalignment of a fruit in the tool, in the form that `capture_probability` takes.
 
     Args:
         offset: Vector from the tool's point to the fruit's centre, m, shape (..., 3).
-        tool_axis: Direction in which the tool approaches, shape (..., 3).
-        wanted_axis: Direction in which it should approach, shape (..., 3); None stands for the tool's axis.
+        tool_axis: Direction in which the tool approaches, shape (..., 3), in the same frame.
+        wanted_axis: Direction in which it should approach, shape (..., 3); None for ``tool_axis``.
 
     Returns:
-        Lateral misalignment, m, axial misalignment, m, and angle, rad, of shape (...) each. Axial is positive beyond
-        the tool's point.
+        Lateral misalignment, m, axial misalignment, m, and angle, rad, of shape (...) each. The axial misalignment is
+        positive if the fruit is beyond the tool's point.
     """
     offset, axis = checks.points("the offset", offset), checks.directions("the tool axis", tool_axis)
     axial = np.einsum("...i,...i->...", offset, axis)
@@ -168,14 +175,14 @@ def misalignment(
 def capture_probability(
     gripper: Gripper, lateral: ArrayLike, axial: ArrayLike, angle: ArrayLike, diameter: ArrayLike | None = None
 ) -> Array:
-    """Probability that a gripper takes the fruit.
+    """Return the probability that a gripper takes the fruit, 0 to 1, as an array.
 
     Args:
-        gripper: A cup (0 or 1), a hand, or a gripper of another package.
+        gripper: A cup (whose probability is 0 or 1), a hand, or a gripper of another package.
         lateral: Misalignment across the tool's axis, m; its sign does not matter. Shapes broadcast.
         axial: Misalignment along the tool's axis, m; its sign does not matter.
-        angle: Angle between the tool's axis and the wanted one, rad; its sign does not matter.
-        diameter: Fruit diameter, m; None is the fruit that the gripper is meant for.
+        angle: Angle between the tool's axis and the wanted axis, rad; its sign does not matter.
+        diameter: Fruit diameter, m; None for the diameter for which the gripper is designed.
 
     Raises:
         InputError: If a misalignment is NaN or infinite.
@@ -187,14 +194,15 @@ def capture_probability(
 
 
 def load_gripper(name: str | Path) -> Gripper:
-    """Read a gripper by name or file.
+    """Read a gripper by its name or from a TOML file by its path.
 
     Args:
-        name: Name of a preset (`shipped("gripper")`), path of a TOML file, or name of a registered gripper that needs
-            no numbers.
+        name: Name of a preset (`shipped("gripper")`), path to a TOML file, or name of a registered class of grippers
+            without parameters.
 
     Raises:
-        InputError: If there is none of that name, it needs a file with its numbers, or the file is at fault.
+        InputError: If there is no such gripper, if its class has parameters and needs a file, or if the file is
+            malformed.
     """
     if str(name) not in names("gripper"):
         gripper: Gripper = preset_files.load("gripper", name, gripper_kind)
@@ -207,7 +215,7 @@ def load_gripper(name: str | Path) -> Gripper:
 
 
 def gripper_kind(table: Mapping[str, Any]) -> type[Any]:
-    """Class of the gripper that a table of a file describes.
+    """Return the class of the gripper that a table of a gripper file describes, by its key ``kind``.
 
     Raises:
         InputError: If there is no such kind.
@@ -220,6 +228,6 @@ def gripper_kind(table: Mapping[str, Any]) -> type[Any]:
 
 
 def gripper_file() -> Any:
-    """Type of a gripper file: the union of all registered classes."""
+    """Return the type of a gripper file: the union of all registered gripper classes that are dataclasses."""
     kinds = tuple(kind for kind in load_all("gripper").values() if is_dataclass(kind))
     return Annotated[Union[kinds], Kinds(gripper_kind)]  # noqa: UP007 - their number is not known before

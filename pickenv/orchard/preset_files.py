@@ -1,6 +1,6 @@
-"""Presets: TOML tables beside the code, one file per kind of thing, one table per preset, each with its source.
+"""Read presets: TOML tables in the folder `presets`, one file per kind (such as cameras) and one table per preset.
 
-Files give degrees and millimetres, and every key says so. Objects made from them have radians and metres.
+Files are in degrees and millimetres, as their keys say. Objects made from them are in radians and metres.
 """
 
 from __future__ import annotations
@@ -23,22 +23,23 @@ def _tables(path: Path, _modified: int) -> tuple[dict[str, Any], str]:
 
 
 def shipped(kind: str) -> list[str]:
-    """Names of the presets of a kind that come with pickenv."""
+    """Return the names of the presets of a kind, such as "camera", that come with pickenv."""
     path = FOLDER / f"{kind}.toml"
     return sorted(_tables(path, path.stat().st_mtime_ns)[0])
 
 
 def load(kind: str, name: str | Path, thing: type[Thing] | Callable[[Mapping[str, Any]], type[Thing]]) -> Thing:
-    """Read a preset by name, or the one preset of a TOML file by its path.
+    """Read a shipped preset by its name, or the preset in a TOML file by its path.
 
     Args:
-        kind: Name of the presets' file, such as "camera"; also the word in error messages.
-        name: A shipped preset, or a path that ends in .toml. The keys of that file are those of one preset.
-        thing: Class of the result (`pickenv.base.toml_tables.toml_table`), or a function that gives the class for a
-            table.
+        kind: Kind of preset, such as "camera": the name of the presets' file, used in error messages too.
+        name: Name of a shipped preset, or a path that ends in .toml. The keys of that file are those of one preset.
+        thing: Class of the result, made by `pickenv.base.toml_tables.toml_table`; or a function that returns the class
+            for a table.
 
     Raises:
-        InputError: If the preset is unknown, or a number is missing or impossible. It names the file and the key.
+        InputError: If the preset is unknown, or a number is missing or impossible. The message names the file and the
+            key.
     """
     own = Path(name).suffix == ".toml"
     path = Path(name) if own else FOLDER / f"{kind}.toml"
@@ -58,5 +59,5 @@ def load(kind: str, name: str | Path, thing: type[Thing] | Callable[[Mapping[str
 
 
 def loader(kind: str, thing: type[Thing]) -> Callable[[str | Path], Thing]:
-    """Function that reads one kind of preset by `load`, from a name or a path."""
+    """Return a function that reads presets of one kind by name or path, as `load` does."""
     return partial(load, kind, thing=thing)

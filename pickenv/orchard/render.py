@@ -1,7 +1,7 @@
-"""Simple stereo pictures of fruit and leaves, with the truth of what each pixel shows.
+"""Simple rendered stereo images of fruit and leaves, with the true object of each pixel.
 
-Fruit are shaded spheres and leaves flat ellipses. Both are painted from far to near, in both images at the place that
-their depth gives. Camera frame: x right, y down, z ahead, origin at the left camera. Units: m, px.
+Fruit are shaded spheres and leaves flat ellipses. Both are painted from far to near in each image, with the disparity
+of their depth. Camera frame: x right, y down, z ahead, origin at the left camera. Units: m, px.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ Triple = tuple[float, float, float]
 
 @toml_table
 class Look(checks.Preset):
-    """Colours and light of pictures; colours are red, green and blue from 0 to 255.
+    """Colours and light of rendered images; colours are red, green and blue from 0 to 255.
 
     Attributes:
         fruit: Colour of fruit.
-        leaf: Colour of leaves.
+        leaf: Mean colour of leaves.
         background: Colour of the background.
         leaf_length: Length of a leaf, m.
         leaf_width: Width of a leaf, m.
-        ambient: Share of the light that reaches shaded sides.
+        ambient: Ambient light on shaded sides of fruit, as a share of full light.
         highlight: Strength of the sun's reflection on fruit, as a share of white.
         pixel_noise: Standard deviation of the sensor's noise, grey levels.
         sun: Direction towards the sun, camera frame.
         source: Source of its numbers.
         sharpness: Exponent of the sun's reflection (Phong).
-        patch: Edge of the patches of light and dark in the background, px.
+        patch: Edge of the light and dark squares of the background, px.
     """
 
     fruit: Annotated[Triple, Unit("rgb")]
@@ -57,11 +57,12 @@ class Look(checks.Preset):
 
 @dataclass(frozen=True, eq=False)
 class Leaves:
-    """Leaves that several pictures show.
+    """Leaves with their positions, attitudes and colours, so that several images can show the same leaves.
 
     Attributes:
         places: Centres, m, shape (m, 3).
-        shapes: Matrices that map each leaf's ellipse to the unit disc, seen along the camera's axis, shape (m, 2, 2).
+        shapes: For each leaf, the matrix that maps its ellipse in the image plane to the unit disc, shape (m, 2, 2).
+            The unit of length is half the larger of the leaf's length and width.
         colours: Red, green and blue of each leaf, shape (m, 3).
     """
 
@@ -77,7 +78,7 @@ class StereoPair:
     Attributes:
         left: Left image, red, green, blue, shape (height, width, 3), uint8.
         right: Right image, red, green, blue, shape (height, width, 3), uint8.
-        shows: Content of each pixel of the left image, shape (height, width): number of a fruit, LEAF or BACKGROUND.
+        shows: Object at each pixel of the left image, shape (height, width): index of a fruit, LEAF or BACKGROUND.
         visible: Visible share of each fruit's disc in the left image, shape (n,); 0 outside the image.
     """
 
@@ -88,20 +89,20 @@ class StereoPair:
 
 
 load_look = preset_files.loader("look", Look)
-"""Reads a look by name (`shipped("look")`) or from a path to a TOML file."""
+"""Read a `Look` by its name, one of `shipped("look")`, or from a TOML file by its path."""
 
 
 def sample_leaves(
     low: ArrayLike, high: ArrayLike, leaf_area_per_volume: float, look: Look, rng: np.random.Generator
 ) -> Array:
-    """Draw leaf centres, m, (m, 3), spread evenly over a box.
+    """Draw leaf centres, m, (m, 3), uniformly in a box; their number has a Poisson distribution.
 
     Args:
         low: Corner of the box with the smallest coordinates, m, (3,).
         high: Corner of the box with the largest coordinates, m, (3,).
-        leaf_area_per_volume: One-sided leaf area, m²/m³.
-        look: Gives the size of a leaf.
-        rng: Source of every random draw.
+        leaf_area_per_volume: One-sided leaf area per volume, m²/m³.
+        look: Look, which has the size of a leaf.
+        rng: Random generator for all draws.
 
     Raises:
         InputError: If a number is impossible or the high corner is below the low corner.
@@ -123,15 +124,16 @@ def render_stereo(
     look: Look,
     rng: np.random.Generator,
 ) -> StereoPair:
-    """Paint fruit and leaves into both images.
+    """Render both images of a stereo pair with fruit and leaves.
 
     Args:
         camera: The stereo pair.
         positions: Fruit centres in the camera frame, m, shape (n, 3).
         diameters: Fruit diameters, m, shape (n,) or a number.
-        leaves: Leaves in the camera frame, or only their centres, m, shape (m, 3); see `sample_leaves`.
+        leaves: Leaves in the camera frame, or only their centres, m, shape (m, 3), as from `sample_leaves`.
         look: Colours and light.
-        rng: Source of background and noise. If only centres are given, also of the leaves' attitudes and shades.
+        rng: Random generator for background and noise. If only the leaves' centres are given, their attitudes and
+            shades are drawn from it too.
 
     Raises:
         InputError: If fruit or leaves lie behind the camera or a number is not finite.
@@ -192,7 +194,13 @@ def _sphere(look: Look, u: Array, v: Array) -> tuple[NDArray[np.bool_], Array]:
 
 
 def turned_leaves(places: ArrayLike, look: Look, rng: np.random.Generator) -> Leaves:
-    """Leaves at ``places``, m, (m, 3), of random attitudes and shades of green."""
+    """Draw attitudes and shades of leaves, uniformly, and return the leaves.
+
+    Args:
+        places: Centres of the leaves, m, (m, 3).
+        look: Look, which has the size and the mean colour of leaves.
+        rng: Random generator for all draws.
+    """
     places = checks.points("leaf positions", places).reshape(-1, 3)
     count = len(places)
     basis, _ = np.linalg.qr(rng.normal(size=(count, 3, 3)))

@@ -1,12 +1,14 @@
-"""Fruit as a machine's stereo pair sees it: in rendered pictures, by errors measured on such pictures, or exactly.
+"""Models of how a machine's stereo camera sees fruit: by rendered images, by measured errors, or without error.
 
-There are three visions. ``rendered`` draws both images and reads them. It is exact and takes a tenth of a second each
-time. ``measured_errors`` draws errors from tables that were measured on rendered pictures, one for each canopy and
-detector, by range. ``ideal`` sees all fruit where it is.
+There are three models, called visions. ``rendered`` renders both images and runs a detector on them. It is the exact
+model, and takes a tenth of a second each time. ``measured_errors`` draws errors from tables that were measured on
+rendered images. There is a table for each canopy and detector, with an entry for each range of distances. ``ideal``
+detects all fruit without error.
 
-Errors are far from normal: most are small, and behind a leaf they are large. So a table cuts the located fruit of each
-range into equal parts, from the least to the largest error. In each part the error is normal. The script
-`scripts/studies/measure_sight.py` makes the tables. Camera frame: x right, y down, z ahead. Units: m, px.
+Errors are far from normal: most are small, but errors of fruit behind leaves are large. Therefore a table divides the
+located fruit of each range into parts of equal number, from the smallest to the largest error. In each part the error
+is modelled as normal. The script `scripts/studies/measure_sight.py` makes the tables. Camera frame: x right, y down,
+z ahead. Units: m, px.
 """
 
 from __future__ import annotations
@@ -25,43 +27,45 @@ from pickenv.orchard.checks import MM, Array, Flags
 from pickenv.orchard.render import Leaves, Look, StereoPair, load_look, render_stereo, sample_leaves, turned_leaves
 
 PAIRS = ((0, 1), (0, 2), (1, 2))
-"""Pairs of axes of the three correlations of an error."""
+"""Pairs of axes (x, y, z are 0, 1, 2) to which the three correlations of an error belong, in their order."""
 
 Lengths = tuple[tuple[float, float, float], ...]
 
 
 @toml_table
 class SightErrors(checks.Preset):
-    """Errors of one detector in one canopy, one entry for each range of distance; see sight.toml.
+    """A table of the position errors of one detector in one canopy; see sight.toml.
 
-    Intervals are of 95 %, over trees.
+    ``visible`` to ``part_correlation`` have one entry for each range of distances. Errors are in the camera frame.
+    Confidence intervals are of 95 %, over trees.
 
     Attributes:
         name: Names of canopy and detector.
         canopy: Preset of the canopy.
         detector: Name of the detector.
-        leaf_area_per_volume: One-sided leaf area of the canopy, m²/m³.
+        leaf_area_per_volume: One-sided leaf area of the canopy per volume, m²/m³.
         trees: Number of rendered trees.
-        pictures: Number of rendered pictures.
-        fruit: Number of fruit in them.
-        edges: Distances ahead of the camera at which the ranges meet, m.
+        pictures: Number of rendered images.
+        fruit: Number of fruit in these images.
+        edges: Limits between the ranges of distance ahead of the camera, m.
         visible: Mean visible share of a fruit's disc.
         in_sight: Share of fruit of which at least a part is visible.
         recall: Share of fruit that is located.
-        recall_low: Lower end of its interval.
-        recall_high: Upper end of its interval.
+        recall_low: Lower end of the interval of ``recall``.
+        recall_high: Upper end of the interval of ``recall``.
         bias: Mean error along x, y and z, m.
-        bias_low: Lower end of its interval, m.
-        bias_high: Upper end of its interval, m.
+        bias_low: Lower end of the interval of ``bias``, m.
+        bias_high: Upper end of the interval of ``bias``, m.
         spread: Standard deviation of the error along x, y and z, m.
-        spread_low: Lower end of its interval, m.
-        spread_high: Upper end of its interval, m.
+        spread_low: Lower end of the interval of ``spread``, m.
+        spread_high: Upper end of the interval of ``spread``, m.
         correlation: Correlations of the errors along x and y, x and z, y and z.
-        part_bias: Mean error in each part of a range, from the least to the largest error, m.
+        part_bias: Mean error in each part of a range, from the part with the smallest errors to that with the largest,
+            m.
         part_spread: Standard deviation of the error in each part, m.
         part_correlation: Correlations of the error in each part.
-        false_per_picture: Mean number of false detections in a picture.
-        lasting: Correlation between the errors of one fruit in two pictures from the same place.
+        false_per_picture: Mean number of false detections per image.
+        lasting: Correlation between the errors of one fruit in two images from the same viewpoint.
         source: Source of its numbers.
     """
 
@@ -104,25 +108,27 @@ class SightErrors(checks.Preset):
 
 
 load_sight_errors = preset_files.loader("sight", SightErrors)
-"""Reads a table of errors by name (`shipped("sight")`) or from a path to a TOML file."""
+"""Read a table of errors by its name, one of `shipped("sight")`, or from a TOML file by its path."""
 
 
 def draw_chances(rng: np.random.Generator, count: int) -> Array:
-    """Random numbers that decide about ``count`` fruit in a picture, (count, 5).
+    """Draw the random numbers that decide how ``count`` fruit are seen in an image, (count, 5).
 
-    The first is uniform and chooses the part of the located fruit. The others are standard normal: three for the error,
-    one for whether the fruit is found.
+    The first number of each fruit is uniform from 0 to 1 and selects a part of the table. The others are standard
+    normal: three for the error along x, y and z, and one for whether the fruit is located.
     """
     return np.column_stack([rng.random(count), rng.normal(size=(count, 4))])
 
 
 def next_picture(errors: SightErrors, before: Array, rng: np.random.Generator) -> Array:
-    """Random numbers of the same fruit in a further picture from the same place, (n, 5): leaves still hang there.
+    """Draw the random numbers of the same fruit in another image from the same viewpoint, (n, 5).
+
+    They are correlated with those of the image before, because the leaves have not moved.
 
     Args:
-        errors: The table; `SightErrors.lasting` says how far the two pictures agree.
-        before: Random numbers of the picture before, (n, 5); see `draw_chances`.
-        rng: Source of the new numbers.
+        errors: The table; `SightErrors.lasting` is the correlation of the normal numbers.
+        before: Random numbers of the image before, (n, 5); see `draw_chances`.
+        rng: Random generator for the new numbers.
     """
     chances, fresh = before.copy(), rng.normal(size=(len(before), 4))
     chances[:, 1:] = errors.lasting * before[:, 1:] + np.sqrt(1.0 - errors.lasting**2) * fresh
@@ -130,16 +136,17 @@ def next_picture(errors: SightErrors, before: Array, rng: np.random.Generator) -
 
 
 def sighted(errors: SightErrors, depth: ArrayLike, chances: Array, looks: int = 1) -> tuple[Flags, Flags, Array]:
-    """Sight of fruit by a table of errors.
+    """Compute by a table of errors which fruit are visible and located, and with what errors.
 
     Args:
         errors: The table.
-        depth: Distances ahead of the camera, m, (n,).
-        chances: Random numbers that decide, (n, 5); see `draw_chances`.
-        looks: Number of pictures that are averaged; that lessens the part of the error that does not last.
+        depth: Distances of the fruit ahead of the camera, m, (n,).
+        chances: Random numbers that decide the result, (n, 5); see `draw_chances`.
+        looks: Number of images that are averaged. It reduces the part of the error that differs between images.
 
     Returns:
-        Flags of fruit in sight (n,), flags of located fruit (n,), and errors in the camera frame, m, (n, 3).
+        Whether each fruit is visible at least in part (n,); whether it is located (n,); and position errors in the
+        camera frame, m, (n, 3).
     """
     from scipy.special import ndtr
 
@@ -165,24 +172,24 @@ def _roots(errors: SightErrors) -> Array:
 
 VISIONS = ("rendered", "measured_errors", "ideal")
 DETECTORS = ("li2016", "circles")
-"""Names of the detectors: Li's regions and their centroids, and circles, of which leaves may hide a part."""
+"""Names of the detectors: centroids of fruit-coloured regions (Li et al. 2016), and circles that leaves may cover."""
 
 SAME = 1.0
-"""Largest distance between a detection and its fruit, in diameters."""
+"""Largest distance between a correct detection and its fruit, as a multiple of the largest fruit diameter."""
 
 
 @dataclass(frozen=True, eq=False)
 class Eyes:
-    """Model of how cameras see fruit in one canopy.
+    """Model of how a stereo camera sees fruit in one canopy.
 
     Attributes:
         vision: One of `VISIONS`.
         detector: One of `DETECTORS`.
-        canopy: The canopy, with its leaves.
+        canopy: The canopy.
         camera: The stereo pair.
-        look: Colours and light of its pictures.
-        search: Numbers of the circle detector.
-        errors: Table of errors for ``measured_errors``, else None.
+        look: Colours and light of rendered images.
+        search: Parameters of the circle detector.
+        errors: Table of errors if ``vision`` is "measured_errors", else None.
     """
 
     vision: str
@@ -195,7 +202,7 @@ class Eyes:
 
 
 def load_eyes(vision: str, canopy: Canopy, detector: str = "li2016") -> Eyes:
-    """Model of the stereo pair of Li et al. 2016 in a canopy.
+    """Return the model of how the stereo pair of Li et al. 2016 sees fruit in a canopy.
 
     Args:
         vision: One of `VISIONS`.
@@ -203,7 +210,8 @@ def load_eyes(vision: str, canopy: Canopy, detector: str = "li2016") -> Eyes:
         detector: One of `DETECTORS`.
 
     Raises:
-        InputError: If the vision or the detector is unknown, or no errors were measured in this canopy.
+        InputError: If the vision or the detector is unknown, or ``vision`` is "measured_errors" and there is no table
+            of errors for this canopy, leaf area and detector.
     """
     for parameter, name, names in (("vision", vision, VISIONS), ("detector", detector, DETECTORS)):
         if name not in names:
@@ -222,11 +230,16 @@ def load_eyes(vision: str, canopy: Canopy, detector: str = "li2016") -> Eyes:
 
 
 Viewpoint = tuple[Array, Array]
-"""The middle of the stereo pair, m, and its direction of view, (3,) each, in any frame with z up."""
+"""The midpoint between the two cameras, m, and their direction of view, (3,) each, in any frame with z up."""
 
 
 def left_eye(camera: stereo.StereoCamera, view: Viewpoint) -> Array:
-    """Position of the left camera of a stereo pair at a viewpoint, m, (3,)."""
+    """Return the position of the left camera of a stereo pair, m, (3,), in the frame of the viewpoint.
+
+    Args:
+        camera: The stereo pair.
+        view: The viewpoint.
+    """
     middle, looking = view
     return np.asarray(middle - camera.baseline / 2 * camera_axes(looking)[0])
 
@@ -236,10 +249,9 @@ class Sight:
     """Fruit as seen from a viewpoint.
 
     Attributes:
-        in_sight: Whether at least a part of each fruit is visible, (n,).
-        located: Whether the position of each fruit was measured, (n,).
-        believed: Measured positions in the frame of the viewpoint, m, (n, 3). Only those of located fruit mean
-            something.
+        in_sight: For each fruit, whether at least a part is visible, (n,).
+        located: For each fruit, whether its position was measured, (n,).
+        believed: Measured positions in the frame of the viewpoint, m, (n, 3). They are valid only for located fruit.
         false: Positions of false detections in the frame of the viewpoint, m, (m, 3).
     """
 
@@ -250,7 +262,15 @@ class Sight:
 
 
 def foliage(eyes: Eyes, rng: np.random.Generator) -> Leaves | None:
-    """Leaves of a canopy in the orchard frame, as far along the row as a picture shows; None unless rendered."""
+    """Draw the leaves of the canopy, in the orchard frame, as far along the row as an image shows.
+
+    Args:
+        eyes: Model of how fruit is seen.
+        rng: Random generator for all draws.
+
+    Returns:
+        The leaves; None if the vision is not "rendered".
+    """
     if eyes.vision != "rendered":
         return None
     canopy, camera = eyes.canopy, eyes.camera
@@ -270,16 +290,16 @@ def picture(
     rng: np.random.Generator,
     looks: int = 1,
 ) -> StereoPair:
-    """Pair of images from a viewpoint.
+    """Render the pair of images from a viewpoint.
 
     Args:
-        eyes: Camera and look.
+        eyes: Model of how fruit is seen, which has the camera and the look.
         view: The viewpoint.
         fruit: True fruit centres in the frame of the viewpoint, m, (n, 3).
         diameters: Fruit diameters, m, (n,).
-        leaves: Leaves in the frame of the viewpoint, or None.
-        rng: Source of background and noise.
-        looks: Number of pictures that are averaged; that lessens only the sensor's noise.
+        leaves: Leaves in the frame of the viewpoint; None for no leaves.
+        rng: Random generator for background and noise.
+        looks: Number of images that are averaged, which reduces only the sensor's noise.
     """
     camera, eye, looking = eyes.camera, left_eye(eyes.camera, view), view[1]
     if leaves is None:
@@ -294,7 +314,7 @@ def picture(
 
 
 def read_picture(eyes: Eyes, pair: StereoPair) -> Array:
-    """Positions of the fruit that the detector finds, camera frame, m, (k, 3)."""
+    """Run the detector on a pair of images and return the positions of its detections, camera frame, m, (k, 3)."""
     if eyes.detector == "circles":
         return stereo.locate_circles(eyes.camera, eyes.search, pair.left, pair.right)[0]
     return stereo.locate(eyes.camera, pair.left, pair.right)[0]
@@ -303,7 +323,7 @@ def read_picture(eyes: Eyes, pair: StereoPair) -> Array:
 def located_fruit(
     pair: StereoPair, detections: Array, places: Array, diameters: ArrayLike
 ) -> tuple[Flags, Array, Array]:
-    """Fruit that the detections of a picture locate.
+    """Match the detections of a pair of images to the true fruit.
 
     Args:
         pair: The images.
@@ -312,8 +332,8 @@ def located_fruit(
         diameters: Fruit diameters, m, (n,).
 
     Returns:
-        Flags of located fruit, (n,); positions, m, (n, 3); and positions of false detections, m, (m, 3). Positions are
-        in the camera frame, and true ones where a fruit is not located.
+        Whether each fruit is located, (n,); positions of the fruit, m, (n, 3); and positions of false detections, m,
+        (m, 3). Positions are in the camera frame. That of a fruit that is not located is the true position.
     """
     located, positions = np.zeros(len(places), dtype=bool), places.copy()
     visible = np.flatnonzero(pair.visible > 0)
@@ -336,17 +356,18 @@ def see(
     chances: Array | None = None,
     looks: int = 1,
 ) -> Sight:
-    """Sight of fruit from a viewpoint.
+    """Simulate how fruit is seen from a viewpoint.
 
     Args:
         eyes: Model of how fruit is seen.
         view: The viewpoint.
         fruit: True fruit centres in the frame of the viewpoint, m, (n, 3).
         diameters: Fruit diameters, m, (n,).
-        rng: Source of every random number that is not given.
-        leaves: Leaves of a rendered picture, in the frame of the viewpoint.
-        chances: Random numbers that decide where errors are measured ones, (n, 5); drawn by default.
-        looks: Number of pictures that are averaged.
+        rng: Random generator for all random numbers that are not given.
+        leaves: Leaves in the frame of the viewpoint, for the vision "rendered"; None for no leaves.
+        chances: Random numbers for the vision "measured_errors", (n, 5), from `draw_chances` or `next_picture`; drawn
+            by default.
+        looks: Number of images that are averaged.
     """
     fruit = np.asarray(fruit, dtype=float).reshape(-1, 3)
     if eyes.vision == "ideal":

@@ -1,13 +1,13 @@
-"""Detectors of fruit in stereo pictures: by regions as in Li et al. 2016 (section 2.2), or by circles.
+"""Detectors of fruit in stereo images: by regions as in Li et al. 2016 (section 2.2), or by circles.
 
-Li's detector takes R − G, Otsu's threshold, morphology, centroids and disparity. Two erosions with a 3 × 3 square
-remove specks. Regions under a fifth of the largest are dropped, and two dilations restore the others. The disparity of
-a centroid gives depth. Touching fruit is one region, as in the paper.
+Li's detector applies Otsu's threshold to the colour difference R − G. Two erosions with a 3 × 3 square then remove
+specks. Regions smaller than a fifth of the largest are dropped, and two dilations restore the size of the others. The
+disparity of a region's centroid gives depth. Touching fruit form one region, as in the paper.
 
-The other detector finds circles, because the visible part of a rim gives the centre of a fruit behind leaves. The slope
-of R − G points into the fruit, so every edge pixel votes for centres along it (a Hough transform with directions). Each
-circle is then fitted to sub-pixel edges. Only pixels of fruit colour are matched in the right image, and all obstacles
-count alike. Touching fruit are several circles. Units: m, px. Needs scikit-image.
+The other detector finds circles: the visible part of a rim is sufficient to find the centre of a fruit behind leaves.
+The gradient of R − G points into the fruit, so every edge pixel votes for centres along it (a Hough transform with
+gradient directions). Each circle is then fitted to sub-pixel edges. Only pixels of fruit colour, and a border around
+them, are matched in the right image. Touching fruit give several circles. Units: m, px. Needs scikit-image.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pickenv.orchard.checks import MM, Array, Flags, Integers
 
 
 def match_detections(detections: ArrayLike, positions: ArrayLike, within: float) -> Integers:
-    """Number of the true fruit of each detection, (m,): one to one, at the least total distance.
+    """Match detections to true fruit one to one, with the least total distance.
 
     Args:
         detections: Positions of detections, m, shape (m, 3).
@@ -33,7 +33,7 @@ def match_detections(detections: ArrayLike, positions: ArrayLike, within: float)
         within: Largest distance between a detection and its fruit, m.
 
     Returns:
-        Numbers of fruit, -1 for false detections.
+        Index of the fruit of each detection, shape (m,); -1 for a false detection.
 
     Raises:
         InputError: If a number is not finite, the distance not above zero or a shape wrong.
@@ -57,7 +57,7 @@ def match_detections(detections: ArrayLike, positions: ArrayLike, within: float)
 
 @toml_table
 class StereoCamera(checks.Preset):
-    """Two parallel cameras, and the numbers of Li's detector.
+    """A stereo pair of two parallel pinhole cameras, and the parameters of Li's detector.
 
     Attributes:
         name: Name of the preset.
@@ -69,9 +69,9 @@ class StereoCamera(checks.Preset):
         farthest: Largest distance that is matched, m.
         erosions: Number of erosions with a 3 × 3 square after the threshold.
         dilations: Number of dilations with a 3 × 3 square at the end.
-        least_area_share: Share of the largest region's area below which a region is noise.
-        least_correlation: Correlation from which on a match counts.
-        margin: Border that the matched patch takes in around a region, px; edges carry the match.
+        least_area_share: Share of the largest region's area below which a region is dropped as noise.
+        least_correlation: Least correlation of a valid match; for the circle detector, its least agreement.
+        margin: Width of the border around a region that is matched with it, px, because the match relies on edges.
     """
 
     name: str
@@ -96,11 +96,18 @@ class StereoCamera(checks.Preset):
 
 
 load_stereo_camera = preset_files.loader("vision", StereoCamera)
-"""Reads a stereo camera by name (`shipped("vision")`) or from a path to a TOML file."""
+"""Read a stereo camera by its name, one of `shipped("vision")`, or from a TOML file by its path."""
 
 
 def project(camera: StereoCamera, positions: ArrayLike) -> Array:
-    """Column, row and disparity in the left image, px, shape (..., 3), of positions in the camera frame, m, (..., 3).
+    """Project positions in the camera frame into the left image.
+
+    Args:
+        camera: The stereo pair.
+        positions: Positions in the camera frame, m, (..., 3).
+
+    Returns:
+        Column, row and disparity, px, (..., 3).
 
     Raises:
         InputError: If a position lies behind the camera or is not finite.
@@ -114,7 +121,14 @@ def project(camera: StereoCamera, positions: ArrayLike) -> Array:
 
 
 def triangulate(camera: StereoCamera, pixels: ArrayLike) -> Array:
-    """Positions in the camera frame, m, from column, row and disparity, px, (..., 3) each: inverse of `project`.
+    """Compute positions in the camera frame from pixels of the left image and disparities; the inverse of `project`.
+
+    Args:
+        camera: The stereo pair.
+        pixels: Column, row and disparity, px, (..., 3).
+
+    Returns:
+        Positions in the camera frame, m, (..., 3).
 
     Raises:
         InputError: If a disparity is not above zero or a number not finite.
@@ -132,7 +146,7 @@ SQUARE = np.ones((3, 3), dtype=bool)
 
 
 def red_minus_green(image: ArrayLike) -> Array:
-    """Colour difference R − G of an image (height, width, 3), from −255 to 255.
+    """Return the colour difference R − G, from −255 to 255, (height, width), of an image (height, width, 3).
 
     Raises:
         InputError: If the image is not uint8 of that shape.
@@ -144,7 +158,7 @@ def red_minus_green(image: ArrayLike) -> Array:
 
 
 def fruit_threshold(difference: Array) -> float:
-    """Otsu's threshold of R − G, at least zero; infinite if R − G is the same everywhere."""
+    """Return Otsu's threshold of the colour difference R − G, at least zero; infinity if R − G is constant."""
     require("skimage")
     from skimage.filters import threshold_otsu
 
@@ -154,7 +168,12 @@ def fruit_threshold(difference: Array) -> float:
 
 
 def fruit_mask(camera: StereoCamera, image: ArrayLike) -> Flags:
-    """Flags of the pixels of fruit, (height, width): Otsu's threshold of R − G, never below zero, then morphology."""
+    """Return which pixels belong to fruit, (height, width), by `fruit_threshold` and Li's morphology.
+
+    Args:
+        camera: The stereo pair, which has the detector's parameters.
+        image: Image, uint8, (height, width, 3).
+    """
     require("skimage")
     from skimage.measure import label
     from skimage.morphology import dilation, erosion
@@ -175,10 +194,15 @@ def fruit_mask(camera: StereoCamera, image: ArrayLike) -> Flags:
 
 
 def fruit_regions(camera: StereoCamera, image: ArrayLike) -> tuple[Array, Integers]:
-    """Regions of fruit in one image (height, width, 3).
+    """Return the connected regions of the pixels in `fruit_mask`.
+
+    Args:
+        camera: The stereo pair, which has the detector's parameters.
+        image: Image, uint8, (height, width, 3).
 
     Returns:
-        Centroids, column and row, px, (m, 2). And boxes, px, (m, 4): first row, first column, end row, end column.
+        Centroids, column and row, px, (m, 2). And bounding boxes, px, (m, 4): first row, first column, and the row and
+        the column after the last.
     """
     require("skimage")
     from skimage.measure import label, regionprops
@@ -189,7 +213,11 @@ def fruit_regions(camera: StereoCamera, image: ArrayLike) -> tuple[Array, Intege
 
 
 def matched_sizes(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> None:
-    """Refuse a pair of images that are not of the camera's size."""
+    """Check that both images have the camera's size.
+
+    Raises:
+        InputError: If one does not.
+    """
     width, height = camera.image
     for side, image in (("left", left), ("right", right)):
         if np.shape(image)[:2] != (height, width):
@@ -199,7 +227,7 @@ def matched_sizes(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[
 
 
 def locate(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[np.uint8]) -> tuple[Array, Array]:
-    """Fruit in the camera frame from a stereo pair, by Li's detector.
+    """Locate fruit in a pair of images by Li's detector.
 
     Args:
         camera: The stereo pair.
@@ -207,7 +235,8 @@ def locate(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[np.uint
         right: Right image, uint8, shape (height, width, 3).
 
     Returns:
-        Positions of the regions that have a match in the right image, m, (m, 3), and correlations of the matches, (m,).
+        Positions, camera frame, m, (m, 3), of the regions with a valid match in the right image, and correlations of
+        the matches, (m,).
 
     Raises:
         InputError: If the images are not of the camera's size or are not colour images.
@@ -259,18 +288,19 @@ LEANING = 3.0  # weight of the voted radius, in edge pixels
 
 @toml_table
 class CircleSearch(checks.Preset):
-    """Numbers of the search for circles; see circles.toml.
+    """Parameters of the circle detector; see circles.toml.
 
     Attributes:
         smallest: Least radius, px.
         largest: Largest radius, px.
-        blur: Standard deviation of the filter before slopes, px.
-        least_arc: Share of a rim that has to be visible.
-        least_fruit: Share of a disc that has to have the colour of fruit.
-        rim: Distance from a circle within which edges belong to its rim, px.
-        tight: Distance from a circle beyond which edges count ever less in its fit, px.
-        surroundings: Border that a matched disc takes in, px.
-        contrast: Difference of colour from which on an obstacle is in one of the images, grey levels.
+        blur: Standard deviation of the Gaussian filter for gradients, px.
+        least_arc: Least visible share of a circle's rim.
+        least_fruit: Least share of a disc that has the colour of fruit.
+        rim: Largest distance from a circle at which an edge belongs to its rim, px.
+        tight: Distance from a circle at which the weight of an edge in the fit is half, px.
+        surroundings: Width of the border around a disc that is matched with it, px.
+        contrast: Limit of the colour difference between matched pixels, grey levels. Larger differences come from an
+            obstacle in one image and are clipped to this limit.
         source: Source of its numbers.
     """
 
@@ -287,19 +317,23 @@ class CircleSearch(checks.Preset):
 
 
 Edges = tuple[Array, Array]
-"""Sub-pixel edges (k, 2), column and row, px, and unit slopes (k, 2) towards more red."""
+"""Sub-pixel positions of edges (k, 2), column and row, px, and unit gradients of R − G at the edges (k, 2)."""
 
 
 load_circle_search = preset_files.loader("circles", CircleSearch)
-"""Reads a search by name (`shipped("circles")`) or from a path to a TOML file."""
+"""Read a `CircleSearch` by its name, one of `shipped("circles")`, or from a TOML file by its path."""
 
 
 def fruit_circles(search: CircleSearch, image: ArrayLike) -> tuple[Array, Flags]:
-    """Circles of fruit in one image (height, width, 3).
+    """Find the circles of fruit in one image.
+
+    Args:
+        search: Parameters of the circle detector.
+        image: Image, uint8, (height, width, 3).
 
     Returns:
-        Column, row and radius of each circle, px, (m, 3), the surest first. And flags of the pixels of fruit colour,
-        (height, width).
+        Column, row and radius of each circle, px, (m, 3), those with the most complete rim first. And a mask of the
+        pixels of fruit colour, (height, width).
     """
     from scipy import ndimage
 
@@ -338,7 +372,10 @@ def _edges(search: CircleSearch, difference: Array, mask: Flags) -> Edges:
 
 
 def summit(before: ArrayLike, at: ArrayLike, after: ArrayLike) -> Array:
-    """Extreme of a parabola through three equidistant values, in steps from the middle one, −1 to 1."""
+    """Return the place of the extremum of a parabola through three equidistant values, clipped to −1 to 1.
+
+    It is given in steps from the middle value, and 0 if the three values lie on a line.
+    """
     before, at, after = (np.asarray(v, dtype=float) for v in (before, at, after))
     bend = before - 2 * at + after
     flat = np.abs(bend) < 1e-12
@@ -413,16 +450,17 @@ def _filled(mask: Flags, column: float, row: float, radius: float) -> float:
 def locate_circles(
     camera: StereoCamera, search: CircleSearch, left: NDArray[np.uint8], right: NDArray[np.uint8]
 ) -> tuple[Array, Array]:
-    """Fruit in the camera frame from a stereo pair, by circles.
+    """Locate fruit in a pair of images by the circle detector.
 
     Args:
         camera: The stereo pair.
-        search: Numbers of the search.
+        search: Parameters of the circle detector.
         left: Left image, uint8, shape (height, width, 3).
         right: Right image, uint8, shape (height, width, 3).
 
     Returns:
-        Positions of the circles that have a match in the right image, m, (m, 3), and agreements of the matches, (m,).
+        Positions, camera frame, m, (m, 3), of the circles with a valid match in the right image, and agreements of the
+        matches, 0 to 1, (m,).
 
     Raises:
         InputError: If the images are not of the camera's size or are not colour images.

@@ -1,1 +1,1 @@
-"""Causes that make an arm miss, as effects of one protocol."""
+"""Causes of an arm's error, as subclasses of `Effect`."""

@@ -1,4 +1,4 @@
-"""Effects of the motors, of temperature and of instruments: encoder counts, lag, thermal growth, noise; rad, m, s."""
+"""Effects of motors, temperature, gravity and instruments: encoder counts, lag, thermal growth, noise. Rad, m, s."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ def _encoder(resolution: tuple[float, ...]) -> Encoder:
 @register("effect", "encoder")
 @dataclass(frozen=True)
 class Encoder(Effect, place=MOTOR):
-    """Motor encoders of finite resolution: a drive can hold, and report, whole counts only.
+    """Motor encoders of finite resolution: motor positions are multiples of one encoder count.
 
     Attributes:
-        resolution: Size of one encoder count of each joint, measured at the joint, rad or m.
+        resolution: Motion of each joint per encoder count (n,), rad or m.
     """
 
     table = joint_table(_encoder, resolution=(ARCSEC.positive, UM.positive))
@@ -35,7 +35,7 @@ class Encoder(Effect, place=MOTOR):
     resolution: tuple[Scalar, ...]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Round the motor positions to whole encoder counts."""
+        """Round the motor positions to the nearest encoder count."""
         pairs = zip(at.motor, self.resolution, strict=True)
         at.turn([nearest_whole(at.m, value / count) * count for value, count in pairs])
 
@@ -43,24 +43,24 @@ class Encoder(Effect, place=MOTOR):
 @register("effect", "servo")
 @toml_table
 class Servo(Effect, place=MOTOR + 0.5):
-    """Position loops that follow with an error proportional to speed: x' = (command - x) / time constant.
+    """Position loops with a following error proportional to speed: x' = (command - x) / time constant.
 
     Attributes:
-        time_constant: Time constant of each joint's position loop, s (one over the position gain).
+        time_constant: Time constant of each joint's position loop (n,), s: one over the position gain.
     """
 
     time_constant: Annotated[tuple[Scalar, ...], MILLISECONDS.positive, PER_JOINT]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Put the motors at the memory's positions, which they have reached by now."""
+        """Set the motors to the positions in ``memory``."""
         at.turn(memory)
 
     def begin(self, at: Passage) -> Components:
-        """The motor positions at rest: the motors have arrived at the command."""
+        """Return the motor positions at rest, which are those commanded."""
         return tuple(at.motor)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """The motor positions after ``dt`` seconds on the way to the command."""
+        """Return the motor positions after ``dt`` seconds of following the command."""
         numbers = zip(memory, at.motor, self.time_constant, strict=True)
         return tuple([target + (value - target) * exponential(at.m, -dt / slow) for value, target, slow in numbers])
 
@@ -75,8 +75,8 @@ class ThermalGrowth(Effect, place=JOINT + 0.6, spreads={"time_constant": "warm_u
     """Growth of each link with the arm's temperature.
 
     Attributes:
-        expansion: Coefficient of linear expansion alpha of each link, 1/K.
-        initial_rise: Temperature rise when the arm is switched on, K.
+        expansion: Coefficient of linear expansion alpha of each link (n,), 1/K.
+        initial_rise: Temperature rise above that of the measured geometry when the arm is switched on, K.
         final_rise: Temperature rise of the warm arm, K.
         time_constant: Time constant of the warm-up, s.
     """
@@ -87,7 +87,10 @@ class ThermalGrowth(Effect, place=JOINT + 0.6, spreads={"time_constant": "warm_u
     time_constant: Annotated[Scalar, HOURS.positive]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Let a and d of every link grow, and the displacement of every slide, as its rack grows too; angles stay."""
+        """Scale a and d of every link by 1 + alpha dT, and the displacement of every slide, because its rack grows too.
+
+        Angles do not change.
+        """
         factors = [1.0 + alpha * memory[0] for alpha in self.expansion]
         pairs = zip(at.chain.links, factors, strict=True)
         links = [link._replace(a=link.a * factor, d=link.d * factor) for link, factor in pairs]
@@ -96,25 +99,25 @@ class ThermalGrowth(Effect, place=JOINT + 0.6, spreads={"time_constant": "warm_u
         at.joints = [value * factor if link.prismatic else value for link, value, factor in numbers]
 
     def begin(self, at: Passage) -> Components:
-        """The temperature rise when the arm is switched on, K."""
+        """Return the temperature rise when the arm is switched on, K."""
         return (at.command[0] * 0.0 + self.initial_rise,)
 
     def rest(self, at: Passage) -> Components:
-        """The temperature rise of the warm arm, K."""
+        """Return the temperature rise of the warm arm, K."""
         return (self.final_rise,)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """The temperature rise after ``dt`` seconds, K."""
+        """Return the temperature rise after ``dt`` seconds, K."""
         return (warmed(at.m, self, memory[0], dt),)
 
     def drawn(self, draws: Draws) -> ThermalGrowth:
-        """The effect of many arms; each final temperature rise is drawn from the tolerance class's range."""
+        """Return the effect of many arms, each final temperature rise drawn from the tolerance class's range."""
         low, high = draws.temperature_rise
         return replace(super().drawn(draws), final_rise=low + (high - low) * draws.even["temperature_rise"][:, 0])
 
 
 def warmed(m: ModuleType, thermal: ThermalGrowth, rise: Scalar, dt: Scalar) -> Scalar:
-    """Temperature rise in K, ``dt`` seconds after it was ``rise``."""
+    """Return the temperature rise, K, ``dt`` seconds after it was ``rise``; ``m`` is the namespace for ``dt``."""
     return thermal.final_rise + (rise - thermal.final_rise) * exponential(m, -dt / thermal.time_constant)
 
 
@@ -124,18 +127,19 @@ def warmed(m: ModuleType, thermal: ThermalGrowth, rise: Scalar, dt: Scalar) -> S
 
 
 START = {"x": 0, "y": 3, "z": 6, "m": 9}
-"""Where each of a link's axes, and its origin, begins among the twelve components of its frame."""
+"""Index of the first component of each axis ("x", "y", "z") and of the origin ("m") in a link's `Frame`."""
 
 
 @register("effect", "gravity_yield")
 @dataclass(frozen=True)
 class GravityYield(Effect, place=JOINT + 0.2):
-    """Joints that yield under gravity moments whose sizes a calibration found.
+    """Deflection of joints under gravity, with coefficients that a calibration identified.
 
     Attributes:
-        moments: For each moment: the joint that yields, the link that weighs on it (both from 0), and what of the link
-            weighs: "m" its mass, at its origin; "x", "y" or "z" its first moment along that axis of its own.
-        sizes: One number per moment: rad/m for a mass on a joint that turns, rad for a first moment.
+        moments: For each term: the joint that yields, the link whose weight loads it (both indices from 0), and the
+            mass parameter of that link. "m" is its mass, placed at the link's origin. "x", "y" and "z" are its first
+            moments of mass along the axes of the link's frame.
+        sizes: Coefficient of each term: rad/m for a mass on a revolute joint, rad for a first moment.
         up: Direction against gravity in the axes of frame 0.
     """
 
@@ -144,7 +148,7 @@ class GravityYield(Effect, place=JOINT + 0.2):
     up: tuple[float, float, float]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Let the joints yield."""
+        """Subtract the deflections from the joint positions."""
         links = frames(at.m, at.cold, at.joints)
         base, joints = links[0], list(at.joints)
         up = [sum(base[axis + i] * part for axis, part in zip((0, 3, 6), self.up, strict=True)) for i in range(3)]
@@ -167,14 +171,14 @@ class GravityYield(Effect, place=JOINT + 0.2):
 @register("effect", "measurement_noise")
 @toml_table
 class MeasurementNoise(Effect, place=BESIDE):
-    """Normally distributed errors of a measuring instrument, per axis.
+    """Normally distributed errors of a measuring instrument.
 
     Attributes:
-        position_std: Standard deviation of a position at zero range, m.
-        attitude_std: Standard deviation of an attitude, rad.
-        range_std: What each metre of range adds to the standard deviation of a position, m/m.
-        centring_std: How far the target's centre lies beside the point that is meant, m; it stays as long as the
-            target is mounted.
+        position_std: Standard deviation of a position at zero range, m, per axis.
+        attitude_std: Standard deviation of an attitude, rad, per axis.
+        range_std: Increase of the position's standard deviation per metre of range, m/m, per axis.
+        centring_std: Standard deviation of the distance of the target's centre from the tool point, m, per axis. The
+            offset is constant as long as the target is mounted.
     """
 
     position_std: Annotated[float, MM.not_negative]
@@ -183,7 +187,7 @@ class MeasurementNoise(Effect, place=BESIDE):
     centring_std: Annotated[float, MM.not_negative] = 0.0
 
     def position_std_at(self, distance: Any) -> Any:
-        """Standard deviation per axis of a position seen from ``distance`` metres, m."""
+        """Return the standard deviation of a position per axis, m, at a range of ``distance``, m."""
         return self.position_std + self.range_std * distance
 
 
@@ -195,15 +199,15 @@ def read_frame(
     reading: Sequence[Scalar],
     mounting: Sequence[Scalar],
 ) -> Frame:
-    """The tool frame that an instrument reports.
+    """Compute the tool frame that an instrument reports.
 
     Args:
-        m: ``math``, ``numpy`` or ``torch``.
+        m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
         noise: The instrument's errors.
-        stand: Where the instrument stands, in the frame's world, m.
-        frame: The true tool frame.
-        reading: Six standard normal numbers for each reading.
-        mounting: Three standard normal numbers for the mounting of the target.
+        stand: Position of the instrument in world axes, m.
+        frame: The true tool frame in world axes.
+        reading: Standard normal numbers of this reading, six components: three for position, three for attitude.
+        mounting: Standard normal numbers of the target's mounting, three components.
     """
     if noise.centring_std:
         aside = [noise.centring_std * value for value in mounting]

@@ -1,6 +1,6 @@
-"""Effects, and what they act on: a joint command on its way from the motors to the tool.
+"""Effects (causes of an arm's error), and the joint command that they change on its way from the motors to the tool.
 
-Formulas run on Python floats, NumPy arrays or torch tensors, like `pickenv.arm.kinematics.forward`; the numbers of an
+Formulas take Python floats, NumPy arrays or torch tensors, as in `pickenv.arm.kinematics.forward`. The numbers of an
 effect may be arrays too, one entry per arm. Gravity points along -z of the world. Units: m, rad, N, kg, s.
 """
 
@@ -24,24 +24,26 @@ from pickenv.arm.kinematics.geometry import Array
 from pickenv.base import GRAVITY, KG, MM, InputError, registry, toml_table
 
 MOTOR, DRIVE, GEAR, JOINT, BEND, BASE, TOOL, BESIDE = (float(place) for place in range(8))
-"""Places where an effect acts, from the motors to the tool: on the motors (`Passage.turn`), in the drives
-(`Passage.drive`), in the gears and at the joints (``joints``, ``chain``), along the links (``bends``), under the base
-and at the tool (``frame``); an effect beside the arm (`BESIDE`) never moves it. Effects of one place act in the order
-of its fractions."""
+"""Places where an effect acts, in order from the motors to the tool.
+
+Each place has a part of the `Passage` that its effects change. On the motors: `Passage.turn`. In the drives:
+`Passage.drive`. In the gears and at the joints: ``joints``, ``chain``. Along the links: ``bends``. Under the base and
+at the tool: ``frame``. An effect at `BESIDE` never moves the arm (an instrument's noise). Add a fraction below 1 to
+order the effects of one place."""
 
 Components = tuple[Scalar, ...]
 
 Weight = tuple[Scalar, Scalar, Scalar]
-"""Everything that hangs on a link: its mass in kg, and mass times horizontal position (x, y) in the world, kg*m."""
+"""Mass of a link and all links after it, kg, and that mass times its horizontal position (x, y) in the world, kg*m."""
 
 
 @toml_table
 class Load:
-    """The masses that gravity pulls at.
+    """The masses of an arm and its payload.
 
     Attributes:
-        mass: Mass of each link, kg.
-        centre: Centre of mass of each link in the link's frame, m.
+        mass: Mass of each link (n,), kg.
+        centre: Centre of mass of each link in the link's frame (n, 3), m.
         payload: Mass held at the tool's origin, kg.
     """
 
@@ -51,18 +53,18 @@ class Load:
 
 
 class Passage:
-    """A joint command on its way to the tool; the effects change it, one after the other.
+    """The state of one joint command on its way from the motors to the tool, which the effects change one by one.
 
     Attributes:
         m: The namespace of the formulas: ``math``, ``numpy`` or ``torch``.
         command: The joint command, n components, rad or m.
-        motor: Positions of the motors, n components.
-        driven: Positions at which the drives hold the joints, n components.
+        motor: Positions of the motors, in joint units, n components.
+        driven: Positions to which the drives bring the joints, n components.
         joints: Positions of the joints, n components.
-        cold: The true geometry as it was measured.
-        chain: The true geometry as it is now.
+        cold: The true geometry at the temperature at which it was measured.
+        chain: The true geometry at the present temperature.
         load: The masses, or None.
-        bends: The effects that bend the links; each is asked for its `Effect.flexure` when all joints are known.
+        bends: The effects that bend the links. `Effect.flexure` of each is called after all joint positions are known.
     """
 
     __slots__ = ("_frame", "_pull", "bends", "chain", "cold", "command", "driven", "joints", "load", "m", "motor")
@@ -76,19 +78,20 @@ class Passage:
         self._frame: Frame | None = None
 
     def turn(self, motor: Sequence[Scalar]) -> None:
-        """Move the motors, and with them the drives and the joints."""
+        """Set the positions of the motors, and with them those of the drives and the joints (n components)."""
         self.motor = self.driven = self.joints = motor
 
     def drive(self, driven: Sequence[Scalar]) -> None:
-        """Move the drives, and with them the joints; the motors stay."""
+        """Set the positions of the drives, and with them those of the joints (n components), but not of the motors."""
         self.driven = self.joints = driven
 
     @property
     def pull(self) -> tuple[list[Weight], list[Scalar]]:
-        """Gravity's pull on the straight, cold arm at its driven joints, as two lists; the plant must have masses.
+        """Gravity's load on the straight, cold arm at ``driven``, as two lists; the plant must have masses.
 
-        The first list has the weight on each link (the link and all behind it), and last what the tool holds; the
-        second has the torques or forces on the joints, N*m or N. What bending and growth would change is small.
+        The first list is that of `weights_behind`: the `Weight` of each link with all links after it, and last that of
+        the payload. The second list has the torques or forces on the joints, N*m or N. The small changes by bending
+        and thermal growth are neglected.
         """
         if self._pull is None:
             straight = frames(self.m, self.cold, self.driven)  # not kept: NumPy uses its memory again
@@ -98,7 +101,10 @@ class Passage:
 
     @property
     def frame(self) -> Frame:
-        """The tool's frame; once it was asked for, later changes of joints and links do not count."""
+        """The tool's frame in world axes.
+
+        It is computed at the first access. Later changes of joints and links do not change it.
+        """
         if self._frame is None:
             bends = [effect.flexure(self) for effect in self.bends]
             bend = (
@@ -114,11 +120,12 @@ class Passage:
 
 @dataclass(frozen=True, eq=False)
 class Draws:
-    """Evenly distributed random numbers of N arms, and how far their tolerance class lets the arms differ.
+    """Uniform random numbers for N arms, and how widely their tolerance class lets the arms differ.
 
     Attributes:
-        even: Numbers from 0 to 1 ``(N, k)`` by what they are for; those of one effect alone are under "own NAME".
-        spread: Standard deviations of the logarithm of sizes, by the entries of [spread].
+        even: Uniform random numbers from 0 to 1 ``(N, k)``, by the quantity that they decide. Those that only one
+            effect uses have the key "own NAME", with the name of the effect.
+        spread: Standard deviations of the logarithm of each size: the table [spread] of a tolerance file, as an object.
         temperature_rise: Range of the warm arm's temperature rise, K.
     """
 
@@ -127,13 +134,17 @@ class Draws:
     temperature_rise: tuple[float, float]
 
     def scaled(self, values: Sequence[float], key: str, first: int = 0, spread: str | float = "") -> tuple[Array, ...]:
-        """Each value times N factors about 1, which follow from its own column ``(N,)`` of the numbers ``key``.
+        """Return each value times N log-normal factors of median 1, one per arm.
 
         Args:
-            values: The values.
-            key: What the numbers are for.
-            first: Column of the first value.
-            spread: The entry of [spread], where its name is not ``key``; or the standard deviation itself.
+            values: The k values.
+            key: Key of the random numbers in ``even``.
+            first: Column of ``even[key]`` for the first value; the other values take the columns after it.
+            spread: Name of the entry of [spread] that holds the standard deviation of the logarithm; ``key`` if empty.
+                Or that standard deviation itself.
+
+        Returns:
+            For each value an array ``(N,)``.
         """
         size = spread if isinstance(spread, float) else getattr(self.spread, spread or key)
         factors = np.exp(size * standard_normal_of(self.even[key]))
@@ -141,25 +152,28 @@ class Draws:
 
 
 def standard_normal_of(even: Array) -> Array:
-    """The standard normal numbers that correspond to even numbers from 0 to 1."""
+    """Return the standard normal quantiles of uniform random numbers from 0 to 1, of any shape."""
     return np.asarray(ndtri(np.clip(even, 1e-12, 1.0 - 1e-12)))
 
 
 class Effect:
-    """One cause of an arm's error: the base class of frozen dataclasses of numbers, for one arm or many.
+    """Base class of effects: one cause of an arm's error. Subclasses are frozen dataclasses of its numbers.
 
-    A class of effects says ``place``: where the effect acts, `MOTOR` to `BESIDE` and fractions. It may say ``spreads``:
-    which of its numbers differ from arm to arm. Each such number has an entry in a tolerance class's [spread], whose
-    random numbers it then shares, or else a standard deviation of its logarithm and random numbers of its own. It may
-    say ``needs_load``: whether the effect does nothing without masses. It may say ``name``: what the effect and its
-    table in plant files are called, where that is not the class's name in lower case with ``_`` between words.
+    The numbers are those of one arm, or arrays with one entry per arm. A subclass gives class arguments:
 
-    An effect that remembers has `begin` and `carry` (and `rest`, where the memory at rest differs from that at the
-    beginning); its memory is a tuple of components of the joints' shape.
+    - ``place``: where the effect acts, `MOTOR` to `BESIDE`, plus a fraction.
+    - ``spreads``: which numbers differ from arm to arm, by attribute name (optional). The value is either the name of
+      an entry in a tolerance class's [spread], whose random numbers the attribute then uses. Or it is the standard
+      deviation of the attribute's logarithm; the effect then has random numbers of its own.
+    - ``needs_load``: whether the effect does nothing without masses (optional).
+    - ``name``: the name of the effect and of its table in plant files (optional). By default it is the class's name in
+      lower case with ``_`` between words.
+
+    An effect may have a memory: a tuple of components of the joints' shape. Such an effect defines `begin` and `carry`.
+    It also defines `rest` if its memory after a long time differs from that at the beginning.
 
     Attributes:
-        table: The type that a plant file's table is read as, where that is not the class itself as `toml_table` makes
-            it.
+        table: The type as which a plant file's table is read; None if it is the class itself, made by `toml_table`.
         remembers: Whether the effect has a memory.
     """
 
@@ -173,42 +187,53 @@ class Effect:
     def __init_subclass__(
         cls, place: float, spreads: Mapping[str, str | float] | None = None, needs_load: bool = False, name: str = ""
     ) -> None:
-        """Keep the place, spreads, need of masses and name that a class of effects gives."""
+        """Store the class arguments of a subclass: place, spreads, needs_load and name."""
         cls.name = name or re.sub(r"(?<!^)(?=[A-Z])", "_", cls.__name__).lower()
         cls.place, cls.spreads, cls.needs_load = place, spreads or {}, needs_load
         cls.remembers = cls.carry is not Effect.carry
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Change the command's passage; by default, the effect joins its bends. No memory is ``()``."""
+        """Apply the effect to a command; by default, append the effect to ``at.bends``.
+
+        Args:
+            at: The command's passage, which is changed.
+            memory: The effect's memory; ``()`` if it has none.
+        """
         at.bends.append(self)
 
     def flexure(self, at: Passage) -> Flexure:
-        """How the links bend; an effect that only bends links defines this instead of `act`."""
+        """Return a function that bends the frames of the links.
+
+        An effect that only bends links defines this method instead of `act`.
+
+        Args:
+            at: The command's passage, with all joint positions.
+        """
         raise NotImplementedError(f"effect '{self.name}' has neither act nor flexure")
 
     def begin(self, at: Passage) -> Components:
-        """The effect's memory when the arm was just switched on and rests at a command."""
+        """Return the effect's memory right after the arm is switched on, at rest at ``at.command``."""
         return ()
 
     def rest(self, at: Passage) -> Components:
-        """The effect's memory once a command has been held for ever, whatever was before."""
+        """Return the limit of the effect's memory when ``at.command`` is held for ever, independent of the history."""
         return self.begin(at)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """The effect's memory after a command has been held for ``dt`` seconds."""
+        """Return the effect's memory after ``at.command`` was held for ``dt`` seconds, given the memory before."""
         return memory
 
     def fault(self, arm: Arm) -> str:
-        """A message's words: what is impossible about this effect on ``arm``, and what to give; empty if nothing is."""
+        """Return an error message if the effect is impossible on ``arm``, with what to give instead; else ""."""
         return ""
 
     def own_sizes(self) -> tuple[Scalar, ...]:
-        """The numbers that differ from arm to arm and have random numbers of the effect's own."""
+        """Return the numbers that differ from arm to arm and use the effect's own random numbers."""
         names = (name for name, spread in self.spreads.items() if isinstance(spread, float))
         return tuple(number for name in names for number in _numbers(getattr(self, name)))
 
     def drawn(self, draws: Draws) -> Self:
-        """The effect of many arms, whose numbers in ``spreads`` are drawn about this effect's own."""
+        """Return the effect of many arms, with each number in ``spreads`` drawn about this effect's value."""
         parts: dict[str, Any] = {}
         used: Counter[str] = Counter()
         for name, spread in self.spreads.items():  # sizes of one spread take its columns one after another
@@ -224,10 +249,14 @@ def _numbers(value: Any) -> tuple[Any, ...]:
 
 
 def table_of(name: str) -> Any:
-    """The type that a registered effect's table in a plant file is read as; None if no file can hold the effect.
+    """Return the type as which a registered effect's table in a plant file is read; None if it can have no table.
+
+    Args:
+        name: Name of the effect.
 
     Raises:
-        InputError: If there is no such effect, its package cannot be loaded, or it is no effect of that name.
+        InputError: If there is no such effect, if its package cannot be loaded, or if the registered object is no
+            `Effect` class of that name.
     """
     kind = registry.get("effect", name)
     if not (isinstance(kind, type) and issubclass(kind, Effect) and kind.name == name):
@@ -236,7 +265,7 @@ def table_of(name: str) -> Any:
 
 
 def weights_behind(chain: Chain, frames: Sequence[Frame], load: Load) -> list[Weight]:
-    """For each link, the weight of the link and all links behind it; last, the weight of what the tool holds.
+    """Compute the `Weight` of each link together with all links after it and the payload; last, that of the payload.
 
     Args:
         chain: The chain.
@@ -258,7 +287,7 @@ def weights_behind(chain: Chain, frames: Sequence[Frame], load: Load) -> list[We
 
 
 def gravity_torques(chain: Chain, frames: Sequence[Frame], load: Load) -> list[Scalar]:
-    """Generalised gravity forces on the joints: N*m for revolute, N for prismatic ones, positive along the joint.
+    """Compute the gravity torques (revolute joints, N*m) and forces (prismatic joints, N), positive along the joint.
 
     Args:
         chain: The chain.
@@ -269,7 +298,13 @@ def gravity_torques(chain: Chain, frames: Sequence[Frame], load: Load) -> list[S
 
 
 def weights_torques(chain: Chain, frames: Sequence[Frame], weights: Sequence[Weight]) -> list[Scalar]:
-    """The `gravity_torques` for weights that are known: one entry per link, as `weights_behind` gives them."""
+    """Compute the `gravity_torques` from the weights that `weights_behind` returned.
+
+    Args:
+        chain: The chain.
+        frames: The frames of the chain, from `pickenv.arm.kinematics.forward.frames`.
+        weights: From `weights_behind`; the entry of the payload is not used.
+    """
     torques: list[Scalar] = []
     for link, frame, (mass, moment_x, moment_y) in zip(chain.links, frames[1:], weights, strict=False):
         zx, zy, zz, px, py, _ = frame[6:]

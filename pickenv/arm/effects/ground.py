@@ -1,7 +1,8 @@
-"""The ground under the machine gives way: it tilts at once with the reach moment, and goes on sinking for hours.
+"""Effects of the ground under the machine (tilt, creep, settlement), and vibration of the arm after a move.
 
-At once, tilt = moment / stiffness. Then the tilt creeps on towards a multiple of it, and the whole machine settles,
-both with one time constant (a Kelvin-Voigt body). Gravity points along -z of the world. Units: m, rad, N*m, s, kg.
+The machine tilts at once under the arm's gravity moment: tilt = moment / stiffness. The tilt then creeps to a multiple
+of this value, and the whole machine settles, both with one time constant (a Kelvin-Voigt body). Gravity points along
+-z of the world. Units: m, rad, N*m, s, kg.
 """
 
 from __future__ import annotations
@@ -30,8 +31,8 @@ class BaseTilt(Effect, place=BASE, spreads=GIVING_WAY, needs_load=True):
     Attributes:
         stiffness: Tilt stiffness of the ground contact about the world's x and y axes, N*m/rad.
         pivot: Point in the world about which the machine tilts, m.
-        creep: Tilt that a held moment adds in the long run, as a multiple of the immediate tilt.
-        settlement: How far the machine sinks in the long run under its own weight, m.
+        creep: Additional tilt under a moment held for ever, as a multiple of the immediate tilt.
+        settlement: Final settlement of the machine under its own weight, m.
         time_constant: Time constant of creep and settlement, s.
     """
 
@@ -42,7 +43,7 @@ class BaseTilt(Effect, place=BASE, spreads=GIVING_WAY, needs_load=True):
     time_constant: Annotated[Scalar, HOURS.positive]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Carry the tool along by tilt, creep and settlement of the machine."""
+        """Move the tool with the machine's tilt, creep and settlement."""
         (tilt_x, tilt_y), (creep_x, creep_y, settlement) = self._tilt(at), memory
         x0, y0, z0 = self.pivot
         *axes, px, py, pz = at.frame
@@ -51,17 +52,17 @@ class BaseTilt(Effect, place=BASE, spreads=GIVING_WAY, needs_load=True):
         at.frame = (*turned[:9], turned[9] + x0, turned[10] + y0, turned[11] + z0 - settlement)
 
     def begin(self, at: Passage) -> Components:
-        """The creep about x and y in rad, and the settlement in m: still zero."""
+        """Return the creep about x and y, rad, and the settlement, m: all zero when the arm is switched on."""
         zero = at.command[0] * 0.0
         return zero, zero, zero
 
     def rest(self, at: Passage) -> Components:
-        """The creep about x and y in rad, and the settlement in m, in the long run."""
+        """Return the final creep about x and y, rad, and the final settlement, m."""
         x, y = self._tilt(at)
         return self.creep * x, self.creep * y, self.settlement
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """The creep about x and y in rad, and the settlement in m, after ``dt`` seconds."""
+        """Return the creep about x and y, rad, and the settlement, m, after ``dt`` seconds."""
         faded, pairs = exponential(at.m, -dt / self.time_constant), zip(self.rest(at), memory, strict=True)
         return tuple([final + (part - final) * faded for final, part in pairs])
 
@@ -82,19 +83,19 @@ BELOW_ONE = afterwards(lambda zetas: all(zeta < 1.0 for zeta in zetas), "damping
 
 
 LARGEST_DAMPING = 0.5
-"""Largest damping ratio of a structure; a draw from a wide spread stops here."""
+"""Largest damping ratio of a structure; larger draws are clipped to it."""
 
 
 @register("effect", "settling")
 @toml_table
 class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "damping": "damping"}):
-    """Vibration of the structure behind each joint.
+    """Vibration of the structure after each joint: one damped mode per joint, excited by the joint's acceleration.
 
     Attributes:
-        frequency: Natural frequency of each joint's mode, Hz.
-        damping: Damping ratio zeta of each mode, below 1.
-        participation: Share p of the joint's acceleration that reaches the mode.
-        rise_time: Time constant of the motion profile, s: how smoothly commands are approached.
+        frequency: Natural frequency of each joint's vibration mode (n,), Hz.
+        damping: Damping ratio zeta of each mode (n,), below 1.
+        participation: Share p of the joint's acceleration that excites each mode (n,).
+        rise_time: Time constant of the motion profile, s: the command passes a first-order lag.
     """
 
     frequency: Annotated[tuple[Scalar, ...], Unit("Hz").positive, PER_JOINT]
@@ -103,22 +104,25 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
     rise_time: Annotated[Scalar, MILLISECONDS.positive]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Add the vibrations to the joints."""
+        """Add the vibrations to the joint positions."""
         if memory:
             n = len(at.joints)
             at.joints = [value + swing for value, swing in zip(at.joints, memory[n : 2 * n], strict=True)]
 
     def begin(self, at: Passage) -> Components:
-        """The joints' motion profiles x, rad or m; their vibrations e; and e' + p x', which no command makes jump."""
+        """Return for each joint its motion profile x and its vibration e, rad or m, and the sum e' + p x'.
+
+        This sum is continuous where the command jumps.
+        """
         still = [value * 0.0 for value in at.command]
         return *at.command, *still, *still
 
     def rest(self, at: Passage) -> Components:
-        """An empty memory: nothing swings any more."""
+        """Return an empty memory: all vibrations have decayed."""
         return ()
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """The joints' profiles x, vibrations e and velocities e' + p x' after ``dt`` seconds."""
+        """Return the joints' profiles x, vibrations e and sums e' + p x' after ``dt`` seconds; see `begin`."""
         m, lag, n = at.m, self.rise_time, len(at.command)
         faded = exponential(m, -dt / lag)
         profiles, vibrations, rates = [], [], []
@@ -145,7 +149,7 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
         return *profiles, *vibrations, *rates
 
     def drawn(self, draws: Draws) -> Settling:
-        """The modes of many arms, none damped more than `LARGEST_DAMPING`."""
+        """Return the modes of many arms, with damping ratios of at most `LARGEST_DAMPING`."""
         modes = super().drawn(draws)
         damping: Any = tuple(np.minimum(zeta, LARGEST_DAMPING) for zeta in modes.damping)
         return replace(modes, damping=damping)

@@ -1,10 +1,11 @@
 """Errors that no link table can express: the tool's displacement as a random function of the joints, a sum of waves.
 
-Random features of a Gaussian process (Rahimi and Recht 2007): an output is the sum over k of a_k cos(w_k x) + b_k
-sin(w_k x), where x are the joints less a centre; joints that turn far enter by sine and cosine. Arms share the
-frequencies and differ in their weights. Among the frequencies of one output, the smooth ones (what a calibration
-learnt) come first, then rough ones, whose length scale is so short that no measurement tells them from scatter. Waves
-are computed in single precision, which is exact to nanometres, because they are most of the cost. Units: m and rad.
+The waves are random features of a Gaussian process (Rahimi and Recht 2007). An output is the sum over k of
+a_k cos(w_k x) + b_k sin(w_k x), where x are the joints minus a centre. Joints with a wide range enter by sine and
+cosine. Arms share the frequencies w_k and differ in the weights a_k and b_k. Of each output, the smooth waves, which a
+calibration learnt, come first. Rough waves follow: their length scale is so short that measurements cannot tell them
+from scatter. Waves are computed in single precision, because they are most of the cost; this is exact to nanometres.
+The module also has periodic errors of drives that differ from arm to arm. Units: m and rad.
 """
 
 from __future__ import annotations
@@ -29,20 +30,20 @@ from pickenv.arm.kinematics.pose_error import displaced_frame
 from pickenv.base import MM, NUMBER, WHOLE, InputError, Then, register, toml_table
 
 CHUNK = 64
-"""Number of arms or poses that NumPy works on together, so that their waves stay in a core's cache."""
+"""Number of arms or poses that NumPy computes together, so that their waves fit into a core's cache."""
 
 Single = NDArray[np.float32]
 
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """The waves of a field, which all arms share.
+    """The frequencies of a field's waves, which all arms share.
 
     Attributes:
-        frequency: Frequency of each wave by each input ``(F, O K)``, 1/rad or 1/m; the K waves of each of the O outputs
-            stand side by side.
-        centre: What is subtracted from each input, F numbers.
-        periodic: For each joint, whether it enters by sine and cosine.
+        frequency: Frequency of each wave along each of the F inputs ``(F, O K)``, 1/rad or 1/m: K columns for each of
+            the O outputs.
+        centre: Value that is subtracted from each input, F numbers.
+        periodic: For each joint, whether its sine and cosine are inputs instead of the joint itself.
         outputs: Number of outputs O: 3 (position) or 6 (pose).
     """
 
@@ -55,18 +56,25 @@ class Features:
 
     @property
     def count(self) -> int:
-        """Number of waves K of one output."""
+        """Number K of waves per output."""
         return int(self.frequency.shape[1]) // self.outputs
 
     def inputs(self, m: ModuleType, q: Sequence[Scalar]) -> list[Scalar]:
-        """The inputs at joints ``q``, less the centre: joints that enter directly, then sines, then cosines."""
+        """Return the F inputs at joints ``q``, minus the centre.
+
+        The joints that are not periodic come first, then the sines of the others, then the cosines.
+
+        Args:
+            m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
+            q: Joints, n components, rad or m.
+        """
         turning = [value for value, far in zip(q, self.periodic, strict=True) if far]
         direct = [value for value, far in zip(q, self.periodic, strict=True) if not far]
         raw = [*direct, *(m.sin(value) for value in turning), *(m.cos(value) for value in turning)]
         return [value - centre for value, centre in zip(raw, self.centre, strict=True)]
 
     def angles(self, inputs: Array) -> Single:
-        """The waves' angles ``(..., O, K)`` at inputs ``(F, ...)``."""
+        """Return the phase angles w_k x of the waves ``(..., O, K)`` at inputs ``(F, ...)``."""
         total: Any = np.float32(0.0)
         for value, row in zip(inputs.astype(np.float32), self.frequency, strict=True):
             total = total + value[..., None] * row  # one after the other, so that sums repeat to the bit
@@ -74,20 +82,20 @@ class Features:
 
     @cached_property
     def tensors(self) -> dict[Any, Any]:
-        """A cache of the frequencies as tensors, by number type and device."""
+        """Cache of the frequencies as torch tensors, by dtype and device."""
         return {}
 
 
 @register("effect", "residual")
 @dataclass(frozen=True, eq=False)
 class ResidualField(Effect, place=TOOL + 0.5, name="residual"):
-    """Displacement of the tool of one arm or of many.
+    """Displacement of the tool as a sum of waves of the motor positions, for one arm or many.
 
     Attributes:
-        features: The waves.
-        weight: Weights of the waves' cosines and sines, m and rad: of one arm ``(O, 2, K)``, or of N ``(N, O, 2, K)``.
-        offset: Constant part of each output, O numbers.
-        turn: Rotation from the frame in which the field was learnt into the arm's own, row by row.
+        features: The frequencies of the waves.
+        weight: Weights of the cosines and sines, m and rad: ``(O, 2, K)`` for one arm, ``(N, O, 2, K)`` for N arms.
+        offset: Constant part of each output, O numbers, m and rad.
+        turn: Rotation matrix (3, 3) from the frame in which the field was learnt into the arm's world frame.
     """
 
     features: Features
@@ -96,7 +104,7 @@ class ResidualField(Effect, place=TOOL + 0.5, name="residual"):
     turn: tuple[tuple[float, float, float], ...]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Displace the tool."""
+        """Displace the tool's frame by the field's outputs."""
         m, frame = at.m, at.frame
         parts = [part + constant for part, constant in zip(_outputs(m, self, at.motor), self.offset, strict=True)]
         triples = (parts[first : first + 3] for first in range(0, self.features.outputs, 3))
@@ -108,7 +116,7 @@ class ResidualField(Effect, place=TOOL + 0.5, name="residual"):
 
     @cached_property
     def tensors(self) -> dict[Any, Any]:
-        """A cache of the weights of a single arm as tensors, by number type and device."""
+        """Cache of the weights of a single arm as torch tensors, by dtype and device."""
         return {}
 
 
@@ -174,11 +182,11 @@ SEED = WHOLE.not_negative
 
 @toml_table
 class WavesTable:
-    """The table [drive_harmonics] of a plant file.
+    """The table [drive_harmonics] of a plant file, which says how periodic drive errors are distributed.
 
     Attributes:
-        seed: Seed of the design's own draw.
-        decay: Coefficients fall as order to the power of minus this.
+        seed: Seed of the plant's own periodic errors; arms that are drawn from the plant have other errors.
+        decay: Exponent with which the standard deviation falls: as (longest period / period) ** -decay.
         joints: For each joint the number of waves, the standard deviation of a coefficient at the longest period, and
             the longest and the shortest period.
     """
@@ -192,14 +200,16 @@ class WavesTable:
 
 @dataclass(frozen=True)
 class WaveSpread:
-    """The spread of one wave of a drive over arms.
+    """The distribution of one periodic error of a drive over arms.
+
+    The order (1 / period) is uniform between its bounds. The sine and cosine coefficients are normal.
 
     Attributes:
         joint: Index of the joint (from 0).
         std: Standard deviation of a coefficient at the longest period, rad or m.
         longest: Longest period, rad or m.
         shortest: Shortest period, rad or m.
-        decay: Coefficients fall as order to the power of minus this.
+        decay: Exponent with which the standard deviation falls: as (longest period / period) ** -decay.
     """
 
     joint: int
@@ -215,8 +225,8 @@ class DriveHarmonics(Effect, place=DRIVE + 0.5):
     """Periodic errors of the drives that differ from arm to arm.
 
     Attributes:
-        spread: How each periodic error is spread over arms.
-        harmonics: The periodic errors of this arm.
+        spread: Distribution of each periodic error over arms.
+        harmonics: The periodic errors of this arm, or of many arms.
     """
 
     table = Annotated[Any, Then(lambda table, _: drive_harmonics_of(table), WavesTable)]
@@ -225,15 +235,20 @@ class DriveHarmonics(Effect, place=DRIVE + 0.5):
     harmonics: tuple[Harmonic, ...]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Add the periodic errors to the driven joints."""
+        """Add the periodic errors to the driven positions."""
         at.drive(with_waves(at.m, self.harmonics, at.motor, at.driven))
 
     def drawn(self, draws: Draws) -> DriveHarmonics:
-        """The drives of many arms, with waves drawn from ``draws``."""
+        """Return the drives of many arms, with periodic errors from the random numbers ``draws``."""
         return self.of_numbers(draws.even[self.name])
 
     def of_numbers(self, even: Array) -> DriveHarmonics:
-        """The drives that even random numbers ``(..., 3 W)`` stand for: an order and two coefficients for each wave."""
+        """Return the drives whose periodic errors follow from uniform random numbers.
+
+        Args:
+            even: Uniform random numbers from 0 to 1 ``(..., 3 W)`` for W waves. Each wave has one number for its order
+                and one for each of its two coefficients.
+        """
         order, sine, cosine = np.moveaxis(even.reshape(*even.shape[:-1], len(self.spread), 3), -1, 0)
         harmonics = []
         for k, wave in enumerate(self.spread):
@@ -247,7 +262,7 @@ class DriveHarmonics(Effect, place=DRIVE + 0.5):
 
 
 def drive_harmonics_of(table: WavesTable) -> DriveHarmonics:
-    """The effect that the table of a plant file describes, with the design's own draw of the waves.
+    """Return the effect that a plant file's table describes, with periodic errors drawn from the table's seed.
 
     Raises:
         InputError: If a shortest period is not below the longest.
@@ -263,13 +278,13 @@ def drive_harmonics_of(table: WavesTable) -> DriveHarmonics:
 
 @toml_table
 class StructureTable:
-    """The table [local_structure] of a plant file.
+    """The table [local_structure] of a plant file, which describes a random tool displacement of short length scale.
 
     Attributes:
-        seed: Seed of the waves, which all arms share, and of the design's own weights.
+        seed: Seed of the frequencies, which all arms share, and of the weights of the plant itself.
         position: Standard deviation of the tool's displacement along each axis, m.
-        waves: Number of waves of each axis.
-        joints: Length scale of each joint that matters.
+        waves: Number of waves per axis.
+        joints: Length scale of each joint on which the displacement depends, rad or m.
     """
 
     seed: Annotated[int, SEED]
@@ -281,11 +296,11 @@ class StructureTable:
 @register("effect", "local_structure")
 @dataclass(frozen=True, eq=False)
 class LocalStructure(Effect, place=TOOL):
-    """Displacement of the tool of one arm or of many; it changes over fractions of a degree.
+    """Displacement of the tool that varies over short distances in the joints, for one arm or many.
 
     Attributes:
         std: Standard deviation of a weight over arms, m.
-        field: The waves with their weights.
+        field: The waves and their weights.
     """
 
     table = Annotated[Any, Then(lambda table, context: local_structure_of(table, context), StructureTable)]
@@ -294,27 +309,32 @@ class LocalStructure(Effect, place=TOOL):
     field: ResidualField
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Displace the tool."""
+        """Displace the tool's frame by the field's outputs."""
         self.field.act(at, memory)
 
     def drawn(self, draws: Draws) -> LocalStructure:
-        """The local structure of many arms, with weights drawn from ``draws``."""
+        """Return the local structure of many arms, with weights from the random numbers ``draws``."""
         return self.of_numbers(draws.even[self.name])
 
     def of_numbers(self, even: Array) -> LocalStructure:
-        """The local structure that even random numbers ``(..., weights)`` stand for."""
+        """Return the local structure of arms with uniform random numbers from 0 to 1, ``(..., weights)``."""
         features = self.field.features
         weight = self.std * standard_normal_of(even).reshape(*even.shape[:-1], features.outputs, 2, features.count)
         return replace(self, field=replace(self.field, weight=weight.astype(np.float32)))
 
     @property
     def weights(self) -> int:
-        """Number of weights of one arm."""
+        """Number of weights per arm, 2 O K."""
         return 2 * self.field.features.outputs * self.field.features.count
 
 
 def local_structure_of(table: StructureTable, context: Any) -> LocalStructure:
-    """The effect that the table of a plant file describes, with the design's own draw of the weights."""
+    """Return the effect that a plant file's table describes, with frequencies and weights drawn from its seed.
+
+    Args:
+        table: The table.
+        context: Context of reading the plant file, which holds the arm.
+    """
     lengths = np.array(numbers_per_joint(table, context, "length")[0])
     joints = len(lengths)
     per_length = np.divide(1.0, lengths, out=np.zeros(joints), where=lengths > 0)

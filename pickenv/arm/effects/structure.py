@@ -1,4 +1,4 @@
-"""Effects of parts that bend, yield, turn unevenly, slip and stick in a real arm. Units: m, rad, N, kg."""
+"""Effects of mechanical parts: compliance, bending, play, drive errors, backlash, friction. Units: m, rad, N, kg."""
 
 from __future__ import annotations
 
@@ -20,23 +20,23 @@ from pickenv.base import GRAVITY, register, toml_tables
 @register("effect", "joint_compliance")
 @toml_tables.toml_table
 class JointCompliance(Effect, place=JOINT, spreads={"stiffness": "joint_stiffness"}, needs_load=True):
-    """Each joint yields under its gravity torque or force: dq = tau / k.
+    """Deflection of each joint under its gravity torque or force: dq = tau / k.
 
     Attributes:
-        stiffness: Stiffness k of each joint, N*m/rad for revolute joints, N/m for prismatic ones.
+        stiffness: Stiffness k of each joint (n,), N*m/rad for revolute joints, N/m for prismatic joints.
     """
 
     stiffness: Annotated[tuple[Scalar, ...], toml_tables.NUMBER.positive, PER_JOINT]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Let the joints yield."""
+        """Add the deflections to the joint positions."""
         numbers = zip(at.joints, at.pull[1], self.stiffness, strict=True)
         at.joints = [value + torque / k for value, torque, k in numbers]
 
 
 @toml_tables.toml_table
 class Boom(Effect, place=BEND):
-    """Base class of effects that move the tip of a telescopic boom; each says how in ``bent``.
+    """Base class of effects that move the tip of a telescopic boom; each subclass defines `bent`.
 
     Attributes:
         joint: Index (from 0) of the prismatic joint whose link is the boom; the boom lies along its z axis.
@@ -47,23 +47,32 @@ class Boom(Effect, place=BEND):
     length: Annotated[Scalar, toml_tables.MM.not_negative]
 
     def flexure(self, at: Passage) -> Flexure:
-        """Bend the boom, and no other link."""
+        """Return a function that bends the frame of the boom's link and leaves other links unchanged."""
         length = at.joints[self.joint] + self.length
         return lambda i, frame: self.bent(at, frame, length) if i == self.joint else frame
 
     def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
-        """The frame of the tip of a boom ``length`` metres long, after bending; ``frame`` is the one before."""
+        """Return the frame of the boom's tip after bending.
+
+        Args:
+            at: The command's passage.
+            frame: Frame of the tip before bending, world axes.
+            length: Free length of the boom, m.
+        """
         raise NotImplementedError
 
 
 @register("effect", "boom_bending")
 @toml_tables.toml_table
 class BoomBending(Boom, place=BEND + 0.2, spreads={"flexural_rigidity": "flexural_rigidity"}):
-    """A telescopic boom bends as a cantilever: delta = F L^3 / 3EI + w L^4 / 8EI, slope = F L^2 / 2EI + w L^3 / 6EI.
+    """Bending of a telescopic boom as a cantilever.
+
+    The deflection is delta = F L^3 / 3EI + w L^4 / 8EI, the slope F L^2 / 2EI + w L^3 / 6EI. F is the weight at the
+    tip, w the boom's weight per length, and L its free length.
 
     Attributes:
-        flexural_rigidity: EI, N*m^2.
-        end_mass: Mass carried at the tip without payload, kg.
+        flexural_rigidity: Flexural rigidity EI, N*m^2.
+        end_mass: Mass at the tip without payload, kg.
         mass_per_length: Mass of the boom, kg/m.
     """
 
@@ -72,7 +81,7 @@ class BoomBending(Boom, place=BEND + 0.2, spreads={"flexural_rigidity": "flexura
     mass_per_length: Annotated[Scalar, toml_tables.KG_PER_M.not_negative]
 
     def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
-        """Lower and tilt the boom's tip under gravity; only the part across the boom bends it."""
+        """Lower and tilt the boom's tip under the component of gravity across the boom; arguments as in `Boom.bent`."""
         end, boom = self.end_mass + (at.load.payload if at.load else 0.0), self.mass_per_length
         stiffness = self.flexural_rigidity / GRAVITY
         sag = length * length * length * (end / (3.0 * stiffness) + length * (boom / (8.0 * stiffness)))
@@ -83,7 +92,7 @@ class BoomBending(Boom, place=BEND + 0.2, spreads={"flexural_rigidity": "flexura
 @register("effect", "roller_play")
 @toml_tables.toml_table
 class RollerPlay(Boom, place=BEND + 0.8, spreads={"clearance": "roller_clearance"}):
-    """A telescopic boom tips in its rollers: angle = clearance / overlap, and the overlap shrinks as the boom runs out.
+    """Tilt of a telescopic boom in its rollers: angle = clearance / overlap; the overlap shrinks as the boom extends.
 
     Attributes:
         clearance: Clearance between boom and rollers, m.
@@ -94,12 +103,15 @@ class RollerPlay(Boom, place=BEND + 0.8, spreads={"clearance": "roller_clearance
     overlap: Annotated[Scalar, toml_tables.MM.positive]
 
     def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
-        """Let the boom tip down in its rollers: fully when level, less as it is raised."""
+        """Tilt the boom down in its rollers: by the full angle if it is level, by less if it is inclined.
+
+        Arguments as in `Boom.bent`.
+        """
         angle = self.clearance / (self.overlap - at.joints[self.joint])
         return lowered_tip(frame, angle * length, angle)
 
     def fault(self, arm: Arm) -> str:
-        """A message's words if the boom can run out of its overlap, with what to give; else empty."""
+        """Return an error message if the boom can extend beyond its overlap, with what to give instead; else ""."""
         limit = arm.nominal.upper[self.joint]
         if self.overlap > limit:
             return ""
@@ -109,12 +121,12 @@ class RollerPlay(Boom, place=BEND + 0.8, spreads={"clearance": "roller_clearance
 
 @dataclass(frozen=True)
 class Harmonic:
-    """One periodic term of a drive's error, A sin(2 pi q / period + phase).
+    """One periodic term of a drive's error: A sin(2 pi q / period + phase), with q the position of the motor.
 
     Attributes:
         joint: Index of the joint (from 0).
         amplitude: Amplitude A, rad or m.
-        period: Period in the joint's displacement q, rad or m.
+        period: Period in q, rad or m.
         phase: Phase, rad.
     """
 
@@ -133,10 +145,10 @@ HARMONICS = toml_tables.Then(
 @register("effect", "transmission_error")
 @toml_tables.toml_table
 class TransmissionError(Effect, place=DRIVE):
-    """Drives that do not deliver what the motor side shows: a lead error and periodic terms.
+    """Position errors of the drives: for each joint a lead error (proportional to position) and periodic terms.
 
     Attributes:
-        lead: Relative lead error of each joint (m/m or rad/rad).
+        lead: Relative lead error of each joint (n,), m/m or rad/rad.
         harmonics: The periodic terms.
     """
 
@@ -144,13 +156,16 @@ class TransmissionError(Effect, place=DRIVE):
     harmonics: Annotated[tuple[Harmonic, ...], HARMONICS] = ()
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Drive the joints unevenly."""
+        """Add the lead errors and the periodic errors to the driven positions."""
         pairs = zip(at.driven, self.lead, strict=True)
         driven = [value if isinstance(lead, float) and not lead else value * (1.0 + lead) for value, lead in pairs]
         at.drive(with_waves(at.m, self.harmonics, at.driven, driven))
 
     def drawn(self, draws: Draws) -> TransmissionError:
-        """Drives of many arms: lead errors and amplitudes spread; phases are arbitrary, as no two gears are alike."""
+        """Return the drives of many arms: lead errors and amplitudes are drawn log-normally, phases uniformly.
+
+        Phases are uniform over a whole turn, because no two gears are alike.
+        """
         amplitudes = draws.scaled([term.amplitude for term in self.harmonics], self.name)
         terms = zip(self.harmonics, amplitudes, 2.0 * math.pi * draws.even["phase"].T, strict=True)
         return TransmissionError(
@@ -162,7 +177,14 @@ class TransmissionError(Effect, place=DRIVE):
 def with_waves(
     m: ModuleType, harmonics: Sequence[Harmonic], q: Sequence[Scalar], driven: Sequence[Scalar]
 ) -> list[Scalar]:
-    """The joint displacements ``driven`` plus the periodic errors at the motor positions ``q``."""
+    """Return ``driven`` plus the periodic errors at the motor positions ``q``.
+
+    Args:
+        m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
+        harmonics: The periodic errors.
+        q: Positions of the motors, n components, rad or m.
+        driven: Joint positions to add to, n components, rad or m.
+    """
     joints = list(driven)
     for term in harmonics:
         angle = q[term.joint] * (math.tau / term.period) + term.phase
@@ -171,7 +193,13 @@ def with_waves(
 
 
 def lowered_tip(frame: Frame, sag: Scalar, slope: Scalar) -> Frame:
-    """The frame of a link's tip after bending: a level link is lowered by ``sag`` (m) and tilted by ``slope`` (rad)."""
+    """Return the frame of a link's tip after bending under gravity.
+
+    Args:
+        frame: Frame of the tip before bending, world axes; the link lies along its z axis.
+        sag: Lowering of the tip of a level link, m.
+        slope: Tilt of the tip of a level link, rad.
+    """
     *axes, zx, zy, zz, px, py, pz = frame
     # Gravity across the boom is (zx zz, zy zz, zz^2 - 1); the slope turns z towards it, about z x (0, 0, -1).
     turned = turn_horizontally((*axes, zx, zy, zz), -slope * zy, slope * zx)
@@ -181,10 +209,19 @@ def lowered_tip(frame: Frame, sag: Scalar, slope: Scalar) -> Frame:
 def turn_horizontally(
     axes: Sequence[Scalar], wx: Scalar, wy: Scalar, starts: Sequence[int] = (0, 3, 6)
 ) -> list[Scalar]:
-    """Turn vectors, at ``starts`` in ``axes``, by the small horizontal rotation vector (wx, wy, 0): Rodrigues' formula.
+    """Rotate vectors by the small horizontal rotation vector (wx, wy, 0), by Rodrigues' formula.
 
-    The formula's two coefficients are computed as series, so that no division is needed at zero; below 0.03 rad they
+    The formula's two coefficients are computed as series, so that there is no division by zero. Below 0.03 rad they
     are exact to double precision.
+
+    Args:
+        axes: Components of all vectors, one vector after another.
+        wx: First component of the rotation vector, rad.
+        wy: Second component of the rotation vector, rad.
+        starts: Index in ``axes`` of the first component of each vector to rotate.
+
+    Returns:
+        The components of the rotated vectors.
     """
     square = wx * wx + wy * wy
     first, second = 1.0 - square * (1.0 / 6.0 - square / 120.0), 0.5 - square * (1.0 / 24.0 - square / 720.0)
@@ -211,12 +248,12 @@ PRELOAD = (toml_tables.NEWTON_METRE.not_negative, toml_tables.NEWTON.not_negativ
 @register("effect", "backlash")
 @dataclass(frozen=True)
 class Backlash(Effect, place=GEAR + 0.5, spreads={"width": "backlash"}):
-    """Lost motion in each joint's gear.
+    """Backlash (lost motion) in each joint's gear.
 
     Attributes:
-        width: Whole width of each joint's gap, rad or m.
-        preload: Gravity torque or force above which a joint lies against one side of its gap whichever way the motor
-            turns, N*m or N; below it, friction holds the joint and the gap is crossed on every reversal.
+        width: Full width of each joint's backlash (n,), rad or m.
+        preload: Gravity torque or force above which a joint always rests on the same side of its backlash (n,), N*m or
+            N. Below it, friction holds the joint, and each reversal of the motor crosses the whole backlash.
     """
 
     table = joint_table(lambda *sizes: Backlash(*sizes), width=TRAVEL, preload=PRELOAD)
@@ -225,15 +262,15 @@ class Backlash(Effect, place=GEAR + 0.5, spreads={"width": "backlash"}):
     preload: tuple[Scalar, ...]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Put the joints at the memory's positions, which their gaps allow."""
+        """Set the joints to the positions in ``memory``."""
         at.joints = memory
 
     def begin(self, at: Passage) -> Components:
-        """The joint positions at rest: in the middle of every gap that gravity does not close."""
+        """Return the joint positions at rest: in the middle of the backlash, or on gravity's side above the preload."""
         return self.carry(at, tuple(at.joints), 0.0)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """The joint positions after the motors have pushed the joints along."""
+        """Return the joint positions after the motors have moved, by the play operator; ``dt`` does not matter."""
         behind, torques = [], at.pull[1] if at.load else None
         for i, (entry, output, width, preload) in enumerate(
             zip(at.joints, memory, self.width, self.preload, strict=True)
@@ -250,13 +287,13 @@ class Backlash(Effect, place=GEAR + 0.5, spreads={"width": "backlash"}):
 @register("effect", "stick_band")
 @dataclass(frozen=True)
 class StickBand(Effect, place=GEAR, spreads={"forward": "friction", "backward": "friction"}):
-    """Coulomb friction winds up the drive: a joint stops short of its command, on the side that it came from.
+    """Coulomb friction before an elastic drive: a joint stops short of its command, on the side that it came from.
 
     Attributes:
-        forward: How far each joint lags when it moves in the positive direction, rad or m (friction / stiffness).
-        backward: How far each joint lags when it moves in the negative direction, rad or m.
-        scatter: Standard deviation of the friction from one stop to the next, as a share of the friction. Time steps do
-            not draw it; tests of how well the arm repeats do (`one_stop`).
+        forward: Lag of each joint that moves in the positive direction (n,), rad or m: friction / stiffness.
+        backward: Lag of each joint that moves in the negative direction (n,), rad or m.
+        scatter: Standard deviation of the friction over stops, as a share of the friction. `Plant.advance` does not
+            draw it; simulated measuring campaigns and repeatability tests do (`one_stop`).
     """
 
     table = joint_table(lambda *sizes: StickBand(*sizes), forward=TRAVEL, backward=TRAVEL, scatter=SCATTER)
@@ -266,27 +303,27 @@ class StickBand(Effect, place=GEAR, spreads={"forward": "friction", "backward": 
     scatter: Scalar = 0.0
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Put the joints at the memory's positions, which friction allows."""
+        """Set the joints to the positions that ``memory`` holds."""
         at.joints = memory
 
     def begin(self, at: Passage) -> Components:
-        """The joint positions at rest: in the middle of their friction bands."""
+        """Return the joint positions at rest: in the middle of their friction bands."""
         numbers = zip(at.joints, self.forward, self.backward, strict=True)
         return tuple([entry + 0.5 * (backward - forward) for entry, forward, backward in numbers])
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """The joint positions after the motors have pulled the joints along."""
+        """Return the joint positions after the motors have moved, by `play`; ``dt`` does not matter."""
         numbers = zip(at.joints, memory, self.forward, self.backward, strict=True)
         return tuple([play(at.m, entry, output, forward, backward) for entry, output, forward, backward in numbers])
 
 
 def one_stop(m: ModuleType, band: StickBand, normal: Sequence[Sequence[Scalar]]) -> StickBand:
-    """The friction of a single stop: each joint's bands, normally scattered and never below zero.
+    """Return the friction of a single stop: each joint's lags, with normal scatter, clipped at zero.
 
     Args:
-        m: ``math``, ``numpy`` or ``torch``.
-        band: The usual friction.
-        normal: Standard normal numbers of the joints, forward and backward.
+        m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
+        band: The mean friction.
+        normal: Standard normal numbers: n components for the forward lags, then n for the backward lags.
     """
     forward, backward = (
         tuple(width * clipped(m, 1.0 + band.scatter * z, 0.0, math.inf) for width, z in zip(widths, row, strict=True))
@@ -296,14 +333,14 @@ def one_stop(m: ModuleType, band: StickBand, normal: Sequence[Sequence[Scalar]])
 
 
 def play(m: ModuleType, entry: Scalar, output: Scalar, lag: Scalar, lead: Scalar) -> Scalar:
-    """The new output of a play operator, which follows its input with a gap (friction, backlash).
+    """Return the new output of a play operator (friction, backlash): the old output, clipped to a band about the input.
 
     Args:
-        m: ``math``, ``numpy`` or ``torch``.
+        m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
         entry: New input.
-        output: Output so far.
-        lag: How far the output may stay behind the input.
-        lead: How far the output may stay ahead of the input.
+        output: Old output.
+        lag: Largest amount by which the output may be below the input.
+        lead: Largest amount by which the output may be above the input.
     """
     return clipped(m, output, entry - lag, entry + lead)
 
@@ -317,16 +354,19 @@ def play(m: ModuleType, entry: Scalar, output: Scalar, lag: Scalar, lead: Scalar
 @register("effect", "boom_couple")
 @toml_tables.toml_table
 class BoomCouple(Boom, place=BEND + 0.4, spreads={"flexural_rigidity": "flexural_rigidity"}, needs_load=True):
-    """Masses that hang beside a boom's tip bend it by their couple: delta = M L^2 / 2EI, slope = M L / EI.
+    """Bending of a boom by the moment of masses beside its tip: delta = M L^2 / 2EI, slope = M L / EI.
 
     Attributes:
-        flexural_rigidity: EI, N*m^2.
+        flexural_rigidity: Flexural rigidity EI, N*m^2.
     """
 
     flexural_rigidity: Annotated[Scalar, toml_tables.Unit("N_m2").positive]
 
     def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
-        """Bend the boom under that part of the moment about its tip which acts across the boom."""
+        """Bend the boom by the component, across its axis, of gravity's moment about its tip.
+
+        Arguments as in `Boom.bent`.
+        """
         zx, zy, zz, px, py, _ = frame[6:]
         mx, my = moment_about(at.pull[0][self.joint + 1], px, py)
         along, turn = mx * zx + my * zy, length / self.flexural_rigidity
@@ -337,16 +377,19 @@ class BoomCouple(Boom, place=BEND + 0.4, spreads={"flexural_rigidity": "flexural
 @register("effect", "boom_torsion")
 @toml_tables.toml_table
 class BoomTorsion(Boom, place=BEND + 0.6, spreads={"torsional_rigidity": "flexural_rigidity"}, needs_load=True):
-    """Masses that hang beside a boom twist it: angle = M L / GJ.
+    """Twist of a boom by masses beside its axis: angle = M L / GJ.
 
     Attributes:
-        torsional_rigidity: GJ, N*m^2.
+        torsional_rigidity: Torsional rigidity GJ, N*m^2.
     """
 
     torsional_rigidity: Annotated[Scalar, toml_tables.Unit("N_m2").positive]
 
     def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
-        """Twist the boom under that part of the moment about its tip which acts along the boom."""
+        """Twist the boom by the component, along its axis, of gravity's moment about its tip.
+
+        Arguments as in `Boom.bent`.
+        """
         zx, zy, zz, px, py, _ = frame[6:]
         mx, my = moment_about(at.pull[0][self.joint + 1], px, py)
         angle = length / self.torsional_rigidity * (mx * zx + my * zy)
@@ -355,18 +398,18 @@ class BoomTorsion(Boom, place=BEND + 0.6, spreads={"torsional_rigidity": "flexur
 
 @toml_tables.toml_table
 class Bearing:
-    """The guide of a slide: two bearings, one behind the other, each of two pads that are springs across the axis.
+    """The guide of a slide: two bearings along the axis, each with two pads that are springs across the axis.
 
     Together the bearings have the stiffness 2k against a force across the axis, and k s^2 / 2 against a moment across
-    it. Against a moment about the axis, bearings in line give nothing, but the distance of the pads does: k b^2 / 2.
+    it. Their stiffness against a moment about the axis, k b^2 / 2, comes from the distance of the pads alone.
 
     Attributes:
         joint: Index (from 0) of the prismatic joint.
         stiffness: Stiffness k of one bearing, N/m.
         span: Distance s between the two bearings at zero displacement, m.
         width: Distance b between the pads of a bearing, across the axis, m.
-        overhang: How far the link's origin is ahead of its guide's outlet at zero displacement, m; the displacement
-            adds to it and is subtracted from the span. None where the bearings travel with the link, about its origin.
+        overhang: Distance of the link's origin ahead of its guide's outlet at zero displacement, m. The displacement is
+            added to it and subtracted from the span. None if the bearings move with the link, centred on its origin.
     """
 
     joint: Annotated[int, toml_tables.WHOLE, BOOM]
@@ -382,16 +425,16 @@ EACH_ONCE = toml_tables.afterwards(lambda slides: len({s.joint for s in slides})
 @register("effect", "slide_compliance")
 @toml_tables.toml_table
 class SlideCompliance(Effect, place=BEND, needs_load=True):
-    """Slides give way across their axis, and turn, in their bearings.
+    """Deflection of slides in their bearings: displacement across the axis, and rotation.
 
     Attributes:
-        bearings: One entry per slide that yields.
+        bearings: The guide of each slide that yields.
     """
 
     bearings: Annotated[tuple[Bearing, ...], EACH_ONCE]
 
     def flexure(self, at: Passage) -> Flexure:
-        """Move and turn each slide in its bearings, under all that hangs on it."""
+        """Return a function that moves and turns each slide's frame by its deflection under the masses it carries."""
         weights, by_joint = at.pull[0], {bearing.joint: bearing for bearing in self.bearings}
 
         def give(i: int, frame: Frame) -> Frame:
@@ -415,7 +458,7 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
         return give
 
     def fault(self, arm: Arm) -> str:
-        """A message's words if a slide can run out of its span, with what to give; else empty."""
+        """Return an error message if a slide can extend beyond its span, with what to give instead; else ""."""
         for bearing in self.bearings:
             limit = arm.nominal.upper[bearing.joint]
             if bearing.overhang is not None and bearing.span <= limit:
@@ -424,7 +467,7 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
         return ""
 
     def drawn(self, draws: Draws) -> SlideCompliance:
-        """The slides of many arms, whose bearings differ in stiffness."""
+        """Return the slides of many arms, with the stiffness of their bearings drawn about this effect's."""
         stiffness = [bearing.stiffness for bearing in self.bearings]
         sizes = draws.scaled(stiffness, "bearing_stiffness", spread="joint_stiffness")
         pairs = zip(self.bearings, sizes, strict=True)
@@ -432,7 +475,13 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
 
 
 def moment_about(weight: Weight, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
-    """Gravity's moment (about x, about y) about any point on the vertical line through (x, y) of the world, N*m."""
+    """Return gravity's moment about the point (x, y), N*m: its components about the world's x and y axes.
+
+    Args:
+        weight: The mass and its first moments.
+        x: World x of the point, m. Its height does not matter.
+        y: World y of the point, m.
+    """
     mass, moment_x, moment_y = weight
     return -GRAVITY * (moment_y - mass * y), GRAVITY * (moment_x - mass * x)
 

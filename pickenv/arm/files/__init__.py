@@ -1,1 +1,1 @@
-"""Arms as files: TOML, URDF, MJCF and UR kinematics in, URDF out."""
+"""Read arms from TOML, URDF, MJCF and UR kinematics files, and write them as URDF or MJCF."""

@@ -1,4 +1,4 @@
-"""An arm: what its controller believes of it, how fast it may move, and, where it is simulated, how it was built."""
+"""An arm: its nominal geometry, its joint speeds and, if it is simulated, its true geometry."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Coupling, Ge
 from pickenv.base import InputError
 
 MOST_RATIO = 1e3
-"""Largest ratio of a link's displacement to that of the joint that it follows."""
+"""Largest allowed ratio of a link's displacement to that of the joint that moves it."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,11 +24,11 @@ class Arm:
 
     Attributes:
         name: The name in the arm's file.
-        source: Where the arm's numbers come from.
-        nominal: The geometry that the controller believes in.
-        true: The geometry as built, where the file gives one (simulated arms), else None.
+        source: Source of the arm's numbers.
+        nominal: The geometry that the controller uses.
+        true: The geometry as built, if the file gives one (simulated arms), else None.
         speed: Largest joint speeds, rad/s or m/s, shape (n,).
-        tolerance_class: Name of the tolerance class that the arm's parts are made to, where the file says one.
+        tolerance_class: Name of the tolerance class of the arm's parts, if the file gives one, else None.
     """
 
     name: str
@@ -39,7 +39,7 @@ class Arm:
     tolerance_class: str | None = None
 
     def fingerprint(self) -> str:
-        """Hash of the nominal geometry: a calibration fitted to one arm is refused on another."""
+        """Return the hash of the nominal geometry, by which a calibration of one arm is refused on another."""
         return self.nominal.fingerprint()
 
 
@@ -47,11 +47,14 @@ class Arm:
 
 
 ORTHONORMAL = 1e-9
-"""How far R R^T of a rotation R may be from the identity: far above rounding, far below what matters at a tool."""
+"""Largest allowed deviation of an entry of R R^T from the identity, for a rotation matrix R.
+
+It is far above rounding errors and far below errors that matter at the tool.
+"""
 
 
 def geometry_arrays(geometry: Geometry) -> dict[str, Array]:
-    """A geometry's numbers by name, for saving."""
+    """Return the numbers of a geometry as arrays by name, for saving; joint names and joint types are not included."""
     arrays = {name: getattr(geometry, name) for name in (*LINK_PARAMETERS, "lower", "upper")}
     for key, pose in (("base", geometry.base), ("tool", geometry.tool)):
         arrays |= {f"{key}_position": pose.position, f"{key}_rotation": pose.rotation}
@@ -66,17 +69,18 @@ def geometry_arrays(geometry: Geometry) -> dict[str, Array]:
 def geometry_from_arrays(
     named: Mapping[str, NDArray[Any]], joint_names: Sequence[str], prismatic: Sequence[bool], which: str
 ) -> Geometry:
-    """The inverse of `geometry_arrays`.
+    """Return the geometry whose arrays `geometry_arrays` returned, after checking them.
 
     Args:
-        named: The arrays.
+        named: The arrays by name.
         joint_names: One name per joint.
-        prismatic: Joint types.
-        which: The geometry's name, for messages: "nominal".
+        prismatic: For each joint, whether it slides (else it turns).
+        which: Name of the geometry in error messages, such as "nominal".
 
     Raises:
-        InputError: If an array is missing, of another shape or not finite, if a matrix is no rotation, or if limits are
-            swapped.
+        KeyError: If an array is missing.
+        InputError: If an array has a wrong shape or is not finite, if a matrix is no rotation, or if a lower limit is
+            not below its upper limit.
     """
     if not all(isinstance(name, str) for name in joint_names) or not all(type(kind) is bool for kind in prismatic):
         raise InputError("joint names are text, and joint types are true (slides) or false (turns)")
@@ -114,7 +118,18 @@ def _coupling(named: Mapping[str, NDArray[Any]], joints: int, which: str) -> Cou
 
 
 def finite(named: Mapping[str, NDArray[Any]], name: str, shape: tuple[int, ...], which: str) -> Array:
-    """The array called ``name``, which is refused unless it has this shape and holds finite float64 numbers."""
+    """Return the array called ``name`` after checking that it has this shape and holds finite float64 numbers.
+
+    Args:
+        named: The arrays by name.
+        name: Name of the array.
+        shape: The required shape.
+        which: Name of the array's owner in error messages.
+
+    Raises:
+        KeyError: If there is no such array.
+        InputError: If the shape or the dtype is wrong, or a number is not finite.
+    """
     value = named[name]
     if value.shape != shape or value.dtype != np.float64:
         raise InputError(f"{which}/{name} holds {value.dtype} of shape {value.shape}, not numbers of shape {shape}")
@@ -136,12 +151,12 @@ def _pose(named: Mapping[str, NDArray[Any]], key: str, which: str) -> Pose:
 
 
 def content_sha256(*parts: Any) -> str:
-    """SHA-256 of dataclasses, arrays, numbers and text, by their values."""
+    """Return the SHA-256 hash of dataclasses, arrays, numbers and text, computed from their values, in hexadecimal."""
     return hashlib.sha256(json.dumps([plain(part) for part in parts], sort_keys=True).encode()).hexdigest()
 
 
 def plain(value: Any) -> Any:
-    """A value in a form that JSON can hold: dataclasses as mappings of their fields, arrays as lists."""
+    """Convert a value for JSON: dataclasses to mappings of their fields, arrays and tuples to lists."""
     if is_dataclass(value) and not isinstance(value, type):
         return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
     if isinstance(value, tuple | list):

@@ -1,10 +1,9 @@
-"""Reading arms by name or from a file of any format; the TOML format and UR kinematics files are read here.
+"""Read arms by name or from a file of any format. This module reads TOML files and UR kinematics files itself.
 
-An arm's TOML file has its nominal link table, limits, base and tool, and, for a simulated arm, the true deviations.
-
-Files are in degrees and millimetres, as every key says; objects are in radians and metres. The shipped arms
-lie in `pickenv/arm/files/arms`. A joint table with ``follows`` is a link that another joint moves, ``ratio`` times
-as far.
+An arm's TOML file has its nominal link table, limits, base and tool. For a simulated arm it also has the link
+parameters of the true arm. TOML files are in degrees and millimetres, as their keys say; objects are in radians and
+metres. The shipped arms are in `pickenv/arm/files/arms`. A joint table with ``follows`` is a link that another joint
+moves: its displacement is ``ratio`` times that of the joint.
 """
 
 from __future__ import annotations
@@ -35,7 +34,7 @@ Vector = tuple[float, float, float]
 
 @toml_tables.toml_table
 class JointTable:
-    """An entry of [[joints]] of any kind."""
+    """An entry of [[joints]] in an arm file: the keys that revolute, prismatic and following links share."""
 
     _: KW_ONLY
     number: Annotated[int, toml_tables.WHOLE]
@@ -54,7 +53,7 @@ class JointTable:
 
 @toml_tables.toml_table
 class Revolute(JointTable):
-    """A link that its own joint turns."""
+    """An entry of [[joints]]: a link with a revolute joint of its own."""
 
     type: Annotated[Literal["R"], Type]
     lower: Annotated[float, toml_tables.DEG]
@@ -64,7 +63,7 @@ class Revolute(JointTable):
 
 @toml_tables.toml_table
 class Prismatic(JointTable):
-    """A link that its own joint slides."""
+    """An entry of [[joints]]: a link with a prismatic joint of its own."""
 
     type: Annotated[Literal["P"], Type]
     lower: Annotated[float, toml_tables.MM]
@@ -74,7 +73,7 @@ class Prismatic(JointTable):
 
 @toml_tables.toml_table
 class Follower(JointTable):
-    """A link that another link's joint moves."""
+    """An entry of [[joints]]: a link that another link's joint moves."""
 
     type: Annotated[Literal["R", "P"], Type]
     follows: Annotated[int, toml_tables.WHOLE]
@@ -95,13 +94,13 @@ class PoseTable:
     rotation_vector: Annotated[Vector, toml_tables.DEG] = (0.0, 0.0, 0.0)
 
     def pose(self) -> Pose:
-        """The table's numbers as a `Pose`."""
+        """Return the table's pose."""
         return Pose(np.array(self.position), rotation_matrix(np.array(self.rotation_vector)))
 
 
 @toml_tables.toml_table
 class ArmFile:
-    """The content of an arm file; see `pickenv.arm.files.arm.Arm`."""
+    """The content of an arm's TOML file; see `pickenv.arm.files.arm.Arm`."""
 
     joint_count: Annotated[int, toml_tables.WHOLE.positive]
     joints: Annotated[
@@ -139,7 +138,7 @@ class ArmFile:
 
     @property
     def simulated(self) -> bool:
-        """Whether the file says how the arm was built."""
+        """Whether the file gives the true link parameters."""
         return any(getattr(joint, f"true_{key}") is not None for joint in self.joints for key in COLUMNS)
 
 
@@ -188,19 +187,23 @@ def _coupling(links: list[Any], leaders: list[Any]) -> Coupling | None:
 UR_LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 UR_KEYS = dict.fromkeys("xyz", toml_tables.M.most) | dict.fromkeys(("roll", "pitch", "yaw"), toml_tables.RAD.most)
-"""Keys of a link, each with the largest number that it may have, m and rad."""
+"""Keys of a link, each with the largest value allowed, m or rad."""
 
 LIMITS_OF = "ur10e"
-"""The arm that lends its limits and speeds, as a UR kinematics file has none; it is the slowest of its series."""
+"""The arm whose limits and speeds are used, because a UR kinematics file has none; it is the slowest of its series."""
 
 
 @register("arm_format", "yml")
 @register("arm_format", "yaml")
 def load_ur_yaml(path: str | Path, tip: str | None = None) -> Arm:
-    """Read a UR kinematics file, whose arm ends at its flange.
+    """Read the arm of a UR kinematics file; its tool is the flange.
+
+    Args:
+        path: The file.
+        tip: Must be None or empty, because the file has no other tip.
 
     Raises:
-        InputError: If it is no such file, if a joint or a number is missing, or if a tip is named; the message says
+        InputError: If it is no such file, if a joint or a number is missing, or if a tip is given. The message says
             which.
     """
     path = Path(path)
@@ -213,7 +216,11 @@ def load_ur_yaml(path: str | Path, tip: str | None = None) -> Arm:
 
 
 def ur_row(path: Path) -> tuple[JointRow, str]:
-    """The row of joints from which `load_ur_yaml` makes an arm, and words for its source with the robot's hash.
+    """Read the joints of a UR kinematics file.
+
+    Returns:
+        The row of joints from which `load_ur_yaml` makes an arm. And the robot's hash as text for the arm's source,
+        after a comma; empty if the file has none.
 
     Raises:
         InputError: If it is no such file, or a joint or a number is missing; the message names it.
@@ -239,17 +246,18 @@ def ur_row(path: Path) -> tuple[JointRow, str]:
 
 
 def shipped_arms() -> list[str]:
-    """Names of the arms that come with pickenv."""
+    """Return the names of the arms that come with pickenv."""
     return toml_tables.shipped_in(ARMS)
 
 
 def load_arm(name: str | Path, whole: bool = False) -> Arm:
-    """Read an arm by name (a shipped one), or from a path to a TOML, URDF, MJCF or UR kinematics file.
+    """Read a shipped arm by its name, or an arm from a TOML, URDF, MJCF or UR kinematics file.
 
     Args:
-        name: "ur5", "arm.toml", "arm.urdf#tip_link", "arm.xml#body_or_site", or "default_kinematics.yaml" as
-            `ur_description` has it. Without a tip the arm ends at its flange; its source then says at which link.
-        whole: Whether the name may be that of a whole robot, "robot.urdf#head,left_wrist,right_wrist".
+        name: Name or path: "ur5", "arm.toml", "arm.urdf#tip_link", "arm.xml#body_or_site", or the file
+            "default_kinematics.yaml" of ROS's `ur_description`. Without a tip, the tool of a URDF or MJCF arm is the
+            flange, and the arm's `source` names the link.
+        whole: Whether several tips may be given, to read a whole robot: "robot.urdf#head,left_wrist,right_wrist".
 
     Raises:
         InputError: If the arm is unknown, or its file is malformed; the message names the file and the joint or key.
@@ -265,7 +273,15 @@ def load_arm(name: str | Path, whole: bool = False) -> Arm:
 
 @register("arm_format", "toml")
 def load_toml(path: str | Path, tip: str | None = None) -> Arm:
-    """Read a shipped arm by its name, or an arm from a TOML file, which says itself where the arm ends."""
+    """Read a shipped arm by its name, or an arm from a TOML file.
+
+    Args:
+        path: The name or the file.
+        tip: Must be None or empty, because a TOML file gives the tool itself.
+
+    Raises:
+        InputError: If there is no such arm, or the file is malformed.
+    """
     endings = ", ".join(f".{name}" for name in registry.names("arm_format"))
     file = toml_tables.file_named("arm", f"{path}#{tip}" if tip else path, ARMS, endings)
     return _read(file, file.stat().st_mtime_ns)

@@ -1,10 +1,10 @@
-"""Parts that readers and writers of URDF and of MJCF share: the flange of a tree, and joints in a row as a `Geometry`.
+"""Functions that the readers and writers of URDF and MJCF share: find a robot's flange, and make joints a `Geometry`.
 
-A joint that follows another does not count as a joint of the arm: the joint that it follows moves its link too
-(`pickenv.arm.kinematics.geometry.Coupling`), whether that joint stands in the chain or beside it. Consecutive slides
-that one joint moves are exactly one slide: two stages of a lift give one link, along the sum of their directions, whose
-ratio is the sum of their ratios. Offsets go into the zero position, and a joint's limits and speed are what every link
-that it moves allows. Metres and radians.
+A joint that follows another does not count as a joint of the arm. The joint that it follows moves its link too
+(`pickenv.arm.kinematics.geometry.Coupling`), whether that joint is in the chain or beside it. Consecutive slides that
+one joint moves are equivalent to one slide, whose motion is the sum of theirs; two stages of a lift become one link.
+Offsets become part of the zero position. A joint's limits and speed are the largest that every link that it moves
+allows. Metres and radians.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ from pickenv.base import InputError, in_file, shortened
 
 
 def link_origins(geometry: Geometry) -> list[Pose]:
-    """Pose of each link in the link before it, with joints at zero; the base is part of the first pose.
+    """Return the pose of each link in the frame of the link before, with joints at zero.
 
-    A joint then turns about, or slides along, its link's z: the whole Rx(alpha) Tx(a) Ry(beta) Rz(theta) Tz(d) comes
-    before its motion.
+    The first pose includes the base. A pose is the whole product Rx(alpha) Tx(a) Ry(beta) Rz(theta) Tz(d); a joint then
+    turns about, or slides along, z of the resulting frame.
     """
     origins, before = [], geometry.base
     for i in range(geometry.links):
@@ -56,19 +56,23 @@ def link_origins(geometry: Geometry) -> list[Pose]:
 
 
 GRIPPERS = re.compile("finger|gripper|jaw|knuckle|thumb|claw|pinch|grasp", re.IGNORECASE)
-"""Words in the names of joints that move a gripper."""
+"""Pattern of words by which the names of gripper joints are recognised."""
 
 FLANGES = ("tool0", "flange", "attachment_site")
-"""Makers' names of the flange, surest first: ROS-Industrial, REP 199, MuJoCo Menagerie; each may have a prefix."""
+"""Names of the flange by convention, most specific first: ROS-Industrial, REP 199, MuJoCo Menagerie.
+
+A link's name may have a prefix before them.
+"""
 
 SIDE = 2
 """A branch (wheels, a head, a pinion) is ignored if another branch has at least this many times its joints."""
 
 
 class Carried(NamedTuple):
-    """A link that stands on another link, and the names of the moving joints that carry it; none if it is fixed.
+    """A child link, and the names of the moving joints between its parent and it; no names if it is fixed.
 
-    ``only_named`` says that the link only marks a place: it counts as the flange only if it has a flange's name.
+    ``only_named`` is True for a link that only marks a place (an MJCF site). Such a link is taken as the flange only if
+    it has one of the names `FLANGES`.
     """
 
     link: str
@@ -77,14 +81,15 @@ class Carried(NamedTuple):
 
 
 def flange(children: Mapping[str, Sequence[Carried]], root: str) -> str:
-    """The link to which a tool is bolted.
+    """Find the flange, the link to which a tool is bolted, and return its name.
 
     Args:
-        children: What stands on each link; together they are a tree.
-        root: The link on which the arm stands.
+        children: The children of each link, by the link's name; together they are a tree.
+        root: Name of the root link.
 
     Raises:
-        InputError: If the tree branches into arms, or into a gripper, before anything like an arm has moved.
+        InputError: If the tree branches into chains of similar length, and there are no more joints before the branch
+            than in the second-longest chain after it.
     """
     order = [root]
     for link in order:  # grows as it is walked
@@ -148,19 +153,19 @@ class Drive(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ChainJoint:
-    """A joint on the way from base to tip: it is displaced by ``offset`` plus ``ratio`` times its driver's value.
+    """A joint between base and tip. Its displacement is ``offset`` plus ``ratio`` times the driving joint's.
 
     Attributes:
         name: Name of the joint, for messages.
         driver: Name of the joint that drives this one: itself, or the joint that it follows.
-        ratio: Displacement of this joint per displacement of the driver; 0 where it does not move.
-        offset: Displacement of this joint where the driver is at zero, rad or m.
+        ratio: Displacement of this joint per displacement of the driver; 0 if it does not move.
+        offset: Displacement of this joint if the driver is at zero, rad or m.
         slides: Whether the joint slides (else it turns).
-        origin: Pose of the joint in the frame of the joint before, or of the world.
+        origin: Pose of the joint in the frame of the joint before, or in the world frame for the first joint.
         axis: The joint's axis, a unit vector (3,) in its own frame.
-        allowed: Smallest and largest displacement and largest speed, if these narrow the driver's own limits.
-        body: Name of the body that the joint moves, where the file places bodies and not joints.
-        within: Place of the joint in that body (3,).
+        allowed: Smallest and largest displacement and largest speed, if these narrow the driver's limits; else None.
+        body: Name of the body that the joint moves, if the file places bodies instead of joints (MJCF); else empty.
+        within: Position of the joint in that body (3,), m.
     """
 
     name: str
@@ -175,23 +180,23 @@ class ChainJoint:
     within: Array = field(default_factory=lambda: np.zeros(3))
 
     def motion(self, value: float) -> Pose:
-        """The pose of what the joint carries, in the joint's frame, at the joint displacement ``value``, rad or m."""
+        """Return the pose of the moved link in the joint's frame, at the joint displacement ``value``, rad or m."""
         if self.slides:
             return Pose(value * self.axis, np.eye(3))
         return Pose(np.zeros(3), Rotation.from_rotvec(value * self.axis).as_matrix())
 
 
 class JointRow(NamedTuple):
-    """The joints of a file from its root to a tip, as its reader found them.
+    """The joints between a file's root and a tip.
 
     Attributes:
-        name: What the file calls the robot.
+        name: Name of the robot in the file.
         root: Name of the first link.
         tip: Name of the last link.
-        joints: The joints that move, or may move; what is fixed between them is part of their origins.
+        joints: The joints from root to tip, without fixed ones, whose poses are part of the origins.
         tool: Pose of the tip in the frame of the last joint.
-        drives: The joints that are commanded, by name.
-        mount: Name of the fixed joint or the site that holds the tip; None where a moving joint holds it.
+        drives: The commanded joints, by name.
+        mount: Name of the fixed joint or the site that holds the tip; None if a moving joint holds it.
     """
 
     name: str
@@ -203,7 +208,13 @@ class JointRow(NamedTuple):
     mount: str | None = None
 
     def links(self, drives: dict[str, Drive]) -> tuple[list[ChainJoint], Pose]:
-        """The joints that move, in the world's axes, and the tip's pose, all at zero; their drives are added."""
+        """Return the moving joints, one per link, and the tip's pose, with all commanded joints at zero.
+
+        The origins and axes of the joints are in world axes.
+
+        Args:
+            drives: Commanded joints by name. Those of this row are added, with limits and speeds narrowed.
+        """
         links: list[ChainJoint] = []
         pose = identity_pose()
         for joint in self.joints:
@@ -216,13 +227,13 @@ class JointRow(NamedTuple):
 
 
 def arm_of(rows: Sequence[JointRow], path: Path, form: str, named: bool = True) -> Arm:
-    """The arm that a row makes, or the whole robot that several make, with the file as its source.
+    """Return the arm that one row of joints describes, or the whole robot that several rows describe.
 
     Args:
-        rows: A row for each part of the robot that carries a sensor or a target.
-        path: The file.
-        form: Its format.
-        named: Whether the caller named the tip of a single row; else the source says which link was taken.
+        rows: One row for an arm. For a whole robot, a row for each part that carries a sensor or a target.
+        path: The file, which becomes the arm's source.
+        form: The file's format, such as "URDF".
+        named: Whether the caller gave the tip; if not, the source says that it is the flange by default.
 
     Raises:
         InputError: Where `geometry_of` raises one; the message names the file.
@@ -235,16 +246,16 @@ def arm_of(rows: Sequence[JointRow], path: Path, form: str, named: bool = True) 
 
 
 def geometry_of(rows: Sequence[JointRow]) -> tuple[Geometry, Array]:
-    """The geometry of the arm that a row makes, or of the whole robot, and the largest speeds of the drives.
+    """Return the geometry of an arm or a whole robot, and the largest speeds of its joints ``(n,)``, rad/s or m/s.
 
-    A whole robot's branches are rows of joints that begin alike; one branch stands behind another in its table.
+    The rows of a whole robot share their first joints. Its link table holds one branch after another.
 
     Args:
-        rows: A row for each part of the robot that carries a sensor or a target.
+        rows: One row for an arm. For a whole robot, a row for each part that carries a sensor or a target.
 
     Raises:
-        InputError: If no joint moves, limits or slides leave no motion, or a row leaves a slide of several stages
-            between them.
+        InputError: If no joint moves, if limits leave no motion, if two slides cancel each other, or if a row branches
+            off between two stages of a slide.
     """
     drives: dict[str, Drive] = {}
     joints: list[ChainJoint] = []  # of all branches, in the world's axes, each behind a fixed link of no motion
@@ -300,12 +311,15 @@ def geometry_of(rows: Sequence[JointRow]) -> tuple[Geometry, Array]:
 
 
 def driver_of(name: str, followed: Callable[[str], tuple[str, float, float] | None]) -> tuple[str, float, float]:
-    """The joint that drives a joint in the end, with the ratio and the offset between their displacements.
+    """Find the commanded joint that drives a joint, over any number of joints that follow one another.
 
     Args:
-        name: The joint that is driven; it may follow a joint that follows another.
-        followed: Gives, for a joint's name, the joint that it follows, with ratio and offset; None where it follows no
-            other.
+        name: Name of the driven joint.
+        followed: Function that returns, for a joint's name, the joint that it follows, with ratio and offset. It
+            returns None for a joint that follows no other.
+
+    Returns:
+        Name of the commanded joint; ratio and offset (rad or m) of the driven joint's displacement to its displacement.
 
     Raises:
         InputError: If the joint follows itself.
@@ -334,7 +348,10 @@ def _within(driver: Drive, joint: ChainJoint) -> Drive:
 
 
 def links_of(joints: Sequence[ChainJoint]) -> list[list[ChainJoint]]:
-    """The joints that move each link: one, or consecutive slides of one driver. Joints that stand still move none."""
+    """Group joints by the link that they move together: one joint, or consecutive slides with the same driver.
+
+    Joints with the ratio 0 are left out.
+    """
     links: list[list[ChainJoint]] = []
     first = 0  # of the slides that follow one another
     for joint in joints:

@@ -1,6 +1,7 @@
-"""Joints in plant files: numbered from 1, lists with one number per joint, and sizes in the joint's own unit.
+"""Types of the joint entries in plant files: joint numbers from 1, lists with one number per joint, sizes by joint.
 
-Checks find the arm under the key ``arm`` of the context, a mapping, with which a plant file is read.
+A size by joint has one unit for revolute joints and another for prismatic joints. While a plant file is read, a mapping
+called the context is passed on; it holds the arm under the key ``arm``.
 """
 
 from __future__ import annotations
@@ -14,7 +15,7 @@ from pickenv.base import ARCMIN, DEG, MM, WHOLE, InputError, Kinds, Then, Unit, 
 
 
 def arm_in(context: Mapping[str, Any] | None) -> Arm | None:
-    """The arm of the plant file that is being read; None where no plant file is read or it names no arm."""
+    """Return the arm of the plant file that is being read; None if no plant file is read or it names no arm."""
     return (context or {}).get("arm")
 
 
@@ -25,11 +26,11 @@ def _per_joint(values: Any, context: Any) -> Any:
 
 
 PER_JOINT = Then(_per_joint)
-"""Annotates a list that must have as many entries as the arm has joints."""
+"""Annotation of a list that must have one entry per joint of the arm."""
 
 
 def joint_index(number: int, context: Any) -> int:
-    """The index, from 0, of the arm's joint with this number, from 1."""
+    """Convert a joint number, from 1, to an index, from 0; a number that the arm does not have is refused."""
     if (arm := arm_in(context)) is not None and not 1 <= number <= arm.nominal.joints:
         raise fault(f"a joint number from 1 to {arm.nominal.joints}")
     return number - 1
@@ -43,18 +44,27 @@ def _boom(number: int, context: Any) -> int:
 
 
 BOOM = Then(_boom)
-"""Annotates the number of a prismatic joint, which becomes its index from 0."""
+"""Annotation of the number, from 1, of a prismatic joint; reading converts it to an index from 0."""
 
 
 TRAVEL = (ARCMIN.not_negative, MM.not_negative)
-"""Units of lost motion or error of a joint that turns, and of one that slides."""
+"""Units of backlash, lag or error of a revolute joint, and of a prismatic joint."""
 
 LENGTH = (DEG.positive, MM.positive)
-"""Units of a period or a length scale of a joint that turns, and of one that slides."""
+"""Units of a period or a length scale of a revolute joint, and of a prismatic joint."""
 
 
 def numbers_per_joint(table: Any, context: Any, *keys: str) -> tuple[tuple[float, ...], ...]:
-    """One number per joint for each key, from the entries of a table; zero for joints that no entry names."""
+    """Return for each key a tuple with one number per joint.
+
+    Args:
+        table: A table whose attribute ``joints`` is a list of entries, each for one joint.
+        context: Context of reading the plant file, which holds the arm.
+        keys: Names of the sizes in the entries. The number of a joint without an entry is 0.
+
+    Raises:
+        InputError: If a joint has two entries.
+    """
     entries: dict[int, Any] = {}
     for entry in table.joints:
         if entry.joint in entries:
@@ -65,19 +75,25 @@ def numbers_per_joint(table: Any, context: Any, *keys: str) -> tuple[tuple[float
 
 
 class Entry(dict[str, Any]):
-    """An entry of a list of tables, which knows whether the joint that it names slides."""
+    """An entry of a list of tables by joint; ``slides`` says whether the entry's joint is prismatic."""
 
     slides = False
 
 
 class ByJoint:
-    """Annotates a list of tables of ``joint`` and sizes; a size has one unit for revolute, one for prismatic joints."""
+    """Annotation of a list of tables, each with a ``joint`` number and sizes.
+
+    Give a pair of units for each size: that of revolute joints and that of prismatic joints.
+    """
 
     def __init__(self, **units: tuple[Unit, Unit]) -> None:
         self.units = units
 
     def __get_pydantic_core_schema__(self, _source: Any, handler: Any) -> Any:
-        """The schema of a list of two kinds of tables; the joint tells them apart, or the keys where it is unknown."""
+        """Return the pydantic schema of the list.
+
+        An entry's units are those of its joint's type. If the joint is unknown, the units in its keys decide.
+        """
         from pydantic_core import core_schema as core
 
         kinds = []
@@ -102,12 +118,12 @@ class ByJoint:
 
 
 def joint_table(make: Callable[..., Any], **sizes: tuple[Unit, Unit] | Unit) -> Any:
-    """The type of a table of sizes by joint and of single numbers; whatever is left out is zero.
+    """Return the type of an effect's table with sizes by joint and with single numbers; missing values are zero.
 
     Args:
-        make: Makes the effect; it gets a tuple with one number per joint for each size by joint, then each single
-            number.
-        sizes: Units by name: two for a size by joint (revolute, prismatic), one for a single number.
+        make: Function that returns the effect. Its arguments are a tuple with one number per joint for each size by
+            joint, then each single number.
+        sizes: Units by name: a pair (revolute, prismatic) for a size by joint, one unit for a single number.
     """
     pairs = {name: unit for name, unit in sizes.items() if isinstance(unit, tuple)}
     singles = {name: unit for name, unit in sizes.items() if isinstance(unit, Unit)}

@@ -1,8 +1,9 @@
-"""Read MJCF: hinges and slides between the world and a body or a site of a MuJoCo model become a `Geometry`.
+"""Read and write MJCF. The hinges and slides between the world and a body or a site can be read as a `Geometry`.
 
-Poses and joints are placed as MuJoCo 3 places them: pos with quat, axisangle, euler, xyaxes or zaxis, compiler angle
-and eulerseq, default classes, childclass, frames, several joints on a body, ref, and included files. A joint that an
-equality constraint ties to another follows it. A constraint that closes a loop through the chain is refused.
+Poses are read as MuJoCo 3 reads them: pos with quat, axisangle, euler, xyaxes or zaxis. So are compiler angle and
+eulerseq, default classes, childclass, frames, several joints on a body, ref, and included files. A joint that an
+equality constraint ties to another joint follows that joint. A constraint that closes a loop through the chain is
+refused.
 
 A `Geometry` is in metres and radians. MJCF has no joint speeds; 1 rad/s and 1 m/s are taken.
 """
@@ -44,14 +45,19 @@ TOOL_SITE = "tool"
 
 
 def mjcf_text(geometry: Geometry, name: str, comment: str = "") -> str:
-    """A MuJoCo model of the chain; a site named "tool" has the tool's pose.
+    """Return a MuJoCo model of an arm as text; its site "tool" has the tool's pose.
 
-    Where a joint moves several links, equality constraints make the others follow the one that moves as the joint does:
-    where only kinematics are computed, set their joint positions too. Characters that XML cannot hold are left out of
-    names.
+    If a joint moves several links, the first link with ratio 1 and the joint's type gets the joint itself. Equality
+    constraints make the other links follow. MuJoCo does not apply these constraints if it computes only kinematics;
+    then set the positions of all joints yourself. Characters that XML cannot hold are left out of names.
+
+    Args:
+        geometry: The arm.
+        name: Name of the model.
+        comment: Comment at the beginning of the model; none if empty.
 
     Raises:
-        InputError: If no link moves just as its joint does, which MJCF cannot express; URDF can.
+        InputError: If a joint moves no link with ratio 1 and the joint's type. Write URDF instead.
     """
     leaders = leading_links(geometry)
     if None in leaders:
@@ -116,13 +122,13 @@ ORIENTATIONS = ("quat", "axisangle", "euler", "xyaxes", "zaxis")
 
 @dataclass(frozen=True)
 class MjcfValues:
-    """Settings of an MJCF file that say how its numbers are read.
+    """Settings of an MJCF file that determine the meaning of its numbers.
 
     Attributes:
         degrees: Whether the file's angles are degrees, which is MJCF's default.
-        sequence: Order of the file's Euler angles; small letters turn about moving axes.
-        autolimits: Whether a range alone limits a joint.
-        defaults: Attributes of each class of defaults, by element and class.
+        sequence: Order of the file's Euler angles; small letters mean moving axes, capitals fixed axes.
+        autolimits: Whether a joint with a range is limited without the attribute ``limited``.
+        defaults: Attributes of each default class, by element and class.
     """
 
     degrees: bool
@@ -132,7 +138,7 @@ class MjcfValues:
 
     @classmethod
     def of(cls, root: Element) -> MjcfValues:
-        """The settings of a whole file.
+        """Read the settings of a file from its root element.
 
         Raises:
             InputError: If a setting is unknown.
@@ -154,7 +160,12 @@ class MjcfValues:
         return cls(unit == "degree", sequence, settings.get("autolimits", "true") == "true", defaults)
 
     def merged(self, tag: str, element: Element, childclass: str) -> Attributes:
-        """An element's attributes, completed by those of its class of defaults.
+        """Return an element's attributes, completed by those of its default class.
+
+        Args:
+            tag: "joint" or "site".
+            element: The element.
+            childclass: Default class of elements that name none; empty for the main class.
 
         Raises:
             InputError: If there is no such class.
@@ -165,15 +176,18 @@ class MjcfValues:
         return _over(self.defaults.get((tag, name), {}), element.attrib)
 
     def angle(self, value: float) -> float:
-        """An angle of the file, converted to rad."""
+        """Convert an angle of the file to rad."""
         return math.radians(value) if self.degrees else value
 
     def pose(self, attributes: Attributes) -> Pose:
-        """The pose of a body, frame or site in its parent."""
+        """Return the pose of a body, frame or site in its parent from its attributes."""
         return Pose(xml_numbers(attributes.get("pos", "0 0 0"), "pos", M.most), self._rotation(attributes))
 
     def motion(self, joint: _Joint) -> tuple[Drive, float, bool]:
-        """A joint as a `Drive`; its reference (MJCF's ``ref``), rad or m; and whether the limits are the file's own.
+        """Read a joint's motion.
+
+        Returns:
+            The joint as a `Drive`; its reference position (MJCF's ``ref``), rad or m; and whether the file limits it.
 
         Raises:
             InputError: If the joint is neither hinge nor slide, or its range is missing or empty.
@@ -272,8 +286,8 @@ def load_mjcf(path: str | Path, tip: str | None = None) -> Arm:
 
     Args:
         path: The file (.xml).
-        tip: The body, or else the site, whose frame is the tool; the flange when left out. Of a whole robot, its bodies
-            or sites with sensors and targets, with commas between.
+        tip: Name of the body, or else the site, whose frame is the tool; the flange by default. For a whole robot, the
+            bodies or sites with sensors and targets, separated by commas.
 
     Raises:
         InputError: If the file, a body or a joint is unusable; the message names it.
@@ -284,7 +298,11 @@ def load_mjcf(path: str | Path, tip: str | None = None) -> Arm:
 
 
 def mjcf_row(path: Path, tip: str | None = None) -> JointRow:
-    """The row of joints from which `load_mjcf` makes an arm.
+    """Read the joints from the world to ``tip`` of a MuJoCo model, from which `load_mjcf` makes an arm.
+
+    Args:
+        path: The file (.xml).
+        tip: Name of the body or site; the flange by default.
 
     Raises:
         InputError: If the file, a body or a joint is unusable; the message names it.

@@ -1,6 +1,6 @@
-"""The arm inside a MuJoCo model: its nominal geometry, its present joints, and how it is made the true arm.
+"""The arm in a loaded MuJoCo model: its nominal geometry, its present joints, and changes that make it the true arm.
 
-Only models that a caller holds are read and changed; MuJoCo is imported when it is first needed.
+MuJoCo is imported when it is first needed.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, identity_pose
 from pickenv.base import InputError, listed, require
 
 SLIDE, HINGE = 2, 3
-"""MuJoCo's numbers for sliding and hinged joints, the types that an arm may have."""
+"""MuJoCo's numbers of the joint types that an arm may have: slide and hinge."""
 
 
 def geometry_in_mujoco(model: Any, site: str, joints: Sequence[str] | None = None, data: Any = None) -> Geometry:
-    """The nominal geometry of the arm that moves a site, in the model's world frame.
+    """Return the nominal geometry of the arm that moves a site, in the model's world frame.
 
     Args:
         model: `mujoco.MjModel`.
         site: Name of the site at the tool.
-        joints: The arm's joints from base to tool; all that move the site when left out.
-        data: `mujoco.MjData` with the positions of all other joints; the model's own positions when left out.
+        joints: Names of the arm's joints from base to tool; by default all joints that move the site.
+        data: `mujoco.MjData` with the positions of all other joints; by default the model's initial positions.
 
     Raises:
         MissingExtra: If MuJoCo is not installed.
@@ -79,25 +79,31 @@ def geometry_in_mujoco(model: Any, site: str, joints: Sequence[str] | None = Non
 
 
 def joints_in_mujoco(model: Any, data: Any, geometry: Geometry) -> Array:
-    """Present joint displacements ``(n,)``, rad or m, of an arm whose ``geometry`` came from `geometry_in_mujoco`."""
+    """Return the present joint displacements ``(n,)``, rad or m, of the arm in a simulation.
+
+    Args:
+        model: `mujoco.MjModel`.
+        data: `mujoco.MjData` of the simulation.
+        geometry: The arm's geometry, from `geometry_in_mujoco`.
+    """
     return np.array([data.qpos[model.joint(name).qposadr[0]] for name in geometry.joint_names])
 
 
 SAME = 1e-6
-"""Largest difference between the model's arm and the nominal one, by which files round off."""
+"""Largest difference between frames of the model's arm and of the nominal arm that counts as rounding in files."""
 
 
 @dataclass(frozen=True, eq=False)
 class ModelArm:
-    """The arm inside a model, whose bodies can be put where another geometry has them.
+    """The arm in a MuJoCo model, with methods that move its bodies so that the arm has another geometry.
 
     Attributes:
-        model: `mujoco.MjModel`, in which places of bodies and of the last joint are changed.
-        nominal: The geometry that the model was made with.
-        joints: Numbers of the arm's joints ``(n,)``.
-        bodies: Numbers of the bodies that carry them ``(n,)``.
-        above: Where each body's parent is: the first in the world, the others in the frame of the link before ``(n)``.
-        within: Frames of the bodies in those of their links ``(n)``.
+        model: `mujoco.MjModel`. The poses of bodies and the axis of the last joint are changed in it.
+        nominal: The geometry of the unchanged model.
+        joints: Indices of the arm's joints in the model ``(n,)``.
+        bodies: Indices of the bodies that these joints move ``(n,)``.
+        above: Frame of each body's parent, n of them: the first in the world, the others in the link before.
+        within: Frame of each body in its link's frame, n of them.
         pivot: Axis of the last joint and a point on it, in the last link's frame ``(2, 3)``, m.
     """
 
@@ -111,16 +117,16 @@ class ModelArm:
 
     @cached_property
     def places(self) -> NDArray[np.int64]:
-        """Where the joints' positions stand in the model's ``qpos`` ``(n,)``."""
+        """Indices of the joints' positions in ``qpos`` ``(n,)``."""
         return np.asarray(self.model.jnt_qposadr[self.joints])
 
     @cached_property
     def rest(self) -> list[float]:
-        """Displacements of the joints at which the model tells where bodies are ``(n,)``, rad or m."""
+        """Displacements of the n joints, rad or m, for which the model gives the poses of its bodies (``qpos0``)."""
         return list(self.model.qpos0[self.places].tolist())
 
     def take(self, geometry: Geometry) -> None:
-        """Give the model's arm another geometry: base, links and tool. What hangs on a link goes with it."""
+        """Give the model's arm the base, links and tool of another geometry; bodies attached to a link move with it."""
         chain = chain_of(geometry)
         links = frames(math, chain, self.rest)[1:]
         steps = [links[0], *(frame_within(*pair) for pair in pairwise(links))]
@@ -129,12 +135,12 @@ class ModelArm:
         self.put_tool(chain, self.rest, attach(links[-1], chain.tool))
 
     def put_tool(self, chain: Chain, joints: Sequence[float], tool: Frame) -> None:
-        """Move the last body so that the tool is at a frame when the joints stand as given.
+        """Move the last body so that the tool has the frame ``tool`` when the joints have the displacements ``joints``.
 
         Args:
-            chain: The chain of the geometry that the model's arm has.
-            joints: Displacements of its joints ``(n,)``, rad or m.
-            tool: Frame of the tool in the world.
+            chain: The chain of the geometry that the model's arm has now.
+            joints: Displacements of the n joints, rad or m.
+            tool: Frame of the tool in world axes.
         """
         *_, before, last = frames(math, chain, joints)
         resting = frames(math, chain, [*joints[:-1], self.rest[-1]])[-1]
@@ -156,22 +162,22 @@ class ModelArm:
 
 
 def quaternion(rotation: Array) -> Array:
-    """The quaternion ``(4,)`` of a rotation matrix ``(3, 3)``, w first, as MuJoCo has it."""
+    """Return the quaternion ``(4,)``, w first as in MuJoCo, of a rotation matrix ``(3, 3)``."""
     components = np.zeros(4)
     import_module("mujoco").mju_mat2Quat(components, np.ravel(rotation))
     return components
 
 
 def arm_in_mujoco(model: Any, nominal: Geometry) -> ModelArm:
-    """The arm inside a model, after a check that it is the nominal one.
+    """Return the arm in a model as a `ModelArm`, after checking that its geometry is the nominal one.
 
     Args:
-        model: `mujoco.MjModel`; it is not changed.
-        nominal: The nominal geometry, whose joints have the model's names; its tool need not be marked in the model.
+        model: `mujoco.MjModel`; this function does not change it.
+        nominal: The nominal geometry, whose joints have their names in the model. Its tool need not exist in the model.
 
     Raises:
-        InputError: If a joint is missing, joints move several links, two joints move one body, or the model's arm is
-            not the nominal one; the message says where.
+        InputError: If a joint is missing, a joint moves several links, two joints move one body, or the model's arm
+            differs from the nominal one. The message says where.
     """
     if nominal.coupling is not None:
         raise InputError("joints of the arm move several links; give an arm whose joints move one link each")
@@ -186,7 +192,7 @@ def arm_in_mujoco(model: Any, nominal: Geometry) -> ModelArm:
     data, places, chain = mujoco.MjData(model), model.jnt_qposadr[joints], chain_of(nominal)
 
     def stands(joints: Array) -> tuple[list[Frame], list[Frame]]:
-        """Frames of the bodies' parents in those of the links before, and of the bodies in those of their links."""
+        """Return each body's parent frame, relative to the link before, and each body's frame, relative to its link."""
         data.qpos[:] = model.qpos0
         data.qpos[places] = joints
         mujoco.mj_kinematics(model, data)

@@ -1,7 +1,7 @@
-"""Read URDF: any serial chain of revolute, continuous, prismatic and fixed joints of a tree becomes a `Geometry`.
+"""Read and write URDF. Any chain of revolute, continuous, prismatic and fixed joints can be read as a `Geometry`.
 
-A joint that mimics another does not count as a joint of the arm; the joint that it follows moves its link too. Where no
-tip is named, the tip is the flange (`pickenv.arm.files.joint_chain.flange`), and the arm's source says so.
+A joint that mimics another does not count as a joint of the arm; the joint that it follows moves its link too. By
+default the tip is the flange (`pickenv.arm.files.joint_chain.flange`), and the arm's source says so.
 
 Lengths in metres and angles in radians, as URDF has them; rpy is rotation about fixed x, y, z axes.
 """
@@ -27,22 +27,27 @@ from pickenv.base import M_PER_S, RAD, RAD_PER_S, InputError, M, in_file, one_li
 
 
 ROD_RADIUS, SHORTEST_ROD = 0.015, 0.02
-"""Radius and least length, m, of the rods that viewers draw for the links; kinematics ignore them."""
+"""Radius and least length, m, of the rods that viewers draw for the links; kinematics do not use them."""
 
 MASS, INERTIA, EFFORT = 0.1, 1e-4, 100.0
 """Mass, inertia and largest effort, in SI units, of every moving link and joint.
 
-They are no real arm's: simulators refuse a link without mass and a joint without effort.
+They are placeholders, because simulators refuse a link without mass and a joint without effort.
 """
 
 
 def urdf_text(geometry: Geometry, name: str, speed: Array | None = None) -> str:
-    """A URDF of the chain from ``base`` to ``tool``, one joint per link; its forward kinematics agree to rounding.
+    """Return the URDF of an arm as text: a chain from link ``base`` to link ``tool`` with one joint per link.
 
-    Each link is drawn as a rod to the next joint, and a slide as a rod back to where it starts. Where a joint moves
-    several links, the others mimic the one that moves just as the joint does; where no link does, the joint stands
-    beside the chain.
-    Characters that XML cannot hold are left out of names.
+    The URDF's forward kinematics agree with the geometry's to rounding. Each link is drawn as a rod to the next joint,
+    and a slide as a rod back to its start. If a joint moves several links, the first link with ratio 1 and the joint's
+    type gets the joint itself, and the others mimic it. If there is no such link, the joint moves a link of its own
+    beside the chain, and all links mimic it. Characters that XML cannot hold are left out of names.
+
+    Args:
+        geometry: The arm.
+        name: Name of the robot.
+        speed: Largest joint speeds ``(n,)``, rad/s or m/s; 1 by default.
     """
     robot = Element("robot", name=one_line(name))
     body = ElementTree.SubElement(robot, "link", name="base")
@@ -78,7 +83,7 @@ def urdf_text(geometry: Geometry, name: str, speed: Array | None = None) -> str:
 
 
 def leading_links(geometry: Geometry) -> list[int | None]:
-    """For each joint, the first link that moves just as the joint does; None where there is none."""
+    """Return for each joint the index of the first link with ratio 1 and the joint's type; None if there is none."""
     return [
         next((i for i, ratio in geometry.links_of(joint) if ratio == 1.0 and geometry.slides[i] == slides), None)
         for joint, slides in enumerate(geometry.prismatic)
@@ -112,7 +117,7 @@ def _joint(
 
 
 def roll_pitch_yaw(rotation: Array) -> Array:
-    """Angles (3,), rad, about fixed x, y, z of a rotation R = Rz(yaw) Ry(pitch) Rx(roll); exact at any pitch."""
+    """Return the angles roll, pitch, yaw (3,), rad, of a matrix R = Rz(yaw) Ry(pitch) Rx(roll); exact at any pitch."""
     roll = np.arctan2(rotation[2, 1], rotation[2, 2])
     pitch = np.arctan2(-rotation[2, 0], np.hypot(rotation[0, 0], rotation[1, 0]))
     sine, cosine = np.sin(roll), np.cos(roll)
@@ -133,7 +138,14 @@ def _rod(link: Element, end: Array) -> None:
 
 
 def write_urdf(geometry: Geometry, path: str | Path, name: str = "arm", speed: Array | None = None) -> Path:
-    """Write `urdf_text` to a file, whole or not at all."""
+    """Write `urdf_text` to a file and return its path; if this fails, no incomplete file is left.
+
+    Args:
+        geometry: The arm.
+        path: The file to write.
+        name: Name of the robot.
+        speed: Largest joint speeds ``(n,)``, rad/s or m/s; 1 by default.
+    """
     return write_text(path, urdf_text(geometry, name, speed))
 
 
@@ -146,8 +158,8 @@ def load_urdf(path: str | Path, tip: str | None = None) -> Arm:
 
     Args:
         path: The file.
-        tip: Last link, whose frame is the tool; the flange when left out. Of a whole robot, its links with sensors and
-            targets, with commas between.
+        tip: Last link of the arm, whose frame is the tool; the flange by default. For a whole robot, the links with
+            sensors and targets, separated by commas.
 
     Raises:
         InputError: If the file, a link or a joint is unusable; the message names it.
@@ -158,7 +170,11 @@ def load_urdf(path: str | Path, tip: str | None = None) -> Arm:
 
 
 def urdf_row(path: Path, tip: str | None = None) -> JointRow:
-    """The row of joints from which `load_urdf` makes an arm.
+    """Read the joints from the root to link ``tip`` of a URDF file, from which `load_urdf` makes an arm.
+
+    Args:
+        path: The file.
+        tip: Last link; the flange by default.
 
     Raises:
         InputError: If the file, a link or a joint is unusable; the message names it.

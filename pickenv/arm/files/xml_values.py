@@ -1,4 +1,4 @@
-"""Parts that readers of XML arm files share: the file's tree, and numbers in its attributes."""
+"""Functions that the URDF and MJCF readers and writers share: parse the file, and read numbers in its attributes."""
 
 from __future__ import annotations
 
@@ -19,10 +19,14 @@ Element = ElementTree.Element
 
 
 def xml_root(path: Path, ending: str) -> Element:
-    """The root element of an XML file; entities, which can grow without end, are refused.
+    """Return the root element of an XML file; entities are refused, because they can expand without limit.
+
+    Args:
+        path: The file.
+        ending: Kind of the file in error messages, such as ".urdf".
 
     Raises:
-        InputError: If the file cannot be read or is no XML.
+        InputError: If the file cannot be read, is no XML, or declares entities.
     """
     text = read_text(path, f"a {ending} file")
     if declared := re.match(r"""<\?xml[^>]*?encoding\s*=\s*["']([^"']*)""", text):
@@ -35,7 +39,13 @@ def xml_root(path: Path, ending: str) -> Element:
 
 
 def xml_numbers(text: str, key: str, most: float, count: int = 3) -> Array:
-    """The numbers that an attribute lists, none larger than ``most``.
+    """Return the numbers that an attribute's text lists, ``(count,)``.
+
+    Args:
+        text: The attribute's text.
+        key: Name of the attribute in error messages.
+        most: Largest absolute value allowed.
+        count: How many numbers the text must have: 2, 3, 4 or 6.
 
     Raises:
         InputError: If the text is not ``count`` finite numbers, or one of them is too large.
@@ -50,7 +60,12 @@ def xml_numbers(text: str, key: str, most: float, count: int = 3) -> Array:
 
 
 def xml_number(text: str, owner: str, most: float) -> float:
-    """The number in an attribute, no larger than ``most``.
+    """Return the number in an attribute's text.
+
+    Args:
+        text: The attribute's text.
+        owner: Name of the number in error messages.
+        most: Largest absolute value allowed.
 
     Raises:
         InputError: If the text is no number, or the number is too large.
@@ -64,10 +79,10 @@ def xml_number(text: str, owner: str, most: float) -> float:
 
 
 def unit_vector(values: Array, what: str) -> Array:
-    """The vector of length 1 in the direction of ``values``.
+    """Return the unit vector in the direction of ``values``; ``what`` names the vector in error messages.
 
     Raises:
-        InputError: If it has no direction.
+        InputError: If ``values`` is the zero vector.
     """
     if (length := float(np.linalg.norm(values))) < PARALLEL:
         raise InputError(f"{what} has no direction; give a unit vector")
@@ -75,5 +90,5 @@ def unit_vector(values: Array, what: str) -> Array:
 
 
 def numbers_text(numbers: ArrayLike) -> str:
-    """The numbers as the text of an attribute, with all their digits."""
+    """Return numbers as the text of an attribute, with all their digits."""
     return " ".join(repr(float(number)) for number in np.atleast_1d(numbers))

@@ -1,6 +1,7 @@
-"""The few operations that `math`, `numpy` and `torch` spell differently, so that a formula is written once.
+"""Operations whose names differ between `math`, `numpy` and `torch`, so that one formula works with each of them.
 
-Numbers of a plant may be plain floats while the joints are arrays; a function of plain floats alone gives a float.
+The numbers of a plant (a simulated true arm) may be plain floats while the joints are arrays. A function of plain
+floats alone returns a float.
 """
 
 from __future__ import annotations
@@ -22,22 +23,22 @@ ONE: Any = SimpleNamespace(
     maximum=max,
     clip=lambda value, low, high: min(max(value, low), high),
 )
-"""The namespace for floats with NumPy's sine and cosine: a single pose gets the same bits as among many in arrays, but
+"""A namespace for floats with NumPy's sine and cosine. A single pose thus gets the same bits as in an array of poses,
 without the cost of arrays."""
 
 
 def namespace_of(m: ModuleType, value: Scalar) -> ModuleType:
-    """The namespace that holds sin, cos, exp and sqrt for ``value``: `math` for plain floats, else ``m``."""
+    """Return the namespace with sin, cos, exp and sqrt for ``value``: `math` for plain numbers, else ``m``."""
     return math if isinstance(value, float | int) else m
 
 
 def exponential(m: ModuleType, value: Scalar) -> Scalar:
-    """The exponential of ``value``."""
+    """Return the exponential of ``value``; ``m`` is the namespace if ``value`` is no plain number."""
     return namespace_of(m, value).exp(value)
 
 
 def clipped(m: ModuleType, value: Scalar, low: Scalar, high: Scalar) -> Scalar:
-    """``value`` clipped to ``low`` and ``high``, which are both plain floats or both of the kind of ``value``."""
+    """Return ``value`` clipped to ``low`` and ``high``, both plain floats or both of the type of ``value``."""
     if m is math:
         return low if value < low else high if value > high else value
     if m is np:
@@ -46,36 +47,47 @@ def clipped(m: ModuleType, value: Scalar, low: Scalar, high: Scalar) -> Scalar:
 
 
 def chosen(m: ModuleType, condition: Scalar, yes: Scalar, no: Scalar) -> Scalar:
-    """``yes`` where ``condition`` holds, else ``no``."""
+    """Return ``yes`` where ``condition`` is true, else ``no``."""
     if m is math or isinstance(condition, bool):
         return yes if condition else no
     return m.where(condition, yes, no)
 
 
 def possible(m: ModuleType, condition: Scalar) -> bool:
-    """Whether ``condition`` may hold somewhere; always True with torch, so that nothing waits for the device."""
+    """Return whether ``condition`` may be true in some entry; always True with torch, to avoid waiting for the GPU."""
     return bool(condition) if m is math else bool(np.any(condition)) if m is np else True
 
 
 def set_aside(m: ModuleType, condition: Scalar) -> bool:
-    """Whether ``m`` notes a rare case and leaves it to whoever runs the formula, as a namespace for tracing does."""
+    """Return whether the formula may skip a rare case, because a tracing namespace ``m`` has recorded the condition.
+
+    Whoever runs the traced formula computes that case separately. Always False for `math`, `numpy` and `torch`.
+
+    Args:
+        m: The namespace.
+        condition: Where the rare case occurs.
+    """
     note = getattr(m, "set_aside", None)
     return note is not None and bool(note(condition))
 
 
 def outside(m: ModuleType, function: Callable[..., None], values: Sequence[Scalar], rows: int) -> list[Scalar] | None:
-    """The results of a function of whole arrays, where ``m`` is a namespace that traces formulas; else None.
+    """Record the call of a function of whole arrays, if ``m`` is a namespace that traces formulas.
 
     Args:
         m: The namespace.
-        function: Gets an array ``(k, N)`` and fills one ``(rows, N)``, column by column.
-        values: The k numbers that the function is given.
-        rows: How many numbers the function makes of them.
+        function: Function that takes an input array ``(k, N)`` and an output array ``(rows, N)`` and fills the output.
+            Columns are independent of one another.
+        values: The k inputs.
+        rows: Number of outputs.
+
+    Returns:
+        The outputs; None if ``m`` does not trace.
     """
     note = getattr(m, "outside", None)
     return None if note is None else note(function, values, rows)
 
 
 def nearest_whole(m: ModuleType, value: Scalar) -> Scalar:
-    """The whole number nearest to ``value``; halves are rounded to the even neighbour, as in IEEE 754."""
+    """Return the integer nearest to ``value``; halves are rounded to the even neighbour, as in IEEE 754."""
     return float(round(value)) if m is math else m.round(value)

@@ -1,4 +1,4 @@
-"""Forward kinematics, written once in components and run by Python floats, NumPy arrays or torch tensors.
+"""Forward kinematics in scalar components, which may be Python floats, NumPy arrays or torch tensors.
 
 A frame is twelve scalars (axes x, y, z and the origin, in world axes); ``m`` is the namespace that supplies sin, cos
 and stack: `math`, `numpy` or `torch`. Qiao 2026 eqs (1)-(2); modified DH with Hayati's beta. Metres and radians.
@@ -26,9 +26,10 @@ PARALLEL = 1e-9
 """Axes whose directions have a cross product shorter than this count as parallel."""
 
 NEARLY_PARALLEL = 1e-2
-"""So do those below this, which a file's rounding or a part's tolerance turns; Hayati's beta holds what remains.
+"""Axes with a shorter cross product count as nearly parallel; their remaining angle goes into Hayati's beta.
 
-Their common normal would lie far away: kilometres, where a file rounds half a turn to 3.1416.
+Such small angles come from a file's rounding or a part's tolerance. The common normal of such axes would be far away:
+kilometres, if a file rounds half a turn to 3.1416.
 """
 
 
@@ -41,19 +42,19 @@ def geometry_from_axes(
     lower: ArrayLike,
     upper: ArrayLike,
 ) -> Geometry:
-    """Turn joint axes into a `Geometry`.
+    """Return the `Geometry` of an arm whose joint axes are given at zero joints.
 
     Args:
         joint_names: Names of the joints.
-        prismatic: Joint types.
+        prismatic: For each joint, whether it slides (else it turns).
         points: A point on each axis at zero joints ``(n, 3)``, m, world frame.
         directions: Axis directions ``(n, 3)``, world frame.
         tool: Tool pose at zero joints, world frame.
-        lower: Lower joint limits.
-        upper: Upper joint limits.
+        lower: Lower joint limits ``(n,)``, rad or m.
+        upper: Upper joint limits ``(n,)``, rad or m.
 
     Raises:
-        InputError: If an axis has no direction.
+        InputError: If the direction of an axis is the zero vector.
     """
     points, directions = np.asarray(points, dtype=float), np.asarray(directions, dtype=float)
     lengths = np.linalg.norm(directions, axis=1)
@@ -116,17 +117,20 @@ def _angle(start: Array, end: Array, axis: Array) -> float:
 
 
 Scalar = Any
-"""A Python float, a NumPy array or a torch tensor: the executors' common ground."""
+"""A Python float, a NumPy array or a torch tensor."""
 
 Frame = tuple[Scalar, ...]
 """(xx, xy, xz, yx, yy, yz, zx, zy, zz, px, py, pz): components of the axes x, y, z and of the origin p."""
 
 Flexure = Callable[[int, Frame], Frame]
-"""Bends the frame of link i (counted from 0) before the next link is attached."""
+"""A function from the index (from 0) and the frame of a link to the bent frame, to which the next link is attached."""
 
 
 class Link(NamedTuple):
-    """Constants of one link, with the sines and cosines that do not depend on the joints."""
+    """Constants of one link's transform: its parameters and their sines and cosines; ``beta`` holds (cosine, sine).
+
+    ``beta`` is None if Hayati's beta is zero.
+    """
 
     prismatic: bool
     cos_alpha: Scalar
@@ -140,7 +144,7 @@ class Link(NamedTuple):
 
 
 class Chain(NamedTuple):
-    """A geometry made ready for `frames`: base, links, tool (None where it is the identity), coupling and tree."""
+    """A geometry prepared for `frames`: base, links, tool (None if it is the identity), coupling and tree."""
 
     base: Frame
     links: tuple[Link, ...]
@@ -149,16 +153,18 @@ class Chain(NamedTuple):
     tree: LinkTree | None = None
 
     def hand(self, links: Sequence[Frame]) -> Frame:
-        """The frame of the link that carries the tool, of the `frames` of all."""
+        """Return the frame of the link that carries the tool; ``links`` is the result of `frames`."""
         return links[-1] if self.tree is None else links[self.tree.target + 1]
 
 
 def chain_of(geometry: Geometry, m: ModuleType = math) -> Chain:
-    """Prepare ``geometry`` for an executor.
+    """Return ``geometry`` as a `Chain`, the form that `frames` takes.
 
     Args:
-        geometry: A single geometry; with ``m`` = numpy its link parameters may carry batch dimensions (one arm each).
-        m: ``math`` for constants that are Python floats (which mix with any executor's joints), else ``numpy``.
+        geometry: A single geometry. If ``m`` is numpy, its link parameters may carry batch dimensions (one table per
+            arm).
+        m: ``math`` for constants that are Python floats, which work with joints of any kind. ``numpy`` for constants
+            that are arrays.
     """
     single = m is math
     tables = (getattr(geometry, name) for name in LINK_PARAMETERS)
@@ -173,7 +179,7 @@ def chain_of(geometry: Geometry, m: ModuleType = math) -> Chain:
 
 
 def frame_of(pose: Pose) -> Frame:
-    """The twelve components of a pose as a frame: Python floats for a single pose, arrays for poses ``(...)``."""
+    """Return a pose as a `Frame` of twelve components: Python floats for one pose, arrays ``(...)`` for a batch."""
     if pose.position.ndim > 1:
         axes = np.ascontiguousarray(np.moveaxis(pose.rotation, (-1, -2), (0, 1)))
         return (*axes.reshape(9, *axes.shape[2:]), *np.moveaxis(pose.position, -1, 0))
@@ -181,7 +187,7 @@ def frame_of(pose: Pose) -> Frame:
 
 
 def pose_of(frame: Frame) -> Pose:
-    """Stack a frame's components, numbers or arrays of shapes that fit, into a `Pose` of arrays."""
+    """Return a frame as a `Pose` of arrays; its components are numbers, or arrays that broadcast."""
     shape = np.broadcast(*frame).shape
     position, axes = np.empty((*shape, 3)), np.empty((*shape, 3, 3))
     for i, (x, y, z, p) in enumerate(zip(*(frame[start : start + 3] for start in (0, 3, 6, 9)), strict=True)):
@@ -190,15 +196,16 @@ def pose_of(frame: Frame) -> Pose:
 
 
 def frames(m: ModuleType, chain: Chain, q: Sequence[Scalar], flexure: Flexure | None = None) -> list[Frame]:
-    """Frames of base and links, L + 1 of them, in world axes.
+    """Compute the frames of the base and of the L links, L + 1 in all, in world axes.
 
-    Of a tree the base is where the link with the sensor stands; all that the robot carries moves against it.
+    If the chain has a `LinkTree` with a sensor link, the chain's base is the pose of that link. All frames are then
+    computed relative to it.
 
     Args:
-        m: ``math``, ``numpy`` or ``torch``.
-        chain: From `chain_of`.
+        m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
+        chain: The chain, from `chain_of`.
         q: The n joint displacements, rad or m: floats, or arrays of one shape.
-        flexure: Bends a link's frame before the next link is attached (boom bending), or None.
+        flexure: Function that bends a link's frame before the next link is attached (boom bending), or None.
     """
     sin, cos = m.sin, m.cos
     if chain.coupling is not None:
@@ -239,14 +246,19 @@ def frames(m: ModuleType, chain: Chain, q: Sequence[Scalar], flexure: Flexure | 
 
 
 def frame_within(reference: Frame, frame: Frame) -> Frame:
-    """A frame in the axes of another, both given in world axes; `attach` undoes it."""
+    """Return ``frame``, given in world axes like ``reference``, expressed in ``reference``; the inverse of `attach`."""
     gap = [p - q for p, q in zip(frame[9:], reference[9:], strict=True)]
     vectors, axes = (*(frame[i : i + 3] for i in (0, 3, 6)), gap), [reference[i : i + 3] for i in (0, 3, 6)]
     return tuple(x * u + y * v + z * w for x, y, z in vectors for u, v, w in axes)
 
 
 def attach(frame: Frame, tool: Frame | None) -> Frame:
-    """The tool's frame in the world, given the last link's frame and the tool's pose in it."""
+    """Return the tool's frame in world axes.
+
+    Args:
+        frame: Frame of the link that carries the tool, in world axes.
+        tool: The tool's frame in that link's frame; None for the identity.
+    """
     if tool is None:
         return frame
     xx, xy, xz, yx, yy, yz, zx, zy, zz, px, py, pz = frame
@@ -258,12 +270,16 @@ def attach(frame: Frame, tool: Frame | None) -> Frame:
 
 
 def tool_frame(m: ModuleType, chain: Chain, q: Sequence[Scalar], flexure: Flexure | None = None) -> Frame:
-    """Frame of the tool in world axes; arguments as in `frames`."""
+    """Compute the frame of the tool in world axes; the arguments are those of `frames`."""
     return attach(chain.hand(frames(m, chain, q, flexure)), chain.tool)
 
 
 def split_joints(geometry_joints: int, q: ArrayLike) -> list[Array]:
-    """Check joints ``(..., n)`` and return them as n arrays ``(...,)``.
+    """Check the shape of joints ``(..., n)`` and return them as n arrays ``(...,)``.
+
+    Args:
+        geometry_joints: Number of joints n of the arm.
+        q: Joint displacements ``(..., n)``, rad or m.
 
     Raises:
         ValueError: If the last dimension is not n.
@@ -275,7 +291,7 @@ def split_joints(geometry_joints: int, q: ArrayLike) -> list[Array]:
 
 
 def forward(geometry: Geometry, q: ArrayLike) -> Pose:
-    """Tool pose for joints ``q``.
+    """Compute the tool pose at joints ``q``.
 
     Args:
         geometry: The arm; its link parameters may carry batch dimensions that broadcast with those of ``q``.
@@ -296,11 +312,13 @@ def forward(geometry: Geometry, q: ArrayLike) -> Pose:
 
 
 SHORTEST_LINK = 0.02
-"""Length, m, that a link part must exceed in some pose to be drawn; a shorter part is skipped."""
+"""Length, m, above which a link part is drawn; a part that is shorter in all poses is skipped."""
 
 
 def nominal_points(geometry: Geometry, q: ArrayLike) -> Array:
-    """Points ``(..., 2n + 2, 3)`` along the arm as ``geometry`` describes it, base first and tool last, in m.
+    """Compute points ``(..., 2n + 2, 3)`` along the arm, from the base to the tool, in m, in the world frame.
+
+    The points are the ends of all link parts.
 
     Args:
         geometry: The arm.
@@ -320,15 +338,16 @@ def nominal_points(geometry: Geometry, q: ArrayLike) -> Array:
 
 
 def true_points(geometry: Geometry, q: ArrayLike, tool: ArrayLike) -> Array:
-    """Points ``(..., 2n + 2, 3)`` along the true arm, in m: its true geometry, shifted to end at the true tool.
+    """Compute points ``(..., 2n + 2, 3)`` along the true arm, in m, in the world frame, for drawing.
 
-    Where along the arm compliance, drives or the ground displace it is not computed: what they add at the tool is
-    spread evenly along the links. Base and tool are exact.
+    The points of the true geometry are shifted so that the last is the true tool position. The shift grows in
+    proportion to the length along the arm. Base and tool are exact; the points between are approximate, because the
+    places where compliance, drives or the ground displace the arm are not computed.
 
     Args:
         geometry: True geometry.
         q: Joint commands ``(..., n)``, rad or m.
-        tool: True tool positions ``(..., 3)``, m.
+        tool: True tool positions ``(..., 3)``, m, world frame.
     """
     points = nominal_points(geometry, q)
     lengths = np.linalg.norm(np.diff(points, axis=-2), axis=-1)
@@ -338,6 +357,9 @@ def true_points(geometry: Geometry, q: ArrayLike, tool: ArrayLike) -> Array:
 
 
 def drawn_parts(points: Array) -> list[int]:
-    """Indices of the first points of those parts of the polyline ``(..., K, 3)`` that are long enough to be drawn."""
+    """Return the index of the first point of each segment of polylines ``(..., K, 3)`` that is long enough to draw.
+
+    A segment is long enough if it exceeds `SHORTEST_LINK` in some pose.
+    """
     lengths = np.linalg.norm(np.diff(points, axis=-2), axis=-1).reshape(-1, points.shape[-2] - 1)
     return [int(i) for i in np.flatnonzero(lengths.max(axis=0) > SHORTEST_LINK)]

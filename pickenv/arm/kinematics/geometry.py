@@ -3,8 +3,8 @@
 Link i is T(i-1,i) = Rot(x, alpha) Trans(x, a) Rot(y, beta) Rot(z, theta) Trans(z, d): Qiao 2026 eq (1), with Hayati's
 beta added for consecutive parallel axes (zero in every nominal table). Units: metres and radians.
 
-Where one drive moves several links (a two-stage lift, a parallelogram), links and joints are counted apart: the link
-table has a row per link, and joint values, names and limits belong to the joints that are commanded (`Coupling`).
+One drive may move several links (a two-stage lift, a parallelogram), so there may be more links than joints. The link
+table has a row per link. Joint values, names and limits belong to the commanded joints (`Coupling`).
 """
 
 from __future__ import annotations
@@ -34,34 +34,39 @@ class Pose(NamedTuple):
 
 
 def identity_pose() -> Pose:
-    """The identity: the pose that moves nothing."""
+    """Return the identity pose: position zero, and the identity matrix as rotation."""
     return Pose(np.zeros(3), np.eye(3))
 
 
 def inverse_pose(pose: Pose) -> Pose:
-    """The inverse of a pose ``(...)``: the pose of its reference frame, expressed in the frame of the pose."""
+    """Return the inverse of a pose ``(...)``: the pose of its reference frame, expressed in the frame of the pose."""
     back = np.swapaxes(pose.rotation, -1, -2)
     return Pose(-np.einsum("...ij,...j->...i", back, pose.position), back)
 
 
 def behind(pose: Pose, after: Pose) -> Pose:
-    """The pose ``after``, given in the frame ``pose``, expressed in the reference frame of ``pose``; or batches."""
+    """Compose two poses, or batches of them: ``after`` is given in the frame ``pose``.
+
+    Returns:
+        The pose ``after``, expressed in the reference frame of ``pose``.
+    """
     step = np.einsum("...ij,...j->...i", pose.rotation, after.position)
     return Pose(pose.position + step, pose.rotation @ after.rotation)
 
 
 @dataclass(frozen=True)
 class Coupling:
-    """The joint that moves each link, where links move together: link i is displaced by ratio[i] q[joint[i]].
+    """Which joint moves which links, where a joint moves several: link i is displaced by ratio[i] q[joint[i]].
 
-    A ratio of 0 marks a fixed link, with which a branch of a `LinkTree` begins.
+    A ratio of 0 marks a fixed link. Each branch of a `LinkTree` begins with one.
 
-    Where a link stands at zero joints is part of its theta or d.
+    The displacement of a link at zero joints is part of its theta or d.
 
     Attributes:
-        joint: Index of the joint that moves the link, from 0, one per link (L,).
+        joint: For each link, the index of the joint that moves it, from 0 (L,).
         ratio: Displacement of the link per displacement of its joint, rad or m per rad or m (L,).
-        slides: Whether the link slides (L,); it may differ from its joint's kind (a rack and its pinion).
+        slides: Whether the link slides, else it turns (L,). A joint that turns may move a link that slides (pinion and
+            rack).
     """
 
     joint: tuple[int, ...]
@@ -69,21 +74,25 @@ class Coupling:
     slides: tuple[bool, ...]
 
     def displacements(self, q: Sequence[Any]) -> list[Any]:
-        """The displacement of each link for joint values of any kind: floats, arrays or tensors."""
+        """Return the displacement of each link, rad or m.
+
+        Args:
+            q: The n joint displacements, rad or m: floats, or arrays or tensors of one shape.
+        """
         return [ratio * q[joint] for joint, ratio in zip(self.joint, self.ratio, strict=True)]
 
 
 @dataclass(frozen=True)
 class LinkTree:
-    """How the links of a whole robot stand on one another, and between which two of them a pose is meant.
+    """The tree of a robot's links, and the two links between which a tool pose is computed.
 
-    A pose leads from the link that carries a sensor to the link that carries its target: up the one branch, down the
-    other. Frame 0, on which the robot stands, has the index -1.
+    A tool pose is the pose of the target's link relative to the sensor's link. Frame 0, the root of the tree, has the
+    index -1.
 
     Attributes:
-        parent: Index of the link that each link stands on (L,); it comes before that link.
+        parent: Index of each link's parent link (L,). A parent comes before its child.
         names: Names of the parts of the robot that may carry a sensor or a target.
-        carriers: Index of the link that each of these parts is fixed to.
+        carriers: For each of these parts, the index of the link that it is fixed to.
         sensor: Index of the link that carries the sensor.
         target: Index of the link that carries the target.
     """
@@ -95,7 +104,7 @@ class LinkTree:
     target: int = -1
 
     def carry(self, link: int) -> list[int]:
-        """Indices of a link and of all that it stands on, frame 0 left out."""
+        """Return the indices of a link and of its ancestors, from the link towards frame 0, without frame 0."""
         line = []
         while link >= 0:
             line.append(link)
@@ -107,11 +116,11 @@ class LinkTree:
 class Geometry:
     """Modified DH table of a serial chain with n joints and L links, its base and tool poses and its joint limits.
 
-    Of a whole robot it is the table of all branches, one behind another (`LinkTree`). A branch begins with a fixed
-    link, which no joint moves: its theta and d say where on the axis before it the branch leaves.
+    For a whole robot, the table holds all branches, one after another (`LinkTree`). A branch begins with a fixed link,
+    which no joint moves. That link's theta and d say where on the parent link's axis the branch begins.
 
     Attributes:
-        joint_names: One name per joint, as messages and tables print it.
+        joint_names: One name per joint, used in messages and tables.
         prismatic: For each joint, whether it slides (else it turns), shape (n,).
         alpha: Twist alpha(i-1) of each link, rad, shape (L,); L = n without a coupling. All five link parameters may
             carry leading batch dimensions (one table per arm).
@@ -123,8 +132,8 @@ class Geometry:
         upper: Upper joint limits.
         base: Pose of the chain's frame 0 in the measurement (world) frame.
         tool: Pose of the tool in the last link's frame.
-        coupling: Which joint moves which links; None where each joint moves its own.
-        tree: Which link stands on which; None where each stands on the one before.
+        coupling: Which joint moves which links; None if joint i moves link i alone.
+        tree: The tree of the links; None if each link's parent is the link before it.
     """
 
     joint_names: tuple[str, ...]
@@ -143,12 +152,12 @@ class Geometry:
 
     @property
     def joints(self) -> int:
-        """Number of joints n, which are what is commanded."""
+        """Number of commanded joints n."""
         return len(self.prismatic)
 
     @property
     def links(self) -> int:
-        """Number of links L: n, or more where one joint moves several."""
+        """Number of links L: n, or more if a joint moves several links."""
         return len(self.slides)
 
     @property
@@ -158,17 +167,20 @@ class Geometry:
 
     @property
     def owners(self) -> tuple[int, ...]:
-        """For each link, the joint that moves it, shape (L,)."""
+        """For each link, the index of the joint that moves it, from 0, shape (L,)."""
         return tuple(range(self.joints)) if self.coupling is None else self.coupling.joint
 
     @property
     def ratios(self) -> tuple[float, ...]:
-        """For each link, its displacement per displacement of the joint that moves it, shape (L,)."""
+        """For each link, the ratio of its displacement to that of the joint that moves it, shape (L,)."""
         return (1.0,) * self.joints if self.coupling is None else self.coupling.ratio
 
     @property
     def link_names(self) -> tuple[str, ...]:
-        """One name per link, shape (L,): its joint's name, with a number where the joint moves several links."""
+        """One name per link, shape (L,): the joint's name, with a number if the joint moves several links.
+
+        A fixed link is called "mount of" its joint.
+        """
         names = []
         for i, (joint, ratio) in enumerate(zip(self.owners, self.ratios, strict=True)):
             moved = [link for link, _ in self.links_of(joint)]
@@ -177,7 +189,7 @@ class Geometry:
         return tuple(names)
 
     def links_of(self, joint: int) -> list[tuple[int, float]]:
-        """Index and ratio of each link that a joint moves (see `Coupling`)."""
+        """Return the index and the ratio (see `Coupling`) of each link that a joint moves."""
         return self._moved[joint]
 
     @cached_property
@@ -195,9 +207,9 @@ class Geometry:
 
     @cached_property
     def senses(self) -> Array:
-        """How the tool moves with what each link carries (L,): 1 as it does, -1 the other way, 0 not at all.
+        """Sign of each link's effect on the tool pose (L,): 1 if the link carries the target, -1 if the sensor.
 
-        It moves the other way where the link carries the sensor, and not at all where it carries both or neither.
+        The sign is 0 if the link carries both or neither, because the pose between them then does not change.
         """
         if self.tree is None:
             return np.ones(self.links)
@@ -205,11 +217,16 @@ class Geometry:
         return np.array([float(i in target) - float(i in sensor) for i in range(self.links)])
 
     def carries(self, link: int, other: int) -> bool:
-        """Whether a link carries another, or is it."""
+        """Return whether ``other`` is the link ``link`` itself or one of its descendants; both are link indices."""
         return link <= other if self.tree is None else link in self.tree.carry(other)
 
     def between(self, sensor: int, target: int) -> Geometry:
-        """This geometry with poses from one link of its tree to another."""
+        """Return this geometry with another sensor link and target link; it must have a tree.
+
+        Args:
+            sensor: Index of the link that carries the sensor; -1 for frame 0.
+            target: Index of the link that carries the target; -1 for frame 0.
+        """
         assert self.tree is not None
         return replace(self, tree=replace(self.tree, sensor=sensor, target=target))
 
@@ -230,10 +247,13 @@ class Geometry:
         return np.array(links + [False, False, False, True, True, True] * 2)
 
     def displaced(self, delta: ArrayLike) -> Geometry:
-        """This geometry with ``delta`` (5L + 12,) added to its parameters, in the order of `parameter_names`.
+        """Return this geometry with ``delta`` (5L + 12,) added to its parameters, in the order of `parameter_names`.
 
-        Base and tool are moved on the manifold: positions add, rotations are multiplied from the left by the rotation
-        of the given rotation vector (axes of the world for the base, of the last link for the tool).
+        Base and tool are moved on the manifold. Position changes are added. Rotations are multiplied from the left by
+        the rotation of the given rotation vector. It is in world axes for the base, in the last link's for the tool.
+
+        Raises:
+            ValueError: If ``delta`` has another shape.
         """
         delta = np.asarray(delta, dtype=float)
         n = self.links
@@ -245,7 +265,7 @@ class Geometry:
         return replace(self, **links, base=move_pose(self.base, base), tool=move_pose(self.tool, tool))
 
     def difference(self, other: Geometry) -> Array:
-        """The ``delta`` (5L + 12,) that turns this geometry into ``other`` (inverse of `displaced`)."""
+        """Return the ``delta`` (5L + 12,) that turns this geometry into ``other`` (inverse of `displaced`)."""
         parts = [getattr(other, name) - getattr(self, name) for name in LINK_PARAMETERS]
         for mine, theirs in ((self.base, other.base), (self.tool, other.tool)):
             turn = Rotation.from_matrix(theirs.rotation @ mine.rotation.T).as_rotvec()
@@ -253,7 +273,10 @@ class Geometry:
         return np.concatenate(parts)
 
     def fingerprint(self) -> str:
-        """Hash of joint types, link parameters, base and tool, by which a fit to one arm is refused on another arm."""
+        """Return a hash of joint types, link parameters, base, tool, coupling and tree.
+
+        A calibration of one arm is refused on an arm with another hash.
+        """
         links = [getattr(self, name) for name in LINK_PARAMETERS]
         chain: list[object] = [self.prismatic, [v.tolist() for v in (*links, *self.base, *self.tool)]]
         if self.coupling is not None:
@@ -264,7 +287,10 @@ class Geometry:
 
 
 def move_pose(pose: Pose, delta: Array) -> Pose:
-    """Add ``delta[:3]`` (m) to the position and turn the pose by the rotation vector ``delta[3:]`` (rad)."""
+    """Return the pose with ``delta[:3]`` (m) added to its position, and turned by the rotation vector ``delta[3:]``.
+
+    The rotation vector is in rad, in the axes of the frame in which the pose is given.
+    """
     return Pose(pose.position + delta[:3], Rotation.from_rotvec(delta[3:]).as_matrix() @ pose.rotation)
 
 
@@ -281,22 +307,22 @@ def from_standard_dh(
     base: Pose | None = None,
     tool: Pose | None = None,
 ) -> Geometry:
-    """Turn a standard (distal) DH table, Rot(z, theta) Trans(z, d) Trans(x, a) Rot(x, alpha), into our modified one.
+    """Return the `Geometry` of a standard (distal) DH table, Rot(z, theta) Trans(z, d) Trans(x, a) Rot(x, alpha).
 
-    The chain's product is regrouped: a and alpha of link i become those of modified link i + 1, and the last link's
-    a and alpha move into the tool pose. Nothing is approximated.
+    The factors are regrouped into modified DH links: a and alpha of link i become those of modified link i + 1. The
+    last link's a and alpha become part of the tool pose. The conversion is exact.
 
     Args:
         joint_names: Names of the joints.
-        prismatic: Joint types.
-        theta: Standard DH angles, rad.
-        d: Standard DH offsets, m.
-        a: Standard DH lengths, m.
-        alpha: Standard DH twists, rad.
-        lower: Lower joint limits.
-        upper: Upper joint limits.
-        base: Base pose; identity when left out.
-        tool: Tool pose behind the last standard frame; identity when left out.
+        prismatic: For each joint, whether it slides (else it turns).
+        theta: Standard DH angles (n,), rad.
+        d: Standard DH offsets (n,), m.
+        a: Standard DH lengths (n,), m.
+        alpha: Standard DH twists (n,), rad.
+        lower: Lower joint limits (n,), rad or m.
+        upper: Upper joint limits (n,), rad or m.
+        base: Base pose; the identity by default.
+        tool: Tool pose in the last standard frame; the identity by default.
     """
     a, alpha, theta, d, lower, upper = (np.asarray(v, dtype=float) for v in (a, alpha, theta, d, lower, upper))
     base, tool = base or identity_pose(), tool or identity_pose()

@@ -1,10 +1,10 @@
 """Rank-aware inverse kinematics for batches of targets, and measures of the workspace.
 
-Gauss-Newton steps through the truncated pseudo-inverse, a pull to mid-range in the null space (Liegeois 1977), joint
-limits by locking joints that push outwards, and restarts from evenly spread joints. Targets
-still not reached are tried by damped steps (Levenberg 1944, Marquardt 1963), which never lose ground at joint limits,
-from the nearest of many sample poses. The result says which targets cannot be reached, and the error that remains.
-Metres and radians.
+The solver takes Gauss-Newton steps through the truncated pseudo-inverse, with a pull to mid-range in the null space
+(Liegeois 1977). A joint at its limit that a step would move outwards is locked. Targets not reached are tried again
+from other joints, spread by a Halton sequence. Targets still not reached are tried by damped steps (Levenberg 1944,
+Marquardt 1963) from the nearest of many sample poses. A damped step that increases the error is rejected. The result
+says which targets were not reached, and the error that remains. Metres and radians.
 """
 
 from __future__ import annotations
@@ -25,32 +25,35 @@ from pickenv.arm.kinematics.pose_error import pose_error
 from pickenv.base import InputError
 
 STEP_LIMIT = 0.4
-"""Largest Gauss-Newton step of a joint, as a share of its half-range, or of 1 rad or 1 m where that is less.
+"""Largest Gauss-Newton step of a joint, as a share of its half-range, or of 1 rad or 1 m if that is less.
 
-The limit keeps a step where the Jacobian holds.
+Within this limit the linearisation by the Jacobian is valid.
 """
 
 NUMERIC_TOLERANCE = 1e-6
-"""Relative singular value below which a direction is given up in any case."""
+"""Smallest relative singular value that is used: directions with a smaller one are always cut off."""
 
 
 POOL, NEAREST, DAMPED_STEPS = 2**13, 8, 40
-"""Number of sample poses to choose starts from, number of starts per restart, and of damped steps from each."""
+"""Number of sample poses to choose starts from, number of starts per restart, and number of damped steps per start."""
 
 WHOLE = slice(0, 6)
-"""Components of a pose error that are to vanish: position and attitude."""
+"""Components of the pose error that are reduced to zero: position and attitude."""
 
 TURN = 0.5
-"""Weight of the entries of a rotation matrix against a position, as a share of the tool's spread, in "nearest"."""
+"""Weight of a rotation matrix's entries in the search for the nearest sample poses.
+
+Positions, divided by the largest standard deviation of the sampled tool positions, have the weight 1.
+"""
 
 
 @dataclass(frozen=True, eq=False)
 class InverseSolution:
-    """Joints found for targets, and how well they reach them.
+    """Result of `inverse`: joints for the targets, and the errors that remain.
 
     Attributes:
         joints: The joints ``(..., n)``, rad or m, within the joint limits.
-        reached: Whether each target's position and compensable attitude are met within the tolerances ``(...)``.
+        reached: Whether position error and compensable attitude error are within the tolerances ``(...)``.
         position_error: Remaining position error ``(...)``, m.
         attitude_error: Remaining attitude error ``(...)``, rad, compensable or not.
         noncompensable_attitude: The part of the attitude error that no joint motion removes ``(...)``, rad.
@@ -75,22 +78,23 @@ def inverse(
     restarts: int = 4,
     position_only: bool = False,
 ) -> InverseSolution:
-    """Find joints that bring the tool to ``target``, as far as rank and joint limits allow.
+    """Find joints that bring the tool to ``target``, as far as the Jacobian's rank and the joint limits allow.
 
     Args:
         geometry: A single arm.
         target: Tool poses, position ``(..., 3)`` and rotation ``(..., 3, 3)``, world frame.
-        start: Joints ``(..., n)`` to start from; mid-range when left out.
+        start: Joints ``(..., n)`` to start from, rad or m; mid-range by default.
         position_tolerance: Largest remaining position error that counts as reached, m.
         attitude_tolerance: Largest remaining compensable attitude error that counts as reached, rad.
-        rank_tolerance: Relative singular value below which a direction is left alone.
-        max_iterations: Gauss-Newton steps per start.
-        restarts: Number of further starts, spread evenly over the joint ranges, for targets not reached; then `NEAREST`
-            times as many starts from poses near the target. With 0 there are no further starts of either kind.
-        position_only: Whether the attitude is free: an arm of few joints reaches few places with a given one.
+        rank_tolerance: Relative singular value below which a direction of tool motion is not corrected.
+        max_iterations: Largest number of Gauss-Newton steps per start.
+        restarts: Number of further starts for targets not reached, spread over the joint ranges by a Halton sequence.
+            After them come `NEAREST` times as many starts from poses near the target. With 0 there are no further
+            starts of either kind.
+        position_only: Whether to ignore the attitude. An arm of few joints reaches few positions with a given attitude.
 
     Returns:
-        An `InverseSolution`; unreachable targets have ``reached`` False and the closest joints found.
+        An `InverseSolution`. A target not reached has ``reached`` False, with the joints of the smallest error found.
 
     Raises:
         ValueError: If the target or the start is not finite.
@@ -112,7 +116,7 @@ def inverse(
     attitude_limit = np.inf if position_only else attitude_tolerance
 
     def judge(goals: Pose, q: Array) -> InverseSolution:
-        """The joints ``(K, n)`` as an `InverseSolution` for the goals."""
+        """Return the joints ``(K, n)`` as an `InverseSolution` for the goals."""
         error = pose_error(forward(geometry, q), goals)
         impossible = task_space.noncompensable_error(geometry, q, error, rank_tolerance)
         parts = error[:, :3], error[:, 3:], impossible[:, 3:], (error - impossible)[:, 3:]
@@ -235,10 +239,10 @@ def _step(jacobian: Array, error: Array, pull: Array, half: Array, rank_toleranc
 
 
 SAMPLES = 2**14
-"""Number of evenly spread joint samples that show roughly where the tool can be."""
+"""Number of joint samples, from a Halton sequence, that approximate the workspace."""
 
 ITERATIONS = 10
-"""Steps of the inverse from the nearest sample; they converge quadratically."""
+"""Gauss-Newton steps of the inverse kinematics from the nearest sample; they converge quadratically."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -249,7 +253,7 @@ class Cube:
         centre: Its centre (3,), m.
         edge: Length of its edges, m; they are parallel to the world axes.
         rotation: Tool attitude with which the cube is reached (3, 3).
-        free: Whether any attitude counts as reaching it.
+        free: Whether the cube is reached with any attitudes, so that ``rotation`` does not matter.
     """
 
     centre: Array
@@ -258,9 +262,10 @@ class Cube:
     free: bool = False
 
     def inclined_plane(self) -> Pose:
-        """The five test poses of ISO 9283: P1 in the centre, P2 to P5 a tenth of the diagonals from the corners.
+        """Return the five test poses of ISO 9283 as a batch: P1 in the centre, P2 to P5 near the plane's corners.
 
-        The plane holds the upper edge at -x and the lower edge at +x: corners C1, C2, C7, C8 of the standard's figure.
+        P2 to P5 lie on the plane's diagonals, a tenth of a diagonal from the corners. The plane contains the cube's
+        upper edge at -x and its lower edge at +x: corners C1, C2, C7, C8 of the standard's figure.
         """
         signs = np.array([[0, 0], [-1, -1], [-1, 1], [1, 1], [1, -1]])
         offsets = np.stack([signs[:, 0], signs[:, 1], -signs[:, 0]], axis=-1) * 0.8 * self.edge / 2.0
@@ -268,17 +273,17 @@ class Cube:
 
 
 def largest_cube(geometry: Geometry, rotation: Array | None = None, *, steps: int = 20, free: bool = False) -> Cube:
-    """The largest cube, parallel to the world axes, that lies within reach.
+    """Find the largest cube in the workspace, with edges parallel to the world axes.
 
     Args:
         geometry: The arm.
-        rotation: Tool attitude (3, 3); the attitude in the middle of all joint ranges when left out. Only the part of
-            the attitude that the joints can turn counts.
+        rotation: Tool attitude (3, 3), world frame; by default the attitude in the middle of all joint ranges. An
+            attitude error that no joint motion removes is ignored.
         steps: Grid steps along the longest side of the workspace.
-        free: Whether any attitude will do, as for an arm that cannot keep one attitude and go everywhere.
+        free: Whether to ignore the attitude, for an arm that cannot keep one attitude throughout a cube.
 
     Raises:
-        InputError: If not even the smallest cube of the grid is within reach.
+        InputError: If the arm does not reach the smallest cube of the grid.
     """
     if rotation is None:
         rotation = forward(geometry, (geometry.lower + geometry.upper) / 2.0).rotation
@@ -304,9 +309,9 @@ def largest_cube(geometry: Geometry, rotation: Array | None = None, *, steps: in
 
 
 def farthest(geometry: Geometry) -> float:
-    """Largest distance of the tool from the arm's base, frame 0, within the joint limits, m.
+    """Compute the largest distance of the tool from the origin of frame 0 within the joint limits, m.
 
-    The farthest of `SAMPLES` samples is optimised on to a maximum.
+    A local maximisation starts from the farthest of `SAMPLES` samples.
     """
     joints = halton_joints(geometry, SAMPLES)
     foot = geometry.base.position
@@ -319,7 +324,7 @@ def farthest(geometry: Geometry) -> float:
 
 
 def halton_joints(geometry: Geometry, count: int) -> Array:
-    """Joints ``(count, n)`` spread evenly within the limits, rad or m: a Halton sequence."""
+    """Return joints ``(count, n)``, rad or m, from a Halton sequence scaled to the joint limits."""
     shares = qmc.Halton(geometry.joints, scramble=False).random(count)
     return np.asarray(geometry.lower + (geometry.upper - geometry.lower) * shares)
 

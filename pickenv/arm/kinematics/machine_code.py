@@ -1,8 +1,8 @@
-"""Formulas recorded once, operation by operation (a trace), and then run as machine code: one loop over the poses.
+"""Compile formulas to machine code: record the operations of a formula (a trace), then run them in a loop over poses.
 
-Formulas run on `Traced` numbers as on arrays, with `SYMBOLS` in the place of `numpy`. The result is a list of
-operations in which nothing is computed twice; LLVM (llvmlite) compiles it. Results differ from NumPy's by roundings,
-because sines and cosines are Taylor series here, and logarithms and arc tangents are those of the C library.
+To record a formula, call it with `Traced` numbers instead of arrays, and with `SYMBOLS` instead of `numpy`. The trace
+is a list of operations, each recorded once, which LLVM (llvmlite) compiles. Results differ from NumPy's by rounding:
+sines and cosines are Taylor series here, and logarithms and arc tangents come from the C library.
 """
 
 from __future__ import annotations
@@ -24,30 +24,30 @@ from pickenv.arm.kinematics.forward import Scalar
 from pickenv.arm.kinematics.geometry import Array
 
 DOUBLE, SINGLE, WORD, FLAG = "double", "float", "i64", "i1"
-"""Kinds of numbers: float64, float32, 64-bit word, truth value."""
+"""Names of the number types: float64, float32, 64-bit integer, Boolean."""
 
 COMMUTATIVE = frozenset({"add", "mul", "and", "or", "xor"})
 
 Fill = Callable[[Array, Array], None]
-"""A function that gets an array ``(k, N)`` and fills an array ``(rows, N)``."""
+"""A function of two arguments: an input array ``(k, N)``, and an output array ``(rows, N)`` that it fills."""
 
 
 Goals = list[tuple[int, str, int]]
-"""What is written: for each result, the number of its operation, and the array and row that it goes to."""
+"""The outputs of a trace: for each, the index of its operation, and the name of the array and the row to write to."""
 
 
 class Untraceable(Exception):
-    """Raised where a formula needs the value of a number of which only the operation is known."""
+    """Raised if a formula needs the value of a `Traced` number, which has none (as in an ``if``)."""
 
 
 class Operation(NamedTuple):
     """One operation of a trace.
 
     Attributes:
-        name: "add", "sqrt", "input", "constant", ...
-        kind: Kind of its result.
-        operands: Numbers of the operations whose results it takes.
-        detail: Array and row of an input; value of a constant.
+        name: Name of the operation: "add", "sqrt", "input", "constant", ...
+        kind: Type of its result, such as `DOUBLE`.
+        operands: Indices in the trace of the operations whose results are its operands.
+        detail: Array name and row of an input; value of a constant.
     """
 
     name: str
@@ -57,16 +57,16 @@ class Operation(NamedTuple):
 
 
 Call = tuple[Fill, Sequence[Scalar], int]
-"""A function of whole arrays, which is called between two loops; its arguments; and how many numbers it returns."""
+"""A function of whole arrays that is called between two loops, its arguments, and the number of its results."""
 
 
 class Trace:
-    """Operations in the order in which they were recorded.
+    """The recorded operations of formulas, in order.
 
     Attributes:
-        operations: All operations, each only once.
-        exceptions: Truth values of rare cases; where one is true, the formulas need more than these operations.
-        calls: Functions of whole arrays; the results of call i are the rows of the input array "found<i>".
+        operations: All operations, without repetitions.
+        exceptions: Conditions of rare cases. For poses at which one is true, the recorded operations are not valid.
+        calls: Functions of whole arrays. The results of call i are the rows of the input array "found<i>".
     """
 
     def __init__(self) -> None:
@@ -76,7 +76,14 @@ class Trace:
         self._known: dict[Operation, int] = {}
 
     def note(self, name: str, kind: str, *operands: int, detail: Any = None) -> Traced:
-        """Record an operation, unless it is there already, and return its result."""
+        """Record an operation, unless the trace has it already, and return its result.
+
+        Args:
+            name: Name of the operation.
+            kind: Type of its result.
+            operands: Indices of the operations whose results are its operands.
+            detail: As in `Operation`.
+        """
         if name in COMMUTATIVE and operands[0] > operands[1]:
             operands = operands[::-1]
         operation = Operation(name, kind, operands, detail)
@@ -86,15 +93,26 @@ class Trace:
         return Traced(self, self._known[operation], kind)
 
     def inputs(self, array: str, rows: int, kind: str = DOUBLE) -> list[Traced]:
-        """The rows of an input array ``(rows, N)`` as traced numbers."""
+        """Return the rows of an input array called ``array``, ``(rows, N)``, as traced numbers of type ``kind``."""
         return [self.note("input", kind, detail=(array, row)) for row in range(rows)]
 
     def outputs(self, array: str, rows: Sequence[Scalar], kind: str = DOUBLE, first: int = 0) -> Goals:
-        """The goals by which numbers of a kind are written into an array ``(rows, N)``, from row ``first`` on."""
+        """Return the goals that write numbers of type ``kind`` to the rows of the output array called ``array``.
+
+        Args:
+            array: Name of the output array.
+            rows: The numbers, one per row.
+            kind: Their type.
+            first: Row of the first number.
+        """
         return [(self.of(value, kind), array, row) for row, value in enumerate(rows, first)]
 
     def of(self, value: Scalar, kind: str) -> int:
-        """The number of the operation that gives ``value``; plain numbers become constants of this kind."""
+        """Return the index of the operation whose result is ``value``; a plain number becomes a constant of this type.
+
+        Raises:
+            Untraceable: If ``value`` is neither a traced nor a plain number.
+        """
         if isinstance(value, Traced):
             return value.number
         if not isinstance(value, bool | int | float | np.generic):
@@ -102,11 +120,11 @@ class Trace:
         return self.note("constant", kind, detail=float(value).hex() if kind == DOUBLE else int(value) % 2**64).number
 
     def single(self, value: Scalar) -> Traced:
-        """A number rounded to float32."""
+        """Record the rounding of a number to float32."""
         return self.note("single", SINGLE, self.of(value, DOUBLE))
 
     def double(self, value: Traced) -> Traced:
-        """A float32 as a float64."""
+        """Record the conversion of a float32 to float64."""
         return self.note("double", DOUBLE, value.number)
 
 
@@ -123,7 +141,7 @@ def _binary(name: str, kind: str | None = None, swapped: bool = False) -> Callab
 
 
 class Traced:
-    """A number without a value: only the operation that gives it is known."""
+    """A number without a value, which stands for the result of a recorded operation; operators record new ones."""
 
     __slots__ = ("kind", "number", "trace")
     __array_ufunc__ = None  # NumPy's numbers leave the arithmetic to this class
@@ -148,12 +166,12 @@ class Traced:
         return cast(Traced, self ^ True)
 
     def as_double(self) -> Traced:
-        """This 64-bit word as a float64."""
+        """Record the conversion of this 64-bit integer to float64."""
         return self.trace.note("number", DOUBLE, self.number)
 
     @property
     def dtype(self) -> Any:
-        """The number type that an array of such numbers would have."""
+        """The NumPy dtype that formulas see: float64."""
         return np.dtype(np.float64)
 
     def __bool__(self) -> bool:
@@ -166,23 +184,23 @@ class Traced:
 # What `numpy` is to arrays.
 
 PI, PI_RESIDUE = float.fromhex("0x1.921fb544p+1"), float.fromhex("0x1.0b4611a626331p-33")
-"""Half a turn, rad, in two parts: its first 33 bits, whose multiples are exact, and the remainder."""
+"""Pi in two parts: its first 33 bits, whose products with integers are exact, and the remainder."""
 
 TERMS = 11
-"""Number of terms of each series: at a quarter turn, the first one left out is below half a rounding of the largest."""
+"""Number of terms of each series; at pi/2, the first omitted term is below half a rounding error of the largest."""
 
 INTRINSICS = {"round": "rint", "abs": "fabs"} | {name: name for name in ("sqrt", "atan2", "log", "log10", "exp")}
-"""Functions by the names that NumPy and LLVM have for them."""
+"""LLVM's name of each function, by NumPy's name."""
 
 
 def sine(m: Any, angle: Scalar) -> Scalar:
-    """The sine of an angle, rad, by its series; ``m`` has the rounding: ``numpy`` or `SYMBOLS`."""
+    """Return the sine of an angle, rad, by its Taylor series; ``m`` is the namespace, ``numpy`` or `SYMBOLS`."""
     sign, residue = _reduced(m, angle)
     return sign * (residue * _summed(residue * residue, 1))
 
 
 def cosine(m: Any, angle: Scalar) -> Scalar:
-    """The cosine of an angle, as `sine`."""
+    """Return the cosine of an angle, rad, by its Taylor series; ``m`` is the namespace, ``numpy`` or `SYMBOLS`."""
     sign, residue = _reduced(m, angle)
     return sign * _summed(residue * residue, 0)
 
@@ -254,16 +272,16 @@ SYMBOLS: Any = SimpleNamespace(
     set_aside=_set_aside,
     outside=_outside,
 )
-"""The namespace of functions of traced numbers, as `numpy` is that of arrays."""
+"""The namespace of functions of traced numbers, in place of `numpy`."""
 
 
 # A trace as machine code.
 
 LANES = 8
-"""Number of poses that one instruction works on (two instructions if the processor has none so wide)."""
+"""Number of poses per vector operation; the processor needs two instructions if its vectors are half as wide."""
 
 THOROUGH = 1024
-"""Number of poses from which code that takes four times as long to generate and runs a third faster pays off."""
+"""Number of poses from which LLVM optimises the code, which takes four times as long and runs a third faster."""
 
 BY_KIND = {
     DOUBLE: {
@@ -274,18 +292,18 @@ BY_KIND = {
     WORD: {"add": "add", "mul": "mul", "xor": "xor", "shift": "lshr", "number": "uitofp"},
     FLAG: {"and": "and", "or": "or", "xor": "xor"},
 }
-"""LLVM's instructions for each operation, by the kind of its operands."""
+"""LLVM's instruction for each operation, by the type of its operands."""
 
 FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64)
 
 
 class Compiled:
-    """A trace compiled to loops: one loop computes the arguments of each call, and a last one the outputs.
+    """A trace compiled to loops over the poses: one for the arguments of each call, and a last one for the outputs.
 
     Args:
         trace: The operations.
-        goals: What is written, all in the last loop, because inputs are read until then.
-        count: Number of poses that it will be run for.
+        goals: The outputs. All are written in the last loop, because inputs are read until then.
+        count: Expected number of poses, which decides whether the code is optimised.
     """
 
     def __init__(self, trace: Trace, goals: Goals, count: int) -> None:
@@ -300,11 +318,16 @@ class Compiled:
         self._between: dict[str, Array] = {}
 
     def run(self, arrays: Mapping[str, NDArray[Any]], count: int) -> None:
-        """Compute outputs from inputs; both are arrays ``(rows, count)`` by name, contiguous row by row."""
+        """Compute the outputs from the inputs.
+
+        Args:
+            arrays: Input and output arrays by name, ``(rows, count)``, C-contiguous; the outputs are overwritten.
+            count: Number of poses.
+        """
         self.bound(arrays, count)()
 
     def bound(self, arrays: Mapping[str, NDArray[Any]], count: int) -> Callable[[], None]:
-        """`run` made ready for the same arrays, which the function returned reads and writes each time."""
+        """Return a function that does the same as `run`, which reads and writes the same arrays at each call."""
         if self._calls and (not self._between or self._between["given0"].shape[1] != count):
             for i, (_, values, rows) in enumerate(self._calls):
                 self._between[f"given{i}"] = np.empty((len(values), count))
@@ -326,7 +349,13 @@ class Compiled:
 def on_rows(
     formula: Callable[[Any, list[Traced]], Sequence[Scalar]], inputs: int, count: int
 ) -> Callable[[Array], Array]:
-    """A formula of components as machine code: rows ``(count, inputs)`` in, rows ``(count, results)`` out."""
+    """Compile a formula to a function from an array ``(count, inputs)`` to an array ``(count, results)``.
+
+    Args:
+        formula: Function of a namespace and a list of components; it returns its results as components.
+        inputs: Number of input components.
+        count: Expected number of poses, which decides whether the code is optimised.
+    """
     trace = Trace()
     results = formula(SYMBOLS, trace.inputs("given", inputs))
     code = Compiled(trace, trace.outputs("found", results), count)
@@ -453,12 +482,12 @@ class _Body:
 
 @lru_cache(maxsize=64)
 def machine(code: str, names: tuple[str, ...], thorough: bool) -> tuple[Any, list[int]]:
-    """Compile code; return the engine that keeps it in memory, and the addresses of its functions.
+    """Compile LLVM code; return the engine that keeps it in memory, and the addresses of its functions.
 
     Args:
-        code: Code in LLVM's language.
+        code: LLVM assembly code.
         names: Names of the functions.
-        thorough: Whether LLVM optimises, so that registers are used well; this takes four times as long.
+        thorough: Whether LLVM optimises the code, which takes four times as long.
     """
     binding.initialize_native_target()
     binding.initialize_native_asmprinter()

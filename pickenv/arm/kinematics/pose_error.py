@@ -1,7 +1,7 @@
 """Differences of poses: position in metres and attitude as a rotation vector, both in world axes.
 
-Formulas run on components (floats, NumPy arrays or torch tensors, see `pickenv.arm.kinematics.forward`); functions of
-NumPy arrays stand on top. Euler angles are never used: they inflate attitude errors (Qiao 2026 digest, fact 10).
+Formulas take components (floats, NumPy arrays or torch tensors, see `pickenv.arm.kinematics.forward`). Functions of
+`Pose` call these formulas. Euler angles are never used: they inflate attitude errors (Qiao 2026 digest, fact 10).
 """
 
 from __future__ import annotations
@@ -19,35 +19,35 @@ from pickenv.arm.kinematics.forward import Frame, Scalar, frame_of, pose_of
 from pickenv.arm.kinematics.geometry import Array, Pose
 
 REVERSED = -0.99
-"""Cosine of an angle (172 degrees) beyond which the rotation's axis is read from the symmetric part of the matrix,
-because the sine is then too small to show it."""
+"""Cosine of a rotation angle (172 degrees). At larger angles the axis is computed from the symmetric part of the
+matrix, because the sine is too small."""
 
 SMALL_SINE = 0.1
-"""Sine of a rotation up to which the series of its arc sine is exact to rounding."""
+"""Largest sine of a rotation angle at which the series `ARC_SINE` is exact to rounding."""
 
 ARC_SINE = tuple(math.comb(2 * k, k) / 4.0**k / (2 * k + 1) for k in range(8))
 """Taylor coefficients of arcsin(s) / s in s^2."""
 
 
 def rotation_vector(rotation: ArrayLike) -> Array:
-    """Rotation vectors ``(..., 3)`` in rad of rotation matrices ``(..., 3, 3)``."""
+    """Return the rotation vectors ``(..., 3)``, rad, of rotation matrices ``(..., 3, 3)``."""
     rotation = np.asarray(rotation, dtype=float)
     return Rotation.from_matrix(rotation.reshape(-1, 3, 3)).as_rotvec().reshape(*rotation.shape[:-2], 3)
 
 
 def rotation_matrix(vector: ArrayLike) -> Array:
-    """Rotation matrices ``(..., 3, 3)`` of rotation vectors ``(..., 3)`` in rad."""
+    """Return the rotation matrices ``(..., 3, 3)`` of rotation vectors ``(..., 3)``, rad."""
     vector = np.asarray(vector, dtype=float)
     return Rotation.from_rotvec(vector.reshape(-1, 3)).as_matrix().reshape(*vector.shape[:-1], 3, 3)
 
 
 def rotation_between(m: ModuleType, reference: Sequence[Scalar], actual: Sequence[Scalar]) -> tuple[Scalar, ...]:
-    """Rotation vector of R_actual R_reference^T in world axes, three components in rad, up to half a turn.
+    """Return the rotation vector of R_actual R_reference^T in world axes: three components, rad, of norm up to pi.
 
     Args:
-        m: ``math``, ``numpy`` or ``torch``.
-        reference: A frame, or its first nine components.
-        actual: The other frame, or its first nine components.
+        m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
+        reference: A `Frame`, or its first nine components.
+        actual: The `Frame` that is compared with it, or its first nine components.
     """
     axx, axy, axz, ayx, ayy, ayz, azx, azy, azz = actual[:9]
     bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz = reference[:9]
@@ -87,7 +87,7 @@ def _turn(reference: Sequence[Scalar], actual: Sequence[Scalar]) -> tuple[tuple[
 
 
 def small_rotation(m: ModuleType, reference: Sequence[Scalar], actual: Sequence[Scalar]) -> tuple[Scalar, ...]:
-    """As `rotation_between`, but faster for rotations below six degrees, whose arc sine is computed by a series."""
+    """Return the same as `rotation_between`, faster for rotations of up to six degrees: by a series of the arc sine."""
     sines, (xx, yy, zz) = _turn(reference, actual)
     sx, sy, sz = sines
     square = sx * sx + sy * sy + sz * sz
@@ -106,14 +106,30 @@ def small_rotation(m: ModuleType, reference: Sequence[Scalar], actual: Sequence[
 def frame_error(
     m: ModuleType, reference: Frame, actual: Frame, rotation: Callable[..., tuple[Scalar, ...]] = rotation_between
 ) -> tuple[Scalar, ...]:
-    """The `pose_error` of frames: x, y, z, rx, ry, rz (m, rad, world axes); ``rotation`` may be `small_rotation`."""
+    """Compute the error of ``actual`` relative to ``reference``, as `pose_error` does for poses.
+
+    Args:
+        m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
+        reference: The frame that is compared with.
+        actual: The frame whose error is computed.
+        rotation: The function that computes the rotation vector: `rotation_between` or `small_rotation`.
+
+    Returns:
+        The components x, y, z, rx, ry, rz (m, rad, world axes).
+    """
     apx, apy, apz = actual[9:]
     bpx, bpy, bpz = reference[9:]
     return (apx - bpx, apy - bpy, apz - bpz, *rotation(m, reference, actual))
 
 
 def displaced_frame(m: ModuleType, frame: Frame, error: Sequence[Scalar]) -> Frame:
-    """The frame that differs from ``frame`` by ``error`` in the sense of `frame_error`; by Rodrigues' formula."""
+    """Return the frame whose `frame_error` relative to ``frame`` is ``error``, by Rodrigues' formula.
+
+    Args:
+        m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
+        frame: The frame to displace.
+        error: Six components x, y, z, rx, ry, rz (m, rad, world axes).
+    """
     dx, dy, dz, wx, wy, wz = error
     square = wx * wx + wy * wy + wz * wz + 1e-40
     angle = m.sqrt(square)
@@ -130,7 +146,7 @@ def displaced_frame(m: ModuleType, frame: Frame, error: Sequence[Scalar]) -> Fra
 
 
 def pose_error(reference: Pose, actual: Pose) -> Array:
-    """The error of the pose ``actual`` against ``reference``.
+    """Compute the error of the pose ``actual`` relative to the pose ``reference``, or for batches of poses.
 
     Returns:
         Array ``(..., 6)``: position difference in m, then the rotation vector of R_actual R_reference^T in rad, both
@@ -141,7 +157,7 @@ def pose_error(reference: Pose, actual: Pose) -> Array:
 
 
 def displace_pose(pose: Pose, error: ArrayLike) -> Pose:
-    """The pose that differs from ``pose`` by ``error`` ``(..., 6)`` in the sense of `pose_error`."""
+    """Return the pose whose `pose_error` relative to ``pose`` is ``error`` ``(..., 6)``, m and rad."""
     error = np.asarray(error, dtype=float)
     if pose.position.ndim == error.ndim == 1:
         frame = np.array(displaced_frame(math, frame_of(pose), error.tolist()))

@@ -1,8 +1,9 @@
-"""The part of a pose error that joints can remove, by the truncated pseudo-inverse of the joint Jacobian.
+"""Jacobians of the tool pose, and the part of a pose error that joint motion can remove.
 
-The hybrid picking arm has six joints but task rank 5 everywhere (J1, J2 and J4 are parallel, J5 and J6 too), so J^-1 of
-Qiao 2026 eq (15) does not exist: singular values below `DIRECTION_TOLERANCE` of the largest are cut off, and the
-attitude error along the missing direction is reported apart. One radian is weighed as one metre.
+The hybrid picking arm has six joints but task rank 5 everywhere (J1, J2 and J4 are parallel, J5 and J6 too). Therefore
+J^-1 of Qiao 2026 eq (15) does not exist, and the truncated pseudo-inverse takes its place. Singular values below
+`DIRECTION_TOLERANCE` times the largest are cut off, and the attitude error along the missing direction is reported
+separately. One radian has the weight of one metre unless said otherwise.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry, Po
 
 
 FEW = 8
-"""Most poses that are quicker to compute one by one than as arrays."""
+"""Largest number of poses that are computed one by one, because this is faster than arrays."""
 
 Column = tuple[Scalar, ...]
 """One column of a Jacobian, six components: position (m) and rotation vector (rad) in world axes."""
@@ -35,14 +36,16 @@ Column = tuple[Scalar, ...]
 def link_column(
     kind: str, before: Sequence[Scalar], after: Sequence[Scalar], tool: Sequence[Scalar], twist: Sequence[Scalar]
 ) -> Column:
-    """Derivative of the tool pose by a parameter of one link, or of links stacked along an axis of the components.
+    """Return the derivative of the tool pose with respect to one parameter of a link.
+
+    Several links are computed together if they are stacked along an axis of the components.
 
     Args:
-        kind: Which of `LINK_PARAMETERS`.
-        before: Frame of the link before, twelve components.
-        after: The link's own frame.
+        kind: Name of the parameter, from `LINK_PARAMETERS`.
+        before: Frame of the parent link, twelve components; not used for theta and d.
+        after: The link's own frame, twelve components; only used for theta and d.
         tool: Origin of the tool, three components.
-        twist: Cosine and sine of the link's alpha, and its a; only the derivative by beta needs them.
+        twist: Cosine and sine of the link's alpha, and its a; only used for beta.
     """
     x, y, z, px, py, pz = after[6:] if kind in ("theta", "d") else (*before[:3], *before[9:])
     if kind in ("a", "d"):
@@ -56,7 +59,13 @@ def link_column(
 
 
 def jacobian_columns(geometry: Geometry, links: Sequence[Frame], tool: Frame) -> list[Column]:
-    """Columns of the joint Jacobian, one per joint, from the frames of base, links and tool in components."""
+    """Return the columns of the joint Jacobian, one per joint.
+
+    Args:
+        geometry: The arm.
+        links: Frames of base and links, from `pickenv.arm.kinematics.forward.frames`.
+        tool: Frame of the tool, world axes.
+    """
     hand = tool[9:]
     pairs = zip(geometry.slides, links[1:], strict=True)
     columns = [link_column("d" if slides else "theta", (), link, hand, ()) for slides, link in pairs]
@@ -72,7 +81,7 @@ def jacobian_columns(geometry: Geometry, links: Sequence[Frame], tool: Frame) ->
 
 
 def joint_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
-    """Derivative of the tool pose by the joints.
+    """Compute the Jacobian of the tool pose with respect to the joints.
 
     Args:
         geometry: The arm.
@@ -95,9 +104,10 @@ def _stacked(columns: Sequence[Column], shape: tuple[int, ...]) -> Array:
 
 
 def pose_and_jacobian(geometry: Geometry, q: Array) -> tuple[Pose, Array]:
-    """What `forward` and `joint_jacobian` give for joints ``(K, n)`` of a single geometry, from one walk of the arm.
+    """Return the tool poses and the joint Jacobians ``(K, 6, n)`` at joints ``(K, n)`` of a single geometry.
 
-    Few rows are walked one by one in floats, which costs less than arrays and gives the same bits.
+    Both come from one pass over the links. Up to `FEW` poses are computed one by one in floats, which is faster than
+    arrays and gives the same bits.
     """
     if len(q) > FEW:
         links, tool, shape = _frames(geometry, q)
@@ -112,15 +122,15 @@ def pose_and_jacobian(geometry: Geometry, q: Array) -> tuple[Pose, Array]:
 
 
 def parameter_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
-    """Derivative of the tool pose by every parameter of the geometry.
+    """Compute the Jacobian of the tool pose with respect to all parameters of the geometry.
 
     Args:
         geometry: The arm.
         q: Joint displacements ``(..., n)``, rad or m.
 
     Returns:
-        Array ``(..., 6, 5L + 12)``, columns in the order of ``geometry.parameter_names``; rows as in `joint_jacobian`.
-        In memory the poses lie next to each other.
+        Array ``(..., 6, 5L + 12)``. Columns are in the order of ``geometry.parameter_names``, rows as in
+        `joint_jacobian`. The values of one entry at all poses are contiguous in memory.
     """
     n = geometry.links
     frame_list, tool_frame, shape = _frames(geometry, q)
@@ -162,23 +172,28 @@ def _frames(geometry: Geometry, q: ArrayLike) -> tuple[list[Frame], Frame, tuple
 
 
 DIRECTION_TOLERANCE = 5e-3
-"""Share of the largest singular value below which a direction counts as impossible.
+"""Share of the largest singular value below which joint motion cannot move the tool in a direction.
 
 On the picking arm the fifth singular value stays above 0.11 of the first, and a real arm's sixth below 0.001.
 """
 
 
 POSITION_FIRST = 0.05
-"""Weight of a radian, in m, for arms of fewer than six joints, which must choose between position and attitude."""
+"""Weight of a radian, in m, for arms of fewer than six joints, which cannot reach position and attitude together."""
 
 
 def attitude_weight(joints: int) -> float:
-    """The weight of a radian against a metre in the task of an arm with so many joints."""
+    """Return the weight of a radian, in m, in the tool pose of an arm with this number of joints."""
     return 1.0 if joints >= 6 else POSITION_FIRST
 
 
 def truncated_inverse(jacobian: Array, tolerance: float = DIRECTION_TOLERANCE) -> Array:
-    """Pseudo-inverse ``(..., n, 6)`` of ``jacobian`` ``(..., 6, n)`` with small singular values cut off."""
+    """Compute the pseudo-inverse ``(..., n, 6)`` of ``jacobian`` ``(..., 6, n)`` without small singular values.
+
+    Args:
+        jacobian: Jacobians ``(..., 6, n)``.
+        tolerance: Share of the largest singular value below which singular values are cut off.
+    """
     if jacobian.ndim > 2:
         return np.asarray(np.linalg.pinv(jacobian, rcond=tolerance))
     rows, n = jacobian.shape  # one matrix: LAPACK itself, without NumPy's overhead
@@ -188,17 +203,18 @@ def truncated_inverse(jacobian: Array, tolerance: float = DIRECTION_TOLERANCE) -
 def task_directions(
     geometry: Geometry, q: ArrayLike, tolerance: float = DIRECTION_TOLERANCE, weight: float = 1.0
 ) -> tuple[Array, Array]:
-    """Directions of tool motion, ordered from the easiest to the impossible, and how many of them are possible.
+    """Compute the directions of tool motion (left singular vectors of the joint Jacobian) and the task rank.
 
     Args:
         geometry: The arm.
-        q: Joints ``(..., n)``.
-        tolerance: Relative singular value below which a direction counts as impossible.
+        q: Joints ``(..., n)``, rad or m.
+        tolerance: Share of the largest singular value below which joint motion cannot move the tool in a direction.
         weight: Weight of a radian, in m.
 
     Returns:
-        Orthonormal columns ``(..., 6, 6)`` (position in m, rotation vector in rad, world axes) and the task rank
-        ``(...)``.
+        Orthonormal columns ``(..., 6, 6)`` by falling singular value (position in m, then the rotation vector in rad
+        times ``weight``, world axes), and the task rank ``(...)``: the number of directions in which joint motion moves
+        the tool.
     """
     u, s, _ = np.linalg.svd(joint_jacobian(geometry, q) * np.repeat([1.0, weight], 3)[:, None])
     return u, np.sum(s > tolerance * s[..., :1], axis=-1)
@@ -207,10 +223,17 @@ def task_directions(
 def noncompensable_error(
     geometry: Geometry, q: ArrayLike, error: ArrayLike, tolerance: float = DIRECTION_TOLERANCE, weight: float = 1.0
 ) -> Array:
-    """The part ``(..., 6)`` of a pose error ``(..., 6)`` that no small joint motion removes.
+    """Compute the part ``(..., 6)`` of a pose error that no small joint motion removes.
 
-    For the picking arm this part is a rotation about z1 x z5 (Qiao 2026 digest, fact 4). ``weight`` is the weight of a
-    radian, in m: the part is what remains of the error where the weighted error is smallest.
+    It is what remains of the error after the joint motion that makes the weighted error smallest. For the picking arm
+    this part is a rotation about z1 x z5 (Qiao 2026 digest, fact 4).
+
+    Args:
+        geometry: The arm.
+        q: Joints ``(..., n)``, rad or m.
+        error: Pose errors ``(..., 6)``, m and rad, world axes.
+        tolerance: Share of the largest singular value below which joint motion cannot move the tool in a direction.
+        weight: Weight of a radian, in m.
     """
     weights = np.repeat([1.0, weight], 3)
     u, rank = task_directions(geometry, q, tolerance, weight)
@@ -220,19 +243,19 @@ def noncompensable_error(
 
 
 def damped_step(m: ModuleType, columns: Sequence[Column], twist: Sequence[Scalar], damping: float) -> list[Scalar]:
-    """The joint motion that brings about a small motion of the tool, by damped least squares.
+    """Compute the joint motion for a small tool motion by damped least squares.
 
-    Near a pose from which a direction is lost, the motion in that direction gets small instead of the joints' large
-    (Wampler 1986; Nakamura and Hanafusa 1986). In components: an arm alone moves by the same bits as one of many.
+    Near a singular pose, damping keeps the joint motion small; the tool then moves less in the lost direction
+    (Wampler 1986; Nakamura and Hanafusa 1986). A single arm gets the same bits as one arm of a batch.
 
     Args:
-        m: ``math``, ``numpy`` or ``torch``.
-        columns: A Jacobian's columns, one per joint, each as long as ``twist``; in units in which rows compare.
-        twist: The motion wanted.
-        damping: Damping, as a share of the sum of all squares in the Jacobian.
+        m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
+        columns: Columns of the Jacobian, one per joint, each as long as ``twist``. Scale the rows to comparable units.
+        twist: The wanted tool motion, in the units of the rows.
+        damping: Damping, as a share of the sum of squares of all entries of the Jacobian.
 
     Returns:
-        One number per joint.
+        The motion of each joint, rad or m.
     """
     rows = range(len(twist))
     square = [[sum(column[i] * column[j] for column in columns) for j in range(i + 1)] for i in rows]

@@ -1,1 +1,1 @@
-"""The true arm: geometry and effects together, drawn, read from files, moved."""
+"""The plant, that is the simulated true arm: its files, random draws of arms, simulated measurements and tests."""

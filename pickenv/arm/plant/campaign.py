@@ -1,8 +1,8 @@
-"""A measuring campaign on the simulated arm, in time: warm up, drive from pose to pose, wait, read.
+"""Simulation of a measuring campaign over time: the arm warms up, moves from pose to pose, waits and is measured.
 
-Where the arm stops depends on friction and gaps, and thus on the way that it came, while its links warm up and the
-ground gives way. ISO 9283 and calibration data come from the same stops. One arm runs on floats, many on arrays or
-tensors. SI units.
+The position in which the arm stops depends on friction and backlash, and thus on its path. Meanwhile its links warm up
+and the ground settles. The ISO 9283 test and calibration data use the same simulation. A single arm is computed with
+floats, many arms with arrays or tensors. SI units.
 """
 
 from __future__ import annotations
@@ -31,17 +31,20 @@ from pickenv.base import HOURS, MILLISECONDS, MM, SECONDS, file_named, read_toml
 
 
 Place: TypeAlias = Callable[[Array], Scalar]
-"""A function that makes a component, for example a tensor on a GPU, from an array."""
+"""A function that converts an array to another type, for example to a tensor on a GPU."""
 
 
 @dataclass(frozen=True)
 class Pace:
-    """Settings of how the arm is moved.
+    """Settings of the arm's point-to-point motion.
 
     Attributes:
-        speed: Share of the joints' largest speeds, above 0.
+        speed: Speed as a share of the joints' largest speeds, above 0.
         period: Control period, s.
         dwell: Waiting time between arrival and measurement, s.
+
+    Raises:
+        ValueError: If a number is out of range.
     """
 
     speed: float = 1.0
@@ -54,16 +57,30 @@ class Pace:
 
 
 def move_time(plant: Plant, start: ArrayLike, target: ArrayLike, pace: Pace) -> Array:
-    """The duration of moves between joints ``(..., n)``, s, which the slowest joint determines."""
+    """Return the duration ``(...)``, s, of moves between joints ``(..., n)``, which the slowest joint determines.
+
+    Args:
+        plant: The arm, which has the largest joint speeds.
+        start: Joints at the start ``(..., n)``, rad or m.
+        target: Joints at the end ``(..., n)``, rad or m.
+        pace: Share of the largest speeds.
+    """
     way = np.abs(np.asarray(target, dtype=float) - np.asarray(start, dtype=float))
     return np.asarray(np.max(way / (plant.arm.speed * pace.speed), axis=-1))
 
 
 def commands(plant: Plant, start: ArrayLike, target: ArrayLike, pace: Pace) -> Iterator[tuple[Array, Array | float]]:
-    """Joint commands ``(..., n)`` of moves, each with the time it is held, s; the last is held for the waiting time.
+    """Yield the joint commands ``(..., n)`` of moves, each with its hold time, s.
 
-    Several moves begin together, and each takes its own time. A move that arrives early holds its target for zero
-    seconds until the longest move arrives, so that it ends just as it would alone.
+    The last command is held for the waiting time. Several moves begin together, and each takes its own time. A move
+    that ends early repeats its target with hold times of zero until the longest move ends. It thus has the same result
+    as if it were computed alone.
+
+    Args:
+        plant: The arm, which has the largest joint speeds.
+        start: Joints at the start ``(..., n)``, rad or m.
+        target: Joints at the end ``(..., n)``, rad or m.
+        pace: Speed, control period and waiting time.
     """
     start, target = np.asarray(start, dtype=float), np.asarray(target, dtype=float)
     duration = move_time(plant, start, target, pace)
@@ -77,7 +94,13 @@ def commands(plant: Plant, start: ArrayLike, target: ArrayLike, pace: Pace) -> I
 
 
 def in_components(m: ModuleType, joints: Array, place: Place | None = None) -> list[Scalar]:
-    """Joints ``(..., n)`` as n components: floats for ``math``, else arrays, or what ``place`` makes of them."""
+    """Return joints ``(..., n)`` as n components ``(...)``.
+
+    Args:
+        m: ``math`` for floats; otherwise the components are arrays.
+        joints: Joints ``(..., n)``, rad or m; ``(n,)`` for ``math``.
+        place: Function that converts each array to another type, for example to a tensor; None for arrays.
+    """
     if m is math:
         return list(joints.tolist())
     columns = np.ascontiguousarray(np.moveaxis(joints, -1, 0))
@@ -97,15 +120,15 @@ def moved(
     """Move from the command ``start`` to ``target`` and wait; return the state and the true tool frame after that.
 
     Args:
-        plant: The arm, or many.
-        m: ``math`` for one arm on floats, ``numpy`` or ``torch`` for many.
+        plant: The simulated true arm, or a batch of arms.
+        m: The namespace of the functions: ``math`` for one arm, ``numpy`` or ``torch`` for many.
         state: The plant's state at ``start``.
-        start: Joints ``(..., n)``, rad or m.
-        target: Joints ``(..., n)``.
+        start: Joints at the start ``(..., n)``, rad or m.
+        target: Joints at the end ``(..., n)``, rad or m.
         pace: Speed, control period and waiting time.
-        place: Makes components of arrays where ``m`` wants others.
-        normal: Standard normal numbers of this one stop's friction ``(2, n, ...)``, forward and backward of each joint;
-            without scatter of the friction, an arm would repeat exactly. None for the usual friction.
+        place: Function that converts arrays to the type of ``m``, such as tensors; None for arrays and floats.
+        normal: Standard normal numbers that scatter the friction of this stop ``(2, n, ...)``: forward, then backward.
+            None for the mean friction, with which an arm repeats exactly.
     """
     band = plant.effect("stick_band")
     if normal is not None and band is not None and band.scatter:
@@ -123,7 +146,7 @@ def moved(
 INSTRUMENTS = Path(__file__).parent / "instruments"
 
 TRACKER = "laser_tracker"
-"""Name of the instrument of calibrations that name none."""
+"""Name of the instrument that calibrations use by default."""
 
 
 @toml_table
@@ -132,13 +155,13 @@ class Instrument:
 
     Attributes:
         name: Name of the instrument.
-        stand: Where the instrument stands, in the arm's world, m.
-        source: Where the numbers come from.
-        dwell: Waiting time between arrival and reading, s; None for waiting until nothing changes any more: the arm is
-            then warm, the ground at rest, and friction and gaps in their middle.
-        warm_up: Time that the arm is switched on before the first pose, s, in the middle of the joints' ranges.
-        period: Control period of the drives from pose to pose, s, at full speed.
-        noise: The instrument's errors; None for the errors that the plant states for an instrument beside it.
+        stand: Position of the instrument in the arm's world frame, m.
+        source: Source of the numbers.
+        dwell: Waiting time between arrival and reading, s. None for the settled pose (`Plant.tool_frame`): the arm is
+            warm, the ground is at rest, and friction and backlash are in the middle of their bands.
+        warm_up: Time for which the arm rests in the middle of the joints' ranges before the first move, s.
+        period: Control period of the moves from pose to pose, s. They are at full speed.
+        noise: The instrument's errors; None for those of the plant's effect "measurement_noise".
     """
 
     name: str
@@ -150,18 +173,20 @@ class Instrument:
     noise: MeasurementNoise | None = None
 
     def noise_on(self, plant: Plant) -> MeasurementNoise | None:
-        """The instrument's errors at this plant: its own, else those that the plant states, if any."""
+        """Return the instrument's own errors, else those of the plant's effect "measurement_noise", else None."""
         noise: MeasurementNoise | None = plant.effect("measurement_noise") if self.noise is None else self.noise
         return noise
 
 
 class NormalDraws(NamedTuple):
-    """Standard normal numbers that decide the chance errors of a campaign of P poses; axes of further arms follow.
+    """Standard normal numbers from which the random errors of a campaign of P poses are computed.
+
+    For a batch of arms, each array has further axes at its end.
 
     Attributes:
-        reading: Numbers of each reading ``(P, 6)``.
-        mounting: Numbers of the one mounting of the target ``(3,)``.
-        stops: Numbers of the friction at each stop, forward and backward of each joint ``(P, 2, n)``; zeros where
+        reading: Numbers for the noise of each reading ``(P, 6)``: three of position, three of attitude.
+        mounting: Numbers for the centring error of the target, which is mounted once ``(3,)``.
+        stops: Numbers for the friction of each stop ``(P, 2, n)``: forward and backward of each joint. Zeros if the
             friction does not scatter.
     """
 
@@ -170,12 +195,12 @@ class NormalDraws(NamedTuple):
     stops: Array
 
     def first(self, poses: int) -> NormalDraws:
-        """The draws of the first poses, with the same mounting."""
+        """Return the draws of the first ``poses`` poses, with the same mounting."""
         return NormalDraws(self.reading[:poses], self.mounting, self.stops[:poses])
 
 
 def load_instrument(name: str | Path) -> Instrument:
-    """Read an instrument by name ("laser_tracker", "ideal") or from a path to a TOML file.
+    """Read an instrument by its name ("laser_tracker", "ideal"), or from a TOML file by its path.
 
     Raises:
         InputError: If the instrument is unknown or a number is impossible; the message names the file and the key.
@@ -184,7 +209,13 @@ def load_instrument(name: str | Path) -> Instrument:
 
 
 def normal_draws(plant: Plant, poses: int, rng: np.random.Generator) -> NormalDraws:
-    """Draw the numbers of one campaign: readings from ``rng``; mounting and stops from a child of it."""
+    """Draw the random numbers of one campaign of a single arm.
+
+    Args:
+        plant: The simulated true arm.
+        poses: Number of poses P.
+        rng: Source of the readings' numbers; those of mounting and stops come from a spawned child.
+    """
     (child,) = rng.spawn(1)
     band, shape = plant.effect("stick_band"), (poses, 2, plant.geometry.joints)
     scatters = band is not None and band.scatter
@@ -193,7 +224,15 @@ def normal_draws(plant: Plant, poses: int, rng: np.random.Generator) -> NormalDr
 
 
 def switched_on(plant: Plant, m: ModuleType, joints: Array, warm_up: float, place: Place | None = None) -> PlantState:
-    """The state of an arm that has stood at the command ``joints`` ``(..., n)`` for ``warm_up`` seconds."""
+    """Return the state of an arm that was switched on and then held a command.
+
+    Args:
+        plant: The simulated true arm, or a batch of arms.
+        m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
+        joints: The command ``(..., n)``, rad or m.
+        warm_up: Time for which it is held, s.
+        place: Function that converts arrays to the type of ``m``, such as tensors; None for arrays and floats.
+    """
     q = in_components(m, joints, place)
     return plant.carried(m, plant.initial_state(m, q), q, warm_up)
 
@@ -201,15 +240,15 @@ def switched_on(plant: Plant, m: ModuleType, joints: Array, warm_up: float, plac
 def visited(
     plant: Plant, m: ModuleType, joints: Array, instrument: Instrument, stops: Array, place: Place | None = None
 ) -> Frame:
-    """The true tool frames at the moments when an instrument reads them, one pose after another.
+    """Simulate the moves of a campaign and return the true tool frame at each reading, without measurement noise.
 
     Args:
-        plant: One arm, or many.
-        m: ``numpy`` for one arm; ``numpy`` or ``torch`` for many.
-        joints: Joint commands ``(P, n)`` of one arm, ``(P, N, n)`` of many, in the order in which they are visited.
-        instrument: The instrument, which says how long is waited.
-        stops: The numbers ``stops`` of `NormalDraws`.
-        place: Makes components of arrays where ``m`` wants others.
+        plant: The simulated true arm, or a batch of N arms.
+        m: The namespace of the functions: ``numpy`` for one arm; ``numpy`` or ``torch`` for many.
+        joints: Joint commands ``(P, n)`` of one arm, ``(P, N, n)`` of many, rad or m, in the order of the poses.
+        instrument: The instrument, which has the warm-up and waiting times.
+        stops: The numbers `NormalDraws.stops`.
+        place: Function that converts arrays to the type of ``m``, such as tensors; None for arrays.
 
     Returns:
         A frame whose components have the shape ``(P,)`` or ``(P, N)``.
@@ -233,7 +272,14 @@ def visited(
 
 
 def measured_poses(plant: Plant, joints: Array, instrument: Instrument, draws: NormalDraws) -> Pose:
-    """The poses of one arm as an instrument reports them, at joint commands ``(P, n)`` in their order."""
+    """Simulate a campaign on one arm and return the tool poses ``(P)`` that the instrument reports, in its world frame.
+
+    Args:
+        plant: The simulated true arm.
+        joints: Joint commands ``(P, n)``, rad or m, in the order of the poses.
+        instrument: The instrument.
+        draws: Random numbers of the campaign, from `normal_draws`.
+    """
     frame = visited(plant, np, joints, instrument, draws.stops)
     if (noise := instrument.noise_on(plant)) is None:
         return pose_of(frame)
@@ -250,12 +296,12 @@ GEOMETRY = "geometry"
 
 
 def causes_of(plant: Plant) -> tuple[str, ...]:
-    """The causes of a plant's error by name: its geometry, and its effects except those that never move the arm."""
+    """Return the names of the causes of a plant's error: "geometry", and all effects but those at `BESIDE`."""
     return (GEOMETRY, *(name for name in plant.names if plant.effect(name).place < BESIDE))
 
 
 def alone(plant: Plant, *names: str) -> Plant:
-    """The plant with only these of its `causes_of` on; if the geometry is not among them, it is the nominal one."""
+    """Return the plant with only these of its `causes_of` on; without "geometry", its geometry is the nominal one."""
     geometry = plant.geometry if GEOMETRY in names else plant.arm.nominal
     return replace(plant, geometry=geometry, effects=tuple(effect for effect in plant.effects if effect.name in names))
 
@@ -263,23 +309,25 @@ def alone(plant: Plant, *names: str) -> Plant:
 def effect_shares(
     plant: Plant, joints: ArrayLike, *, running_time: float = 7200.0, pace: Pace | None = None
 ) -> dict[str, Any]:
-    """Each effect's share of the tip's position error.
+    """Compute how much each cause (the true geometry, and each effect) contributes to the tool's position error.
 
     Args:
-        plant: The arm, on single numbers (not a batch of arms).
+        plant: The simulated true arm, a single one.
         joints: Joint commands ``(P, n)`` to reach, rad or m; each is approached from the one before it.
         running_time: Time since the machine was switched on, s.
-        pace: How the reaches are made; full speed and 0.5 s of waiting when left out.
+        pace: Speed, control period and waiting time; by default full speed and 0.5 s of waiting.
 
     Returns:
-        A mapping for JSON. ``plant``, ``reaches``, ``running_hours`` and ``dwell`` (s) say what was run; all else is in
-        mm. ``alone``: for each effect that is on, its share when it is the only one; ``geometry`` is the true against
-        the nominal geometry. ``without``: for each effect, the error that remains with everything on but that effect.
-        ``all``: the share with everything on. ``sum_of_means``: the sum of the means in ``alone``, the worst case, in
-        which all shares point the same way. ``root_sum_square``: the root of the sum of their squares, for shares in
-        random directions. A share has the ``mean`` distance of the true tool from the nominal one over all reaches, its
-        95th percentile ``p95``, the largest ``max``, and ``varying``, the mean after each axis' mean is subtracted:
-        what no constant offset removes.
+        A mapping for JSON. ``plant``, ``reaches``, ``running_hours`` and ``dwell`` (s) describe the run; all else is in
+        mm. ``alone``: for each cause, the error if it is the only one that is on. ``without``: for each cause, the
+        error with all others on. ``all``: the error with all causes on. ``sum_of_means``: the sum of the means in
+        ``alone``, which is the worst case (all errors in one direction). ``root_sum_square``: the root of the sum of
+        their squares, for random directions. Each error is a mapping of statistics over the reaches of the distance
+        between the true and the nominal tool: ``mean``, the 95th percentile ``p95``, and ``max``. Its ``varying`` is
+        the mean distance after the mean error of each axis is subtracted, that is without a constant offset.
+
+    Raises:
+        ValueError: If there are fewer than two commands.
     """
     pace = pace or Pace()
     joints = np.asarray(joints, dtype=float)
@@ -289,7 +337,7 @@ def effect_shares(
     start = np.roll(joints, 1, axis=0)
 
     def share(*names: str) -> dict[str, float]:
-        """The tool's distance from the nominal tool, mm, after reaches from the joints before (first from last)."""
+        """Return statistics of the distance between true and nominal tool, mm, with only these causes on."""
         some = alone(plant, *names)
         _, frame = moved(some, np, switched_on(some, np, start, running_time), start, joints, pace)
         error = np.stack(np.broadcast_arrays(*frame[9:]), -1) - nominal
@@ -311,7 +359,7 @@ def effect_shares(
 
 
 def shares_report(shares: dict[str, Any]) -> str:
-    """What `effect_shares` found, as a table for people."""
+    """Return the result of `effect_shares` as a text table."""
 
     def row(name: str, share: dict[str, float], left: float) -> str:
         figures = f"{share['mean']:13.3f}{share['varying']:10.3f}{share['p95']:9.3f}{share['max']:9.3f}"

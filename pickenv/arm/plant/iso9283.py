@@ -1,8 +1,9 @@
-"""Accuracy of an arm by ISO 9283:1998, on the simulated arm: AP, RP, vAP and dAP, raw and calibrated.
+"""Test of the simulated arm by ISO 9283:1998, uncalibrated and calibrated.
 
-The simulated arm runs thirty cycles over five poses of the inclined plane of the largest cube in the workspace, at full
-speed; it is warm, except in the drift test. AP = |mean - command|; RP = mean distance from the mean + 3 standard
-deviations; `pose_performance` and `pose_drift` compute them of measured arms too. Units: mm and deg.
+Results are pose accuracy AP, repeatability RP, multi-directional accuracy variation vAP and drift dAP. The arm runs
+thirty cycles over five poses of the inclined plane of the largest cube in the workspace, at full speed. It is warm,
+except in the drift test. AP = |mean - command|. RP = mean distance from the mean + 3 standard deviations.
+`pose_performance` and `pose_drift` also compute these values from measurements of a real arm. Units: mm and deg.
 """
 
 from __future__ import annotations
@@ -23,39 +24,42 @@ from pickenv.arm.plant.campaign import TRACKER, Instrument, Pace, move_time, mov
 from pickenv.base import Ends, InputError, mean_interval, norm_interval, statistic_interval
 
 Compensate = Callable[[Array], Array]
-"""A function from joint targets ``(..., n)`` for the nominal arm to joint commands for the real arm."""
+"""A function from joint targets ``(..., n)`` of the nominal arm to joint commands ``(..., n)`` for the true arm."""
 
 CYCLES = 30
-"""Measurements of a pose by the standard; fewer tell too little about RP for an interval."""
+"""Number of cycles in the standard; with fewer, no confidence interval of RP is given."""
 
 ORDER = (4, 3, 2, 1, 0)
-"""Poses of one cycle in their order: P5, P4, P3, P2, P1."""
+"""Indices of the poses in the order of one cycle: P5, P4, P3, P2, P1."""
 
 VARIATION_POSES = (0, 1, 3)
-"""vAP is taken at P1, P2 and P4."""
+"""Indices of the poses at which vAP is measured: P1, P2 and P4."""
 
 FEWEST_CYCLES = 3
-"""Fewest measurements for RP: two are equally far from their mean, so that their distances have no deviation."""
+"""Least number of measurements for RP: two have the same distance from their mean, whose deviation is always zero."""
 
 NO_SCATTER = 1e-9
-"""A scatter below this is rounding, in either unit."""
+"""Scatter below this value counts as rounding, for positions and for attitudes."""
 
 NORM_OF_NOISE = 2.0 * math.sqrt(2.0 / math.pi) + 3.0 * math.sqrt(3.0 - 8.0 / math.pi)
-"""RP_l of normal noise of standard deviation 1 in three axes: its norm has Maxwell's distribution."""
+"""RP_l of normal noise with standard deviation 1 in each of three axes, whose norm has a Maxwell distribution."""
 
 
 @dataclass(frozen=True)
 class Iso9283Settings:
-    """Settings of the test; the standard's numbers unless changed.
+    """Settings of the test; the default values are those of the standard where it gives them.
 
     Attributes:
-        cycles: Measurements per pose.
+        cycles: Number of measurements per pose.
         pace: Speed, control period and waiting time before each measurement.
-        warm_up: Time that the arm is switched on before the tests of the warm arm, s.
-        approach: Length of the approaches from three directions, m.
+        warm_up: Time for which the arm is on before the tests of the warm arm, s.
+        approach: Length of the approaches from three directions for vAP, m.
         drift_time: Duration of the drift test, s.
-        drift_interval: Time between the measurements of the drift test, s.
-        drift_cycles: Number of measurements averaged at each of these times.
+        drift_interval: Time between the mean poses of the drift test, s.
+        drift_cycles: Number of measurements per mean pose of the drift test.
+
+    Raises:
+        InputError: If a number is out of range.
     """
 
     cycles: int = CYCLES
@@ -74,27 +78,29 @@ class Iso9283Settings:
 
 
 Performance = dict[str, Any]
-"""The figures that the arm reaches under one controller, raw or calibrated, in the form of JSON.
+"""Test results of the arm under one controller (uncalibrated or calibrated), as a mapping for JSON.
 
-poses: AP and RP at P1 to P5, each as `pose_performance` gives them. variation_mm, variation_deg: vAP_P, the largest
-distance between the means of three approach directions, at P1, P2 and P4. drift_mm, drift_deg: dAP_P, the largest
-change of AP_P at P1 since the start, over the drift time. wander_mm: largest distance of the mean position at P1 from
-the mean position at the start. drift_hours, drift_accuracy_mm: times of the drift measurements, and AP_P at P1 then.
-worst_accuracy_mm, worst_repeatability_mm: the largest AP_P and RP_l of the five poses.
+- poses: AP and RP at P1 to P5, each a result of `pose_performance`.
+- variation_mm, variation_deg: vAP at P1, P2 and P4: the largest difference between the mean poses of three approach
+  directions.
+- drift_mm, drift_deg: dAP: the largest change of AP at P1 since the start of the drift test.
+- wander_mm: the largest distance of the mean position at P1 from that at the start of the drift test.
+- drift_hours, drift_accuracy_mm: the times of the drift measurements, and AP_P at P1 at these times.
+- worst_accuracy_mm, worst_repeatability_mm: the largest AP_P and RP_l of the five poses.
 """
 
 
 @dataclass(frozen=True, eq=False)
 class Iso9283Result:
-    """A test by ISO 9283.
+    """Result of a test by ISO 9283.
 
     Attributes:
-        plant: Name of the plant.
-        cube: The cube that the poses lie in.
-        settings: How the test was run.
-        instrument_mm: RP_l that the tracker's noise would show, at the mean range, on an arm that repeats exactly.
-        raw: Figures of the arm with commands for the nominal arm.
-        calibrated: Figures of the arm with compensated commands, or None.
+        plant: Name of the plant, that is the simulated true arm.
+        cube: The cube that contains the test poses.
+        settings: Settings of the test.
+        instrument_mm: RP_l that the tracker's noise alone causes at the mean range, mm.
+        raw: Results with joint commands for the nominal arm.
+        calibrated: Results with compensated joint commands, or None.
     """
 
     plant: str
@@ -105,11 +111,11 @@ class Iso9283Result:
     calibrated: Performance | None
 
     def performances(self) -> dict[str, Performance]:
-        """The figures by name: "raw", and "calibrated" if that was tested."""
+        """Return the results by name: "raw", and "calibrated" if it was tested."""
         return {"raw": self.raw} | ({"calibrated": self.calibrated} if self.calibrated is not None else {})
 
     def as_dict(self) -> dict[str, Any]:
-        """The result for JSON; the unit of each number is in its key."""
+        """Return the result as a mapping for JSON; each key ends in the number's unit."""
         s, cube = self.settings, {"centre_mm": (1e3 * self.cube.centre).tolist(), "edge_mm": 1e3 * self.cube.edge}
         settings = {"cycles": s.cycles, "speed_share": s.pace.speed, "dwell_s": s.pace.dwell}
         settings |= {"warm_up_h": s.warm_up / 3600.0, "drift_h": s.drift_time / 3600.0}
@@ -117,7 +123,7 @@ class Iso9283Result:
         return {**parts, "instrument_repeatability_mm": self.instrument_mm, **self.performances()}
 
     def report(self) -> str:
-        """The test report, for people."""
+        """Return the test report as text."""
         s, centre = self.settings, ", ".join(f"{1e3 * value:.0f}" for value in self.cube.centre)
         lines = [
             f"ISO 9283 on the simulated arm {self.plant}: {s.cycles} cycles at {100 * s.pace.speed:.0f} % speed, "
@@ -161,15 +167,16 @@ def iso9283(
     """Test the simulated arm by ISO 9283.
 
     Args:
-        plant: The arm, on single numbers.
-        compensate: Maps joint targets to joint commands, such as a calibration's compensator; None tests the raw arm
-            only.
-        rng: Draws the friction of each stop and the measuring instrument's noise; raw and calibrated arm meet the same.
-        settings: How the test is run.
-        cube: The cube that the poses lie in; the largest cube in the workspace when left out.
-        reference: The geometry that gives joint targets their meaning in the world; the arm's nominal geometry when
-            left out. For a calibration that fitted base and tool, it is that calibration's nominal geometry; raw and
-            calibrated arm are then both judged by it.
+        plant: The simulated true arm, a single one.
+        compensate: Function from joint targets to joint commands, such as a calibration's compensator. With None, only
+            the uncalibrated arm is tested.
+        rng: Source of the friction of each stop and of the instrument's noise. The uncalibrated and the calibrated arm
+            get the same random numbers.
+        settings: Settings of the test; those of the standard by default.
+        cube: The cube that contains the test poses; the largest cube in the workspace by default.
+        reference: The geometry whose forward kinematics turn joint targets into commanded poses; by default the arm's
+            nominal geometry. After a calibration that fitted base and tool, give that calibration's nominal geometry.
+            The errors of the uncalibrated and of the calibrated arm are both computed against these poses.
 
     Raises:
         InputError: If a test pose cannot be reached.
@@ -285,17 +292,22 @@ def _performance(
 
 
 def pose_performance(name: str, errors: Array) -> dict[str, Any]:
-    """The figures of one pose from its errors ``(cycles, 6)`` in m and rad, or ``(cycles, 3)`` of positions alone.
+    """Compute accuracy and repeatability of one pose from its errors.
 
-    All intervals are of 95 % over cycles; None with fewer than 10, or without any scatter; of RP, with fewer than
-    `CYCLES`.
+    Confidence intervals are of 95 % over cycles. An interval is None with fewer than 10 cycles (for RP, fewer than
+    `CYCLES`), or if the cycles do not differ.
+
+    Args:
+        name: Name of the pose.
+        errors: Errors of the cycles ``(cycles, 6)``, m and rad, as `pose_error` gives them; ``(cycles, 3)`` for
+            positions only.
 
     Returns:
-        cycles: Number of them. accuracy_mm: AP_P, distance between the mean of the attained positions and the command.
-        mean_error_mm: mean error in x, y, z of the world. repeatability_mm: RP_l. Of poses also accuracy_deg: accuracy
-        of the attitude, the angle of the mean rotation vector. mean_error_deg: AP_a, AP_b, AP_c, the mean rotation
-        vector, about the axes of the world. repeatability_deg: RP_a, RP_b, RP_c, three standard deviations about each.
-        The interval of each number has its name with ci95 before the unit.
+        A mapping. ``name`` and ``cycles``, the number of cycles. ``accuracy_mm``: AP_P, the distance between the mean
+        attained position and the command. ``mean_error_mm``: mean error along x, y, z of the world.
+        ``repeatability_mm``: RP_l. With attitudes also ``accuracy_deg``: the angle of the mean rotation vector.
+        ``mean_error_deg``: AP_a, AP_b, AP_c, the mean rotation vector in world axes. ``repeatability_deg``: RP_a, RP_b,
+        RP_c, three standard deviations about each world axis. The key of an interval has ``ci95`` before the unit.
     """
     figures: dict[str, Any] = {"name": name, "cycles": len(errors)}
     for unit, scale, part in (("mm", 1e3, errors[:, :3]), ("deg", math.degrees(1.0), errors[:, 3:])):
@@ -314,16 +326,20 @@ def pose_performance(name: str, errors: Array) -> dict[str, Any]:
 
 
 def pose_drift(errors: Array) -> dict[str, Any] | None:
-    """The drift of one pose over its errors ``(cycles, 3 or 6)``, m and rad, in the order of the cycles.
+    """Compute the drift of one pose between the first and the last third of its cycles.
 
-    The last third of the cycles is compared with the first, which is ten with ten in thirty. The intervals, of 95 %,
-    are over the pairs of a first and a last cycle; None with fewer than ten pairs.
+    Confidence intervals are of 95 %, over pairs of a cycle of the first third and one of the last third. They are None
+    with fewer than ten pairs.
+
+    Args:
+        errors: Errors of the cycles in their order ``(cycles, 3 or 6)``, m and rad.
 
     Returns:
-        None with fewer than `FEWEST_CYCLES` a third. Else cycles: number in a third. accuracy_change_mm: dAP_P, change
-        of AP_P. wander_mm: distance of the two mean positions; its lower end is zero where the cycles show no drift.
-        repeatability_change_mm: dRP, change of RP_l, without an interval: 10 to 30 scattered distances tell too little
-        for one that holds. The interval of each other has its name with ci95 before the unit.
+        None with fewer than `FEWEST_CYCLES` cycles per third. Else a mapping. ``cycles``: number of cycles per third.
+        ``accuracy_change_mm``: dAP_P, the change of AP_P. ``wander_mm``: distance between the two mean positions; the
+        lower end of its interval is zero if there is no significant drift. ``repeatability_change_mm``: dRP, the change
+        of RP_l; it has no interval, because 10 to 30 distances are too few for a reliable one. The key of an interval
+        has ``ci95`` before the unit.
     """
     third = len(errors) // 3
     if third < FEWEST_CYCLES:

@@ -1,9 +1,9 @@
-"""The true arm: what a joint command really does to the tool.
+"""The plant, that is the simulated true arm: it computes the true tool pose that a joint command leads to.
 
-Motor (counts, lag) -> drive error -> friction -> backlash -> compliance -> swing -> warm chain -> slides and boom ->
-ground -> local structure -> what a calibration found beside these: each is an effect in a list, and without effects the
-plant is exactly the true geometry. Some effects depend on the joints alone; the others have a memory, in components
-that may be floats, arrays or tensors. Numbers may be arrays: one entry per arm, many arms at once.
+A plant has a true geometry and a list of effects. They act in this order: motor (encoder counts, lag), drive error,
+friction, backlash, compliance, vibration, thermal growth, slides and boom, ground, local structure, residual. Without
+effects the plant is exactly the true geometry. Some effects depend on the joints alone. The others have a memory, whose
+components may be floats, arrays or tensors. Numbers may be arrays with one entry per arm, for many arms at once.
 """
 
 from __future__ import annotations
@@ -33,13 +33,15 @@ CONSTANTS = toml_tables.Check(
 
 @toml_tables.toml_table
 class Unmeasured:
-    """Constants of a plant that nobody measured and that vary together: an entry of [[unmeasured]] in a plant file.
+    """A group of a plant's constants that were never measured: an entry of [[unmeasured]] in a plant file.
+
+    All constants of a group are multiplied by one random factor.
 
     Attributes:
-        name: What the constants are.
+        name: Name of the group.
         constants: Attributes of effects, such as "base_tilt.stiffness".
-        times: Least and largest multiple of the plant's own numbers; all multiples between them are equally likely.
-        source: Why the multiples reach so far.
+        times: Least and largest factor; it is uniform between them.
+        source: Reason for this range.
     """
 
     name: Annotated[str, toml_tables.LINE]
@@ -55,11 +57,14 @@ class Unmeasured:
 
 @dataclass(frozen=True)
 class Layout:
-    """The meaning of a calibration's coefficients beside the geometry, in order: harmonics, then moments.
+    """The meaning of a calibration's k coefficients, which follow the geometry's parameters.
+
+    Two coefficients (sine, cosine) for each periodic error come first, then one for each gravity term.
 
     Attributes:
-        harmonics: Joint and order (1/rad, 1/m) of each periodic error, which has a sine and a cosine coefficient.
-        moments: The moments as in `pickenv.arm.effects.drives.GravityYield`.
+        harmonics: Joint index and order (1/rad or 1/m) of each periodic error: the error is periodic in order times
+            the joint's displacement.
+        moments: The gravity terms, as in `pickenv.arm.effects.drives.GravityYield`.
         up: Direction against gravity in the axes of frame 0.
     """
 
@@ -69,27 +74,30 @@ class Layout:
 
     @property
     def sizes(self) -> tuple[int, int]:
-        """Numbers of coefficients: of harmonics and of moments."""
+        """Number of coefficients of the periodic errors, and number of those of the gravity terms."""
         return 2 * len(self.harmonics), len(self.moments)
 
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """An arm as a calibration found it, in P = 5L + 12 + k parameters: those of the geometry, then k coefficients.
+    """The posterior distribution of a calibrated arm over P = 5L + 12 + k parameters.
+
+    The parameters are those of the geometry, then the k coefficients of `Layout`. A sample is the identified value,
+    plus ``factor`` times p standard normal numbers, plus ``traces`` times d deviations within tolerances.
 
     Attributes:
-        identified: The geometry found, whose base and tool belong to the instrument's frame.
+        identified: The identified geometry; its base and tool refer to the instrument's frame.
         aligned: Base and tool of the nominal arm, aligned to the instrument's frame.
-        layout: What the coefficients mean.
-        coefficients: The coefficients found ``(k,)``.
+        layout: The meaning of the coefficients.
+        coefficients: The identified coefficients ``(k,)``.
         factor: Change of the parameters per standard normal number ``(P, p)``.
-        unseen: Places of the parameters that were not identified ``(d,)``.
-        traces: Change of the parameters per unit of each unidentified one ``(P, d)``: itself, and what makes up for it.
+        unseen: Indices of the d parameters that the data do not identify ``(d,)``.
+        traces: Change of all parameters per unit of each unidentified one ``(P, d)`` that keeps the measured poses.
         field: The residual field with its mean weights, or None.
-        field_factor: Change of the weights of each output's smooth waves, cosines then sines, per standard normal
+        field_factor: Change of the weights of each output's K smooth waves, cosines then sines, per standard normal
             number ``(O, 2 K, 2 K)``.
-        rough: Standard deviation of each output's rough waves together ``(O,)``, m and rad.
-        notes: What could be told apart and how, one sentence each.
+        rough: Standard deviation of the sum of each output's rough waves ``(O,)``, m and rad.
+        notes: Sentences that say which causes the data can distinguish, and how.
     """
 
     identified: Geometry
@@ -106,7 +114,7 @@ class Posterior:
 
 
 PlantState = tuple[Components, ...]
-"""A plant's memory from one moment to the next: the memory of each effect that has one, in the plant's order."""
+"""The state of a plant: the memory of each effect that has one, in the order of the plant's effects."""
 
 
 _Step: TypeAlias = tuple[tuple[Callable[..., Components], ...], Callable[[Passage, Components], None]]
@@ -118,18 +126,18 @@ BEGIN, REST, CARRY = range(3)
 
 @dataclass(frozen=True, eq=False)
 class Plant:
-    """An arm as its controller knows it, and everything that makes the real arm differ.
+    """A simulated true arm: the arm that its controller knows, and all causes of the difference.
 
     Attributes:
-        name: Name of the preset.
-        arm: The arm; its nominal geometry is what the controller believes in.
+        name: Name of the plant.
+        arm: The arm, with the nominal geometry that the controller uses.
         geometry: True geometry.
-        load: Masses for gravity; without them some effects do nothing.
-        effects: What else makes the real arm differ, in the order of action from the motors to the tool.
-        posterior: How well a calibration knows all this, where the plant was made from one; else None.
-        unmeasured: Which numbers of the effects nobody measured.
-        ready: A geometry and its prepared chain, where numbers were moved or picked (`plant_batch.plants_on`); None to
-            compute the chain. It is ignored if its geometry is not the plant's.
+        load: Masses on which gravity acts, or None; without them some effects do nothing.
+        effects: The effects, in the order in which they act, from the motors to the tool.
+        posterior: Posterior distribution of the calibration from which the plant was made, else None.
+        unmeasured: Groups of the effects' constants that were never measured.
+        ready: A geometry and its prepared chain, which `plant_batch.plants_on` gives; None to compute the chain. It is
+            ignored if its geometry is not the plant's.
 
     Raises:
         ValueError: If two effects have one name.
@@ -152,31 +160,34 @@ class Plant:
 
     @cached_property
     def chain(self) -> Chain:
-        """The true geometry made ready for the executors, at the temperature at which it was measured."""
+        """The true geometry as a `Chain`, at the temperature at which it was measured."""
         if self.ready is not None and self.ready[0] is self.geometry:
             return self.ready[1]
         return chain_of(self.geometry, math if self.geometry.alpha.ndim == 1 else np)
 
     @property
     def names(self) -> list[str]:
-        """The names of the plant's effects in the order of tables: those that ship with pickenv first."""
+        """The names of the plant's effects in the order of tables and reports: those that ship with pickenv first."""
         names = {effect.name: None for effect in self.effects}
         return list(dict.fromkeys([*(name for name in registry.names("effect") if name in names), *names]))
 
     def effect(self, name: str) -> Any:
-        """The effect of this name, or None where it is switched off."""
+        """Return the effect of this name, or None if the plant does not have it."""
         return next((effect for effect in self.effects if effect.name == name), None)
 
     def with_effect(self, *effects: Effect) -> Plant:
-        """This plant with effects added; an effect replaces the one that has its name."""
+        """Return this plant with effects added; an effect replaces an effect of the same name."""
         names = {effect.name for effect in effects}
         return replace(self, effects=(*(effect for effect in self.effects if effect.name not in names), *effects))
 
     def without(self, effects: str | Iterable[str]) -> Plant:
-        """This plant with an effect, or several, switched off, by name.
+        """Return this plant without the effects of these names; names of effects that it does not have are ignored.
+
+        Args:
+            effects: One name, or several.
 
         Raises:
-            InputError: If there is no such effect, in this plant or another.
+            InputError: If a name is neither a registered effect nor one of this plant.
         """
         off, registered = {effects} if isinstance(effects, str) else set(effects), registry.names("effect")
         for name in sorted(off - {*registered, *(effect.name for effect in self.effects)}):
@@ -206,37 +217,49 @@ class Plant:
         return bool(self._steps[1])
 
     def tool_frame(self, m: ModuleType, q: Sequence[Scalar]) -> Frame:
-        """The true tool frame, in components, for the joint command ``q``; ``m`` is math, numpy or torch.
+        """Compute the settled true tool frame for a joint command, in world axes.
 
-        The frame is settled and free of history: where the tool ends when ``q`` is held for ever. Gaps that gravity
-        does not close, and the friction bands, are in their middle.
+        The frame does not depend on the past: it is the limit if the command is held for ever. Friction, and backlash
+        that gravity does not close, are in the middle of their bands.
+
+        Args:
+            m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
+            q: Joint command, n components, rad or m.
         """
         return self._ended(*self._passage(m, q, REST))
 
     def initial_state(self, m: ModuleType, q: Sequence[Scalar]) -> PlantState:
-        """The state of an arm at rest at the command ``q``, just switched on: cold, and not yet sunk. See `advance`."""
+        """Return the state of an arm right after it is switched on, at rest at a command.
+
+        The arm is at its initial temperature, and the ground has not yet settled.
+
+        Args:
+            m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
+            q: Joint command, n components, rad or m.
+        """
         return self._passage(m, q, BEGIN)[0]
 
     def advance(self, m: ModuleType, state: PlantState, q: Sequence[Scalar], dt: Scalar) -> tuple[PlantState, Frame]:
-        """Hold the joint command ``q`` for ``dt`` seconds.
+        """Simulate holding the joint command ``q`` for ``dt`` seconds.
 
-        Friction and backlash see only where the motor was before and where it is in the end, which is right as long as
-        the motor does not turn back within ``dt``; all else is exact for a held command.
+        Friction and backlash depend only on the motor positions before and after ``dt``. This is correct as long as no
+        motor reverses within ``dt``. All other effects are exact for a held command.
 
         Args:
-            m: ``math``, ``numpy`` or ``torch``.
-            state: From `initial_state` or an earlier call.
+            m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
+            state: State from `initial_state` or an earlier call.
             q: Joint command, n components, rad or m.
             dt: Time, s; one number, or one per arm.
 
         Returns:
-            The new state, and the true tool frame at the end, which is `tool_frame` if no effect has a memory.
+            The new state, and the true tool frame at the end in world axes. If no effect has a memory, the frame is
+            that of `tool_frame`.
         """
         new, at = self._passage(m, q, CARRY, state, dt)
         return new, self._ended(new, at)
 
     def carried(self, m: ModuleType, state: PlantState, q: Sequence[Scalar], dt: Scalar) -> PlantState:
-        """The new state as in `advance`, without the tool frame."""
+        """Return only the new state of `advance`, without computing the tool frame; the arguments are the same."""
         return self._passage(m, q, CARRY, state, dt)[0]
 
     def _passage(
@@ -269,17 +292,31 @@ class Plant:
         return at.frame
 
     def stands(self, m: ModuleType, state: PlantState, q: Sequence[Scalar]) -> tuple[list[Scalar], Frame]:
-        """Positions of the joints ``(n,)``, rad or m, and the tool's frame, after `advance` to ``state`` at ``q``."""
+        """Return the true joint positions and the true tool frame in a given state.
+
+        Args:
+            m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
+            state: The state that `advance` returned.
+            q: The joint command of that call, n components, rad or m.
+
+        Returns:
+            Positions of the n joints, rad or m, and the tool frame in world axes.
+        """
         at, memories = Passage(m, self.chain, self.load, q), iter(state)
         for ways, act in (step for part in self._steps for step in part):
             act(at, next(memories) if ways else ())
         return list(at.joints), at.frame
 
     def readings(self, m: ModuleType, state: PlantState, q: Sequence[Scalar]) -> list[Scalar]:
-        """What the motor encoders report after `advance` to ``state`` at the command ``q``, rad or m.
+        """Return the readings of the motor encoders in a given state: n components, rad or m.
 
-        Encoders report the motors in whole counts, with their following error: they see neither drive errors nor
-        friction, backlash, deflection or swing.
+        A reading is the motor position, with its following error, rounded to encoder counts. It does not contain drive
+        errors, friction, backlash, deflection or vibration.
+
+        Args:
+            m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
+            state: The state that `advance` returned.
+            q: The joint command of that call, n components, rad or m.
         """
         at = Passage(m, self.chain, self.load, q)
         for effect, i in self._motors:
@@ -287,5 +324,5 @@ class Plant:
         return list(at.motor)
 
     def tool_pose(self, q: ArrayLike) -> Pose:
-        """The settled true tool pose, free of measurement noise, for joint commands ``(..., n)`` in rad and m."""
+        """Compute the settled true tool poses (see `tool_frame`) for joint commands ``(..., n)``, rad or m."""
         return pose_of(self.tool_frame(np, split_joints(self.geometry.joints, q)))

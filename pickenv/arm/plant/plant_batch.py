@@ -1,7 +1,8 @@
-"""Many arms in one plant, in which any number may be an array of one entry per arm: pick one arm, or move the numbers.
+"""Batches of arms: one `Plant` whose numbers may be arrays with one entry per arm.
 
-In a batch of N arms, link parameters of the geometry are ``(N, n)`` and other numbers ``(N,)``; what all arms share
-stays a plain number. Base and tool are shared, or have one entry per arm too.
+The functions select an arm, or convert the arrays. In a batch of N arms, link parameters of the geometry are ``(N, n)``
+and other numbers ``(N,)``. A number that all arms share stays a plain number. Base and tool are shared, or have one
+entry per arm too.
 """
 
 from __future__ import annotations
@@ -16,12 +17,12 @@ from pickenv.arm.plant.plant import Plant
 
 
 def plant_count(plants: Plant) -> int | None:
-    """Number of arms in a batch, or None for a single arm."""
+    """Return the number of arms in a batch, or None for a single arm."""
     return None if plants.geometry.alpha.ndim == 1 else len(plants.geometry.alpha)
 
 
 def plant_at(plants: Plant, i: int) -> Plant:
-    """The plant of arm ``i`` of a batch, on plain numbers.
+    """Return the plant of arm ``i`` of a batch, with plain numbers.
 
     Raises:
         IndexError: If there is no such arm.
@@ -39,15 +40,15 @@ def plant_at(plants: Plant, i: int) -> Plant:
 
 
 def plants_on(plants: Plant, change: Callable[[Array], Scalar]) -> Plant:
-    """A batch of arms with each of its arrays changed, for example moved to another executor or cut to some arms.
+    """Return a batch of arms with a function applied to each of its arrays, for example to move it to a GPU.
 
-    The prepared chain's sines and cosines are changed, not computed anew, so that an arm has the same numbers to the
-    bit however many others stand beside it. A single arm stays as it is.
+    The prepared chain's sines and cosines are converted too and not computed anew. Therefore an arm has the same
+    numbers, bit by bit, in a batch of any size. A single arm is returned unchanged.
 
     Args:
         plants: A batch of arms.
-        change: Turns an array into what is wanted, for example
-            ``lambda values: torch.as_tensor(values, dtype=torch.float32, device="cuda")`` or
+        change: Function from an array to the new array, for example
+            ``lambda values: torch.as_tensor(values, dtype=torch.float32, device="cuda")`` or, to select some arms,
             ``lambda values: values[rows]``.
     """
     if plant_count(plants) is None:
@@ -58,7 +59,10 @@ def plants_on(plants: Plant, change: Callable[[Array], Scalar]) -> Plant:
 
 
 def arrays_of(plants: Plant) -> list[Any]:
-    """All arrays of a batch of arms, in a fixed order, for writing other arms into them; empty for a single arm."""
+    """Return all arrays of a batch of arms in a fixed order, so that other arms can be written into them.
+
+    The list is empty for a single arm.
+    """
     if plant_count(plants) is None:
         return []
     links = tuple(getattr(plants.geometry, name) for name in LINK_PARAMETERS)
@@ -66,9 +70,15 @@ def arrays_of(plants: Plant) -> list[Any]:
 
 
 def with_links(geometry: Geometry, change: Callable[..., Any], *others: Geometry) -> Geometry:
-    """The geometry with ``change`` applied to each of its link parameters, together with those of ``others``.
+    """Return the geometry with a function applied to each of its link parameters.
 
-    If the bases or tools of a batch of arms differ, ``change`` is applied to these too.
+    If the bases or tools of a batch of arms differ, the function is applied to these too.
+
+    Args:
+        geometry: The geometry.
+        change: Function that returns the new array. Its arguments are the array of ``geometry`` and those of
+            ``others``.
+        others: Geometries whose arrays the function needs too.
     """
     tables = (geometry, *others)
     values: dict[str, Any] = {name: change(*(getattr(table, name) for table in tables)) for name in LINK_PARAMETERS}
@@ -84,7 +94,13 @@ def with_links(geometry: Geometry, change: Callable[..., Any], *others: Geometry
 
 
 def tree_map(change: Callable[[Any], Any], tree: Any) -> Any:
-    """The tree with ``change`` applied to each of its arrays."""
+    """Return a tree with ``change`` applied to each of its arrays.
+
+    Args:
+        change: Function from an array to the new array.
+        tree: Nested tuples, named tuples and dataclasses, whose leaves are arrays or tensors. Other values, and
+            dataclasses with the class attribute ``shared = True``, are unchanged.
+    """
     if getattr(tree, "ndim", 0):
         return change(tree)
     if isinstance(tree, tuple):
@@ -96,7 +112,7 @@ def tree_map(change: Callable[[Any], Any], tree: Any) -> Any:
 
 
 def leaves(tree: Any) -> list[Any]:
-    """All arrays of the tree, in the order of its entries and fields; each is the tree's own, not a copy."""
+    """Return the arrays of a tree (see `tree_map`), in the order of its entries and fields, without copying them."""
     if getattr(tree, "ndim", 0):
         return [tree]
     if _opens(tree):

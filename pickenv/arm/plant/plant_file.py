@@ -1,7 +1,8 @@
-"""Plants are TOML files: which arm, and the size and source of each effect. The presets lie in `plants`.
+"""Read plants (simulated true arms) by name or from TOML files.
 
-The plant of a calibrated arm is a file of another kind (`pickenv.arm.plant.twin_file`). A name may also ask for an arm
-without error ("ideal:ur5e"), or for an arm of a tolerance class ("coarse:ur5e").
+A plant file names an arm and has the size and source of each effect. The presets are in the folder `plants`. The plant
+of a calibrated arm is a file of another kind (`pickenv.arm.plant.twin_file`). A name may also stand for an arm without
+error ("ideal:ur5e"), or for an arm of a tolerance class ("coarse:ur5e").
 """
 
 from __future__ import annotations
@@ -31,7 +32,7 @@ from pickenv.base import InputError, is_file, listed, registry, shortened, strea
 PLANTS = Path(__file__).parent / "plants"
 
 NUMBERED = re.compile(r"(.+)#(\d{1,9})")
-"""A plant's name followed by "#" and the number of a draw of its unmeasured constants."""
+"""Pattern of a plant's name followed by "#" and the number of a draw of its unmeasured constants."""
 
 NAMED = toml_tables.Check(lambda value: isinstance(value, str), "the name of a shipped arm or a path to an arm file")
 
@@ -43,10 +44,10 @@ def _arm(name: Any, context: Any) -> Arm:
 
 
 def one_link_per_joint(arm: Arm) -> Arm:
-    """The arm, if each of its joints moves exactly one link.
+    """Check that each joint of an arm moves exactly one link, and return the arm.
 
     Raises:
-        InputError: If a joint moves several links.
+        InputError: If the arm has a `Coupling`.
     """
     if arm.nominal.coupling is not None:
         raise InputError(f"a joint of arm '{arm.name}' moves several links, which no effect of a plant knows yet")
@@ -55,7 +56,10 @@ def one_link_per_joint(arm: Arm) -> Arm:
 
 @cache
 def plant_file(effects: tuple[str, ...]) -> Any:
-    """The type of a plant file that may have tables of these effects.
+    """Return the type of a plant file that may have tables of these effects.
+
+    Args:
+        effects: Names of the effects.
 
     Raises:
         InputError: If an effect is not registered, or cannot be loaded.
@@ -73,24 +77,27 @@ def plant_file(effects: tuple[str, ...]) -> Any:
 
 
 def any_plant_file() -> Any:
-    """The type of a plant file that may have tables of every effect that is registered."""
+    """Return the type of a plant file that may have a table for each registered effect."""
     return plant_file(tuple(registry.load_all("effect")))
 
 
 def shipped_effects() -> tuple[str, ...]:
-    """The names of the effects that come with pickenv."""
+    """Return the names of the effects that come with pickenv."""
     return tuple(name for name in registry.names("effect") if registry.origin("effect", name).package == "pickenv")
 
 
 def shipped_plants() -> list[str]:
-    """Names of the plant presets that come with pickenv."""
+    """Return the names of the plant presets that come with pickenv."""
     return toml_tables.shipped_in(PLANTS)
 
 
 def read_plant(name: str | Path) -> Plant:
-    """Read a plant by name (a preset), or from a path to a TOML file or to a calibrated arm's file (.npz).
+    """Read a preset plant by its name, or a plant from a TOML file or a calibrated arm's file (.npz).
 
-    The true arm of a TOML file is that of its arm's file, or the nominal arm where that file gives no true one.
+    The true geometry of a plant from a TOML file is that in its arm's file, or else the nominal geometry.
+
+    Args:
+        name: Name or path. It may end in "#" and a number, as in `load_plant`.
 
     Raises:
         InputError: If the plant is unknown or a number is impossible; the message names the file and the key.
@@ -124,14 +131,16 @@ def read_plant(name: str | Path) -> Plant:
 
 
 def plant_times(plant: Plant, times: Mapping[str, float]) -> Plant:
-    """The plant with groups of unmeasured constants multiplied; constants of effects that are off are ignored.
+    """Return the plant with groups of unmeasured constants multiplied by factors.
+
+    Constants of effects that the plant does not have are ignored.
 
     Args:
-        plant: The plant, on single numbers.
-        times: Multiples by the names of `Unmeasured` groups.
+        plant: The plant, a single arm.
+        times: Factors by the names of `Unmeasured` groups.
 
     Raises:
-        ValueError: If the plant has no such group.
+        ValueError: If the plant has no group of this name.
         AttributeError: If a group names an effect or a number that does not exist.
     """
     groups = {group.name: group.constants for group in plant.unmeasured}
@@ -159,14 +168,14 @@ def _multiplied(thing: Any, path: str, factor: float) -> Any:
 
 
 def with_drawn_constants(plant: Plant, draw: int) -> Plant:
-    """The plant with each group of unmeasured constants multiplied by an even draw from its range.
+    """Return the plant with each group of unmeasured constants multiplied by a uniform random factor from its range.
 
     Args:
-        plant: The plant, on single numbers.
+        plant: The plant, a single arm.
         draw: Number of the draw, which is its seed.
 
     Raises:
-        InputError: If every constant of the plant was measured.
+        InputError: If the plant has no unmeasured constants.
     """
     if not plant.unmeasured:
         raise InputError(f"plant '{plant.name}' has no [[unmeasured]] constants to draw; leave out #{draw}")
@@ -181,27 +190,30 @@ def with_drawn_constants(plant: Plant, draw: int) -> Plant:
 
 
 IDEAL = "ideal"
-"""Name of the plant without any error, whose true arm is the nominal arm."""
+"""Name of the plant without any error, whose true geometry is the nominal one."""
 
 FIRST_ARM = "qiao2026"
-"""The arm, or plant, of a name that gives only a tolerance class or "ideal"."""
+"""Default arm or plant of a name that only has a tolerance class or "ideal"."""
 
 SAMPLES = 2**10
-"""Number of poses among which a joint's largest torque is sought."""
+"""Number of poses from which a joint's largest gravity torque is computed."""
 
 LEAST_TORQUE = 0.01
-"""Least torque of a joint, as a share of the largest of its kind, from which stiffness and preload are computed."""
+"""Lower bound of the largest torque for computing a joint's stiffness and preload.
+
+It is a share of the largest torque of all joints of the same type (revolute or prismatic).
+"""
 
 
 def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
     """Read a plant.
 
     Args:
-        name: A preset's name, a path to a plant file (.toml) or a twin (.npz), "ideal:ARM", or "CLASS:ARM" with a
-            tolerance class and an arm or plant, each by name or path. "CLASS:ARM" gives the design that arms are drawn
-            from (`draw_arms`). A plant file's name may end in "#3", or another number: then the constants that nobody
-            measured are taken from the draw of that number (`with_drawn_constants`).
-        without: Effects to switch off.
+        name: A preset's name, a path to a plant file (.toml) or to a twin of a calibrated arm (.npz), "ideal:ARM", or
+            "CLASS:ARM". ARM is an arm or plant and CLASS a tolerance class, each by name or path. "CLASS:ARM" is the
+            design from which `draw_arms` draws arms. A plant's name may end in "#" and a number, such as "#3": then its
+            unmeasured constants are those of this random draw (`with_drawn_constants`).
+        without: Names of effects to switch off.
 
     Raises:
         InputError: If plant, arm, class or effect are unknown or a number is impossible; the message names the file
@@ -217,7 +229,7 @@ def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
 
 
 def class_of(name: str | Path) -> Tolerances | None:
-    """The tolerance class that a plant's name begins with; None where it begins with none."""
+    """Return the tolerance class with which a plant's name begins ("coarse:ur5e"); None if it begins with none."""
     kind, _ = _split(name)
     return load_tolerances(kind) if kind not in ("", IDEAL) else None
 
@@ -225,23 +237,29 @@ def class_of(name: str | Path) -> Tolerances | None:
 def draw_arms(
     name: str | Path, tolerances: str | Path, count: int, rng: np.random.Generator, *, without: Iterable[str] = ()
 ) -> Plant:
-    """Draw arms from a plant's design (`draw_plants`), in the class that its name begins with or else ``tolerances``.
+    """Draw true arms of a plant's design by `draw_plants`, as one plant whose numbers are arrays.
 
     Args:
-        name: The plant's name, as `load_plant` takes it.
-        tolerances: The class where the name begins with none.
+        name: The plant's name, as in `load_plant`. If it begins with a tolerance class, that class is used.
+        tolerances: Tolerance class, by name or path, if ``name`` begins with none.
         count: Number of arms, at least 1.
-        rng: The parent of the arms' streams.
-        without: Effects to switch off.
+        rng: Parent of the arms' random streams.
+        without: Names of effects to switch off.
 
     Raises:
-        InputError: Where `load_plant` or `draw_plants` raise one.
+        InputError: If `load_plant` or `draw_plants` raises one.
     """
     return draw_plants(load_plant(name, without=without), class_of(name) or load_tolerances(tolerances), count, rng)
 
 
 def bare_plant(arm: Arm, sizes: SizesTable, final_rise: float) -> Plant:
-    """The plant of an arm of which only the geometry is known; ``sizes`` gives its effects."""
+    """Return the plant of an arm of which only the geometry is known: with backlash, compliance and thermal growth.
+
+    Args:
+        arm: The arm.
+        sizes: Sizes of the effects.
+        final_rise: Temperature rise of the warm arm, K.
+    """
     one_link_per_joint(arm)
     slides, load = np.array(arm.nominal.prismatic), rods(arm)
     torques = _largest_torques(arm, load)
@@ -256,7 +274,10 @@ def bare_plant(arm: Arm, sizes: SizesTable, final_rise: float) -> Plant:
 
 
 def rods(arm: Arm) -> Load:
-    """The masses of links as rods of 1 kg/m: from each joint to the next and to the tool, with slides run out half."""
+    """Return the masses of an arm whose links are rods of 1 kg/m.
+
+    Each rod runs from a joint to the next, or to the tool, with slides in the middle of their range.
+    """
     g = arm.nominal
     middle = np.where(g.prismatic, (g.lower + g.upper) / 2, 0.0)
     after = np.arange(1, g.joints)

@@ -1,7 +1,7 @@
-"""How arms of one design differ: tolerance classes, and draws of any number of different true arms.
+"""Tolerance classes, which say how widely arms of one design differ, and random draws of true arms.
 
 Lengths follow ISO 286-1: IT = k (0.45 D^(1/3) + 0.001 D) um up to 500 mm, k (0.004 D + 2.1) um above, with D in mm.
-Sizes of effects spread log-normally about the plant's own. Inside everything is m, rad, K, s.
+Sizes of effects are log-normal about the plant's own. Objects have m, rad, K, s.
 """
 
 from __future__ import annotations
@@ -26,7 +26,10 @@ GRADES = {5: 7, 6: 10, 7: 16, 8: 25, 9: 40, 10: 64, 11: 100, 12: 160, 13: 250, 1
 """Tolerance of each IT grade in units of the standard tolerance factor i (ISO 286-1, table 1)."""
 
 SPARE = 64
-"""Number of waves of drives for which random columns are kept, so that later columns stay in their places."""
+"""Number of periodic drive errors for which columns of random numbers are reserved.
+
+The columns after them thus keep their places if a plant gets more periodic errors.
+"""
 
 GRADE = toml_tables.WHOLE.within(min(GRADES), max(GRADES))
 LogSize = Annotated[float, toml_tables.NUMBER.not_negative]
@@ -34,7 +37,7 @@ LogSize = Annotated[float, toml_tables.NUMBER.not_negative]
 
 @toml_tables.toml_table
 class SpreadTable:
-    """The table [spread] of a tolerance file: the standard deviation of the logarithm of each size, 0 if left out."""
+    """The table [spread] of a tolerance file: the standard deviation of the logarithm of each size, 0 by default."""
 
     joint_stiffness: LogSize = 0.0
     flexural_rigidity: LogSize = 0.0
@@ -51,14 +54,15 @@ class SpreadTable:
 
 @toml_tables.toml_table
 class SizesTable:
-    """The table [sizes] of a tolerance file: the sizes of the effects of an arm that has no plant of its own.
+    """The table [sizes] of a tolerance file: the sizes of the effects for an arm that has no plant file.
 
     Attributes:
-        turning_sag: How far a revolute joint yields under the arm's own weight where its torque is largest, rad.
-        sliding_sag: How far a slide yields under the arm's own weight where its force is largest, m.
+        turning_sag: Deflection of a revolute joint under the arm's own weight in the pose of its largest torque, rad.
+        sliding_sag: Deflection of a slide under the arm's own weight in the pose of its largest force, m.
         turning_gap: Backlash of a revolute joint, rad.
         sliding_gap: Backlash of a slide, m.
-        preload_share: Share of a joint's largest torque above which gravity holds its gap closed.
+        preload_share: Gravity torque, as a share of the joint's largest, above which the joint always rests on the
+            same side of its backlash.
         expansion: Coefficient of linear expansion of the links, 1/K.
         warm_up: Time constant of the warm-up, s.
     """
@@ -74,18 +78,18 @@ class SizesTable:
 
 @toml_tables.toml_table
 class Tolerances:
-    """A tolerance class: how far arms of one design may differ; a tolerance file gives it in sections.
+    """A tolerance class: how widely arms of one design differ. It is read from a tolerance file.
 
     Attributes:
         name: Name of the class.
-        it_grade: ISO 286-1 grade of the lengths a and d; the deviation is within plus or minus half the tolerance.
-        least_length: Length below which the tolerance shrinks no further, m (a seat has a tolerance even at a = 0).
-        angle: Half-width of the assembly angles alpha and theta, rad.
+        it_grade: ISO 286-1 grade of the lengths a and d. Deviations are within plus or minus half the tolerance.
+        least_length: Shorter lengths have the tolerance of this length, m, because a seat has a tolerance at a = 0 too.
+        angle: Half-width of the tolerance zone of the assembly angles alpha and theta, rad.
         distribution: ``uniform`` over the tolerance zone, or ``normal`` with the zone's edges at three standard
             deviations.
-        spread: The standard deviation of the logarithm of each size (0.1 is about 10 %).
-        temperature_rise: Range of the warm arm's temperature rise, K, from which it is drawn evenly.
-        sizes: Sizes of the effects of an arm that has no plant of its own, or None.
+        spread: Standard deviation of the logarithm of each size (0.1 is about 10 %).
+        temperature_rise: Range of the warm arm's temperature rise, K; draws are uniform in it.
+        sizes: Sizes of the effects for an arm that has no plant file, or None.
     """
 
     name: str
@@ -101,19 +105,19 @@ class Tolerances:
 
 
 def it_tolerance(grade: int, length: Array | float) -> Array:
-    """The width of the tolerance zone of ISO 286-1, m, for lengths in m."""
+    """Return the width of the tolerance zone of ISO 286-1, m, for an IT grade (5 to 17) and lengths in m."""
     millimetres = np.abs(np.asarray(length, dtype=float)) * 1e3
     small, large = 0.45 * np.cbrt(millimetres) + 0.001 * millimetres, 0.004 * millimetres + 2.1
     return np.asarray(GRADES[grade] * 1e-6 * np.where(millimetres <= 500.0, small, large))
 
 
 def shipped_tolerances() -> list[str]:
-    """Names of the tolerance classes that come with pickenv."""
+    """Return the names of the tolerance classes that come with pickenv."""
     return toml_tables.shipped_in(TOLERANCES)
 
 
 def load_tolerances(name: str | Path) -> Tolerances:
-    """Read a tolerance class by name or from a path to a TOML file.
+    """Read a tolerance class by its name, or from a TOML file by its path.
 
     Raises:
         InputError: If the class is unknown or a number is impossible; the message names the file and the key.
@@ -124,22 +128,23 @@ def load_tolerances(name: str | Path) -> Tolerances:
 def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random.Generator) -> Plant:
     """Draw ``count`` different true arms of one design, as one plant whose numbers are arrays.
 
-    Link parameters are drawn about the nominal geometry; the sizes of the effects that are on, about the plant's own.
-    Arm i has its own random stream, child i of ``rng``: the arm does not depend on ``count``, nor on which effects are
-    on (effects with random numbers of their own take them last, one after the other).
+    Link parameters are drawn about the nominal geometry, the sizes of the plant's effects about the plant's own. Arm i
+    has its own random stream, child i of ``rng``. The arm therefore does not depend on ``count``, nor on which effects
+    are on, except for effects with random numbers of their own: these take the last numbers of the stream.
 
-    From a plant that a calibration made, arms are drawn that the calibration's data allow; what the data do not tell is
-    drawn about what was found.
+    If the plant was made from a calibration, the arms are drawn from the calibration's posterior distribution. The
+    parameters that its data do not identify are drawn within their tolerances about the identified values.
 
     Args:
-        plant: The design, or the arm that was calibrated; on single numbers.
-        tolerances: How far the design's arms differ; for a calibrated arm, how far what was not identified may lie off.
+        plant: The design, or the calibrated arm; a single arm.
+        tolerances: The tolerance class of the design's arms. For a calibrated arm it only applies to the parameters
+            that were not identified.
         count: Number of arms N, at least 1.
-        rng: The parent of the arms' streams.
+        rng: Parent of the arms' random streams.
 
     Returns:
         A plant with link parameters ``(N, n)`` and effect numbers ``(N,)``; `pickenv.arm.plant.plant_batch.plant_at`
-        picks one.
+        selects one arm.
 
     Raises:
         InputError: If ``count`` is below 1 or ``plant`` is already a batch of arms.
@@ -156,15 +161,15 @@ def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random
 
 
 def erring_by(plant: Plant, size: float, joints: Array) -> Plant:
-    """An arm whose parts err in the same proportions, and by so much that its tool errs by ``size`` on average.
+    """Return the arm with its geometric errors scaled by one factor, so that its mean tool position error is ``size``.
 
     Args:
-        plant: One true arm; only its geometry counts, and the arm that comes back has no effects.
+        plant: The true arm, a single one. Only its geometry is used; the returned plant has no effects.
         size: Mean distance between the true and the nominal tool, m.
         joints: Joints over which the mean is taken ``(..., n)``, rad or m.
 
     Raises:
-        InputError: If the arm's parts have no error that could be made larger or smaller.
+        InputError: If the true geometry is the nominal one, so that there is no error to scale.
     """
     nominal = plant.arm.nominal
     delta, ideal = nominal.difference(plant.geometry), forward(nominal, joints).position
@@ -179,12 +184,13 @@ def erring_by(plant: Plant, size: float, joints: Array) -> Plant:
 
 
 def plants_from(plant: Plant, tolerances: Tolerances, even: Array) -> Plant:
-    """The arms that even random numbers stand for, as one plant whose numbers are arrays.
+    """Return the arms that follow from given uniform random numbers, as one plant whose numbers are arrays.
 
     Args:
-        plant: The design, on single numbers.
-        tolerances: How far the design's arms differ.
-        even: Numbers from 0 to 1 for each arm ``(N, K)``; `random_columns` says what each column is for.
+        plant: The design, a single arm.
+        tolerances: The tolerance class of the design's arms.
+        even: Uniform random numbers from 0 to 1 ``(N, K)``, a row per arm; `random_columns` gives the meaning of the K
+            columns.
     """
     columns = {key: even[:, places.start : places.stop] for key, places in random_columns(plant).items()}
     draws = Draws(columns, tolerances.spread, tolerances.temperature_rise)
@@ -193,7 +199,11 @@ def plants_from(plant: Plant, tolerances: Tolerances, even: Array) -> Plant:
 
 
 def random_columns(plant: Plant) -> dict[str, range]:
-    """Places of each quantity among an arm's even random numbers: fixed ones, whatever effects the plant has."""
+    """Return the columns of each quantity among an arm's uniform random numbers.
+
+    Most columns are the same for all effects that a plant may have. Only those whose number depends on the plant's
+    effects come last.
+    """
     n, drives, waves = plant.arm.nominal.joints, plant.effect("transmission_error"), plant.effect("drive_harmonics")
     terms = len(drives.harmonics) if drives is not None else 0
     count, structure = len(waves.spread) if waves is not None else 0, plant.effect("local_structure")
@@ -215,9 +225,9 @@ def _deviation(tolerances: Tolerances, even: Array) -> Array:
 
 
 def half_widths(tolerances: Tolerances, nominal: Geometry) -> Array:
-    """The half-widths of the tolerance zones of a geometry's parameters ``(5n + 12,)``, m and rad.
+    """Return the half-widths of the tolerance zones of a geometry's parameters ``(5n + 12,)``, m and rad.
 
-    Positions of base and tool have the half-width of the least length.
+    Positions of base and tool have the half-width that belongs to ``least_length``.
     """
     lengths = np.concatenate([*(getattr(nominal, name) for name in LINK_PARAMETERS), np.zeros(12)])
     zone = it_tolerance(tolerances.it_grade, np.maximum(np.abs(lengths), tolerances.least_length))
@@ -225,7 +235,7 @@ def half_widths(tolerances: Tolerances, nominal: Geometry) -> Array:
 
 
 def standard_deviations(tolerances: Tolerances, nominal: Geometry) -> Array:
-    """The standard deviations of a geometry's parameters ``(5n + 12,)`` over arms of the class, m and rad."""
+    """Return the standard deviations of a geometry's parameters ``(5n + 12,)`` over arms of the class, m and rad."""
     return half_widths(tolerances, nominal) / (math.sqrt(3.0) if tolerances.distribution == "uniform" else 3.0)
 
 

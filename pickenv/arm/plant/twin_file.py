@@ -1,7 +1,9 @@
-"""Twins, or plants of a calibration's posterior: the arm found, arms that the data allow, and a verified file (.npz).
+"""Twins, that is plants made from a calibration's posterior distribution, and their files (.npz with a checksum).
 
-Everything is transformed from the instrument's frame into the arm's own, so that the arm errs there as it did against
-the aligned nominal arm: base B_own B_aligned^-1 B, tool T T_aligned^-1 T_own. SI units.
+A twin is the identified arm; arms can also be drawn from the posterior. The identified base and tool are transformed
+from the instrument's frame into the arm's own frame: base B_own B_aligned^-1 B, tool T T_aligned^-1 T_own. The arm's
+errors relative to its nominal geometry are then those that were measured relative to the aligned nominal geometry.
+SI units.
 """
 
 from __future__ import annotations
@@ -26,25 +28,35 @@ from pickenv.base import InputError, read_container, refusing_damage, write_cont
 from pickenv.base.container import named_part, part_of
 
 Zone = Callable[[Array], Array]
-"""A function from even numbers 0 to 1, one per unidentified parameter, to deviations within tolerances, m or rad."""
+"""A function from uniform random numbers from 0 to 1, one per unidentified parameter, to deviations, m or rad."""
 
 
 def twin_plant(name: str, arm: Arm, posterior: Posterior, noise: MeasurementNoise | None) -> Plant:
-    """The plant of the arm as it was found; its residual is the mean, which is no possible arm: judge on draws."""
+    """Return the plant of an arm as it was identified.
+
+    Its residual field has the posterior's mean weights. This mean is smoother than any possible arm; evaluate methods
+    on arms drawn by `twin_arms`.
+
+    Args:
+        name: Name of the plant.
+        arm: The arm with its nominal geometry.
+        posterior: Posterior distribution of the calibration.
+        noise: Errors of the measuring instrument, which become an effect of the plant, or None.
+    """
     geometry = _carried(arm, posterior, [posterior.identified])
     parts = (*_effects(arm, posterior, posterior.coefficients), posterior.field, noise)
     return Plant(name, arm, geometry, effects=tuple(part for part in parts if part is not None), posterior=posterior)
 
 
 def twin_arms(plant: Plant, zone: Zone, streams: Sequence[np.random.Generator]) -> Plant:
-    """Arms that the data allow, one per stream, as one plant whose numbers are arrays.
+    """Draw arms from the posterior distribution of a twin, one per generator, as one plant whose numbers are arrays.
 
-    Effects that the plant has switched off stay off.
+    Effects that were switched off in the twin stay off.
 
     Args:
-        plant: A plant of a posterior.
-        zone: How far parameters that were not identified may lie from their values.
-        streams: One generator per arm.
+        plant: A plant with a posterior.
+        zone: Function that gives the deviations of the unidentified parameters.
+        streams: One random generator per arm.
     """
     posterior = plant.posterior
     assert posterior is not None
@@ -122,16 +134,22 @@ def _scalar(value: Any) -> Any:
 
 TWIN = "twin"
 TWIN_FORMAT = 1
-"""Version of the file's content."""
+"""Version number of the file format."""
 
 REMAKE_TWIN = "run `pickenv twin` to make one of a calibration"
 
 
 def write_twin(plant: Plant, path: str | Path) -> Path:
-    """Write a plant that was made of a calibration; the file is written whole or not at all.
+    """Write a twin (a plant that was made from a calibration) to a file and return its path.
+
+    If this fails, no incomplete file is left.
+
+    Args:
+        plant: The twin.
+        path: The file (.npz) to write.
 
     Raises:
-        InputError: If the plant was not made of a calibration, if effects were added to it or switched off, or if the
+        InputError: If the plant was not made from a calibration, if effects were added to it or switched off, or if the
             file cannot be written.
     """
     posterior, nominal = plant.posterior, plant.arm.nominal
@@ -161,10 +179,10 @@ def write_twin(plant: Plant, path: str | Path) -> Path:
 
 
 def read_twin(path: str | Path) -> Plant:
-    """Read a file that `write_twin` wrote; nothing in it is executed.
+    """Read a twin from a file that `write_twin` wrote; nothing in the file is executed.
 
     Raises:
-        InputError: If the file is missing, damaged in any byte, of another kind or version, or holds no arm.
+        InputError: If the file is missing, damaged, of another kind or version, or has no valid arm.
     """
     container = read_container(path, TWIN, remake=REMAKE_TWIN, version=TWIN_FORMAT)
     with refusing_damage(path, f"a {TWIN} file", REMAKE_TWIN):
