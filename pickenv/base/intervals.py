@@ -492,8 +492,8 @@ def estimate(
             of two columns. "removed": the relative reduction of the mean, from the rows at ``against``, or from the
             first of two columns to the second. A probability: that quantile over units. A function: it is applied to
             the units' means ``(units, values)``.
-        against: Values of some ``by`` columns, which name a reference. If given, an estimate is the paired difference
-            of a combination minus its reference. The references and combinations without one have no estimate.
+        against: Values of some ``by`` columns, which name a reference. If given, an estimate is the paired difference:
+            combination minus reference. References, and combinations without a reference, get no estimate.
         least: Smallest number of units for an interval of a mean.
         lost: Limit above which a value counts as lost. The mean leaves lost values out, and their share is estimated
             beside it. Otherwise one value in twenty that is ten times as large would change a mean much, and few units

@@ -55,7 +55,7 @@ valid."""
 
 
 def code_fingerprint() -> str:
-    """Return one SHA-256 over pickenv's code and tables (.py, .toml) that affect results, and over its extensions.
+    """Return one SHA-256 over all that affects results: code and tables of pickenv (.py, .toml), and its extensions.
 
     Folders that symbolic links lead to are included. The files are read once per process. Packages that extend pickenv
     enter with the names and versions that `registry.packages` returns at the time of the call.

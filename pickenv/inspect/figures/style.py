@@ -33,7 +33,7 @@ SMALL_LETTER, KEY = 0.064, 0.42
 """Mean width of a letter in a legend, and room for a mark and the gap beside it, inches."""
 LINES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
 MARKS = "os^Dv"
-"""Markers. Where colour has another meaning, markers and line patterns (`LINES`), used in turn, tell curves apart."""
+"""Markers, used in turn. With the line patterns `LINES`, they tell curves apart where colour has another meaning."""
 
 _SHEET: Any = matplotlib.rc_params_from_file(Path(__file__).parent / "pickenv.mplstyle", use_default_template=False)
 STYLE: dict[str, Any] = dict(_SHEET)

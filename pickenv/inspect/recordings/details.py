@@ -279,7 +279,7 @@ def day_in_words(comparison: Comparison, day: Day) -> str:
 
 
 def drifting_plant(plant: Plant) -> Plant | None:
-    """Return a plant (simulated true arm) that drifts: the plant itself if it does, else with the drift of `orchard`.
+    """Return the plant (simulated true arm), with the drift of the preset `orchard` if it has no drift of its own.
 
     Return None if the plant has no drift and the preset `orchard` is for another arm.
     """

@@ -1,4 +1,4 @@
-"""Write a harvested zone as a Rerun recording: the moving machine, the fates of fruit, and what each arm does when.
+"""Write a harvested zone as a Rerun recording: moving machine, fates of fruit, lanes of arms, distances between arms.
 
 The time line is `sim_time`, the time in the zone, s. Units: m in space, mm on plots.
 """

@@ -173,9 +173,9 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
             serve: Port for viewers that connect to see the episodes; None for no server.
 
         Raises:
-            InputError: If ``policy`` has other characters, ``recording_length`` is negative, or there is neither a
-                folder nor a viewer. `reset`, `step` and `close` raise it if the file cannot be written or a viewer
-                cannot be reached.
+            InputError: If ``policy`` is empty or has other characters, ``recording_length`` is negative, or there is
+                neither a folder nor a viewer. `reset`, `step` and `close` raise it if the file cannot be written or a
+                viewer cannot be reached.
         """
         settings = {name: value for name, value in locals().items() if name not in NOT_OF_THE_RECORDER}
         RecordConstructorArgs.__init__(self, **settings)

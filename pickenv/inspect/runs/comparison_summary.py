@@ -267,7 +267,7 @@ def _ends(ends: tuple[float, float] | None, least: float = -np.inf) -> list[floa
 
 
 def stage_label(calibration: Calibration) -> str:
-    """Return the label of a policy that uses a calibration: LS, or such as LS+BPNN with a learnt residual model."""
+    """Return a policy's label from its calibration: LS, or for example LS+BPNN if a residual model was learnt."""
     return "LS" if calibration.learnt is None else f"LS+{calibration.learnt.kind.replace('_', ' ').upper()}"
 
 
