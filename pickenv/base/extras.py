@@ -51,7 +51,7 @@ def command_for(*extras: str) -> str:
 
 
 def absent_extras(*extras: str) -> tuple[str, ...]:
-    """Return those of the given extras that lack a package in this installation."""
+    """Return the extras, among ``extras``, of which at least one package is not installed."""
     return tuple(extra for extra in extras if not all(map(is_there, EXTRAS[extra])))
 
 

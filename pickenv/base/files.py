@@ -32,7 +32,7 @@ FULL = (errno.ENOSPC, errno.EFBIG, errno.EDQUOT)
 
 
 def write_whole(path: str | Path, write: Callable[[Path], Any]) -> Path:
-    """Let ``write`` fill a temporary file beside ``path``, then rename it into place.
+    """Call ``write`` to fill a temporary file beside ``path``, then rename that file to ``path``.
 
     File and folder are flushed to the disk, so that a power cut leaves either the old file or the new one. If ``path``
     is a symbolic link, its target is replaced. Devices, pipes and the standard streams are written into directly.
@@ -40,7 +40,8 @@ def write_whole(path: str | Path, write: Callable[[Path], Any]) -> Path:
 
     Args:
         path: Path of the finished file. Missing folders are made.
-        write: Function that writes the content to the temporary path, its argument (same suffix as ``path``).
+        write: Function that writes the content to the path that it is called with. This temporary path has the suffix
+            of ``path``.
 
     Returns:
         The path written.

@@ -4,9 +4,10 @@
 correlated, so an arm counts once, with its mean. Where a policy was trained several times, arms and training seeds are
 two crossed random factors. Another arm and another training would both give another estimate.
 
-The other functions take arrays. Values of one arm (one tree, one block of a file) are correlated. So compute one
-statistic per arm first, and pass one value per arm. A function returns None where the sample is too small, or does not
-show how far another sample might differ. An interval that is too narrow would be worse. Equal data give equal ends.
+The other functions take arrays. Values of one arm are correlated, and so are those of one tree, or of one block of
+contiguous poses of a file. So compute one statistic per arm first, and pass one value per arm. A function returns None
+where the sample is too small, or does not show how far another sample might differ. An interval that is too narrow
+would be worse. Equal data give equal ends.
 
 How often each interval covers the true value is measured in tests/coverage, for errors like those of arms.
 """
@@ -35,7 +36,7 @@ MOST_SKEWNESS = 3.0
 """Largest skewness that is corrected for. A larger sample skewness shows little but the one largest value."""
 
 MOST_ALIKE = 0.6
-"""Largest correlation of neighbouring blocks for which `ordered_interval` is valid."""
+"""Largest correlation of neighbouring values in a series for which `ordered_interval` is valid."""
 
 MOST_WAVES = 12
 """`ordered_interval` uses fewer cosines than this number. With up to a hundred values, more would widen the
@@ -52,7 +53,7 @@ def mean_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
     B).
 
     Args:
-        values: One value per arm, fruit, tree or block.
+        values: One value per arm, fruit, tree, or block of contiguous poses of a file.
         least: Smallest number of values for which there is an interval.
 
     Returns:
@@ -82,13 +83,14 @@ def _t(freedom: float, tail: float) -> float:
 def ordered_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
     """95 % interval of the mean of a series of values ``(n,)`` in which neighbours are correlated.
 
-    The standard error of the mean is estimated from the first few cosine coefficients of the series. Both grow with the
-    correlation of neighbours (Mueller and Watson 2008, Econometrica 76). The critical value is computed as by Mueller
-    and Watson (2022, Econometrica 90), for the largest correlation, `MOST_ALIKE`. The interval is nearly twice as wide
-    as that of `mean_interval`, which covers the mean of such values in 69 % of samples.
+    The standard error of the mean is estimated from the first few cosine coefficients of the series. Standard error and
+    coefficients both grow with the correlation of neighbours (Mueller and Watson 2008, Econometrica 76). The critical
+    value is computed as by Mueller and Watson (2022, Econometrica 90), for the largest correlation, `MOST_ALIKE`. For
+    such values the interval of `mean_interval` is a little more than half as wide, and covers the mean in only 69 % of
+    samples.
 
     Args:
-        values: One value per block of a file, in the order in which the values were taken.
+        values: The values in the order of time, such as one per block of contiguous poses of a file.
         least: Smallest number of values for which there is an interval.
 
     Returns:
@@ -145,8 +147,8 @@ def statistic_interval(
 ) -> Ends | None:
     """95 % interval of a smooth statistic of a table's rows, such as a ratio of sums, by the jackknife.
 
-    It is the interval of the mean of the statistic's pseudo-values, shifted to the statistic itself. Quantiles are not
-    smooth; see `quantile_interval`.
+    It is the interval of the mean of the jackknife pseudo-values, shifted by the statistic of all rows minus this mean.
+    Quantiles are not smooth; use `quantile_interval` for them.
 
     Args:
         table: One row per tree or arm, ``(n, ...)``.
@@ -179,7 +181,8 @@ def norm_interval(vectors: ArrayLike, least: int = LEAST) -> Ends | None:
         least: Smallest number of vectors for which there is an interval; more than k.
 
     Returns:
-        Lower and upper end, in the unit of the vectors, or None as for `statistic_interval`.
+        Lower and upper end, in the unit of the vectors. None if there are fewer vectors than ``least``, or all
+        pseudo-values of the jackknife are equal.
     """
     from scipy.special import fdtri
 
@@ -206,8 +209,8 @@ def ratio_interval(over: ArrayLike, under: ArrayLike, least: int = LEAST) -> End
         least: Smallest number of clusters for which there is an interval.
 
     Returns:
-        Lower and upper end, or None if there are fewer clusters, the denominator is zero, or all clusters have one
-        ratio.
+        Lower and upper end. None if there are fewer clusters than ``least``, the sum of ``under`` is zero, or all
+        clusters have the same ratio.
     """
     above, below = np.asarray(over, dtype=float), np.asarray(under, dtype=float)
     if len(above) < least or not below.sum() > 0.0:
@@ -292,10 +295,10 @@ def paired_share_interval(successes: ArrayLike, others: ArrayLike) -> Ends:
 def clustered_share_interval(successes: ArrayLike, trials: ArrayLike, least: int = LEAST) -> Ends | None:
     """95 % interval of the share of successes over clusters of trials, such as the fruit of many arms.
 
-    It is Wilson's interval for an effective number of trials. This number follows from how much the shares of the
-    clusters differ (the design effect; Korn and Graubard 1998). The estimate of that difference rests on the clusters
-    with any failure, or on those with any success if these are fewer. If all clusters have the same share, the
-    effective number is the number of clusters, or less if their sizes differ.
+    It is Wilson's interval for an effective number of trials. This number follows from the variance of the
+    share between clusters (the design effect; Korn and Graubard 1998). Only clusters with a failure count for the
+    degrees of freedom of this variance, or only those with a success if these are fewer. If all clusters have the same
+    share, the effective number is the number of clusters, or less if their sizes differ.
 
     Args:
         successes: The number of successes in each of n clusters ``(n,)``, or the sum of their probabilities.
@@ -489,8 +492,8 @@ def estimate(
             of two columns. "removed": the relative reduction of the mean, from the rows at ``against``, or from the
             first of two columns to the second. A probability: that quantile over units. A function: it is applied to
             the units' means ``(units, values)``.
-        against: Values of some ``by`` columns. If given, the estimates are paired differences to the rows with these
-            values.
+        against: Values of some ``by`` columns, which name a reference. If given, an estimate is the paired difference:
+            combination minus reference. References, and combinations without a reference, get no estimate.
         least: Smallest number of units for an interval of a mean.
         lost: Limit above which a value counts as lost. The mean leaves lost values out, and their share is estimated
             beside it. Otherwise one value in twenty that is ten times as large would change a mean much, and few units

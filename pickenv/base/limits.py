@@ -51,9 +51,9 @@ def check_limit(name: str, value: Any, quantity: str) -> None:
     """Raise an error if a value is not a number, not finite, or outside the limits of its quantity.
 
     Args:
-        name: Where the value was given, for the message: "--hours", or "study.toml: payload_kg of [picking]".
+        name: Option or key that has the value, for the message: "--hours", or "study.toml: payload_kg of [picking]".
         value: The value.
-        quantity: A key of `LIMITS`.
+        quantity: Name of the quantity, a key of `LIMITS`.
 
     Raises:
         InputError: If the value is refused. The message states the limits and their reason.

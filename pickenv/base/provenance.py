@@ -55,10 +55,10 @@ valid."""
 
 
 def code_fingerprint() -> str:
-    """Return the SHA-256 of the code and tables (.py, .toml) that affect results, with linked folders of a checkout.
+    """Return one SHA-256 over all that affects results: code and tables of pickenv (.py, .toml), and its extensions.
 
-    Files of pickenv are read once per process. Other packages that extend pickenv enter by name and version, as now in
-    use.
+    Folders that symbolic links lead to are included. The files are read once per process. Packages that extend pickenv
+    enter with the names and versions that `registry.packages` returns at the time of the call.
     """
     others = "".join(f"{package} {number}\n" for package, number in registry.packages().items())
     return hashlib.sha256(f"{_own_code()}{others}".encode()).hexdigest()

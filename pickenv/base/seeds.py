@@ -28,7 +28,7 @@ change."""
 
 
 def stream(seed: int, purpose: Purpose, *numbers: int) -> np.random.SeedSequence:
-    """Return the seed sequence of a run's seed for one purpose, or for one numbered item within the purpose.
+    """Return the seed sequence for one purpose of a run, or for one numbered item within the purpose.
 
     Args:
         seed: The seed of the run.

@@ -76,13 +76,13 @@ class Unit:
     Attributes:
         name: Ending of the key; empty for numbers without a unit.
         scale: SI units per unit, by which the file's value is multiplied.
-        per: Units per SI unit, by which it is divided. Give it instead of ``scale`` if this rounds to the nearest
-            number.
+        per: Units per SI unit, by which the file's value is divided. Use it instead of ``scale`` where a division
+            rounds to the nearest number and a multiplication does not.
         most: Largest magnitude, in the file's unit. A larger one is a slip or is in a wrong unit.
         least: Smallest value, in the file's unit; None for minus ``most``.
         above: Whether ``least`` itself is refused.
         whole: Whether the number must be an integer.
-        why: Reason for the bounds, for messages, which then name both bounds.
+        why: Reason for the bounds, which messages state. If it is given, messages name both bounds.
     """
 
     name: str = ""
@@ -383,7 +383,7 @@ def read_toml(kind: type[Thing], path: str | Path, *, section: str = "", context
         context: Second argument of the functions of `Then`.
 
     Raises:
-        InputError: If the file cannot be read, or a key is unknown or missing or has an impossible value.
+        InputError: If the file cannot be read, a key is unknown or missing, or a value fails its check.
     """
     content, text = toml_of(path)
     if section not in content and section:
@@ -401,7 +401,7 @@ def file_named(kind: str, name: str | Path, folder: Path, endings: str = ".toml"
 
     Args:
         kind: What the file describes, for messages: "arm".
-        name: A name of `shipped_in`, or a path ending in .toml.
+        name: Name of a shipped file without its suffix, or a path ending in .toml.
         folder: Folder of the shipped files.
         endings: Endings of files that may be given instead, for messages.
 
@@ -459,7 +459,7 @@ def made(
         context: Second argument of the functions of `Then`.
 
     Raises:
-        InputError: If a key is unknown or missing or has an impossible value.
+        InputError: If a key is unknown or missing, or a value fails its check.
     """
     from pydantic import ValidationError
 

@@ -161,8 +161,8 @@ def error_by_condition(sweeps: Mapping[str, Mapping[str, Any]], names: Mapping[s
     """Draw the mean position error of each method against each condition, with 95 % intervals, a panel per condition.
 
     Args:
-        sweeps: For each condition, by name, its levels and, for each method, mean and interval (or None) at every
-            level, mm.
+        sweeps: For each condition, by name, a dictionary of two entries. "levels" are the values of the condition.
+            "methods" has, for each method, one dictionary per level: "mean_mm", and "ci95_mm" with both ends or None.
         names: Label of the axis of each condition, by the condition's name.
 
     Raises:

@@ -47,10 +47,9 @@ def distance_over_time(episodes: RecordedEpisodes) -> Figure:
 
 
 def difference_map(comparison: Comparison) -> Figure:
-    """Draw a map of where in the workspace the last policy misses by less than the first.
+    """Draw a map of the workspace, coloured by the miss of the last policy minus that of the first, mm.
 
-    Each panel shows one layer of the workspace from above. Its colour is the miss of the last policy minus that of the
-    first, averaged over the layer, mm.
+    Each panel shows one layer of the workspace from above. Differences are averaged over the height of the layer.
     """
     first, last = comparison.policies[0], comparison.policies[-1]
     change, points = summary.field_mm(last) - summary.field_mm(first), comparison.grid.points
@@ -82,7 +81,8 @@ def difference_map(comparison: Comparison) -> Figure:
 
 
 Estimated = tuple[float, tuple[float | None, float | None] | None]
-"""An estimate and the two ends of its 95 % interval. An open end is None. So is an interval that cannot be given."""
+"""An estimate and the two ends of its 95 % interval. An open end is None. If there is no interval, None replaces
+both ends."""
 
 
 def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estimated]]]]) -> Figure:
@@ -126,7 +126,7 @@ def success_against_misalignment(
 
     Args:
         curves: For each gripper, by name, misalignment ``(N,)``, mm, and probability of success ``(N,)``.
-        points: For each policy, by gripper, the policy's mean error, mm, and its share of successes with the interval.
+        points: For each policy and gripper: the policy's mean error, mm, and its share of successes with 95 % interval.
     """
     colours = style.shades(points)
     with style.new_panel(style.WIDTH, 2.8, "lateral misalignment (mm)", "success (%)", legend=3) as (figure, axes):
@@ -158,9 +158,9 @@ def success_against_misalignment(
 def accuracy_against_cycle_time(
     curves: Mapping[tuple[str, str], ArrayLike], period: float, *, title: str = ""
 ) -> Figure:
-    """Draw the mean position error against cycle time, and the smallest error that any curve has reached by then.
+    """Draw the mean position error against cycle time, and the smallest error of all curves up to each time.
 
-    The error after a step is the one that a pick made then would have.
+    The error after a step is that of a pick at the end of this step.
 
     Args:
         curves: Mean error after each step ``(T,)``, mm, by the labels of policy and compensation. The policy gives the

@@ -33,7 +33,7 @@ SMALL_LETTER, KEY = 0.064, 0.42
 """Mean width of a letter in a legend, and room for a mark and the gap beside it, inches."""
 LINES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
 MARKS = "os^Dv"
-"""Line patterns (`LINES`) and markers, used in turn, that tell curves apart where colour has another meaning."""
+"""Markers, used in turn. With the line patterns `LINES`, they tell curves apart where colour has another meaning."""
 
 _SHEET: Any = matplotlib.rc_params_from_file(Path(__file__).parent / "pickenv.mplstyle", use_default_template=False)
 STYLE: dict[str, Any] = dict(_SHEET)
@@ -119,7 +119,7 @@ def new_panel(width: float, height: float, x: str, y: str, *, legend: int = 0) -
 
 
 def legend_below(figure: Figure, axes: Any, most: int) -> None:
-    """Add a legend of one panel's labels below all panels, in ``most`` columns or as many as there is room for."""
+    """Add a legend of one panel's labels below all panels, in ``most`` columns, or fewer if these are too wide."""
     marks, names = axes.get_legend_handles_labels()
     for columns in range(min(most, len(names)), 0, -1):
         widths = (KEY + SMALL_LETTER * max(map(len, column)) for column in np.array_split(names, columns))
@@ -130,7 +130,7 @@ def legend_below(figure: Figure, axes: Any, most: int) -> None:
 
 
 def colour_bar(figure: Figure, marks: Any, panels: Any, **look: Any) -> Any:
-    """Add a colour bar of ``marks`` beside their panels, without a frame."""
+    """Add a colour bar without a frame for the coloured artist ``marks``, beside the panels, and return the bar."""
     bar = figure.colorbar(marks, ax=panels, **look)
     bar.outline.set_visible(False)
     return bar
@@ -166,19 +166,22 @@ def headline(axes: Any, message: str, pad: float | None = None, beside: float = 
 
 
 def change(series: Mapping[str, float], unit: str) -> str:
-    """Return the first and the last of several labelled numbers as a title says them: raw 1.9, LS 0.50 mm."""
+    """Return the first and the last of several labelled numbers as text for a title, such as raw 1.9, LS 0.50 mm."""
     ends = list(series.items())
     ends = ends if len(ends) < 3 else [ends[0], ends[-1]]
     return ", ".join(f"{label} {short(value)}" for label, value in ends) + f" {unit}"
 
 
 def short(value: float) -> str:
-    """Return a number as titles say it: with two significant digits, or as a whole number from 10 on."""
+    """Return a number as text for a title: with two significant digits, or as a whole number from 10 on."""
     return f"{value:.0f}" if abs(value) >= 10.0 else f"{value:#.2g}" if abs(value) >= 1e-4 else f"{value:.1g}"
 
 
 def alike(curves: Mapping[str, ArrayLike], nearest: float) -> list[list[str]]:
-    """Group the names of curves ``(T,)`` that differ by less than ``nearest`` from the first curve of their group."""
+    """Group curves ``(T,)`` that are alike, and return the names of the curves in each group.
+
+    A curve is in a group if it differs by less than ``nearest`` everywhere from the first curve of the group.
+    """
     groups: list[list[str]] = []
     values = {name: np.asarray(curve, dtype=float) for name, curve in curves.items()}
     for name, curve in values.items():

@@ -59,7 +59,7 @@ MISS: dict[bool, Rgb] = {False: RED, True: (255, 128, 128)}
 FRUIT = 0.06
 """Diameter with which every fruit is drawn, m. Recordings hold only the positions of fruit."""
 SAME_FRUIT = 0.045
-"""Fruit nearer to one another than this, when a tool sets out for them, count as one fruit, m."""
+"""Smallest distance between two fruit, m. Target positions of tools that are nearer together count as one fruit."""
 LEAVES = 1.25
 """Leaf area per volume of the drawn trees, m²/m³, as in the canopy `li2016`."""
 AROUND = 0.16
@@ -84,7 +84,7 @@ Progress = Callable[[str, int, int], None]
 
 Attempt: TypeAlias = tuple[int, int, int, bool]
 """A policy's attempt at one fruit in one episode, as four values. The first is the moment at which the attempt begins.
-The second is the moment at which the gripper closes, until which the fruit hangs still. The third is the last moment,
+The second is the moment at which the gripper closes; the fruit hangs still until then. The third is the last moment,
 at which the fruit is collected or the gripper has closed beside it. The fourth is whether the fruit was collected."""
 
 
@@ -124,7 +124,7 @@ def plan_film(
         dark: Whether the background is dark.
 
     Raises:
-        InputError: If a policy is not in the run, or the length is impossible.
+        InputError: If a policy is not in the run, ``seconds`` is not in 1..120, or ``frames_per_second`` not in 1..60.
     """
     if not 1.0 <= seconds <= 120.0 or not 1 <= frames_per_second <= 60:
         raise InputError(
@@ -221,7 +221,7 @@ class Film:
     Attributes:
         episodes: The run's episodes.
         policies: Policies that are shown, from left to right.
-        frames: Episode and moment of each frame, by index. A policy whose episode is over stays at its last moment.
+        frames: Indices of episode and moment for each frame. A policy whose episode is over stays at its last moment.
         frames_per_second: Frames per second.
         speed: Speed of the film as a multiple of the arms' own speed.
         reaching: Whether each episode is a reach for a single fruit.
@@ -337,7 +337,7 @@ def film_stage(film: Film, number: int, side: int) -> Stage:
 def arm_parts(episodes: RecordedEpisodes, policy: RecordedPolicy, episode: int, moment: int, colour: Rgb) -> Solids:
     """Return the solids of the true arm with its gripper, and of the ghost (the arm as its controller believes it).
 
-    Without an arm in the environment, they are those of the gripper alone.
+    If the environment has no arm, return the solids of the gripper alone.
 
     Args:
         episodes: The run's episodes.

@@ -203,7 +203,7 @@ EYE_DISTANCE = 2.2
 
 
 def space(comparison: Comparison, name: str, contents: list[str], origin: str = "/world", **more: Any) -> Any:
-    """Return a 3D view of the workspace, which shows some entities with the workspace and its axes.
+    """Return a 3D view of some entities, with a box around the workspace and the world's axes.
 
     All such views start with the same camera, and each can be orbited on its own.
 
@@ -225,7 +225,7 @@ REACHES_PER_SECOND = 2.0
 def comparison_blueprint(
     comparison: Comparison, arrows: Mapping[str, details.ArrowTab], day: details.Day
 ) -> rrb.Blueprint:
-    """Return the layout (blueprint) for ``comparison``, in which errors are drawn `GAIN` times longer than true.
+    """Return the layout (blueprint) for a comparison. Position errors are drawn `GAIN` times longer than true.
 
     Args:
         comparison: The comparison, with at least one policy.

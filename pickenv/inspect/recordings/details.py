@@ -141,8 +141,9 @@ LEGENDS = {"mm": "position", "deg": "attitude"}
 def arrow_tabs(comparison: Comparison) -> dict[str, ArrowTab]:
     """Return the tabs that show fields of arrows, by the tab's name.
 
-    The first tab has each policy's error field, and the errors that the last policy removes from those of the one
-    before. Further tabs have the field of each effect alone, and the attitude errors if they are known.
+    The first tab has the error field of each policy. If there are several, it also has the field of the last policy but
+    one minus that of the last. A second tab has the field of each effect alone. A third has the attitude errors, if
+    they are known.
     """
     policies, top = comparison.policies, summary.colour_scale_mm(comparison)
     errors = {f"world/field/{p.key}/vectors": (p.label, "arrows ", p.field_errors) for p in policies}
@@ -222,8 +223,8 @@ CAMERA_STD = 1e-3
 LOOK = MeasurementNoise(float(np.hypot(CAMERA_STD, 0.5e-3)), 0.0)
 """Measurement noise that the filter assumes: the camera's, and half a millimetre that no geometry explains."""
 PRIOR, WALK = 0.2, 0.3
-"""Assumptions of the filter: errors of parameters after calibration, in tolerances, and their random walk per root
-hour."""
+"""Assumptions of the filter, both in tolerances of a parameter. The first is the prior standard deviation of each
+parameter after calibration. The second is the parameter's random walk per square root of an hour."""
 FILTERED = 10
 """Largest number of machines with a filter. Filters cost more time than all the rest of a recording."""
 FEWEST_LOOKS = 10
@@ -278,9 +279,9 @@ def day_in_words(comparison: Comparison, day: Day) -> str:
 
 
 def drifting_plant(plant: Plant) -> Plant | None:
-    """Return the plant with its own drift, else with the drift of the preset `orchard`.
+    """Return the plant (simulated true arm), with the drift of the preset `orchard` if it has no drift of its own.
 
-    It is None if the plant has no drift and the preset is for another arm.
+    Return None if the plant has no drift and the preset `orchard` is for another arm.
     """
     if any(plant.effect(name) is not None for name in DRIFTS):
         return plant
@@ -292,7 +293,7 @@ def drifting_plant(plant: Plant) -> Plant | None:
 
 
 def day_of(comparison: Comparison) -> Day:
-    """Simulate the comparison's reaches over a day on the drifting plant, with the commands that the policies gave.
+    """Simulate the comparison's reaches over a day, with the policies' commands, on the plant of `drifting_plant`.
 
     R machines start together, each with another fruit, and go through all fruit in the same order. So every fruit is
     reached at every time, by a machine that has been as busy as the others. Without reaches or drift the day is empty.
@@ -348,9 +349,9 @@ def _adapted(comparison: Comparison, plant: Plant, dt: float) -> Array:
 
 
 def joints_at(geometry: Geometry, joints: Array, points: Array) -> Array:
-    """Return joint values ``(N, n)``, near given ones, that bring the tool to given points, by two Newton steps.
+    """Improve joint values by two Newton steps, and return values ``(N, n)`` that bring the tool to ``points``.
 
-    If the tool is millimetres off at the given joint values, the steps reduce its error to nanometres.
+    If the tool starts some millimetres from its point, two steps reduce the distance to nanometres.
 
     Args:
         geometry: Geometry of the arm.

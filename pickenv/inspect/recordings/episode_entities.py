@@ -34,9 +34,9 @@ OTHERS, REST = "other", "Reward and counts"
 
 
 def capped_cubic(episode: int) -> bool:
-    """Return whether Gymnasium's `RecordVideo` by default records this episode.
+    """Return whether an episode is one that Gymnasium's `RecordVideo` records by default.
 
-    It records the episodes 0, 1, 8, 27 … and, from 1000 on, every thousandth.
+    These are the episodes 0, 1, 8, 27 … and, from 1000 on, every thousandth.
     """
     return round(episode ** (1.0 / 3.0)) ** 3 == episode if episode < 1000 else episode % 1000 == 0
 
@@ -49,8 +49,8 @@ class Row(NamedTuple):
         episode: Number of the episode, from 0, counting those not recorded.
         within: Number of steps since the episode's reset.
         order: Number of earlier episodes of which steps were recorded.
-        info: The step's `info`, with ``reward`` (0 after a reset). If the environment gives them, ``joint_target`` has
-            the joint values at which the controller believes the arm to be.
+        info: The step's `info`, with the added entry ``reward`` (0 after a reset). The entry ``joint_target`` has the
+            joint values at which the controller believes the arm to be, if the environment has them.
     """
 
     moment: int
@@ -159,7 +159,10 @@ def info_of(infos: Mapping[str, Any], index: int) -> dict[str, Any]:
 
 
 def has_arm(scene: Scene, info: Mapping[str, Any]) -> bool:
-    """Return whether the arms can be drawn: there is a nominal arm, and `info` has joint command and tool position."""
+    """Return whether the arms can be drawn.
+
+    They can if the scene has a nominal arm, and `info` has joint command and tool position.
+    """
     return scene.nominal is not None and {"joint_command", "tool_position"} <= set(info)
 
 
@@ -218,17 +221,18 @@ def decades(distance_mm: Array) -> Array:
 def send_steps(
     stream: rr.RecordingStream, scene: Scene, key: str, rows: Sequence[Row], begin: int = 0, root: str = "world"
 ) -> None:
-    """Send one environment's rows from ``begin`` on, as whole columns, with the looks that hold for all ``rows``.
+    """Send one environment's recorded steps, from index ``begin`` on, as whole columns.
 
-    The name of the distance curve states the mean final distance over the episodes of all ``rows``. An episode may be
-    sent in parts, of which the last ends it.
+    Colours and names of curves are sent too. The name of the distance curve states the mean final distance over all
+    episodes in ``rows``, also those before ``begin``. An episode may be sent in several calls: the last step of the
+    last call then counts as its end.
 
     Args:
         stream: The recording.
         scene: What all environments of the recording have in common.
         key: Name of the environment in entity paths.
-        rows: All rows of the environment so far.
-        begin: Index of the first row to send.
+        rows: All recorded steps of the environment so far.
+        begin: Index of the first step to send.
         root: Entity below which arms and fruit are placed.
     """
     new, info = rows[begin:], rows[0].info
@@ -335,13 +339,13 @@ def _arms(scene: Scene, rows: Sequence[Row]) -> tuple[Array, Array]:
 EYE = np.array([0.75, -1.0, 0.55])
 """Vector from the middle of the scene to the camera, in units of the scene's size."""
 SHOWN_TOLERANCES = 5.0
-"""The view of the tool from the fruit shows errors up to this many tolerances, or up to the largest final error."""
+"""The view of the tool from the fruit shows errors up to this many tolerances, or more if a final error is larger."""
 DECADES = "log10 of mm (-1: 0.1 mm, 0: 1 mm, 1: 10 mm)"
 """Label of the axis of distances, as the viewer has no logarithmic axes of its own."""
 
 
 def episode_blueprint(scene: Scene, rows: Sequence[Row]) -> rrb.Blueprint:
-    """Return the layout for environments whose infos have the same entries as those of ``rows``."""
+    """Return the layout (blueprint) for a recording whose steps have the same `info` entries as ``rows``."""
     info = rows[0].info
     plots: list[Any] = [distance_plot("Distance to the fruit")] if distances_mm(rows[:1]) is not None else []
     numbers = number_plots(info)
@@ -354,7 +358,7 @@ def episode_blueprint(scene: Scene, rows: Sequence[Row]) -> rrb.Blueprint:
 
 
 def at_the_end(content: Any) -> rrb.Blueprint:
-    """Return a layout on the time line `episode_time`, with the cursor at the end of the episodes."""
+    """Return a layout of the views ``content`` on the time line `episode_time`, with the cursor at its end."""
     return layout(content, "episode_time", play_state="following", loop_mode="off")
 
 
@@ -400,7 +404,7 @@ def _space_views(scene: Scene, rows: Sequence[Row]) -> list[Any]:
 
 
 def target_view(largest_mm: float, tolerance_mm: float | None) -> Any:
-    """Return a 3D view of the true tool's position relative to the fruit, mm.
+    """Return a 3D view of the tool's true position relative to the fruit, mm.
 
     It is wide enough for the largest distance at an episode's end.
 

@@ -1,4 +1,4 @@
-"""Write a harvested zone as a Rerun recording: moving master and slave arms, fates of fruit, lanes, distances.
+"""Write a harvested zone as a Rerun recording: moving machine, fates of fruit, lanes of arms, distances between arms.
 
 The time line is `sim_time`, the time in the zone, s. Units: m in space, mm on plots.
 """
@@ -31,7 +31,7 @@ COLUMN_RADIUS, BOOM_RADIUS, FRUIT_RADIUS = 0.03, 0.02, 0.03
 
 
 def inspect_harvest(machine: Machine, harvest: Harvest, path: str | Path) -> Path:
-    """Write a recording of the round with the most picks of a harvested tree.
+    """Write a recording of one round on a harvested tree: the round with the most picks.
 
     Args:
         machine: The harvester.
@@ -42,7 +42,7 @@ def inspect_harvest(machine: Machine, harvest: Harvest, path: str | Path) -> Pat
         The path written.
 
     Raises:
-        InputError: If the harvest has no round, or the file cannot be written.
+        InputError: If no round took place on the tree, or the file cannot be written.
     """
     if not harvest.rounds:
         raise InputError("the harvest has no round, so there is no zone to show; harvest a tree with fruit in reach")

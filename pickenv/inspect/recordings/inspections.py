@@ -51,7 +51,8 @@ def inspect_evaluation(
     """Write a recording of the final errors of several policies at the same fruit.
 
     Args:
-        runs: The final states of each policy's episodes, by the policy's label, raw first; all with the same fruit.
+        runs: The final states of each policy's episodes, by the policy's label. The first policy is the one without
+            calibration (raw). All policies have the same fruit.
         plant: The simulated true arm, or the preset that a population of arms was drawn from.
         path: The file to write (.rrd).
         tolerance_mm: Radius of the gripper's capture region, mm.

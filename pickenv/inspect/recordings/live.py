@@ -42,7 +42,7 @@ def open_live(
         blueprint: The layout.
         spawn: Whether to start a viewer on this machine, or use the one that runs.
         connect: Address of a viewer or proxy, as `rerun` prints it: `rerun+http://127.0.0.1:9876/proxy`.
-        serve: Port of a server on this machine, for viewers that connect later; None for no server.
+        serve: Port of a server on this machine, to which viewers can connect; None for no server.
 
     Raises:
         InputError: If there is no screen for a viewer, or no viewer answers at the address.
@@ -93,8 +93,8 @@ def _listens() -> bool:
 def rerun_command(*words: object, **options: object) -> list[str]:
     """Return the command that starts the installed rerun, whose version fits the recordings.
 
-    It runs rerun as a module of this Python, because a program of that name may be elsewhere (pip --user, system site
-    packages).
+    The command runs rerun as a module of this Python. A program called `rerun` may belong to another installation
+    (pip --user, system site packages).
 
     Args:
         words: Arguments of the command.

@@ -24,7 +24,7 @@ from pickenv.inspect.runs.recorded_episodes import believed_joints, missing_posi
 Observation = TypeVar("Observation")
 Action = TypeVar("Action")
 GROWTH = 2.0
-"""The file is rewritten once the recorded steps are this many times those in the file, so the cost stays small."""
+"""Factor by which the number of recorded steps must grow until the file is rewritten. It keeps the cost small."""
 
 
 class _Recorder:
@@ -173,7 +173,9 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
             serve: Port for viewers that connect to see the episodes; None for no server.
 
         Raises:
-            InputError: If an argument is impossible. Later, if a file cannot be written or a viewer cannot be reached.
+            InputError: If ``policy`` is empty or has other characters, ``recording_length`` is negative, or there is
+                neither a folder nor a viewer. `reset`, `step` and `close` raise it if the file cannot be written or a
+                viewer cannot be reached.
         """
         settings = {name: value for name, value in locals().items() if name not in NOT_OF_THE_RECORDER}
         RecordConstructorArgs.__init__(self, **settings)
@@ -228,13 +230,14 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
         connect: str | None = None,
         serve: int | None = None,
     ) -> None:
-        """Log the environments of ``env`` with the given ``indices``.
+        """Log the environments of ``env`` whose indices are in ``indices``.
 
-        The other arguments are as for `LogRerun`. The triggers get the number of each environment's own episode or
-        step.
+        All other arguments are those of `LogRerun`. Each environment counts its own episodes and steps, and the
+        triggers get these numbers.
 
         Raises:
-            InputError: If an argument is impossible. Later, if a file cannot be written or a viewer cannot be reached.
+            InputError: If ``indices`` is empty, has a number twice, or has one that no environment has. Also where
+                `LogRerun` raises it.
         """
         settings = {name: value for name, value in locals().items() if name not in NOT_OF_THE_RECORDER}
         RecordConstructorArgs.__init__(self, indices=indices, **settings)

@@ -128,7 +128,7 @@ def viewer_picture(recording: Path) -> bytes | None:
 
 @contextmanager
 def headless_viewer() -> Iterator[Any]:
-    """Return a context with a client of a viewer that has no window; None if there is no graphics adapter for it."""
+    """Return a context with a client of a viewer without a window, or with None if there is no graphics adapter."""
     from rerun.experimental import ViewerClient
 
     port = _free_port()

@@ -302,7 +302,7 @@ def with_colour_bar(views: list[Any], key: str, meaning: str, name: str) -> Any:
 
     Args:
         views: The views.
-        key: Key of the colour bar, whose entity is `/legend/key`.
+        key: Key of the colour bar. The bar is the entity with this name below `/legend`.
         meaning: Title of the colour bar.
         name: Name of the tab.
     """

@@ -102,7 +102,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
 def demo_verdict(
     comparison: Comparison, cases: Mapping[str, Sequence[Change]] | None = None
 ) -> report_page.PageVerdict:
-    """Return the verdict: how much calibration improves the last policy on the first, and whether picks change.
+    """Return the verdict: how much smaller the last policy's errors are than the first's, and whether picks change.
 
     Args:
         comparison: The comparison with its reaches.

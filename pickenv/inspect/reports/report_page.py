@@ -181,7 +181,7 @@ def _templates() -> Environment:
 def inline_svg(figure: Figure, name: str) -> tuple[Markup, float, float]:
     """Return a figure for an HTML page: the inside of an SVG element, its width and its height in points.
 
-    Its colours are replaced by the page's.
+    The figure's colours are replaced by CSS variables of the page.
 
     Args:
         figure: The figure, drawn in pickenv's style.

@@ -50,7 +50,8 @@ class CalibrationTrace:
         payload: Payload at each held-out pose ``(M,)``, kg; None where it was not recorded.
         temperature: Temperature rise at each held-out pose ``(M,)``, K; None where it was not recorded.
         position_rms: Position residual RMS before each least-squares iteration and after the last, m.
-        attitude_rms: Attitude residual RMS at the same times, rad; None where only positions were measured.
+        attitude_rms: Attitude residual RMS before each iteration and after the last, rad; None where only
+            positions were measured.
         loss: Training loss of the network per epoch, MSE of normalised targets; None without a network.
         names: Names of the error model's parameters.
         kept: Whether each parameter was identified.

@@ -76,7 +76,10 @@ def _policy_row(policy: RecordedPolicy) -> dict[str, Any]:
 
 
 def policy_differences(episodes: RecordedEpisodes) -> list[dict[str, Any]]:
-    """Return the paired differences of all pairs of policies over the same fruit: later policy minus earlier one."""
+    """Return the differences over the same fruit for all pairs of policies.
+
+    A difference is the second policy of the pair minus the first, in the order of ``episodes.policies``.
+    """
     return [_difference(before, after) for before, after in combinations(episodes.policies, 2)]
 
 
@@ -169,7 +172,8 @@ def outcome_sentence(episodes: RecordedEpisodes) -> str:
 def explanation(episodes: RecordedEpisodes) -> str:
     """Return the reasons for the verdict in sentences.
 
-    They are the best policy's lead, whether any gripper's picks change, and the picks in these episodes.
+    The reasons are the best policy's lead over its rival, whether any gripper's picks change, and the picks in these
+    episodes.
     """
     best, rival, line = _best(episodes)
     if best is None:
@@ -195,8 +199,8 @@ def _picking(episodes: RecordedEpisodes) -> str:
 def policy_changes(episodes: RecordedEpisodes) -> dict[str, Any]:
     """Return the change in picks if the best policy replaces its rival, for each gripper and perception error.
 
-    The rival is the first other policy with fruit in common. Only the part of a miss across the tool's axis counts. The
-    result is empty if no two policies closed the gripper for the same fruit.
+    The best policy has the least mean miss. The rival is the first other policy in the list that closed the gripper for
+    some of the same fruit; without a rival the result is empty. Only the part of a miss across the tool's axis counts.
     """
     best, rival, line = _best(episodes)
     if best is None or line is None or line["difference_mm"] is None:
@@ -263,7 +267,7 @@ def _ends(ends: tuple[float, float] | None, least: float = -np.inf) -> list[floa
 
 
 def stage_label(calibration: Calibration) -> str:
-    """Return a calibration's label among policies: LS, or with its learnt residual model, such as LS+BPNN."""
+    """Return a policy's label from its calibration: LS, or for example LS+BPNN if a residual model was learnt."""
     return "LS" if calibration.learnt is None else f"LS+{calibration.learnt.kind.replace('_', ' ').upper()}"
 
 

@@ -25,11 +25,11 @@ class Reaches:
 
     Attributes:
         seeds: Seed of each episode.
-        pose_error: Pose error of the true tool against the fruit ``(R, 6)``, m and rad.
+        pose_error: Error of the tool's true pose against the wanted pose at the fruit ``(R, 6)``, m and rad.
         noncompensable: The part of the pose error that no joint motion removes ``(R, 6)``, m and rad.
         success: Whether the fruit was inside the capture region ``(R,)``.
         joint_command: Joint command that the drives got at the end ``(R, n)``, rad or m.
-        tool_position: True tool positions ``(R, 3)``, m.
+        tool_position: The tool's true positions ``(R, 3)``, m.
         fruit_position: Fruit positions ``(R, 3)``, m.
     """
 
@@ -86,17 +86,17 @@ class RecordedPolicy:
 
     Attributes:
         label: Name for readers: raw, LS, LS+BPNN.
-        key: Short name as in entity paths and JSON; `pickenv.inspect.colours.policy_colours` gives its colour.
+        key: Short name, which is used in entity paths and JSON and determines the policy's colour (`policy_colours`).
         moments: Number of moments of each episode ``(E,)``, T at most.
         joint_target: Joint values at which the controller believes the arm to be ``(E, T, n)``, rad or m. The nominal
             arm is drawn there. They equal ``joint_command`` if the environment does not give them. n is 0 without an
             arm.
         joint_command: Joint command that the drives got ``(E, T, n)``, rad or m: ``joint_target`` after compensation.
-        tool_position: True tool positions ``(E, T, 3)``, m.
-        tool_rotation: True tool attitudes ``(E, T, 3, 3)``; nan where they are not known.
+        tool_position: The tool's true positions ``(E, T, 3)``, m.
+        tool_rotation: The tool's true attitudes ``(E, T, 3, 3)``, rotation matrices; nan where they are not known.
         fruit_position: Fruit positions ``(E, T, 3)``, m; among several fruit, the one that the tool aims for.
-        position_error_mm: Distance between true tool and fruit ``(E, T)``.
-        attitude_error_deg: Angle between true and wanted attitude ``(E, T)``; nan where it is not known.
+        position_error_mm: Distance between the tool's true position and the fruit ``(E, T)``.
+        attitude_error_deg: Angle between the tool's true and wanted attitude ``(E, T)``; nan where it is not known.
         success: Whether the environment reports success ``(E, T)``.
         picked: Number of fruit taken in the episode so far ``(E, T)``; a reach picks at its last moment.
         miss_mm: Distance between tool and fruit at moments when the gripper closes ``(E, T)``; nan at all others. In a
@@ -126,7 +126,7 @@ class RecordedPolicy:
 
     @property
     def ends(self) -> RecordedPolicy:
-        """This policy with only each episode's last moment: `MOMENTS` are ``(E, ...)`` instead of ``(E, T, ...)``."""
+        """Copy with only each episode's last moment: attributes in `MOMENTS` are ``(E, ...)``, not ``(E, T, ...)``."""
         rows = np.arange(len(self.moments)), self.moments - 1
         return replace(self, **{name: getattr(self, name)[rows] for name in MOMENTS})
 
@@ -165,7 +165,8 @@ class RecordedEpisodes:
     """The episodes of several policies, with the same seeds and fruit.
 
     Attributes:
-        policies: One entry per policy: raw, LS, LS+BPNN, then others.
+        policies: One entry per policy, in this order: without calibration (raw), with least squares (LS), with a neural
+            network in addition (LS+BPNN), then all others.
         plant: The true arm that was simulated. It is drawn from `joint_command` and `tool_position`
             (`pickenv.arm.true_points`). None where the environment has no plant.
         tolerance_mm: Tolerance of the gripper. For a suction cup, it is the lateral distance from the tool up to which
@@ -251,7 +252,9 @@ class FieldGrid:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Comparison(RecordedEpisodes):
-    """Several policies on the same simulated arm, raw first, with their errors over a field of poses.
+    """Several policies on the same simulated arm, with their errors over a field of poses.
+
+    The first policy is the one without calibration (raw).
 
     Attributes:
         plant: The true arm that was simulated.

@@ -95,7 +95,7 @@ def run_kind(name: str, **source: str) -> RunKind:
 
     Args:
         name: Name of the kind.
-        source: The package and version that a run's record names, as for `registry.get`.
+        source: ``package`` and ``version`` of the kind, as the run's record names them; arguments of `registry.get`.
 
     Raises:
         InputError: If no kind of that name is registered.
@@ -303,7 +303,7 @@ def save_part(folder: Path, part: Part, seed: int | None, kind: type | None = No
         folder: The run folder.
         part: The data, an object of one of the classes in `PARTS` or derived from one.
         seed: Seed of the run.
-        kind: The class in `PARTS` as which the data are saved; the object's own class when left out.
+        kind: Class of `PARTS` that is named in the file; the object's class when left out.
     """
     kind = kind or type(part)
     return save_numbers(folder / PARTS[kind], part, seed=seed, kind=kind)
@@ -317,7 +317,8 @@ def load_part(run: Run, kind: type[Part]) -> Part:
         kind: The class of the data, one of `PARTS`.
 
     Raises:
-        InputError: As `load_numbers` and `unedited` do.
+        InputError: If the file is missing, edited, of another class, or of another version. Also if it needs the
+            effect of a package that is not installed.
     """
     return load_numbers(unedited(run, PARTS[kind]), kind, run.made_by)
 
@@ -326,6 +327,6 @@ def load_result(run: Run, name: str) -> dict[str, Any]:
     """Read a file of a run's results in JSON, such as `ISO9283`.
 
     Raises:
-        InputError: As `unedited` does.
+        InputError: If the file is missing or not as the run wrote it.
     """
     return dict(json.loads(unedited(run, name).read_text(encoding="utf-8")))

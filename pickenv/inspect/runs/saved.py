@@ -1,7 +1,8 @@
 """Save frozen dataclasses of numbers and arrays as files, and read them back exactly without executing anything.
 
-A file is a container (`pickenv.base`): a header in JSON, which names arrays, and the arrays. Reading builds only the
-class asked for, its subclasses, registered effects, and the classes to which their type hints lead.
+A file is a container (`pickenv.base`): a header in JSON, which names arrays, and the arrays. Reading builds
+only objects of these classes: the one that the caller names, its subclasses, registered effects, and all classes in
+the type hints of these.
 """
 
 from __future__ import annotations
@@ -85,7 +86,7 @@ def cut_away(comparison: Comparison) -> NDArray[np.bool_]:
 
 
 FORMAT, FORMATS = 3, {"Comparison": 4, "RecordedEpisodes": 4, "HarvestTrace": 4}
-"""Format version of the files, and the format versions of classes that have another."""
+"""Format version of the files of most classes, and the format versions of the other classes by name."""
 
 Saved = TypeVar("Saved")
 
@@ -97,7 +98,7 @@ def save_numbers(path: str | Path, value: Any, *, seed: int | None = None, kind:
         path: The file.
         value: The object: dataclasses, named tuples, tuples, mappings, arrays, numbers, text and None, nested.
         seed: Seed of the run that made the object, for the record.
-        kind: Class that the file names: the object's own when left out, or one that it is derived from.
+        kind: Class that is named in the file: the object's class (when left out) or one of its base classes.
 
     Raises:
         InputError: If the file cannot be written.
