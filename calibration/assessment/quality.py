@@ -381,8 +381,8 @@ def grade_quality(
         geometric: The identification of the geometry alone, from which observability is computed; ``found`` if None.
         parametric: Held-out errors without a learnt residual, to be compared with ``trained``; ``after`` if None.
         noise: What sentences call the instrument's noise.
-        blocks: Number of the block of rows, or of the row, that each held-out error belongs to ``(M,)``, if errors of
-            one block or row are correlated.
+        blocks: Number of the block of rows (or of the single row) that each held-out error belongs to ``(M,)``. It is
+            needed if errors of one block or row are correlated.
         said: Further findings, each a weight and a sentence.
         unit: The unit in which errors are shown: "mm", or "deg" if the errors are angles in rad.
         rows: Number of held-out rows, and what sentences call them. If None, "rows", one for each error.
@@ -437,8 +437,8 @@ def no_gain(
         before: Errors of the nominal arm ``(M, k)``, m or rad; None if there is no nominal arm. If k is larger than 3,
             the first three columns count.
         after: Errors of the calibrated arm ``(M, k)``, m or rad.
-        blocks: Number of the block of rows, or of the row, that each error belongs to ``(M,)``, if errors of one block
-            or row are correlated.
+        blocks: Number of the block of rows (or of the single row) that each error belongs to ``(M,)``. It is needed if
+            errors of one block or row are correlated.
         unit: The unit in which errors are shown, "mm" or "deg".
         count: Number of held-out rows.
         called: Word for these rows in sentences, in the plural, such as "views".

@@ -321,10 +321,9 @@ def pooled(names: Sequence[str], parts: Sequence[HeldOut]) -> HeldOut:
     """Concatenate the held-out errors of all blocks.
 
     Each block of rows was judged by a model that was chosen without it. These models can differ from block to block in
-    their terms and residual model, and from the model of the calibration. The result therefore takes from each block:
-
-    - under the last name, the errors of the model that was chosen without the block;
-    - under the names between "geometric" and the last, the errors of that model without its learnt residual.
+    their terms and residual model, and from the model of the calibration. Under the last of the ``names``, the result
+    holds each block's errors by the model that was chosen without the block. Under the names between "geometric" and
+    the last, it holds the errors by the same model without its learnt residual.
 
     Args:
         names: Names of the models of the calibration of all rows: the geometry alone, then each with one part more.

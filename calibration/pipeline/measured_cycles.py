@@ -34,7 +34,7 @@ def measured_iso9283(arm: Arm, rows: Measurements) -> dict[str, Any]:
 
     Returns:
         The results as values for JSON, in mm and deg. "poses" holds for each pose its name (P1 is the first in the
-        file), its joints, AP and RP (`pose_performance`), and under "drift" the change over the cycles (`pose_drift`).
+        file), its joints, AP and RP (`pose_performance`). Its "drift" is the change over the cycles (`pose_drift`).
         "fitted" says which of base and tool were fitted. "fitted_numbers" is the number of parameters of the fitted
         frames. "of_numbers" is the number of coordinates of all mean poses. If "of_numbers" is not larger than
         "fitted_numbers", accuracies are None. "still" is the number of rows that come directly after a row of the same
