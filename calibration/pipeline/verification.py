@@ -281,7 +281,8 @@ class Verification:
         rows: Number of rows judged.
         refitted: Number of rows to which base and tool were refitted; 0 if they were not.
         moved: How far the refitted base and tool moved.
-        since: Text that names the row after which all errors are too large; None if there is no such row.
+        since: Text that names the row from which on every block of rows has too large errors; None if there is no
+            such row.
         left_out: Outlier rows that were left out.
         no_gain: The reason why the rows do not show that the calibrated arm is better than the nominal arm; None if
             they show it.
