@@ -36,14 +36,14 @@ DRAWS = 400
 """Number of random bases and tools that are drawn for the interval."""
 
 SCALES = (0.2, 1.0)
-"""Smallest and largest assumed distance of base and tool from where the controller has them.
+"""Smallest and largest assumed standard deviation of the true base and tool from those of the controller, per axis.
 
-The distance is one standard deviation per axis, in units of 1 mm and 1 mrad. It is not known better, so it is drawn
-from a uniform distribution of its logarithm between these two.
+They are in units of 1 mm and 1 mrad. Between them, the logarithm of the standard deviation is drawn from a uniform
+distribution.
 """
 
 NEAR = 0.05
-"""Motion of the tool by the fitted frames, m, below which the instrument is probably registered to the base."""
+"""Limit on `BaseFrameError.moved`, m, below which the instrument was probably registered to the robot's base."""
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,9 @@ class BaseFrameError:
     Attributes:
         low: Lower end of the 95 % interval, m; NaN if no position was measured.
         high: Upper end of the 95 % interval, m; NaN if no position was measured.
-        moved: Mean distance over these poses, m, between the nominal arm's tool with the fitted base and tool and with
-            the controller's own. It is small if the instrument was registered to the base.
-        tracked: Whether the instrument states positions in its own frame, which may be the base frame.
+        moved: Mean shift of the nominal arm's tool over these poses, m, if the controller's base and tool are replaced
+            by the fitted ones. It is small if the instrument was registered to the base.
+        tracked: Whether the instrument measures positions in its own frame, which may be the base frame.
     """
 
     low: float
@@ -104,16 +104,16 @@ def base_frame_error(
 ) -> BaseFrameError:
     """Compute the interval of the mean position error in the robot's own base frame.
 
-    It is needed if base and tool were fitted: the data then do not show where the robot's own base stands. Random bases
-    and tools are drawn with a fixed seed, so equal inputs give equal intervals.
+    The interval is needed if base and tool were fitted: the data then do not show where the robot's own base stands.
+    Random bases and tools are drawn with a fixed seed, so equal inputs give equal intervals.
 
     Args:
         nominal: The nominal geometry with the controller's own base and tool.
         fitted: The nominal geometry with the fitted base and tool.
         joints: Joints of the judged poses ``(N, n)``, rad or m.
-        left: Errors that the calibration leaves at these poses in the instrument's frame ``(N, 3 or more)``; the first
-            three columns are positions, m.
-        tracked: Whether the instrument states positions in its own frame.
+        left: Errors of the calibrated arm at these poses in the instrument's frame ``(N, 3 or more)``; the first three
+            columns are position errors, m.
+        tracked: Whether the instrument measures positions in its own frame.
     """
     joints = np.asarray(joints, dtype=float)
     model = frames_model(nominal)
@@ -128,7 +128,7 @@ def base_frame_error(
 
 
 CONTRADICTED = 5.0
-"""Distance of a fitted number from its stated value, in standard deviations, above which it contradicts the latter."""
+"""Distance of a fitted number from its stated value, in standard deviations, above which the rows contradict it."""
 
 MATTERS = 0.03
 """Share by which the misses must shrink, once the stated number is fitted, for a contradiction to matter."""
@@ -141,13 +141,14 @@ A lens has nine numbers, which always absorb some of the misses.
 
 
 def with_zeros_fitted(data: Observations) -> Iterator[tuple[str, DistanceObservations, Observations]]:
-    """Find each wire whose zero is stated as known, and free that zero.
+    """Find each wire whose zero (offset of its length) is stated as known, and make that zero an unknown.
 
     Args:
         data: The measured rows.
 
     Yields:
-        The zero's name as an unknown, the wire's rows, and a copy of ``data`` in which this one zero is unknown.
+        For each such wire: the name of its zero as an unknown, the wire's rows, and a copy of ``data`` in which this
+        one zero is unknown.
     """
     if isinstance(data, DistanceObservations):
         known = data.zero_std == data.scale_std == 0.0 and data.surface != "plane"
@@ -217,9 +218,9 @@ def set_ups_of(found: Identification, data: Observations) -> list[dict[str, Any]
         data: The rows that were fitted.
 
     Returns:
-        For each set-up its number, its files, its number of rows, and the frames ("base", "tool") of its own. Each
-        such frame comes with its distance, mm and deg, from that of the identified arm, which is the first set-up's.
-        The list is empty if there is only one file.
+        For each set-up: its number, its files, its number of rows, and those of its frames ("base", "tool") that differ
+        from the first set-up's. Each such frame comes with its distance from the first set-up's, mm and deg. The list
+        is empty if there is only one file.
     """
     rows: list[dict[str, Any]] = []
     for station in data.stations or (measurements.InstrumentStation(data),):
@@ -238,7 +239,7 @@ def set_up_block(set_ups: Sequence[Mapping[str, Any]], asked: str | None) -> Blo
 
     Args:
         set_ups: The set-ups as `set_ups_of` gives them.
-        asked: Which frames each file has of its own, as the caller said; None if the rows decided it.
+        asked: Which frames differ from file to file, as the caller stated. None if this was decided from the rows.
     """
     rows = []
     for set_up in set_ups:
@@ -281,15 +282,15 @@ def said_of_conditions(model: ArmModel, learnt: bool, data: Observations) -> Sai
 PART_OFF = 8.0
 """Deviation of a link parameter from its nominal value above which the arm or its tolerance class is wrong.
 
-It is in standard deviations of the tolerance class.
-
-Eight measured series of six arms keep below 6.1; a UR5e's rows given as a UR5's have 20.
+It is in standard deviations of the tolerance class. Eight measured series of six arms stay below 6.1. Rows of a UR5e
+that were declared as rows of a UR5 reach 20.
 """
 
 FRAME_OFF = 1e-5
-"""Probability below which a frame that is stated as known counts as wrong.
+"""Significance level of the test of a base or tool that is stated as known.
 
-It is the probability that parts of the tolerance class move the whole arm as far as the rows say.
+The test's p-value is the probability that parts of the tolerance class displace the frame as far as the fit did, or
+farther.
 """
 
 ZEROS_OFF = 10.0
@@ -299,13 +300,13 @@ SURE_BY = 2.0
 """Number of standard deviations that are subtracted from a link parameter's change before it is judged."""
 
 ONE_STEP = 0.5
-"""Largest share of the remaining squared errors that a step at one joint's value may explain without a caution.
+"""Largest share of the remaining squared errors that a step function of one joint may explain without a caution.
 
-Eight measured series keep below 0.16.
+Eight measured series stay below 0.16.
 """
 
 STEPS = np.linspace(0.1, 0.9, 17)
-"""Quantiles of a joint's values at which a step in the errors is searched."""
+"""Quantiles of a joint's values at which a step of the errors is tried."""
 
 POSES = 200
 """Number of random joint vectors over which a motion of the whole arm is computed."""

@@ -1,7 +1,8 @@
 """Error statistics with confidence intervals.
 
-They are mean, RMS of the norm, per-axis RMS, standard deviation, 95th percentile and maximum, and held-out R^2. A
-paper's "RMSE" that lies below its mean cannot be the RMS of the norm (digest, fact 6), so both are printed.
+They are mean, RMS of the norm, per-axis RMS, standard deviation, 95th percentile and maximum, and held-out R^2. Mean
+and RMS are both printed, because an "RMSE" in a paper need not be the RMS of the norm. If it is smaller than the mean,
+it cannot be that (digest, fact 6).
 """
 
 from __future__ import annotations
@@ -64,8 +65,8 @@ def error_statistics(errors: ArrayLike, blocks: ArrayLike | None = None) -> Erro
 
     Args:
         errors: Error vectors ``(N, k)``, or norms ``(N,)``; for norms, ``axis_rms`` is empty.
-        blocks: Number of each error's block ``(N,)``, if errors within a block are correlated. The intervals then come
-            from the differences between blocks.
+        blocks: Number of the block of rows that each error belongs to ``(N,)``, if errors of one block are correlated.
+            The intervals are then computed from the differences between blocks.
 
     Raises:
         ValueError: If there are no errors or some are not finite.
@@ -96,9 +97,9 @@ def block_interval(values: ArrayLike, blocks: ArrayLike, *, rms: bool = False) -
 
     Args:
         values: The values ``(N,)``.
-        blocks: The block of each value ``(N,)``.
-        rms: Whether the interval is that of the root mean square. It is then computed for the logarithm, which is less
-            skewed. The result is None if blocks differ by more than `MOST_APART`.
+        blocks: Number of the block that each value belongs to ``(N,)``.
+        rms: Whether to compute the interval of the root mean square. It is then computed from logarithms, which are
+            less skewed. The result is None if blocks differ by more than `MOST_APART`.
     """
     which = np.unique(np.asarray(blocks), return_inverse=True)[1]
     summed = np.asarray(values, dtype=float) ** (2 if rms else 1)

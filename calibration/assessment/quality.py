@@ -30,7 +30,7 @@ SIGNIFICANCE = 0.05
 """Significance level of the tests."""
 
 SAME = 1e-9
-"""Range of the gains, as a share of the largest, up to which they count as equal, since only rounding differs."""
+"""Range of the rows' gains (reductions of the error), as a share of the largest, that rounding alone can cause."""
 
 ALIKE = 1.2
 """Ratio of two errors below which they count as equal."""
@@ -43,10 +43,7 @@ MANY_NOISES = 20.0
 NOT_CONVERGED = "the identification did not converge, so its parameters mean nothing"
 
 ENOUGH, SEVERAL = 3, 10
-"""Smallest number of held-out rows with which a calibration is judged.
-
-The second is the smallest number with which held-out rows can contradict the expected errors from all rows.
-"""
+"""Smallest numbers of held-out rows: to judge a calibration, and to contradict a gain that all rows together show."""
 
 Grade = Literal["good", "with care", "do not use"]
 
@@ -60,7 +57,7 @@ class Completeness:
         degrees_of_freedom: Number of equations minus number of parameters.
         p_value: Probability of a chi^2 at least this large if the model is complete and the noise as stated.
         p_small: Probability of a chi^2 at most this small if the model is complete and the noise as stated.
-        noise: What sentences call the noise, which says whether it is stated or assumed.
+        noise: Words for the noise in sentences, such as "stated noise"; they say whether it is stated or assumed.
     """
 
     chi_square: float
@@ -142,7 +139,7 @@ HARDLY = 0.5
 """Ratio of the geometry's expected error to the held-out RMS error below which the geometry's error is negligible."""
 
 LITTLE = 0.2
-"""Share by which the expected error must be smaller than before measuring; with less, the rows add no information."""
+"""Share by which the expected error must decrease by measuring; below it, the rows add too little information."""
 
 
 @dataclass(frozen=True)
@@ -262,7 +259,7 @@ def workspace_error(
 
     Args:
         solution: The least-squares solution, whose parameters have priors.
-        nominal: The nominal geometry; if base and tool were fitted, with these.
+        nominal: The nominal geometry. If base and tool were fitted, it has the fitted ones.
         rows: Measured joints ``(N, n)``, rad or m.
         joints: Joints that represent the workspace ``(M, n)``, rad or m.
         region: Name of the workspace.
@@ -376,14 +373,16 @@ def grade_quality(
     Args:
         found: The identification.
         trained: Errors on the fitted rows without a learnt residual: ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad.
-        before: Held-out errors of the nominal arm, with base and tool fitted unless known: ``(M, 6)``, ``(M, 3)`` or
-            ``(M, 1)``. None if there is no nominal arm, because tool poses were given in place of joint values.
+        before: Held-out errors of the nominal arm: ``(M, 6)``, ``(M, 3)`` or ``(M, 1)``, m and rad. Unless base and
+            tool are known, they were fitted first. None if there is no nominal arm, because tool poses were given in
+            place of joint values.
         after: Held-out errors of the calibrated arm, in the shape of ``before``.
         workspace: Expected errors where rows were measured and where the arm will work.
-        geometric: The identification without further terms, whose condition number is stated; ``found`` if None.
+        geometric: The identification of the geometry alone, from which observability is computed; ``found`` if None.
         parametric: Held-out errors without a learnt residual, to be compared with ``trained``; ``after`` if None.
         noise: What sentences call the instrument's noise.
-        blocks: The block or row of each held-out error ``(M,)``, if errors within one are correlated.
+        blocks: Number of the block of rows (or of the single row) that each held-out error belongs to ``(M,)``. It is
+            needed if errors of one block or row are correlated.
         said: Further findings, each a weight and a sentence.
         unit: The unit in which errors are shown: "mm", or "deg" if the errors are angles in rad.
         rows: Number of held-out rows, and what sentences call them. If None, "rows", one for each error.
@@ -438,11 +437,12 @@ def no_gain(
         before: Errors of the nominal arm ``(M, k)``, m or rad; None if there is no nominal arm. If k is larger than 3,
             the first three columns count.
         after: Errors of the calibrated arm ``(M, k)``, m or rad.
-        blocks: The block or row of each error ``(M,)``, if errors within one are correlated.
+        blocks: Number of the block of rows (or of the single row) that each error belongs to ``(M,)``. It is needed if
+            errors of one block or row are correlated.
         unit: The unit in which errors are shown, "mm" or "deg".
         count: Number of held-out rows.
-        called: What sentences call these rows, in the plural.
-        because: The cause, which is added to the sentence; may be empty.
+        called: Word for these rows in sentences, in the plural, such as "views".
+        because: A clause on the cause, which is added to the sentence; may be empty.
     """
     if count < ENOUGH:
         few = f"1 {called[:-1]} was" if count == 1 else f"{count} {called} were"

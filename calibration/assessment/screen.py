@@ -24,9 +24,10 @@ NARROW = 10
 
 LENGTHS_OF_KINDS = ("reflector", "anchor", "socket", "point", "tip", "plane_offset", "zero")
 NUMBERS_OF_KINDS = ("scale", "normal", "axis", "down")
-"""Prefixes of the names of a measurement's own unknowns that have no unit: directions and scales.
+"""Name prefixes of unknowns without a unit, that is directions and scales.
 
-`LENGTHS_OF_KINDS` has the prefixes of those that are lengths.
+The unknowns are those that a kind of measurement adds to the arm's parameters. `LENGTHS_OF_KINDS` has the prefixes of
+unknowns that are lengths.
 """
 
 
@@ -98,7 +99,7 @@ class Block:
 
 
 def over(sizes: Sequence[int], width: int) -> int:
-    """Return by how many characters columns, each after two spaces, are wider than a line.
+    """Return the number of characters by which a row of columns is wider than a line; two spaces precede each column.
 
     Args:
         sizes: Width of each column, in characters.
@@ -165,7 +166,7 @@ def harmonic_block(rows: Sequence[Mapping[str, Any]]) -> Block:
 
 
 TOLD = 2.0
-"""Compliance, in its standard uncertainties, above which a stiffness is stated; below, only its lower bound is."""
+"""Compliance, in its standard uncertainties, up to which only a lower bound on the stiffness is shown."""
 
 NOTE = (
     "from torques; where none are known, as at a target, those of the arm's own weight are taken, which were fitted to "

@@ -1,10 +1,10 @@
 """Correct joint targets for a calibrated arm, by Qiao 2026 eqs (13)-(16) and Fig. 3 with a rank-aware inverse.
 
 q_command = q + J+ (F_nominal(q) - F_identified(q) - residual(q)), repeated at the corrected joints. J+ is truncated to
-the task's rank, since the paper's J^-1 does not exist for this arm. Joint limits are kept. An arm of fewer than six
-joints cannot reach both position and attitude, and is brought to the position first (`attitude_weight`). Near joint
-limits and singular poses a correction can increase the error. Of the target and its corrections, the command is
-therefore the one with the smallest expected error. One pose is computed on Python floats, as in a control loop. Many
+the task's rank, since the paper's J^-1 does not exist for an arm of fewer than six joints. Joint limits are kept. An
+arm of fewer than six joints cannot reach both position and attitude; the position has priority (`attitude_weight`).
+Near joint limits and singular poses a correction can increase the error. Of the target and its corrections, the command
+is therefore the one with the smallest expected error. One pose is computed on Python floats, as in a control loop. Many
 poses are computed on NumPy in blocks, as in vector environments. The residual's network is most of the cost, so it is
 evaluated once, at joints that are corrected by geometry alone.
 """
@@ -37,13 +37,19 @@ from pickenv.calibration.identification.extended_kalman_filter import FilterStat
 # lines run on NumPy arrays and torch tensors.
 
 RIDGE = 16.0
-"""Ridge on the diagonal of J^T J, in rounding errors of its trace, so that a singular J^T J can be factorised."""
+"""Value added to the diagonal of J^T J, so that a singular J^T J can be factorised.
+
+It is in multiples of the rounding error of the trace of J^T J.
+"""
 
 SETTLED = 1e-4
-"""Largest rotation, as 1 - cosine, of the singular direction in the last inverse iteration, for it to be converged."""
+"""Largest rotation (1 - cosine) of the singular direction in the last inverse iteration that counts as converged."""
 
 START = (0.9, -0.4, 1.0, 0.7, -1.1, 0.6, -0.3)
-"""Start vector of the inverse iteration for the singular direction; no direction that symmetry makes likely is near."""
+"""Start vector of the inverse iteration for the singular direction.
+
+It is far from the directions that are likely to be singular in a symmetric arm.
+"""
 
 Columns = Sequence[Sequence[Scalar]]
 """The n columns of a Jacobian J, each with six components ``(...)``; components that are the float 0.0 cost nothing."""
@@ -97,8 +103,8 @@ class TruncatedSolver:
 
         Args:
             right: The right-hand sides, six components ``(...)``.
-            columns: Columns of a J that has changed a little since it was factorised. Iterations with the old factors
-                then end where J^T of the changed J maps the remaining error to zero.
+            columns: Columns of a J that has changed a little since it was factorised. If solve steps with the old
+                factors are repeated, they converge to the point where the changed J^T maps the remaining error to zero.
         """
         projected = [_dot(column, right) for column in columns or self.columns]
         solution = _without(self._direction, self._solve(_without(self._direction, projected)))
@@ -176,7 +182,7 @@ def _without(direction: Sequence[Scalar], vector: Sequence[Scalar]) -> list[Scal
 
 
 def aimed(nominal: Geometry, filters: Sequence[FilterState], joints: Array) -> Array:
-    """Compute the joint commands ``(N, n)`` that bring each of N arms to the nominal arm's pose at its target.
+    """Compute the commands ``(N, n)`` that bring each of N arms to the pose of the nominal arm at a joint target.
 
     Each arm is modelled by the geometry that its Kalman filter estimates.
 
@@ -199,7 +205,8 @@ def taught(
         joints: Commanded joints ``(N, n)``, rad or m.
         seen: Measured tool positions ``(N, 3)``, m.
         noise: Noise of the measurement, including errors that a geometry cannot explain.
-        wander: Random walk of each parameter, in its tolerances per square root of an hour.
+        wander: Standard deviation of each parameter's random walk after one hour, as a multiple of the parameter's
+            tolerance. It grows with the square root of time.
         seconds: Time since the previous measurement, s.
     """
     return [
@@ -209,10 +216,10 @@ def taught(
 
 
 BLOCK = 2048
-"""Number of poses that are computed together; so many fit into a core's first caches."""
+"""Number of poses that are computed together; their arrays fit into the L1 and L2 caches of a core."""
 
 NEGLIGIBLE = 1e-6
-"""Increase of the expected error, m or rad, below which a correction is still used; single precision rounds so much."""
+"""Increase of the expected error, m or rad, up to which a correction is still used; rounding causes as much."""
 
 
 Residual = Callable[[Array], Array]
@@ -228,11 +235,11 @@ class Compensator:
         identified: The calibrated geometry.
         residual: Terms and learnt residual of the calibration as one function, or None.
         iterations: Number of corrections. Each starts from the joints of the one before, and all use the factors of one
-            Jacobian. On the picking arm with the paper's network, one correction leaves 1.4 um of the predicted error
-            on average. Two leave 0.9 um, because the residual changes by its own correction. Without a residual, one
-            leaves 1 um, two leave nothing.
-        single_precision: Whether many poses at once are corrected in single precision. This is faster, with 0.1 um more
-            error.
+            Jacobian. On the picking arm with the network of Qiao 2026, one correction leaves 1.4 um of the predicted
+            error on average. Two corrections leave 0.9 um, because the correction of the joints changes the residual.
+            Without a residual, one correction leaves 1 um and two leave nothing.
+        single_precision: Whether corrections are computed in single precision if many poses are passed at once. This is
+            faster and adds an error of 0.1 um.
         reservations: Reasons against using the compensator, by name (`pickenv.base.obey`).
         within95: Function of commands ``(..., n)`` that returns the bounds on 95 of 100 position errors, m, and
             attitude errors, rad, as counted on held-out rows; None if they are unknown.
@@ -263,7 +270,7 @@ class Compensator:
         return np.concatenate(blocks).reshape(joints.shape) if blocks else joints.copy()
 
     def checked(self, joints: ArrayLike) -> Array:
-        """Return joint targets ``(..., n)`` as an array, after the checks of `__call__`."""
+        """Return joint targets ``(..., n)`` as an array, after checking that they are finite and have n joints."""
         joints = np.asarray(joints, dtype=float)
         split_joints(self.nominal.joints, joints)  # checks the number of joints
         if not math.isfinite(joints.sum()):  # the cheapest question; no joints are so large that they overflow

@@ -1,12 +1,13 @@
 """Compute corrected joint origins for a robot's own file; joint readings and the shapes of links do not change.
 
 N_i and C_i are the link frames of the arm's DH table before and after calibration. D_i is the frame of the file's joint
-i. All hold where the file's joints are zero. K_i = N_i^-1 D_i is constant. The corrected joint frame is C_i K_i, and
-its origin is that pose relative to the corrected frame before it. The chain begins at the robot's own base, so the
-instrument's place is no part of it. If the next axis is parallel, no measurement determines the place of a link along
-its axis, and a fit may put it anywhere. The link then keeps its place in the file, as in Universal Robots' own
-calibration (ur_calibration, correctAxis). The last joint can move the tool along and about its own axis. That part of
-the tool's correction is therefore given to the joint. Metres and radians.
+i. All these frames are taken at the zero of the file's joints. K_i = N_i^-1 D_i is constant. The corrected joint frame
+is C_i K_i. The joint's new origin is C_i K_i relative to the corrected frame of the previous joint. The chain begins at
+the robot's own base, so the instrument's place is no part of it. If the next axis is parallel, no measurement
+determines the place of a link along its axis, and a fit may put it anywhere. The link then keeps its place in the file,
+as in Universal Robots' own calibration (ur_calibration, correctAxis). A motion of the last joint shifts or turns the
+tool along or about the joint's axis. That part of the tool's correction is therefore given to the joint. Metres and
+radians.
 """
 
 from __future__ import annotations
@@ -42,7 +43,10 @@ from pickenv.calibration.pipeline.calibration import Calibration
 NEAR, TURNED = 1e-4, 2e-4
 """Largest distance, m, and angle, rad, between two axes that count as equal; rounding in a file causes so much."""
 LEAST_SHARE = 1e-3
-"""Deviation, as a share of `NEAR` and `TURNED`, below which two relations fit equally well: 0.1 micrometre."""
+"""Deviation below which a relation of table and file (`SameChain`) counts as exact.
+
+It is a share of `NEAR` and `TURNED`, that is 0.1 micrometre.
+"""
 
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 POSES = 12
@@ -53,7 +57,7 @@ SameChain = tuple[Pose, Array, Array]
 """The relation of an arm's DH table to a file of the same chain: root, sign and zero.
 
 The root is the pose of the table's world frame in the file's root link. The sign is 1 or -1 for each joint (n,). The
-zero holds the table's joint values where the file's are zero (n,), rad or m.
+zero is the table's joint values (n,), rad or m, at the pose where all joints of the file are zero.
 """
 
 
@@ -257,8 +261,8 @@ def frames_apart(arm: Geometry, file: Geometry, root: Pose, sign: Array, zero: A
         arm: The arm's geometry before its calibration.
         file: The geometry that the file describes.
         root: Pose of the table's world frame in the file's root link, G.
-        sign: Sign of each joint (n,), as in `SameChain`.
-        zero: The table's joint values where the file's are zero (n,), rad or m.
+        sign: 1 or -1 for each joint (n,), the direction of its motion in the table relative to the file.
+        zero: The table's joint values (n,), rad or m, at the pose where all joints of the file are zero.
     """
     fractions = np.mod(GOLDEN * np.arange(1, POSES * file.joints + 1).reshape(POSES, -1), 1.0) - 0.5
     joints = np.where(file.prismatic, 1.0, np.pi) * np.vstack([np.zeros(file.joints), fractions])
@@ -303,7 +307,7 @@ def corrected_chain(
 def corrected_tree(calibration: Calibration, rows: Sequence[JointRow], path: Path) -> list[tuple[ChainJoint, Pose]]:
     """Compute the corrected origins of a whole robot's joints, and return each joint with its new origin.
 
-    The places of sensors and targets are no part of the robot.
+    The fitted places of sensors and targets are left out, since they are no part of the robot.
 
     Args:
         calibration: The calibration.
@@ -483,9 +487,9 @@ def own_origin(own: Pose, whole: Pose, corrected: Pose) -> Pose:
     """Compute the new pose of an element in a file, if the fixed elements before it keep their poses.
 
     Args:
-        own: The element's own pose now.
-        whole: The composed pose now, of the element and the fixed elements between it and the joint before.
-        corrected: The composed pose that is wanted.
+        own: The element's pose in the file, relative to the element before it.
+        whole: The element's pose relative to the previous joint, that is composed with the fixed elements in between.
+        corrected: The new pose relative to the previous joint.
     """
     return behind(behind(own, inverse_pose(whole)), corrected)
 
@@ -497,7 +501,7 @@ def is_moved(old: Pose, new: Pose) -> tuple[bool, bool]:
 
 
 def changed(old: Pose, new: Pose, place: str, attitude: str, words: Callable[[Pose], str]) -> dict[str, str]:
-    """Return new texts, by name, of the attributes that hold a pose's position and attitude.
+    """Return the new values of the attributes that hold a pose's position and attitude, by the attributes' names.
 
     An attribute that does not change is left out.
 

@@ -178,8 +178,8 @@ def attribute_spans(data: bytes, tag: StartTag) -> tuple[dict[str, tuple[int, in
         tag: The tag.
 
     Returns:
-        For each attribute by name: the index of its start, and the indices of start and end of its value within the
-        quotes. Then the index after the last attribute.
+        A dictionary and an index. The dictionary holds for each attribute's name three indices in the text: the start
+        of the attribute, and start and end of its value within the quotes. The index is that after the last attribute.
     """
     after = tag.start + 1 + len(tag.name.encode())
     spans: dict[str, tuple[int, int, int]] = {}
@@ -190,7 +190,7 @@ def attribute_spans(data: bytes, tag: StartTag) -> tuple[dict[str, tuple[int, in
 
 
 def attribute_edits(data: bytes, tag: StartTag, values: Mapping[str, str]) -> list[Edit]:
-    """Return the edits that give a tag's attributes new values; attributes that the tag lacks are added at its end."""
+    """Return the edits that set attributes of a start tag; attributes that the tag lacks are added at the tag's end."""
     spans, after = attribute_spans(data, tag)
     new = "".join(f' {name}="{value}"' for name, value in values.items() if name not in spans)
     edits = [(*spans[name][1:], value.encode()) for name, value in values.items() if name in spans]
@@ -198,7 +198,7 @@ def attribute_edits(data: bytes, tag: StartTag, values: Mapping[str, str]) -> li
 
 
 def inserted_first(data: bytes, tag: StartTag, element: str) -> Edit:
-    """Return the edit that inserts an element right after a start tag, with the line break and indent found there."""
+    """Return the edit that inserts an element after a start tag, with the line break and indent that follow the tag."""
     after = data[tag.end :]
     return tag.end, tag.end, after[: len(after) - len(after.lstrip())] + element.encode()
 

@@ -40,7 +40,7 @@ LOST = 1e-6
 """Effect of an offset on poses, as a share of the largest such effect, below which the offset is not determined."""
 
 SPREAD = 256
-"""Number of poses at which the arms are compared if none are given."""
+"""Number of poses at which the nominal and the calibrated arm are compared if the caller passes no joint values."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -56,7 +56,7 @@ class JointOffsets:
         left: Mean position difference that remains with the offsets, m.
         left_turn: Mean attitude difference that remains with the offsets, rad; None if only positions were measured.
         poses: Number of poses at which the arms were compared.
-        region: What sentences call these poses.
+        region: Words for these poses in messages, such as "poses within the joint limits".
     """
 
     offsets: Array
@@ -260,7 +260,7 @@ TABLE_FORMAT = "pickenv joint offsets 1"
 
 @register("exporter", "offsets")
 def offset_table(calibration: Calibration, order: document.Order) -> document.Document:
-    """Make a table of the offsets that are to be added to joint readings: CSV, or JSON if the file ends in .json.
+    """Make a table of the offsets to add to joint readings, as CSV, or as JSON if the file ends in .json.
 
     Offsets are in deg or mm. If encoder counts per turn are given, revolute joints also have their offset in whole
     counts.
@@ -359,7 +359,7 @@ KEPT = "parameters without a standard deviation were not identified and keep the
 
 @register("exporter", "table")
 def dh_table(calibration: Calibration, order: document.Order) -> document.Document:
-    """Make a table of the DH parameters before and after calibration: CSV, or JSON if the file ends in .json.
+    """Make a table of the DH parameters before and after calibration, as CSV, or as JSON if the file ends in .json.
 
     Angles are in deg, lengths in mm. Parameters are given for the modified and for the standard convention. A
     parameter that was not identified keeps its nominal value and has no standard deviation.

@@ -51,11 +51,11 @@ def toml_document(calibration: Calibration, order: document.Order) -> document.D
     """Write the corrected arm as a new arm file, with the base and tool of the calibration.
 
     Hayati's beta (``beta_deg``) is written only for joints where it is not zero. A link that follows another joint is
-    a joint table with ``follows`` and ``ratio``.
+    written as a joint table with ``follows`` and ``ratio``.
 
     Raises:
-        InputError: If a revolute joint moves only prismatic links or the reverse (a rack and its pinion). Also if
-            joints are in another order than their links. Only a URDF can hold such arms.
+        InputError: If a revolute joint moves only prismatic links, or a prismatic joint only revolute links (a rack
+            and its pinion). Also if joints are in another order than their links. Only a URDF can hold such arms.
     """
     arm, geometry = order.arm_of(calibration), calibration.identified
     leaders = _leading_tables(geometry)
@@ -423,7 +423,7 @@ def _edits(data: bytes, name: str, values: dict[str, float], path: Path) -> list
 
 
 def yaml_number(value: float) -> str:
-    """Format a number with all its digits so that YAML 1.1 reads it as a number; there, 1e-05 would be a text."""
+    """Format a number with all its digits so that YAML 1.1 reads it as a number; it would read 1e-05 as a text."""
     text = repr(value)
     return text.replace("e", ".0e") if "e" in text and "." not in text else text
 
@@ -465,8 +465,8 @@ def _new_kinematics_yaml(calibration: Calibration) -> document.Document:
 def static_transforms(calibration: Calibration, order: document.Order) -> document.Document:
     """Write a shell script that publishes two transforms in ROS 2: the measurement's frame and the calibrated tool.
 
-    The first is relative to the root of the robot's own URDF, the second to its tip. Without a URDF, they are relative
-    to the arm's base and tool frames, under the names base_link and tool0.
+    The measurement's frame is relative to the root of the robot's own URDF, the tool to the URDF's tip. Without a URDF,
+    they are relative to the arm's base and tool frames, which are then named base_link and tool0.
 
     Raises:
         InputError: If the file is unusable, of another arm or without named frames, or if ROS does not allow a name.

@@ -1,8 +1,8 @@
 """Apply a calibration: turn targets into corrected joint commands, each with its remaining error and uncertainty.
 
 A joint target means the pose that the nominal arm would take there. Pose targets are first turned into nominal joints
-by the inverse kinematics. Then Qiao 2026 eqs (13)-(16) are applied with a rank-aware inverse and the residual model,
-if one was learnt. SI units.
+by the inverse kinematics. They are then corrected by Qiao 2026 eqs (13)-(16), with a Jacobian inverse that is
+truncated to the task's rank. A learnt residual model, if there is one, is part of the correction. SI units.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ ATTITUDE_TOLERANCE = 2e-5
 """Attitude error that joint motion could remove, rad, above which a target counts as not reached."""
 
 PASSES = 4
-"""Number of corrections, each of which starts from the last command; the second moves it by micrometres only."""
+"""Number of successive corrections of a command; the second one moves the tool by micrometres only."""
 
 FRAMES = ("controller", "instrument")
 
@@ -41,7 +41,7 @@ class CorrectedCommands:
 
     Attributes:
         targets: The nominal joint targets ``(N, n)``, rad or m; for pose targets, the result of the inverse kinematics.
-        joints: The commands ``(N, n)``, rad or m, within the joint limits. Do not use those of targets not reached.
+        joints: The commands ``(N, n)``, rad or m, within the joint limits. Use only the commands that `reached` marks.
         reached: Mask ``(N,)`` of the targets that are reached. The predicted errors that joint motion could remove are
             then at most 0.01 mm (`POSITION_TOLERANCE`) and 0.001 deg (`ATTITUDE_TOLERANCE`).
         before: Predicted pose error ``(N, 6)``, m and rad, if the target itself were commanded.
@@ -214,15 +214,16 @@ def _sizes(errors: Array) -> tuple[Array, Array]:
 
 
 def toward(compensator: Compensator, wanted: Pose, start: Array) -> Array:
-    """Compute the commands ``(N, n)`` that bring the real tool to wanted poses, by repeating eq (15).
+    """Compute the commands ``(N, n)``, rad or m, that bring the real tool to the poses ``wanted``.
 
-    A joint that would have to go beyond its limit stays at the limit, and the other joints take over what they can. An
-    arm with fewer than six joints is brought to the position first.
+    The correction of eq (15) is repeated `PASSES` times. A joint that would have to go beyond its limit stays at the
+    limit, and the other joints take over what they can. On an arm with fewer than six joints, the position has
+    priority over the attitude.
 
     Args:
         compensator: The calibrated arm.
         wanted: N poses in the frame of the calibrated geometry.
-        start: Joints ``(N, n)``, rad or m, from which the correction starts, near the wanted poses.
+        start: Joints ``(N, n)``, rad or m, near the poses ``wanted``; the first correction starts there.
     """
     lower, upper = compensator.nominal.lower, compensator.nominal.upper
     weights = np.repeat([1.0, attitude_weight(compensator.nominal.joints)], 3)

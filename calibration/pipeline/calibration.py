@@ -32,22 +32,23 @@ from pickenv.calibration.residuals.residual_models import LearntResidual
 # in its record, so that a command can be given with its uncertainty later. SI units.
 
 NEARBY, SPACING = 0.3, 1.5
-"""Largest distance between joint vectors, rad or m, at which two poses count as near each other.
+"""Two numbers that set the largest distance between joint vectors at which two poses count as near each other.
 
-If it is larger, the second number times the distance of the measured poses from their neighbours is taken.
+The distance is the first number, rad or m. If measured poses are sparse, it is the second number times the 95th
+percentile of their distances from the nearest neighbour.
 """
 
 VAGUE = 2.0
-"""Factor on the uncertainty that the parameters cause at 95 of 100 fitted rows.
+"""Largest position uncertainty that the parameters may cause at a pose of the measured region.
 
-A pose with a larger uncertainty from the parameters lies outside the measured region.
+It is in multiples of the 95th percentile of this uncertainty at the fitted rows.
 """
 
 MEASURED_REGION = "measured_region"
 """Entry of a calibration's record that holds `PoseUncertainty.region`."""
 
 QUANTITIES = {"position": screen_unit(True), "attitude": screen_unit(False)}
-"""The parts of a pose that have an uncertainty: for each the unit on screens, and the factor to it from SI."""
+"""The parts of a pose that have an uncertainty. For each: the unit shown, and the factor from SI to this unit."""
 
 ANCHORS = 400
 """Largest number of poses that represent the region in which an arm was measured."""
@@ -67,7 +68,7 @@ class PoseUncertainty:
             if only positions were measured.
         factors: For each of `QUANTITIES` with enough held-out errors, the entries "factor" and "covered". 95 of 100
             errors are smaller than "factor" times their expected root mean square. "covered" is the share of held-out
-            errors that kept their bound, each with a bound computed without its own block.
+            errors below their bound. The bound of an error is computed without the block of rows that holds it.
     """
 
     names: tuple[str, ...]
@@ -112,7 +113,15 @@ class PoseUncertainty:
         return self.standard_of(np.diagonal(self.pose_covariance(model, joints, conditions), axis1=-2, axis2=-1))
 
     def standard_of(self, variance: Array) -> tuple[Array, Array | None]:
-        """Compute what `standard` gives from the total variances of the six pose coordinates ``(..., 6)``."""
+        """Compute the standard uncertainties of position and attitude from the variances of a pose.
+
+        Args:
+            variance: Variances of the six pose coordinates ``(..., 6)``, m^2 and rad^2.
+
+        Returns:
+            Uncertainties of position ``(...)``, m, and of attitude ``(...)``, rad; the latter is None if only positions
+            were measured.
+        """
         position, attitude = np.sqrt(variance[..., :3].sum(-1)), np.sqrt(variance[..., 3:].sum(-1))
         return position, None if self.attitude_repeat is None else attitude
 
@@ -131,9 +140,9 @@ class PoseUncertainty:
     def within95(
         self, model: ArmModel, joints: ArrayLike, conditions: Conditions | None = None
     ) -> tuple[Array | None, Array | None]:
-        """Compute the bounds that 95 of 100 errors of position ``(...)``, m, and attitude ``(...)``, rad, keep.
+        """Compute bounds on the errors of position ``(...)``, m, and attitude ``(...)``, rad.
 
-        A bound is None if there were too few held-out errors to compute it.
+        95 of 100 errors are below their bound. A bound is None if there were too few held-out errors to compute it.
 
         Args:
             model: The calibrated arm.
@@ -150,10 +159,10 @@ class PoseUncertainty:
         return position, attitude
 
     def block(self, standard: tuple[Array, Array | None]) -> Block:
-        """Return a table of the `bounds` on errors, with the share of held-out errors that kept their bound.
+        """Return a table of the 95 % bounds on errors (`bounds`), and of the share of held-out errors below them.
 
         Args:
-            standard: Standard uncertainties of position and attitude at N poses, each ``(N,)``, as `standard` gives.
+            standard: Standard uncertainties at N poses (`standard`): position ``(N,)``, m, and attitude ``(N,)``, rad.
         """
         rows = []
         for quantity, (low, middle, high) in self.bounds(standard).items():
@@ -167,7 +176,7 @@ class PoseUncertainty:
         """Compute how the 95 % bounds on errors (`within95`) are distributed over poses.
 
         Args:
-            standard: Standard uncertainties of position and attitude at N poses, each ``(N,)``, as `standard` gives.
+            standard: Standard uncertainties at N poses (`standard`): position ``(N,)``, m, and attitude ``(N,)``, rad.
 
         Returns:
             The 5th, 50th and 95th percentiles of the bound, for "position" in mm and "attitude" in deg.
@@ -204,11 +213,13 @@ class PoseUncertainty:
         Args:
             found: The identification.
             errors: Measured minus predicted poses ``(N, 6)`` or positions ``(N, 3)``, m and rad, preferably of held-out
-                rows. Their RMS per coordinate is taken as the scatter of one reach (``position_repeat`` and
-                ``attitude_repeat``). It includes the instrument's noise, so it is rather too large.
+                rows. Their RMS per coordinate is taken as the scatter of a single motion to a pose
+                (``position_repeat`` and ``attitude_repeat``). It includes the instrument's noise, so it is rather too
+                large.
             joints: Joints of each error's row ``(N, n)``, rad or m. If given, the bounds on 95 of 100 errors are
                 computed too.
-            blocks: The block of each error ``(N,)``, if errors within a block are correlated.
+            blocks: Number of the block of rows that each error belongs to ``(N,)``, if errors of one block are
+                correlated.
             conditions: Payload and temperature of each error's row, if known.
             unit: "deg" if ``errors`` are misses of directions ``(N, k)``, rad. The uncertainty of positions then
                 comes from the parameters alone.
@@ -258,7 +269,8 @@ class PoseUncertainty:
 def variance_by_station(found: Identification, data: Observations) -> Array:
     """Compute the variances ``(N, 6)`` of each row's pose that the identified parameters cause, m^2 and rad^2.
 
-    Each row's pose is in the frames of its own station.
+    A station is one placement of the instrument and its target. Each row's pose is taken with the base and tool of the
+    row's station.
 
     Args:
         found: The identification.
@@ -279,16 +291,17 @@ def variance_by_station(found: Identification, data: Observations) -> Array:
 
 
 def within95(joints: Array, squares: Array, variance: Array, blocks: Rows | None) -> dict[str, float] | None:
-    """Compute the factor on the expected size of errors below which 95 of 100 errors lie.
+    """Compute the factor such that 95 of 100 errors are smaller than the factor times their expected size.
 
     Args:
         joints: Joints of each error's row ``(R, n)``, rad or m.
         squares: Squared norms of the errors ``(R,)``, m^2 or rad^2.
         variance: Part of each expected square that the parameters cause ``(R,)``, in the unit of ``squares``.
-        blocks: The block of each error ``(R,)``; if None, contiguous tenths of the poses.
+        blocks: Number of the block of rows that each error belongs to ``(R,)``; if None, contiguous tenths of the
+            poses.
 
     Returns:
-        The entries "factor" and "covered", the share of errors that keep a bound computed without their own block.
+        The entry "factor", and the entry "covered": the share of errors that are below a bound from the other blocks.
         None if there are too few errors or blocks.
     """
     count = len(squares)
@@ -315,7 +328,12 @@ def _quantile(ratio: Array) -> float:
 
 
 def joint_features(joints: Array, slides: tuple[bool, ...]) -> Array:
-    """Turn joints ``(N, n)`` into features: sines, then cosines of revolute joints, then prismatic joints, m."""
+    """Compute features of joints ``(N, n)``: all revolute joints' sines, then their cosines, then prismatic joints, m.
+
+    Args:
+        joints: Joints, rad or m.
+        slides: For each joint, whether it is prismatic.
+    """
     straight = np.array(slides)
     turning = joints[:, ~straight]
     return np.concatenate([np.sin(turning), np.cos(turning), joints[:, straight]], axis=1)
@@ -405,7 +423,7 @@ class Calibration:
     Attributes:
         arm_name: Name of the arm.
         arm: The arm's nominal geometry as its file gives it. It identifies the arm: `load` can refuse other arms.
-        nominal: The nominal geometry that the controller uses; if base and tool were fitted, with these.
+        nominal: The nominal geometry that the controller uses. If base and tool were fitted, it has the fitted ones.
         model: The calibrated geometry with its parametric terms.
         learnt: Learnt residual, or None.
         record: Evidence of the fit: data hash, seeds, versions, rank, dropped parameters, verdict and uncertainty.
@@ -544,8 +562,8 @@ class Calibration:
 
         Args:
             data: Measured poses or positions.
-            turn: Rotation matrix ``(3, 3)`` of the base since the residual was learnt. It turns the residual, which
-                was learnt in the axes of the base.
+            turn: Rotation ``(3, 3)`` from the base's attitude in the fit to its present attitude. It turns
+                the residual, which was learnt in the base's axes. None if the base is unchanged.
         """
         errors = data.difference(self.model)
         if self.learnt is not None:
@@ -603,12 +621,13 @@ class Calibration:
                 geometry.
             unit: If given, the serial number of the robot for which the calibration must have been made. Two robots
                 of one model have the same nominal geometry, and only this number distinguishes them.
-            whole: Whether the calibration of a whole robot is accepted, which has no one tool to compensate.
+            whole: Whether the calibration of a whole robot is accepted. It cannot compensate, since such a robot has
+                no single tool.
 
         Raises:
-            InputError: If the file is missing, damaged in any byte, or of another version, arm or unit. Also if its
-                values cannot move an arm (numbers that are not finite, a base that is no rotation). Also if its
-                residual model is not installed; the message then names its package.
+            InputError: If the file is missing, damaged in any byte, or of another version, arm or unit. Also if a
+                value is not finite, or the base's rotation matrix is no rotation. Also if the package of the residual
+                model is not installed; the message then names it.
         """
         path = npz_path(path)
         content = read_container(path, KIND, remake=REMAKE, version=FORMAT)

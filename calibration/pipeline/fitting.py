@@ -59,7 +59,7 @@ def fit(
     rng: np.random.Generator | None = None,
     settings: BpnnSettings | None = None,
 ) -> Fit:
-    """Fit an arm as the papers do: least squares without priors, then a residual model of the remaining errors.
+    """Fit an arm as Qiao 2026 does: least squares without priors, then a residual model of the remaining errors.
 
     Args:
         arm: The arm.
@@ -229,8 +229,8 @@ class HeldOut:
         errors: Errors by the name of the model: "nominal", "geometric", then models with terms or a learnt residual.
             The last model is the one that the calibration uses.
         parametric: Errors of the last model without its learnt residual.
-        used: Name of the model that judged the rows; if rows were held out by blocks, one name per block.
-        blocks: The block of each error ``(M,)``; None if rows were held out once.
+        used: Name of the model that judged the rows; if rows were held out block by block, one name per block.
+        blocks: Number of the block of rows that each error belongs to ``(M,)``; None if rows were held out once.
         pixels: For pictures, the geometry's errors in px, one array per view; empty for other kinds.
     """
 
@@ -282,7 +282,8 @@ def held_out_of(fits: Mapping[str, Fit], test: Observations) -> HeldOut:
     """Compute the errors of each step of a calibration on rows that were held out once.
 
     Args:
-        fits: The fits by name, in order: the geometry alone, then each with one part more (terms, residual model).
+        fits: The fits by name, in order. The first fits the geometry alone; each further one adds one part (terms or a
+            residual model).
         test: The held-out rows.
     """
     bare, (used, best) = next(iter(fits.values())), list(fits.items())[-1]
@@ -301,10 +302,10 @@ def held_out_of(fits: Mapping[str, Fit], test: Observations) -> HeldOut:
 
 
 def by_station(held_out: HeldOut, train: Observations, folds: Sequence[tuple[Rows, Rows]]) -> HeldOut:
-    """Sort held-out errors by the station of their rows.
+    """Sort held-out errors by the station (placement of the instrument and its target) of their rows.
 
     Args:
-        held_out: The errors, one block after the other.
+        held_out: The errors, ordered by the block of rows that was held out.
         train: The rows of all stations.
         folds: For each block, the indices of the fitted rows and of the held-out rows.
     """
@@ -319,12 +320,13 @@ def by_station(held_out: HeldOut, train: Observations, folds: Sequence[tuple[Row
 def pooled(names: Sequence[str], parts: Sequence[HeldOut]) -> HeldOut:
     """Concatenate the held-out errors of all blocks.
 
-    The model was chosen anew without each block, so blocks can differ in their steps (terms, residual model). The
-    errors of the last model are those of each block's last step. The errors of the models between "geometric" and the
-    last are those of each block's last step without its learnt residual.
+    Each block of rows was judged by a model that was chosen without it. These models can differ from block to block in
+    their terms and residual model, and from the model of the calibration. Under the last of the ``names``, the result
+    holds each block's errors by the model that was chosen without the block. Under the names between "geometric" and
+    the last, it holds the errors by the same model without its learnt residual.
 
     Args:
-        names: Names of the steps of the calibration of all rows, in order.
+        names: Names of the models of the calibration of all rows: the geometry alone, then each with one part more.
         parts: The held-out errors of each block.
     """
     added = list(names[1:])
@@ -355,7 +357,7 @@ def what_is_left(fit: Fit, data: Observations) -> Array:
 
 
 def missed_by(found: Identification, data: Observations) -> Array:
-    """Compute an identified arm's errors on data without a learnt residual, shaped as by `what_is_left`."""
+    """Compute an identified arm's errors without a learnt residual: ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad."""
     tracked = tracked_rows(found, data)
     if tracked is None:
         return data.misses(found.arm_model, unknowns_of(found, data))
@@ -363,9 +365,9 @@ def missed_by(found: Identification, data: Observations) -> Array:
 
 
 def tracked_rows(found: Identification, data: Observations) -> Measurements | None:
-    """Return the data as poses or positions, with those of several stations transformed into the first one's frames.
+    """Return the data as poses or positions, all in the frames of the first station.
 
-    The result is None if the data are of another kind.
+    A station is one placement of the instrument and its target. The result is None for other kinds of measurement.
     """
     rows: Measurements | None = data.from_the_first(found.arm_model, unknowns_of(found, data))
     return rows
@@ -375,7 +377,7 @@ def tracked_rows(found: Identification, data: Observations) -> Measurements | No
 
 
 def pixel_figures(fit: Fit, data: PixelObservations, held_out: HeldOut) -> dict[str, Any]:
-    """Compute reprojection errors, of the fit to all views and of fits on held-out views, as values for JSON.
+    """Return reprojection errors as values for JSON: of the fit to all views, and of other fits on held-out views.
 
     Args:
         fit: The fit of geometry alone to all views in ``data``.

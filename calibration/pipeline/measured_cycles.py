@@ -34,10 +34,11 @@ def measured_iso9283(arm: Arm, rows: Measurements) -> dict[str, Any]:
 
     Returns:
         The results as values for JSON, in mm and deg. "poses" holds for each pose its name (P1 is the first in the
-        file), its joints, the results of `pose_performance`, and `pose_drift` as "drift". "fitted" says which of base
-        and tool were fitted, and "fitted_numbers" how many parameters these have. "of_numbers" is the number of
-        coordinates of all mean poses. If it is not larger than "fitted_numbers", accuracies are None. "still" is the
-        number of rows that follow a row of the same pose.
+        file), its joints, AP and RP (`pose_performance`). Its "drift" is the change over the cycles (`pose_drift`).
+        "fitted" says which of base and tool were fitted. "fitted_numbers" is the number of parameters of the fitted
+        frames. "of_numbers" is the number of coordinates of all mean poses. If "of_numbers" is not larger than
+        "fitted_numbers", accuracies are None. "still" is the number of rows that come directly after a row of the same
+        pose.
 
     Raises:
         InputError: If a pose has too few cycles, or the rows do not fit the arm.

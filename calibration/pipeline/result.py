@@ -57,7 +57,7 @@ class Result:
         fit: The fit whose calibration is used.
         geometric: The fit of the geometry alone.
         train: The rows that the calibration was fitted to.
-        test: The held-out rows. If each block was judged by a fit without it, all rows, one block after the other.
+        test: The held-out rows. If rows were held out block by block, these are all rows, ordered by block.
         held_out: Errors on the held-out rows.
         quality: The verdict and the findings behind it.
         uncertainty: Uncertainty of predicted poses.
@@ -67,7 +67,8 @@ class Result:
         left_out: Outlier rows, each with whether it was kept or left out.
         unit: Serial number of the robot; None if it was not given.
         pixels: Reprojection errors, for JSON; None if no pictures were taken.
-        stations: Which frames each file has of its own, as the caller said; None if the rows decided it.
+        stations: Which frames (base, tool) differ from file to file, as the caller stated. None if this was decided
+            from the rows.
     """
 
     arm: Arm
@@ -178,8 +179,9 @@ class Result:
     def own_mean_ci95(self) -> Ends | None:
         """95 % interval of the arm's own mean error in the instrument's frame, mm; None if there are too few rows.
 
-        The upper end is that of the held-out errors. If poses or positions were measured, the instrument's noise is
-        subtracted from the lower end. A held-out error contains this noise, the error of the arm does not.
+        The upper end is that of the interval for the mean held-out error. If poses or positions were measured, the
+        instrument's noise is subtracted from the lower end. A held-out error contains this noise, the error of the arm
+        does not.
         """
         if self.best.mean_ci95 is None:
             return None
@@ -362,7 +364,7 @@ class Result:
 
     @cached_property
     def set_ups(self) -> list[dict[str, Any]]:
-        """The set-ups (placements of instrument and target) of the files, as `set_ups_of` gives them.
+        """The set-ups of the files, that is placements of instrument and target, as values for JSON (`set_ups_of`).
 
         Empty if there is only one file.
         """
@@ -571,8 +573,8 @@ def assess(
         fit: The fit whose calibration is used.
         train: The rows that the calibration was fitted to.
         test: The held-out rows.
-        fits: The fits by name, in order: the geometry alone, then each with one part more; the last is ``fit``. If
-            None, they are ``fit`` without and with its learnt residual.
+        fits: The fits by name, in order. The first fits the geometry alone, each further one adds terms or a residual
+            model, and the last is ``fit``. If None, they are ``fit`` without and with its learnt residual.
         held_out: Errors on the held-out rows; if None, they are computed from ``fits``.
         left_out: Outlier rows.
         workspace: Name of the workspace where the arm will work, and joints ``(M, n)``, rad or m, that represent it.

@@ -59,7 +59,7 @@ class Choices:
         fit: One of `pickenv.calibration.model.prior.FIT_WORDS`. "auto" fits all parameters with priors. "offsets" fits
             the joint zeros alone. "full" fits all parameters without priors, as the papers do.
         tolerances: Name or path of the tolerance class that sets the priors of the arm's parts. None takes the arm's
-            own class, or else that of a cobot.
+            own class; for an arm without a class, that of a cobot.
         prior_scale: Factor on the standard deviations of the priors. None estimates it from the rows.
         workspace: The region for which the verdict holds (`pickenv.calibration.pipeline.result.workspace_joints`).
             None takes all poses within the joint limits.
@@ -110,13 +110,13 @@ None means our own columns.
 """
 
 STATIONS: dict[str, tuple[str, ...]] = {"none": (), "base": ("base",), "tool": ("tool",), "base,tool": OWN}
-"""Frames that differ from station to station, by the word that a caller gives for them."""
+"""Values of the option ``stations``, each with the frames that then differ from station to station."""
 
 
 def given_arm(arm: Arm | str | Path | None, columns: Columns) -> Arm:
-    """Return the arm that is given, or loaded from a file.
+    """Return the arm itself, or load it by its name or file.
 
-    If the files hold tool poses in place of joint values, it is `pose_carrier`: an arm whose six joints are a pose.
+    If the files hold tool poses in place of joint values, return `pose_carrier`: an arm whose six joints are a pose.
 
     Args:
         arm: The arm, its name or its file; None if the files hold tool poses.
@@ -153,11 +153,12 @@ def given_rows(
         arm: The arm.
         data: The rows, or their files.
         columns: Description of the files' columns; if several are given, one for each file.
-        stations: Which frames each file or data set has of its own, a key of `STATIONS`. If None, files of poses or
-            positions are grouped into stations by their rows. Of other kinds, the files of one description are one
-            data set, and each data set has its own base and tool.
+        stations: Which frames (base, tool) differ between files or data sets, a key of `STATIONS`. If None, files of
+            poses or positions are grouped into stations by their rows. For other kinds of measurement, files that share
+            a description are then one data set, and each data set has its own base and tool.
         known: Whether base and tool are known; then all files belong to one station.
-        like: The training rows, if ``data`` are test rows from the stations of the training rows.
+        like: The training rows, if ``data`` are test rows. The test rows are then assigned to the training rows'
+            stations.
 
     Raises:
         InputError: Names the file, row, column or unit at fault.
@@ -274,7 +275,7 @@ def _refuse_no_numbers(arm: Arm, data: Observations) -> None:
 
 
 GATE_ROWS = 3000
-"""Largest number of training rows on which residual models are judged; they are taken at equal steps."""
+"""Largest number of training rows on which residual models are judged; of more rows, equally spaced ones are taken."""
 
 ENOUGH_FOR_BLOCKS = 40
 """Smallest number of training poses with which blocks of rows can be held out."""
@@ -364,14 +365,14 @@ def calibrate(
             joint values.
         data: One data set of any kind or several, or the files that hold them (CSV or YAML).
         columns: Name or path of a description of the files' columns, or one for each file. None for our own columns.
-        stations: Which frames each file or data set has of its own: "base", "tool", "base,tool" or "none". If None,
-            files of poses or positions are grouped into set-ups by their rows. Of other kinds, the files of one
-            description are one data set, and each data set has its own base and tool.
+        stations: Which frames differ between files or data sets: "base", "tool", "base,tool" or "none". If None, files
+            of poses or positions are grouped into set-ups by their rows. For other kinds of measurement, files that
+            share a description are then one data set, and each data set has its own base and tool.
         test: Rows to judge by; if None, some rows of ``data`` are held out.
         split: How rows of ``data`` are held out. "random" holds some rows out and fits the calibration to the others.
-            "blocked" holds out each of ten contiguous blocks in turn. A model that is fitted and chosen without the
-            block judges it, and the calibration itself is fitted to all rows. Fewer than 40 poses are always judged by
-            blocks, and up to 20 poses one by one.
+            "blocked" holds out each of ten contiguous blocks of rows in turn. Each block is judged by a model that is
+            fitted and chosen without it. The calibration itself is fitted to all rows. Fewer than 40 poses are always
+            held out by blocks, and up to 20 poses one by one.
         test_rows: Number of rows that are held out at random; a fifth if None.
         choices: Terms, residual model, frames, robustness and seed. The defaults choose by the data.
         unit: Serial number of the robot; the calibration keeps it.

@@ -1,10 +1,10 @@
 """Turn a calibrated arm into a plant, that is a simulated true arm; further arms are drawn from the posterior.
 
 Geometry and terms have the posterior covariance of their parameters. Parameters that were dropped as redundant are
-drawn from their tolerances. Errors that no term describes are a Gaussian process. It is the calibration's own if it
-learnt one. Else it is fitted to the errors that geometry and terms leave on the rows, since networks have no posterior.
-Errors that are no smooth function of the joints are scatter. The instrument's share of it is subtracted, and the rest
-is the arm's own. SI units.
+drawn from their tolerances. Errors that no term describes are modelled by a Gaussian process. If the calibration learnt
+a Gaussian process, that one is used. Else one is fitted to the errors that geometry and terms leave on the rows, since
+networks have no posterior. Errors that are no smooth function of the joints are called scatter. The instrument's share
+of the scatter is subtracted, and the rest is attributed to the arm. SI units.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ from pickenv.calibration.residuals.gaussian_process import GaussianProcess, feat
 from pickenv.calibration.residuals.residual_models import JointInputs, fit_residual
 
 SMOOTH, ROUGH = 256, 8
-"""Numbers of waves, each a cosine and a sine, of one output.
+"""Numbers of waves, each a cosine and a sine, whose sum is one coordinate of the error.
 
-The first is for the Gaussian process, the second for the arm's own scatter.
+The first number is for the Gaussian process, the second for the arm's own scatter.
 """
 
 ROUGH_LENGTH = 1e-2
@@ -107,8 +107,8 @@ def twin(
         geometry_only: Whether terms and learnt residual are left out.
 
     Raises:
-        InputError: If the calibration is of another arm or holds no covariance, or if rows are needed. Also if a term
-            needs measured torques, or if a joint moves several links and ``geometry_only`` is False.
+        InputError: If the calibration is of another arm or holds no covariance, or if ``rows`` are needed and missing.
+            Also if a term needs measured torques, or if a joint moves several links and ``geometry_only`` is False.
     """
     calibration.refuse_another(arm)
     if geometry_only:

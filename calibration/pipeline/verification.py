@@ -1,8 +1,9 @@
 """Verify an old calibration on new rows.
 
-It answers three questions. Is the calibrated arm better than the nominal arm? Are its errors as small as promised? Was
-this region measured? If errors are larger than promised, it names the cause: frames that moved, joint zeros that
-changed, a region that was not measured, or another arm. mm and degrees in outputs, SI inside.
+It answers three questions. Is the calibrated arm better than the nominal arm? Are its errors as small as its
+uncertainty promises? Was the region of the new rows measured for the calibration? If errors are larger than promised,
+the verdict names the cause: frames that moved, joint zeros that changed, a region that was not measured, or another
+arm. mm and degrees in outputs, SI inside.
 """
 
 from __future__ import annotations
@@ -38,22 +39,29 @@ REFIT_ROWS = 6
 """Default number of rows to which base and tool are refitted."""
 
 CHANGE_STD = (1.0, np.pi / 6)
-"""Prior standard deviations of a frame's change, m and rad; directions that the rows do not determine do not change."""
+"""Prior standard deviations of the change of a refitted frame (base or tool): shift, m, and turn, rad.
+
+In directions that the rows do not determine, the frame does not change.
+"""
 
 NO_RANK = 1e-12
 """Rank tolerance of the refit, so small that no parameter counts as redundant, since each has a prior."""
 
 TOLD = 0.1
-"""Share of `CHANGE_STD` below which the standard deviation of a frame's direction counts as determined by the rows."""
+"""Limit up to which the rows determine a direction of a frame's shift or turn.
+
+It is a limit on the posterior standard deviation along the direction, as a share of the prior one (`CHANGE_STD`).
+"""
 
 CANDIDATES = 1000
 """Largest number of rows, taken at equal steps, from which the rows for the refit are chosen."""
 
 
 Moves = dict[str, tuple[float, float, int, int]]
-"""Change of each refitted frame by name: shift, m, turn, rad, and the numbers of undetermined directions of both.
+"""Change of each refitted frame, by the frame's name, as four values.
 
-Of the three directions of shift, and of the three of turn, these are the ones that the rows do not determine.
+These are the shift, m, and the turn, rad. Then follow two counts of directions that the rows do not determine: of the
+three directions of shift, and of the three of turn.
 """
 
 
@@ -62,8 +70,8 @@ Restationed = tuple[Calibration, Rows, Rows, Array, Moves]
 
 The first is the calibration with the base and tool of another station. The second and third are indices of rows: those
 to which the frames were fitted, and all rows of other poses. The fourth holds the expected mean square errors ``(R,)``,
-m^2, of those other rows, from the scatter of one reach and the frames' uncertainty. The last says how far the frames
-moved.
+m^2, of those other rows. They come from the scatter of a single motion to a pose and from the uncertainty of the
+frames. The last says how far the frames moved.
 """
 
 
@@ -155,12 +163,15 @@ def own_frames_model(geometry: Geometry, own: Collection[str]) -> ErrorModel:
 
 
 def expected_square(data: Measurements) -> float:
-    """Return the mean square of a position error, m^2, that the rows' standard uncertainty alone causes."""
+    """Return the mean square position error, m^2, that the standard uncertainty of the rows alone causes."""
     return 3.0 * data.position_std**2
 
 
 def weighed_by_reach(calibration: Calibration, data: Measurements) -> Measurements:
-    """Return the data with a larger standard uncertainty if the calibration's scatter of one reach is larger."""
+    """Return the data with standard uncertainties of at least the scatter in the calibration's record.
+
+    This is the scatter of a single motion to a pose (``position_repeat`` and ``attitude_repeat`` of `PoseUncertainty`).
+    """
     uncertainty = calibration.record.get("uncertainty") or {}
     position = max(float(uncertainty.get("position_repeat_m") or 0.0), data.position_std)
     attitude = max(float(uncertainty.get("attitude_repeat_rad") or 0.0), data.attitude_std)
@@ -205,15 +216,15 @@ def errors_there(there: Calibration, before: Calibration, data: Measurements) ->
 def near_rows(
     calibration: Calibration, data: Measurements, refit: Collection[str], count: int
 ) -> tuple[Measurements, tuple[LeftOut, ...]]:
-    """Remove outlier rows, and return the other rows and the outliers.
+    """Remove outlier rows; return the rows that are kept, and the outliers.
 
-    If many rows would be outliers, they are taken as a change of the arm, and all rows are kept.
+    If many rows would be outliers, this indicates a change of the arm, and all rows are kept.
 
     Args:
         calibration: The calibration.
-        data: Measured rows, possibly of another station.
-        refit: Which frames are that station's own. They are fitted before outliers are searched.
-        count: Number of rows to which these frames will be fitted later.
+        data: Measured rows, possibly of another station (placement of the instrument and its target).
+        refit: Which of "base" and "tool" differ in that station. They are refitted before outliers are searched.
+        count: Number of rows to which `verify` refits these frames after the outliers are removed.
     """
     model = calibration.model
     if refit:
@@ -233,17 +244,17 @@ def near_rows(
 GROWN = 1.5
 """Ratio of the RMS error to the promised one above which a calibration is no longer as good as promised.
 
-Rows of another region of the workspace are up to 1.3 times worse on four sets of one robot.
+On four data sets of one robot, the RMS error in another region of the workspace is up to 1.3 times larger.
 """
 
 ELSEWHERE = 20.0
 """Ratio of the RMS error to the promised one above which another region of the workspace cannot be the cause."""
 
 MOSTLY = 5.0
-"""Factor by which refitting base and tool must shrink errors beyond `ELSEWHERE` for moved frames to be the cause."""
+"""Factor by which refitting base and tool must shrink errors above `ELSEWHERE`, if moved frames are their cause."""
 
 ALIKE = 0.75
-"""Share of the nominal arm's RMS error from which on errors without a known cause mean that it is another arm."""
+"""Ratio of the calibrated to the nominal arm's RMS error at which errors without a known cause mean another arm."""
 
 Status = Literal[
     "still good",
@@ -264,12 +275,14 @@ class Verification:
         status: The verdict.
         reason: The reason for the verdict, as a sentence.
         calibrated: Position errors of the calibrated arm, mm.
-        nominal: Position errors of the nominal arm, with the same frames refitted to the same rows, mm.
+        nominal: Position errors of the nominal arm, mm. Frames that were refitted for the calibrated arm are refitted
+            for it too, to the same rows.
         expected: RMS position error that the calibration promises, mm.
         rows: Number of rows judged.
         refitted: Number of rows to which base and tool were refitted; 0 if they were not.
         moved: How far the refitted base and tool moved.
-        since: Text that names the row from which on errors stay large; None if there is no such row.
+        since: Text that names the row from which on every block of rows has too large errors; None if there is no
+            such row.
         left_out: Outlier rows that were left out.
         no_gain: The reason why the rows do not show that the calibrated arm is better than the nominal arm; None if
             they show it.
@@ -365,7 +378,7 @@ def verify(
         calibration: The calibration.
         data: New poses or positions of the same robot.
         refit: Which of "base" and "tool" are refitted first, because the instrument or its target was moved.
-        refit_rows: Number of rows to which these frames are refitted. The other rows judge.
+        refit_rows: Number of rows to which these frames are refitted. The calibration is judged on the other rows.
 
     Raises:
         InputError: If the data are not poses or positions, or too few.

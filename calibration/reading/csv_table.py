@@ -49,7 +49,7 @@ SAME_AS = {
     "abb_quaternion": "quaternion_wxyz",
     "ur_rotation_vector": "rotation_vector",
 }
-"""Robot makers' attitude conventions by name, and the equal convention in `GENERAL` of each."""
+"""Attitude conventions of robot makers: for each name, the name of the equal convention in `GENERAL`."""
 
 CONVENTIONS = GENERAL | {maker: GENERAL[general] for maker, general in SAME_AS.items()}
 """Attitude conventions by name, each with a kind of unit ("angle" or "none") and a function.
@@ -111,7 +111,7 @@ LONGEST_EXPRESSION = 1000
 Functions = dict[type[ast.AST], Callable[..., Any]]
 BINARY: Functions = {ast.Add: operator.add, ast.Sub: operator.sub, ast.Mult: operator.mul, ast.Div: operator.truediv}
 SIGNS: Functions = {ast.USub: operator.neg, ast.UAdd: operator.pos}
-"""The operators and signs allowed in expressions of columns, and the function that computes each."""
+"""Signs that are allowed in expressions of columns, each with the function that computes it; `BINARY` has operators."""
 
 
 class Table:

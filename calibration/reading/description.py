@@ -138,7 +138,7 @@ class DialTable(ContactTable):
 
 @toml_table
 class BarTable(ContactTable):
-    """Section [bar]: a ball bar of a given length, m; the length is fitted if it is not given."""
+    """Section [bar]: the length of a ball bar, m; without a value, it is fitted."""
 
     length: Annotated[float, MM.positive] | None = None
     length_std: Annotated[float, MM.not_negative] = 0.0
@@ -146,7 +146,7 @@ class BarTable(ContactTable):
 
 @toml_table
 class RadiusTable(ContactTable):
-    """Section [sphere]: the distance of the tool point from a fixed centre, m; it is fitted if it is not given."""
+    """Section [sphere]: the distance of the tool point from a fixed centre, m; without a value, it is fitted."""
 
     length: Annotated[float, MM.positive, Key("radius_mm")] | None = None
     length_std: Annotated[float, MM.not_negative, Key("radius_std_mm")] = 0.0
@@ -542,8 +542,8 @@ class DescriptionFile:
     def ends(self) -> tuple[tuple[str, str], tuple[str, str]]:
         """Names of the two ends of a measured pose, and the links that carry these ends.
 
-        A pose leads from the sensor to the target. For a camera that the arm carries, and for an inclinometer, it leads
-        from the target to the sensor.
+        The first end is the sensor, the second the target. For a camera that the arm carries, and for an inclinometer,
+        the order is reversed.
         """
         scene = self.scene
         names, links = (scene.sensor, scene.target), (scene.sensor_link, scene.target_link)

@@ -32,7 +32,8 @@ def read_measurements(
         path: The file.
         geometry: The arm's nominal geometry, for joint count and types.
         columns: Name or path of a column description; None for our own format.
-        repeats: Whether a row may equal another to the last digit, as in `read_observations`.
+        repeats: Whether a row may equal another to the last digit, as repeated measurements of a pose can. If False,
+            such rows are refused.
 
     Raises:
         InputError: Names the file, row, column or unit at fault.

@@ -47,16 +47,19 @@ CHORD = 0.1
 """Time over which speeds are computed, s: short against a motion, and long enough to suppress noise."""
 
 LEAST_OVERLAP, LEAST_CORRELATION = 0.3, 0.4
-"""Smallest overlap, as a share of the shorter log, and smallest correlation of speeds at an offset that is tried."""
+"""Two conditions on a clock offset to be tried: smallest overlap of the logs, and smallest correlation of the speeds.
+
+The overlap is a share of the shorter log.
+"""
 
 PEAKS, CLEAR = 5, 0.7
-"""Number of clock offsets tried by fits, and a limit on the best offset's median misfit.
+"""Number of clock offsets that are tried by fits, and a limit on the best offset's median misfit.
 
-The limit is a share of the median misfit of any other offset.
+The limit is a share of the median misfit of each other offset. Above it, the best offset is ambiguous.
 """
 
 TRIED, FITTED = 300, 1500
-"""Largest number of samples with which an offset is tried, and with which the clocks are fitted."""
+"""Largest numbers of samples: in a fit that tries a clock offset, and in the final fit of the clocks."""
 
 RATE_STD = 2e-4
 """Prior standard deviation of the relative difference of two clocks' rates; crystals keep 100 parts per million."""
@@ -65,10 +68,10 @@ STEP = 1e-3
 """Time step of the numerical derivative of residuals by the clock's offset, s."""
 
 REST, SETTLING = 0.4, 0.3
-"""Shortest rest of the arm that gives a row, and the time at its start in which the arm may still swing, s."""
+"""Shortest standstill of the arm that gives a row, s, and the time at its start in which the arm may still swing, s."""
 
 SPREADS, FINEST, COARSEST = 8.0, 2e-5, 3e-3
-"""Range within which joints count as resting, in standard deviations of the log's noise.
+"""Largest range of a resting joint's values, in standard deviations of the joint log's noise.
 
 The other two values are the lower and upper bound of this range, rad or m.
 """
@@ -77,7 +80,10 @@ PATH, MOST_ROWS = 0.02, 2000
 """Path length in joint space between two rows of a motion, rad and m together, and the largest number of such rows."""
 
 Read = Callable[[Table, description.DescriptionFile], Observations]
-"""Function that reads a table of joints and readings by its description, as if an arm at rest had been measured."""
+"""Function that reads a table of joints and readings by its column description.
+
+It treats each row as a measurement of the arm at rest.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,7 +111,7 @@ class Timed(Observations):
     source = worked_out(attrgetter("rows.source"))
 
     def at(self, clock: Array) -> Observations:
-        """Return the rows with the joints that belong to a clock: its offset, s, and relative rate ``(2,)``."""
+        """Return the rows with the joints at their times, for the clock's offset, s, and relative rate ``(2,)``."""
         return replace(self.rows, joints=self.joints_at(self.times / (1.0 + clock[1]) - clock[0]))  # type: ignore[type-var]
 
     def unknowns(self) -> tuple[str, ...]:
@@ -113,7 +119,7 @@ class Timed(Observations):
         return (*self.rows.unknowns(), "clock_offset", "clock_rate")
 
     def tolerances(self) -> Array:
-        """Return the scale of each of the `unknowns`."""
+        """Return the expected size of each of the `unknowns`, in its unit, for scaling the least squares."""
         return np.concatenate([self.rows.tolerances(), [1e-3, 1e-5]])
 
     def start(self, model: ArmModel) -> Array:
@@ -134,9 +140,9 @@ class Timed(Observations):
         return np.concatenate([self.at(clock).residual(model, own), -clock[1:] / RATE_STD])
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Compute the whitened derivatives with respect to the arm's parameters, and to the `unknowns`.
+        """Compute the derivatives of the whitened residuals with respect to the arm's parameters and to `unknowns`.
 
-        Those of the clock come from the joint velocities.
+        The derivatives with respect to the clock's offset and rate come from the joint velocities.
         """
         own, clock = np.split(unknowns, [-2])
         rows = self.at(clock)
@@ -155,7 +161,12 @@ class Timed(Observations):
         return np.asarray((late - early) / (2.0 * STEP))
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
-        """Compute the misses of the rows, with the joints that belong to the clock in ``unknowns``."""
+        """Compute measured minus predicted readings of the rows, with the joints at the times of a clock.
+
+        Args:
+            model: The arm.
+            unknowns: Values of the `unknowns`; the last two are the clock's offset, s, and relative rate.
+        """
         own, clock = np.split(unknowns, [-2])
         return self.at(clock).misses(model, own)
 
@@ -243,8 +254,8 @@ def read_recording(
 ) -> tuple[Table, description.DescriptionFile, Clocks]:
     """Turn an instrument's log and its joint log into rows.
 
-    Each rest of the arm gives a row with the mean of its samples. If the arm rested too rarely, rows are single samples
-    of its motion.
+    Each standstill of the arm gives a row with the mean of its samples. If these are too few, rows are single samples
+    of the motion.
 
     Args:
         table: The instrument's log.
@@ -252,11 +263,11 @@ def read_recording(
         layout: The column description, with [recording].
         where: Name of the description, for messages.
         geometry: The arm's nominal geometry.
-        read: Function that reads rows as if the arm had been at rest.
+        read: Function that reads a table as measurements of the arm at rest.
 
     Returns:
-        The rows; the description, whose stated uncertainties of single samples are larger by that of the clocks; and
-        the clocks.
+        The rows, the description and the clocks. If the rows are single samples, the uncertainties in the description
+        are increased by the effect of the clocks' uncertainty.
 
     Raises:
         InputError: If a time is out of order, if the logs do not belong together, or if their offset cannot be
