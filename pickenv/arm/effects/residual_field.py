@@ -4,8 +4,8 @@ The waves are random features of a Gaussian process (Rahimi and Recht 2007). An 
 a_k cos(w_k x) + b_k sin(w_k x), where x are the joints minus a centre. Joints with a wide range enter by sine and
 cosine. Arms share the frequencies w_k and differ in the weights a_k and b_k. Each output has smooth waves, then rough
 ones. A calibration learnt the smooth waves. Rough waves have such a short length scale that measurements cannot tell
-them from scatter. Waves are computed in single precision, because they are most of the cost; this is exact to nanometres.
-The module also has periodic errors of drives that differ from arm to arm. Units: m and rad.
+them from scatter. Waves are computed in single precision, because they are most of the cost; this is exact to
+nanometres. The module also has periodic errors of drives that differ from arm to arm. Units: m and rad.
 """
 
 from __future__ import annotations
