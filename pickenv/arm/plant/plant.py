@@ -33,9 +33,9 @@ CONSTANTS = toml_tables.Check(
 
 @toml_tables.toml_table
 class Unmeasured:
-    """A group of a plant's constants that were never measured: an entry of [[unmeasured]] in a plant file.
+    """Constants of a plant (a simulated true arm) that were never measured: an entry of [[unmeasured]] in its file.
 
-    All constants of a group are multiplied by one random factor.
+    The constants form a group: all are multiplied by one random factor.
 
     Attributes:
         name: Name of the group.
@@ -181,7 +181,7 @@ class Plant:
         return replace(self, effects=(*(effect for effect in self.effects if effect.name not in names), *effects))
 
     def without(self, effects: str | Iterable[str]) -> Plant:
-        """Return this plant without the effects of these names; names of effects that it does not have are ignored.
+        """Return this plant without the effects of these names; other registered effects' names are ignored.
 
         Args:
             effects: One name, or several.
