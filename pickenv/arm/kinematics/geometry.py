@@ -180,7 +180,7 @@ class Geometry:
     def link_names(self) -> tuple[str, ...]:
         """One name per link, shape (L,): the joint's name, with a number if the joint moves several links.
 
-        A fixed link is called "mount of" its joint.
+        A fixed link has the name "mount of JOINT", with the joint that `owners` gives for it.
         """
         names = []
         for i, (joint, ratio) in enumerate(zip(self.owners, self.ratios, strict=True)):

@@ -292,7 +292,7 @@ class Plant:
         return at.frame
 
     def stands(self, m: ModuleType, state: PlantState, q: Sequence[Scalar]) -> tuple[list[Scalar], Frame]:
-        """Return the true joint positions and the true tool frame in a given state.
+        """Return the true joint positions and the true tool frame in the state ``state``.
 
         Args:
             m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
@@ -308,7 +308,7 @@ class Plant:
         return list(at.joints), at.frame
 
     def readings(self, m: ModuleType, state: PlantState, q: Sequence[Scalar]) -> list[Scalar]:
-        """Return the readings of the motor encoders in a given state: n components, rad or m.
+        """Return the readings of the motor encoders in the state ``state``: n components, rad or m.
 
         A reading is the motor position, with its following error, rounded to encoder counts. It does not contain drive
         errors, friction, backlash, deflection or vibration.
