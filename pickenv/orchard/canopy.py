@@ -32,11 +32,11 @@ OVERLAP = 1e-4  # m that two fruit may dent each other
 def sample_fruit(fruit_map: FruitMap, size: FruitSize, canopy: Canopy, rng: np.random.Generator) -> tuple[Array, Array]:
     """Draw positions and diameters of the fruit in one canopy.
 
-    The blocks of the fruit map are scaled so that a whole number of them fills the canopy's height and width. The
-    expected number of fruit per metre of row is unchanged.
+    The square blocks of the fruit map become rectangles, so that a whole number of them fills the canopy's height
+    and width. The expected number of fruit per metre of row is unchanged.
 
     Args:
-        fruit_map: Expected numbers of fruit per block, by row of blocks.
+        fruit_map: Distribution of the number of fruit per block of the fruiting wall.
         size: Distribution of diameters.
         canopy: The volume to fill.
         rng: Random generator for all draws.
@@ -211,7 +211,7 @@ def foliage_path(canopy: Canopy, start: ArrayLike, end: ArrayLike) -> Array:
 
 
 def foliage_transmission(canopy: Canopy, start: ArrayLike, end: ArrayLike) -> Array:
-    """Return the expected share of small targets that leaves do not hide, (...), 0 to 1.
+    """Return the expected visible share of small targets behind leaves, (...), 0 to 1.
 
     Args:
         canopy: The canopy.
@@ -232,9 +232,9 @@ def occlusion(canopy: Canopy, positions: ArrayLike, diameters: ArrayLike, viewpo
         viewpoint: Camera positions in the orchard frame, m, shape (..., 3).
 
     Returns:
-        Share of each fruit's disc that neither leaves nor other fruit hide, shape (..., n). And the visible side: unit
-        vectors across the line of sight, away from the fruit that cover this one, shape (..., n, 3). They are zero if
-        no fruit does.
+        Two arrays. The first is the share of each fruit's disc that neither leaves nor other fruit hide, shape
+        (..., n). The second is the visible side of each fruit, shape (..., n, 3): a unit vector across the line of
+        sight, away from the fruit that cover this one. It is zero for a fruit that no other fruit covers.
 
     Raises:
         InputError: If a number is not finite, a diameter not above zero, or a viewpoint lies inside a fruit.
@@ -295,7 +295,7 @@ def approach_clear(
         Booleans, shape (n,).
 
     Raises:
-        InputError: If a number is impossible or a shape is wrong.
+        InputError: If a number is not finite or outside its limits, or a shape is wrong.
     """
     positions, diameters = checks.fruit_arrays(positions, diameters)
     checks.numbers("the tool radius (m)", tool_radius, positive=True)
@@ -362,7 +362,7 @@ class Station(checks.Preset):
     source: str = ""
 
     def handling(self, grasps: int, fruit: int) -> float:
-        """Return the time for gripping, depositing and releasing, s, which is not simulated.
+        """Return the total time for gripping, depositing and releasing, s, which the simulation leaves out.
 
         Args:
             grasps: Number of grasps.

@@ -25,14 +25,14 @@ def measuring_range(what: str, nearest: float, farthest: float) -> None:
     """Check that a camera's range of distances, m, is finite and that ``nearest`` is below ``farthest``.
 
     Raises:
-        InputError: If it is not.
+        InputError: If one of the two conditions does not hold.
     """
     if not nearest < farthest < np.inf:
         raise InputError(f"the range of {what} ends at {farthest} m; give more than its beginning, {nearest} m")
 
 
 class Preset:
-    """Base of preset classes; an object whose number is outside the bounds of its annotation raises an `InputError`."""
+    """Base of preset classes; raises an `InputError` if a field's number is outside the limits of the field's type."""
 
     def __post_init__(self) -> None:
         words = re.sub(r"(?<=[a-z])(?=[A-Z])", " ", type(self).__name__).lower()

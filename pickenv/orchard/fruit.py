@@ -55,7 +55,7 @@ load_detachment = preset_files.loader("detachment", Detachment)
 def sample_strength(
     detachment: Detachment, shape: int | tuple[int, ...], rng: np.random.Generator
 ) -> tuple[Array, Array]:
-    """Draw the loads that detach fruit: pulling forces, N, and torques, N·m, of ``shape`` each.
+    """Draw the loads that detach fruit: pulling forces, N, and torques, N·m, as two arrays of shape ``shape``.
 
     Both loads of a fruit have the same log-normal factor.
     """

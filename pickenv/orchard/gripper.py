@@ -48,7 +48,8 @@ class Gripper(Protocol):
     def tolerance(self) -> float:
         """Lateral misalignment that is tolerated without other misalignment, m.
 
-        For a cup, it is the largest at which the fruit is taken. For a hand, it is that with a probability of 0.5.
+        For a cup, it is the largest at which the fruit is taken. For a hand, a fruit is taken with a probability of 0.5
+        at this misalignment.
         """
 
 
@@ -120,7 +121,7 @@ class CompliantHand(checks.Preset):
 
     @property
     def tolerance(self) -> float:
-        """Lateral misalignment at which a fruit is taken with a probability of 0.5, m; 0 if there is none."""
+        """Lateral misalignment at which the probability of taking a fruit is 0.5, m; 0 if it is always below 0.5."""
         return max(self.intercept / self.lateral, 0.0)
 
 
@@ -155,7 +156,7 @@ def misalignment(
     Args:
         offset: Vector from the tool's point to the fruit's centre, m, shape (..., 3).
         tool_axis: Direction in which the tool approaches, shape (..., 3), in the same frame.
-        wanted_axis: Direction in which it should approach, shape (..., 3); None for ``tool_axis``.
+        wanted_axis: Direction in which the tool should approach, shape (..., 3); None for ``tool_axis``.
 
     Returns:
         Lateral misalignment, m, axial misalignment, m, and angle, rad, of shape (...) each. The axial misalignment is
@@ -215,7 +216,7 @@ def load_gripper(name: str | Path) -> Gripper:
 
 
 def gripper_kind(table: Mapping[str, Any]) -> type[Any]:
-    """Return the class of the gripper that a table of a gripper file describes, by its key ``kind``.
+    """Return the class of the gripper that a gripper file's table describes: its key ``kind``, "cup" by default.
 
     Raises:
         InputError: If there is no such kind.

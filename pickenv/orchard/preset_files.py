@@ -38,8 +38,8 @@ def load(kind: str, name: str | Path, thing: type[Thing] | Callable[[Mapping[str
             for a table.
 
     Raises:
-        InputError: If the preset is unknown, or a number is missing or impossible. The message names the file and the
-            key.
+        InputError: If the preset is unknown, or a number is missing or outside its limits. The message names the file
+            and the key.
     """
     own = Path(name).suffix == ".toml"
     path = Path(name) if own else FOLDER / f"{kind}.toml"

@@ -136,17 +136,17 @@ def next_picture(errors: SightErrors, before: Array, rng: np.random.Generator) -
 
 
 def sighted(errors: SightErrors, depth: ArrayLike, chances: Array, looks: int = 1) -> tuple[Flags, Flags, Array]:
-    """Compute by a table of errors which fruit are visible and located, and with what errors.
+    """Compute from a table of errors which fruit are visible, which are located, and their position errors.
 
     Args:
         errors: The table.
         depth: Distances of the fruit ahead of the camera, m, (n,).
         chances: Random numbers that decide the result, (n, 5); see `draw_chances`.
-        looks: Number of images that are averaged. It reduces the part of the error that differs between images.
+        looks: Number of images that are averaged. Averaging reduces the part of the error that differs between images.
 
     Returns:
-        Whether each fruit is visible at least in part (n,); whether it is located (n,); and position errors in the
-        camera frame, m, (n, 3).
+        Three arrays: whether each fruit is visible at least in part, (n,); whether it is located, (n,); and its
+        position error in the camera frame, m, (n, 3).
     """
     from scipy.special import ndtr
 
@@ -172,7 +172,7 @@ def _roots(errors: SightErrors) -> Array:
 
 VISIONS = ("rendered", "measured_errors", "ideal")
 DETECTORS = ("li2016", "circles")
-"""Names of the detectors: centroids of fruit-coloured regions (Li et al. 2016), and circles that leaves may cover."""
+"""Names of the detectors: centroids of fruit-coloured regions (Li et al. 2016), and circles through visible rims."""
 
 SAME = 1.0
 """Largest distance between a correct detection and its fruit, as a multiple of the largest fruit diameter."""
@@ -332,8 +332,9 @@ def located_fruit(
         diameters: Fruit diameters, m, (n,).
 
     Returns:
-        Whether each fruit is located, (n,); positions of the fruit, m, (n, 3); and positions of false detections, m,
-        (m, 3). Positions are in the camera frame. That of a fruit that is not located is the true position.
+        Three arrays: whether each fruit is located, (n,); measured positions of the fruit, m, (n, 3); and positions of
+        false detections, m, (m, 3). Positions are in the camera frame. A fruit that is not located has its true
+        position.
     """
     located, positions = np.zeros(len(places), dtype=bool), places.copy()
     visible = np.flatnonzero(pair.visible > 0)
@@ -363,7 +364,7 @@ def see(
         view: The viewpoint.
         fruit: True fruit centres in the frame of the viewpoint, m, (n, 3).
         diameters: Fruit diameters, m, (n,).
-        rng: Random generator for all random numbers that are not given.
+        rng: Random generator for all draws, except ``chances`` if these are not None.
         leaves: Leaves in the frame of the viewpoint, for the vision "rendered"; None for no leaves.
         chances: Random numbers for the vision "measured_errors", (n, 5), from `draw_chances` or `next_picture`; drawn
             by default.

@@ -168,7 +168,7 @@ def fruit_threshold(difference: Array) -> float:
 
 
 def fruit_mask(camera: StereoCamera, image: ArrayLike) -> Flags:
-    """Return which pixels belong to fruit, (height, width), by `fruit_threshold` and Li's morphology.
+    """Return a mask of the fruit's pixels, (height, width), by `fruit_threshold` and Li's erosions and dilations.
 
     Args:
         camera: The stereo pair, which has the detector's parameters.
@@ -194,15 +194,15 @@ def fruit_mask(camera: StereoCamera, image: ArrayLike) -> Flags:
 
 
 def fruit_regions(camera: StereoCamera, image: ArrayLike) -> tuple[Array, Integers]:
-    """Return the connected regions of the pixels in `fruit_mask`.
+    """Find the connected regions of fruit pixels (those of `fruit_mask`).
 
     Args:
         camera: The stereo pair, which has the detector's parameters.
         image: Image, uint8, (height, width, 3).
 
     Returns:
-        Centroids, column and row, px, (m, 2). And bounding boxes, px, (m, 4): first row, first column, and the row and
-        the column after the last.
+        Two arrays: centroids, column and row, px, (m, 2); and bounding boxes, px, (m, 4). A box is first row, first
+        column, the row after the last, and the column after the last.
     """
     require("skimage")
     from skimage.measure import label, regionprops
@@ -216,7 +216,7 @@ def matched_sizes(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[
     """Check that both images have the camera's size.
 
     Raises:
-        InputError: If one does not.
+        InputError: If an image has another size.
     """
     width, height = camera.image
     for side, image in (("left", left), ("right", right)):
@@ -235,8 +235,8 @@ def locate(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[np.uint
         right: Right image, uint8, shape (height, width, 3).
 
     Returns:
-        Positions, camera frame, m, (m, 3), of the regions with a valid match in the right image, and correlations of
-        the matches, (m,).
+        Two arrays, for the regions with a valid match in the right image: positions in the camera frame, m, (m, 3), and
+        correlations of the matches, (m,).
 
     Raises:
         InputError: If the images are not of the camera's size or are not colour images.
@@ -332,8 +332,8 @@ def fruit_circles(search: CircleSearch, image: ArrayLike) -> tuple[Array, Flags]
         image: Image, uint8, (height, width, 3).
 
     Returns:
-        Column, row and radius of each circle, px, (m, 3), those with the most complete rim first. And a mask of the
-        pixels of fruit colour, (height, width).
+        Two arrays: column, row and radius of each circle, px, (m, 3), the circles with the most complete rim first; and
+        a mask of the pixels of fruit colour, (height, width).
     """
     from scipy import ndimage
 
@@ -459,8 +459,8 @@ def locate_circles(
         right: Right image, uint8, shape (height, width, 3).
 
     Returns:
-        Positions, camera frame, m, (m, 3), of the circles with a valid match in the right image, and agreements of the
-        matches, 0 to 1, (m,).
+        Two arrays, for the circles with a valid match in the right image: positions in the camera frame, m, (m, 3), and
+        agreements of the matches, 0 to 1, (m,).
 
     Raises:
         InputError: If the images are not of the camera's size or are not colour images.

@@ -35,7 +35,7 @@ class Encoder(Effect, place=MOTOR):
     resolution: tuple[Scalar, ...]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Round the motor positions to the nearest encoder count."""
+        """Round the motor positions of ``at``, in place, to the nearest encoder count; ``memory`` is not used."""
         pairs = zip(at.motor, self.resolution, strict=True)
         at.turn([nearest_whole(at.m, value / count) * count for value, count in pairs])
 
@@ -52,7 +52,7 @@ class Servo(Effect, place=MOTOR + 0.5):
     time_constant: Annotated[tuple[Scalar, ...], MILLISECONDS.positive, PER_JOINT]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Set the motors to the positions in ``memory``."""
+        """Set the motors of ``at``, in place, to the positions in ``memory``."""
         at.turn(memory)
 
     def begin(self, at: Passage) -> Components:
@@ -60,7 +60,7 @@ class Servo(Effect, place=MOTOR + 0.5):
         return tuple(at.motor)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Return the motor positions after ``dt`` seconds of following the command."""
+        """Return the motor positions ``dt`` seconds after they were ``memory``, while the command is held."""
         numbers = zip(memory, at.motor, self.time_constant, strict=True)
         return tuple([target + (value - target) * exponential(at.m, -dt / slow) for value, target, slow in numbers])
 
@@ -87,9 +87,10 @@ class ThermalGrowth(Effect, place=JOINT + 0.6, spreads={"time_constant": "warm_u
     time_constant: Annotated[Scalar, HOURS.positive]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Scale a and d of every link by 1 + alpha dT, and the displacement of every slide, because its rack grows too.
+        """Apply the temperature rise dT in ``memory`` to the links of ``at``, in place.
 
-        Angles do not change.
+        The lengths a and d of every link are multiplied by 1 + alpha dT. So is the displacement of every slide, because
+        its rack grows too. Angles do not change.
         """
         factors = [1.0 + alpha * memory[0] for alpha in self.expansion]
         pairs = zip(at.chain.links, factors, strict=True)
@@ -107,11 +108,11 @@ class ThermalGrowth(Effect, place=JOINT + 0.6, spreads={"time_constant": "warm_u
         return (self.final_rise,)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Return the temperature rise after ``dt`` seconds, K."""
+        """Return the temperature rise, K, ``dt`` seconds after it was ``memory``."""
         return (warmed(at.m, self, memory[0], dt),)
 
     def drawn(self, draws: Draws) -> ThermalGrowth:
-        """Return the effect of many arms, each final temperature rise drawn from the tolerance class's range."""
+        """Return the effect of many arms; each final temperature rise is drawn from the tolerance class's range."""
         low, high = draws.temperature_rise
         return replace(super().drawn(draws), final_rise=low + (high - low) * draws.even["temperature_rise"][:, 0])
 
@@ -148,7 +149,7 @@ class GravityYield(Effect, place=JOINT + 0.2):
     up: tuple[float, float, float]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Subtract the deflections from the joint positions."""
+        """Subtract the deflections from the joint positions of ``at``, in place; ``memory`` is not used."""
         links = frames(at.m, at.cold, at.joints)
         base, joints = links[0], list(at.joints)
         up = [sum(base[axis + i] * part for axis, part in zip((0, 3, 6), self.up, strict=True)) for i in range(3)]

@@ -34,7 +34,7 @@ order the effects of one place."""
 Components = tuple[Scalar, ...]
 
 Weight = tuple[Scalar, Scalar, Scalar]
-"""Mass of a link and all links after it, kg, and that mass times its horizontal position (x, y) in the world, kg*m."""
+"""Mass of a link and all after it, kg, and that mass times x and times y of its centre of mass in the world, kg*m."""
 
 
 @toml_table
@@ -87,11 +87,11 @@ class Passage:
 
     @property
     def pull(self) -> tuple[list[Weight], list[Scalar]]:
-        """Gravity's load on the straight, cold arm at ``driven``, as two lists; the plant must have masses.
+        """Two lists: the `Weight` that each link carries, and the gravity torque or force on each joint, N*m or N.
 
-        The first list is that of `weights_behind`: the `Weight` of each link with all links after it, and last that of
-        the payload. The second list has the torques or forces on the joints, N*m or N. The small changes by bending
-        and thermal growth are neglected.
+        The first list is the result of `weights_behind`, with the payload's `Weight` at its end. Both lists hold for
+        the joint positions ``driven``. They neglect the small changes by bending and thermal growth. The plant (the
+        true arm with its errors) must have masses.
         """
         if self._pull is None:
             straight = frames(self.m, self.cold, self.driven)  # not kept: NumPy uses its memory again
@@ -123,8 +123,8 @@ class Draws:
     """Uniform random numbers for N arms, and how widely their tolerance class lets the arms differ.
 
     Attributes:
-        even: Uniform random numbers from 0 to 1 ``(N, k)``, by the quantity that they decide. Those that only one
-            effect uses have the key "own NAME", with the name of the effect.
+        even: Arrays ``(N, k)`` of uniform random numbers from 0 to 1. Each key is the name of the quantity that the
+            numbers determine. Numbers that only one effect uses have the key "own NAME", with the effect's name.
         spread: Standard deviations of the logarithm of each size: the table [spread] of a tolerance file, as an object.
         temperature_rise: Range of the warm arm's temperature rise, K.
     """
@@ -140,8 +140,8 @@ class Draws:
             values: The k values.
             key: Key of the random numbers in ``even``.
             first: Column of ``even[key]`` for the first value; the other values take the columns after it.
-            spread: Name of the entry of [spread] that holds the standard deviation of the logarithm; ``key`` if empty.
-                Or that standard deviation itself.
+            spread: Standard deviation of the logarithm, or the name of the entry of [spread] that holds it. If empty,
+                the name is ``key``.
 
         Returns:
             For each value an array ``(N,)``.
@@ -157,23 +157,25 @@ def standard_normal_of(even: Array) -> Array:
 
 
 class Effect:
-    """Base class of effects: one cause of an arm's error. Subclasses are frozen dataclasses of its numbers.
+    """Base class of effects. An effect is one cause of an arm's error.
 
-    The numbers are those of one arm, or arrays with one entry per arm. A subclass gives class arguments:
+    Each subclass is a frozen dataclass whose fields are the effect's numbers: of one arm, or arrays with one entry per
+    arm. A subclass gives class arguments:
 
     - ``place``: where the effect acts, `MOTOR` to `BESIDE`, plus a fraction.
-    - ``spreads``: which numbers differ from arm to arm, by attribute name (optional). The value is either the name of
-      an entry in a tolerance class's [spread], whose random numbers the attribute then uses. Or it is the standard
-      deviation of the attribute's logarithm; the effect then has random numbers of its own.
+    - ``spreads``: the attributes that differ from arm to arm, with their spread (optional). A spread is the name of an
+      entry in a tolerance class's [spread]; the attribute then uses the random numbers of that entry. Or a spread is
+      the standard deviation of the attribute's logarithm; the effect then has random numbers of its own.
     - ``needs_load``: whether the effect does nothing without masses (optional).
     - ``name``: the name of the effect and of its table in plant files (optional). By default it is the class's name in
       lower case with ``_`` between words.
 
     An effect may have a memory: a tuple of components of the joints' shape. Such an effect defines `begin` and `carry`.
-    It also defines `rest` if its memory after a long time differs from that at the beginning.
+    It also defines `rest` if the memory after a long time differs from the memory at the beginning.
 
     Attributes:
-        table: The type as which a plant file's table is read; None if it is the class itself, made by `toml_table`.
+        table: Type to which the effect's table in a plant file is converted. None if this type is the effect's class
+            itself, made by `toml_table`.
         remembers: Whether the effect has a memory.
     """
 
@@ -193,10 +195,10 @@ class Effect:
         cls.remembers = cls.carry is not Effect.carry
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Apply the effect to a command; by default, append the effect to ``at.bends``.
+        """Apply the effect to a command, in place; by default, append the effect to ``at.bends``.
 
         Args:
-            at: The command's passage, which is changed.
+            at: The command's passage, which is changed in place.
             memory: The effect's memory; ``()`` if it has none.
         """
         at.bends.append(self)
@@ -220,20 +222,20 @@ class Effect:
         return self.begin(at)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Return the effect's memory after ``at.command`` was held for ``dt`` seconds, given the memory before."""
+        """Return the effect's memory ``dt`` seconds after it was ``memory``, while ``at.command`` is held."""
         return memory
 
     def fault(self, arm: Arm) -> str:
-        """Return an error message if the effect is impossible on ``arm``, with what to give instead; else ""."""
+        """Return an empty string if ``arm`` can have this effect, else an error message with what to give instead."""
         return ""
 
     def own_sizes(self) -> tuple[Scalar, ...]:
-        """Return the numbers that differ from arm to arm and use the effect's own random numbers."""
+        """Return the values of those attributes in ``spreads`` that use the effect's own random numbers."""
         names = (name for name, spread in self.spreads.items() if isinstance(spread, float))
         return tuple(number for name in names for number in _numbers(getattr(self, name)))
 
     def drawn(self, draws: Draws) -> Self:
-        """Return the effect of many arms, with each number in ``spreads`` drawn about this effect's value."""
+        """Return the effect of many arms: each attribute in ``spreads`` is this effect's value times random factors."""
         parts: dict[str, Any] = {}
         used: Counter[str] = Counter()
         for name, spread in self.spreads.items():  # sizes of one spread take its columns one after another
@@ -249,7 +251,7 @@ def _numbers(value: Any) -> tuple[Any, ...]:
 
 
 def table_of(name: str) -> Any:
-    """Return the type as which a registered effect's table in a plant file is read; None if it can have no table.
+    """Return the type to which an effect's table in a plant file is converted; None if the effect has no table.
 
     Args:
         name: Name of the effect.
@@ -265,7 +267,9 @@ def table_of(name: str) -> Any:
 
 
 def weights_behind(chain: Chain, frames: Sequence[Frame], load: Load) -> list[Weight]:
-    """Compute the `Weight` of each link together with all links after it and the payload; last, that of the payload.
+    """Compute for each link the `Weight` of itself, all links after it and the payload.
+
+    One more entry at the end of the list is the `Weight` of the payload alone.
 
     Args:
         chain: The chain.

@@ -43,7 +43,7 @@ class BaseTilt(Effect, place=BASE, spreads=GIVING_WAY, needs_load=True):
     time_constant: Annotated[Scalar, HOURS.positive]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Move the tool with the machine's tilt, creep and settlement."""
+        """Move the tool of ``at``, in place, by the machine's tilt and by the creep and settlement in ``memory``."""
         (tilt_x, tilt_y), (creep_x, creep_y, settlement) = self._tilt(at), memory
         x0, y0, z0 = self.pivot
         *axes, px, py, pz = at.frame
@@ -62,7 +62,7 @@ class BaseTilt(Effect, place=BASE, spreads=GIVING_WAY, needs_load=True):
         return self.creep * x, self.creep * y, self.settlement
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Return the creep about x and y, rad, and the settlement, m, after ``dt`` seconds."""
+        """Return the creep about x and y, rad, and the settlement, m, ``dt`` seconds after they were ``memory``."""
         faded, pairs = exponential(at.m, -dt / self.time_constant), zip(self.rest(at), memory, strict=True)
         return tuple([final + (part - final) * faded for final, part in pairs])
 
@@ -104,15 +104,15 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
     rise_time: Annotated[Scalar, MILLISECONDS.positive]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Add the vibrations to the joint positions."""
+        """Add the vibrations in ``memory`` to the joint positions of ``at``, in place; an empty memory adds nothing."""
         if memory:
             n = len(at.joints)
             at.joints = [value + swing for value, swing in zip(at.joints, memory[n : 2 * n], strict=True)]
 
     def begin(self, at: Passage) -> Components:
-        """Return for each joint its motion profile x and its vibration e, rad or m, and the sum e' + p x'.
+        """Return 3 n components: motion profiles x of the joints, then vibrations e, then sums e' + p x'.
 
-        This sum is continuous where the command jumps.
+        Profiles and vibrations are in rad or m, sums in rad/s or m/s. The sums are continuous where the command jumps.
         """
         still = [value * 0.0 for value in at.command]
         return *at.command, *still, *still
@@ -122,7 +122,7 @@ class Settling(Effect, place=JOINT + 0.4, spreads={"frequency": "frequency", "da
         return ()
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Return the joints' profiles x, vibrations e and sums e' + p x' after ``dt`` seconds; see `begin`."""
+        """Return the 3 n components that `begin` describes, ``dt`` seconds after they were ``memory``."""
         m, lag, n = at.m, self.rise_time, len(at.command)
         faded = exponential(m, -dt / lag)
         profiles, vibrations, rates = [], [], []

@@ -2,10 +2,10 @@
 
 The waves are random features of a Gaussian process (Rahimi and Recht 2007). An output is the sum over k of
 a_k cos(w_k x) + b_k sin(w_k x), where x are the joints minus a centre. Joints with a wide range enter by sine and
-cosine. Arms share the frequencies w_k and differ in the weights a_k and b_k. Of each output, the smooth waves, which a
-calibration learnt, come first. Rough waves follow: their length scale is so short that measurements cannot tell them
-from scatter. Waves are computed in single precision, because they are most of the cost; this is exact to nanometres.
-The module also has periodic errors of drives that differ from arm to arm. Units: m and rad.
+cosine. Arms share the frequencies w_k and differ in the weights a_k and b_k. Each output has smooth waves, then rough
+ones. A calibration learnt the smooth waves. Rough waves have such a short length scale that measurements cannot tell
+them from scatter. Waves are computed in single precision, because they are most of the cost; this is exact to
+nanometres. The module also has periodic errors of drives that differ from arm to arm. Units: m and rad.
 """
 
 from __future__ import annotations
@@ -62,7 +62,7 @@ class Features:
     def inputs(self, m: ModuleType, q: Sequence[Scalar]) -> list[Scalar]:
         """Return the F inputs at joints ``q``, minus the centre.
 
-        The joints that are not periodic come first, then the sines of the others, then the cosines.
+        The joints that are not periodic come first, then the sines of the periodic joints, then their cosines.
 
         Args:
             m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
@@ -104,7 +104,7 @@ class ResidualField(Effect, place=TOOL + 0.5, name="residual"):
     turn: tuple[tuple[float, float, float], ...]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Displace the tool's frame by the field's outputs."""
+        """Displace the tool's frame of ``at``, in place, by the field's outputs; ``memory`` is not used."""
         m, frame = at.m, at.frame
         parts = [part + constant for part, constant in zip(_outputs(m, self, at.motor), self.offset, strict=True)]
         triples = (parts[first : first + 3] for first in range(0, self.features.outputs, 3))
@@ -185,7 +185,8 @@ class WavesTable:
     """The table [drive_harmonics] of a plant file, which says how periodic drive errors are distributed.
 
     Attributes:
-        seed: Seed of the plant's own periodic errors; arms that are drawn from the plant have other errors.
+        seed: Seed of the periodic errors of the plant (the simulated true arm). Arms that are drawn from the plant have
+            other periodic errors.
         decay: Exponent with which the standard deviation falls: as (longest period / period) ** -decay.
         joints: For each joint the number of waves, the standard deviation of a coefficient at the longest period, and
             the longest and the shortest period.
@@ -235,11 +236,11 @@ class DriveHarmonics(Effect, place=DRIVE + 0.5):
     harmonics: tuple[Harmonic, ...]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Add the periodic errors to the driven positions."""
+        """Add the periodic errors to the driven positions of ``at``, in place; ``memory`` is not used."""
         at.drive(with_waves(at.m, self.harmonics, at.motor, at.driven))
 
     def drawn(self, draws: Draws) -> DriveHarmonics:
-        """Return the drives of many arms, with periodic errors from the random numbers ``draws``."""
+        """Return the drives of many arms, whose periodic errors follow from the random numbers in ``draws``."""
         return self.of_numbers(draws.even[self.name])
 
     def of_numbers(self, even: Array) -> DriveHarmonics:
@@ -309,15 +310,15 @@ class LocalStructure(Effect, place=TOOL):
     field: ResidualField
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Displace the tool's frame by the field's outputs."""
+        """Displace the tool's frame of ``at``, in place, by the field's outputs; ``memory`` is not used."""
         self.field.act(at, memory)
 
     def drawn(self, draws: Draws) -> LocalStructure:
-        """Return the local structure of many arms, with weights from the random numbers ``draws``."""
+        """Return the local structure of many arms, whose weights follow from the random numbers in ``draws``."""
         return self.of_numbers(draws.even[self.name])
 
     def of_numbers(self, even: Array) -> LocalStructure:
-        """Return the local structure of arms with uniform random numbers from 0 to 1, ``(..., weights)``."""
+        """Return the local structure whose weights follow from uniform random numbers 0 to 1, ``(..., weights)``."""
         features = self.field.features
         weight = self.std * standard_normal_of(even).reshape(*even.shape[:-1], features.outputs, 2, features.count)
         return replace(self, field=replace(self.field, weight=weight.astype(np.float32)))
@@ -333,7 +334,7 @@ def local_structure_of(table: StructureTable, context: Any) -> LocalStructure:
 
     Args:
         table: The table.
-        context: Context of reading the plant file, which holds the arm.
+        context: Context of the plant file that is being read; it holds the arm.
     """
     lengths = np.array(numbers_per_joint(table, context, "length")[0])
     joints = len(lengths)

@@ -29,7 +29,7 @@ class JointCompliance(Effect, place=JOINT, spreads={"stiffness": "joint_stiffnes
     stiffness: Annotated[tuple[Scalar, ...], toml_tables.NUMBER.positive, PER_JOINT]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Add the deflections to the joint positions."""
+        """Add the deflections to the joint positions of ``at``, in place; ``memory`` is not used."""
         numbers = zip(at.joints, at.pull[1], self.stiffness, strict=True)
         at.joints = [value + torque / k for value, torque, k in numbers]
 
@@ -81,7 +81,10 @@ class BoomBending(Boom, place=BEND + 0.2, spreads={"flexural_rigidity": "flexura
     mass_per_length: Annotated[Scalar, toml_tables.KG_PER_M.not_negative]
 
     def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
-        """Lower and tilt the boom's tip under the component of gravity across the boom; arguments as in `Boom.bent`."""
+        """Return the frame of the boom's tip, lowered and tilted by the component of gravity across the boom.
+
+        Arguments as in `Boom.bent`.
+        """
         end, boom = self.end_mass + (at.load.payload if at.load else 0.0), self.mass_per_length
         stiffness = self.flexural_rigidity / GRAVITY
         sag = length * length * length * (end / (3.0 * stiffness) + length * (boom / (8.0 * stiffness)))
@@ -103,15 +106,15 @@ class RollerPlay(Boom, place=BEND + 0.8, spreads={"clearance": "roller_clearance
     overlap: Annotated[Scalar, toml_tables.MM.positive]
 
     def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
-        """Tilt the boom down in its rollers: by the full angle if it is level, by less if it is inclined.
+        """Return the frame of the boom's tip after the boom has tilted down in its rollers.
 
-        Arguments as in `Boom.bent`.
+        A level boom tilts by the full angle, an inclined one by less. Arguments as in `Boom.bent`.
         """
         angle = self.clearance / (self.overlap - at.joints[self.joint])
         return lowered_tip(frame, angle * length, angle)
 
     def fault(self, arm: Arm) -> str:
-        """Return an error message if the boom can extend beyond its overlap, with what to give instead; else ""."""
+        """Return an error message if the boom of ``arm`` can extend beyond its overlap, else an empty string."""
         limit = arm.nominal.upper[self.joint]
         if self.overlap > limit:
             return ""
@@ -156,7 +159,7 @@ class TransmissionError(Effect, place=DRIVE):
     harmonics: Annotated[tuple[Harmonic, ...], HARMONICS] = ()
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Add the lead errors and the periodic errors to the driven positions."""
+        """Add lead errors and periodic errors to the driven positions of ``at``, in place; ``memory`` is not used."""
         pairs = zip(at.driven, self.lead, strict=True)
         driven = [value if isinstance(lead, float) and not lead else value * (1.0 + lead) for value, lead in pairs]
         at.drive(with_waves(at.m, self.harmonics, at.driven, driven))
@@ -262,7 +265,7 @@ class Backlash(Effect, place=GEAR + 0.5, spreads={"width": "backlash"}):
     preload: tuple[Scalar, ...]
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Set the joints to the positions in ``memory``."""
+        """Set the joints of ``at``, in place, to the positions in ``memory``."""
         at.joints = memory
 
     def begin(self, at: Passage) -> Components:
@@ -270,7 +273,10 @@ class Backlash(Effect, place=GEAR + 0.5, spreads={"width": "backlash"}):
         return self.carry(at, tuple(at.joints), 0.0)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Return the joint positions after the motors have moved, by the play operator; ``dt`` does not matter."""
+        """Return the joint positions after the motors have moved, by the play operator.
+
+        The positions before are in ``memory``; ``dt`` is not used.
+        """
         behind, torques = [], at.pull[1] if at.load else None
         for i, (entry, output, width, preload) in enumerate(
             zip(at.joints, memory, self.width, self.preload, strict=True)
@@ -303,7 +309,7 @@ class StickBand(Effect, place=GEAR, spreads={"forward": "friction", "backward": 
     scatter: Scalar = 0.0
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Set the joints to the positions that ``memory`` holds."""
+        """Set the joints of ``at``, in place, to the positions in ``memory``."""
         at.joints = memory
 
     def begin(self, at: Passage) -> Components:
@@ -312,7 +318,10 @@ class StickBand(Effect, place=GEAR, spreads={"forward": "friction", "backward": 
         return tuple([entry + 0.5 * (backward - forward) for entry, forward, backward in numbers])
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:
-        """Return the joint positions after the motors have moved, by `play`; ``dt`` does not matter."""
+        """Return the joint positions after the motors have moved, by the play operator.
+
+        The positions before are in ``memory``; ``dt`` is not used.
+        """
         numbers = zip(at.joints, memory, self.forward, self.backward, strict=True)
         return tuple([play(at.m, entry, output, forward, backward) for entry, output, forward, backward in numbers])
 
@@ -363,9 +372,9 @@ class BoomCouple(Boom, place=BEND + 0.4, spreads={"flexural_rigidity": "flexural
     flexural_rigidity: Annotated[Scalar, toml_tables.Unit("N_m2").positive]
 
     def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
-        """Bend the boom by the component, across its axis, of gravity's moment about its tip.
+        """Return the frame of the boom's tip after bending by gravity's moment about the tip.
 
-        Arguments as in `Boom.bent`.
+        Only the moment's component across the boom's axis bends the boom. Arguments as in `Boom.bent`.
         """
         zx, zy, zz, px, py, _ = frame[6:]
         mx, my = moment_about(at.pull[0][self.joint + 1], px, py)
@@ -386,9 +395,9 @@ class BoomTorsion(Boom, place=BEND + 0.6, spreads={"torsional_rigidity": "flexur
     torsional_rigidity: Annotated[Scalar, toml_tables.Unit("N_m2").positive]
 
     def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
-        """Twist the boom by the component, along its axis, of gravity's moment about its tip.
+        """Return the frame of the boom's tip after a twist by gravity's moment about the tip.
 
-        Arguments as in `Boom.bent`.
+        Only the moment's component along the boom's axis twists the boom. Arguments as in `Boom.bent`.
         """
         zx, zy, zz, px, py, _ = frame[6:]
         mx, my = moment_about(at.pull[0][self.joint + 1], px, py)
@@ -458,7 +467,7 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
         return give
 
     def fault(self, arm: Arm) -> str:
-        """Return an error message if a slide can extend beyond its span, with what to give instead; else ""."""
+        """Return an error message if a slide of ``arm`` can extend beyond its span, else an empty string."""
         for bearing in self.bearings:
             limit = arm.nominal.upper[bearing.joint]
             if bearing.overhang is not None and bearing.span <= limit:

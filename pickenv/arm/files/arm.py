@@ -39,7 +39,7 @@ class Arm:
     tolerance_class: str | None = None
 
     def fingerprint(self) -> str:
-        """Return the hash of the nominal geometry, by which a calibration of one arm is refused on another."""
+        """Return the hash of the nominal geometry; a calibration is refused on an arm with another hash."""
         return self.nominal.fingerprint()
 
 
@@ -69,7 +69,7 @@ def geometry_arrays(geometry: Geometry) -> dict[str, Array]:
 def geometry_from_arrays(
     named: Mapping[str, NDArray[Any]], joint_names: Sequence[str], prismatic: Sequence[bool], which: str
 ) -> Geometry:
-    """Return the geometry whose arrays `geometry_arrays` returned, after checking them.
+    """Rebuild a geometry from the arrays that `geometry_arrays` returned, after checking them.
 
     Args:
         named: The arrays by name.
@@ -151,7 +151,7 @@ def _pose(named: Mapping[str, NDArray[Any]], key: str, which: str) -> Pose:
 
 
 def content_sha256(*parts: Any) -> str:
-    """Return the SHA-256 hash of dataclasses, arrays, numbers and text, computed from their values, in hexadecimal."""
+    """Return one SHA-256 hash over the values of all ``parts`` (dataclasses, arrays, numbers, text), in hexadecimal."""
     return hashlib.sha256(json.dumps([plain(part) for part in parts], sort_keys=True).encode()).hexdigest()
 
 

@@ -34,7 +34,7 @@ Vector = tuple[float, float, float]
 
 @toml_tables.toml_table
 class JointTable:
-    """An entry of [[joints]] in an arm file: the keys that revolute, prismatic and following links share."""
+    """The keys that all entries of [[joints]] in an arm file share: revolute, prismatic and following links."""
 
     _: KW_ONLY
     number: Annotated[int, toml_tables.WHOLE]
@@ -53,7 +53,7 @@ class JointTable:
 
 @toml_tables.toml_table
 class Revolute(JointTable):
-    """An entry of [[joints]]: a link with a revolute joint of its own."""
+    """An entry of [[joints]] in an arm file: a revolute joint and the link that it moves."""
 
     type: Annotated[Literal["R"], Type]
     lower: Annotated[float, toml_tables.DEG]
@@ -63,7 +63,7 @@ class Revolute(JointTable):
 
 @toml_tables.toml_table
 class Prismatic(JointTable):
-    """An entry of [[joints]]: a link with a prismatic joint of its own."""
+    """An entry of [[joints]] in an arm file: a prismatic joint and the link that it moves."""
 
     type: Annotated[Literal["P"], Type]
     lower: Annotated[float, toml_tables.MM]
@@ -73,7 +73,7 @@ class Prismatic(JointTable):
 
 @toml_tables.toml_table
 class Follower(JointTable):
-    """An entry of [[joints]]: a link that another link's joint moves."""
+    """An entry of [[joints]] in an arm file: a link without a joint of its own, which another link's joint moves."""
 
     type: Annotated[Literal["R", "P"], Type]
     follows: Annotated[int, toml_tables.WHOLE]
@@ -187,7 +187,7 @@ def _coupling(links: list[Any], leaders: list[Any]) -> Coupling | None:
 UR_LINKS = ("shoulder", "upper_arm", "forearm", "wrist_1", "wrist_2", "wrist_3")
 UR_JOINTS = ("shoulder_pan", "shoulder_lift", "elbow", "wrist_1", "wrist_2", "wrist_3")
 UR_KEYS = dict.fromkeys("xyz", toml_tables.M.most) | dict.fromkeys(("roll", "pitch", "yaw"), toml_tables.RAD.most)
-"""Keys of a link, each with the largest value allowed, m or rad."""
+"""Keys of a link in a UR kinematics file, each with the largest absolute value allowed, m or rad."""
 
 LIMITS_OF = "ur10e"
 """The arm whose limits and speeds are used, because a UR kinematics file has none; it is the slowest of its series."""
@@ -203,8 +203,8 @@ def load_ur_yaml(path: str | Path, tip: str | None = None) -> Arm:
         tip: Must be None or empty, because the file has no other tip.
 
     Raises:
-        InputError: If it is no such file, if a joint or a number is missing, or if a tip is given. The message says
-            which.
+        InputError: If the file is no UR kinematics file, if a joint or a number is missing, or if ``tip`` is not empty.
+            The message says which.
     """
     path = Path(path)
     if tip:
@@ -219,11 +219,11 @@ def ur_row(path: Path) -> tuple[JointRow, str]:
     """Read the joints of a UR kinematics file.
 
     Returns:
-        The row of joints from which `load_ur_yaml` makes an arm. And the robot's hash as text for the arm's source,
-        after a comma; empty if the file has none.
+        Two values: the chain of joints, from which `load_ur_yaml` makes an arm; and text to append to the arm's source,
+        a comma and the robot's hash. The text is empty if the file has no hash.
 
     Raises:
-        InputError: If it is no such file, or a joint or a number is missing; the message names it.
+        InputError: If the file is no UR kinematics file, or a joint or a number is missing; the message names it.
     """
     content = yaml_content(read_text(path, "a UR kinematics file (.yaml)"), path)
     links = content.get("kinematics") if isinstance(content, Mapping) else None

@@ -69,7 +69,7 @@ SIDE = 2
 
 
 class Carried(NamedTuple):
-    """A child link, and the names of the moving joints between its parent and it; no names if it is fixed.
+    """A child link and the names of the moving joints between it and its parent; no names if it is fixed to the parent.
 
     ``only_named`` is True for a link that only marks a place (an MJCF site). Such a link is taken as the flange only if
     it has one of the names `FLANGES`.
@@ -88,8 +88,9 @@ def flange(children: Mapping[str, Sequence[Carried]], root: str) -> str:
         root: Name of the root link.
 
     Raises:
-        InputError: If the tree branches into chains of similar length, and there are no more joints before the branch
-            than in the second-longest chain after it.
+        InputError: If the tree branches, and the longest chain after the branching has fewer than `SIDE` times the
+            joints of the second-longest. There is no error if more joints come before the branching than are in the
+            second-longest chain: the arm then ends at the branching.
     """
     order = [root]
     for link in order:  # grows as it is walked
@@ -187,13 +188,14 @@ class ChainJoint:
 
 
 class JointRow(NamedTuple):
-    """The joints between a file's root and a tip.
+    """The chain of joints from the root of a robot file to a tip.
 
     Attributes:
         name: Name of the robot in the file.
         root: Name of the first link.
         tip: Name of the last link.
-        joints: The joints from root to tip, without fixed ones, whose poses are part of the origins.
+        joints: The joints from root to tip, except fixed joints. The pose of a fixed joint is part of the origin of the
+            joint after it.
         tool: Pose of the tip in the frame of the last joint.
         drives: The commanded joints, by name.
         mount: Name of the fixed joint or the site that holds the tip; None if a moving joint holds it.
@@ -213,7 +215,8 @@ class JointRow(NamedTuple):
         The origins and axes of the joints are in world axes.
 
         Args:
-            drives: Commanded joints by name. Those of this row are added, with limits and speeds narrowed.
+            drives: Commanded joints by name, changed in place. Those of this chain are added, with limits and speeds
+                narrowed to what the joints that they move allow.
         """
         links: list[ChainJoint] = []
         pose = identity_pose()
@@ -227,16 +230,16 @@ class JointRow(NamedTuple):
 
 
 def arm_of(rows: Sequence[JointRow], path: Path, form: str, named: bool = True) -> Arm:
-    """Return the arm that one row of joints describes, or the whole robot that several rows describe.
+    """Return the arm that one chain of joints describes, or the whole robot that several chains describe.
 
     Args:
-        rows: One row for an arm. For a whole robot, a row for each part that carries a sensor or a target.
+        rows: Chains of joints: one for an arm. For a whole robot, one for each part with a sensor or a target.
         path: The file, which becomes the arm's source.
         form: The file's format, such as "URDF".
         named: Whether the caller gave the tip; if not, the source says that it is the flange by default.
 
     Raises:
-        InputError: Where `geometry_of` raises one; the message names the file.
+        InputError: If `geometry_of` raises one; the message names the file.
     """
     with in_file(path):
         geometry, speed = geometry_of(rows)
@@ -248,14 +251,14 @@ def arm_of(rows: Sequence[JointRow], path: Path, form: str, named: bool = True) 
 def geometry_of(rows: Sequence[JointRow]) -> tuple[Geometry, Array]:
     """Return the geometry of an arm or a whole robot, and the largest speeds of its joints ``(n,)``, rad/s or m/s.
 
-    The rows of a whole robot share their first joints. Its link table holds one branch after another.
+    The chains of a whole robot share their first joints. The robot's link table holds one branch after another.
 
     Args:
-        rows: One row for an arm. For a whole robot, a row for each part that carries a sensor or a target.
+        rows: Chains of joints: one for an arm. For a whole robot, one for each part with a sensor or a target.
 
     Raises:
-        InputError: If no joint moves, if limits leave no motion, if two slides cancel each other, or if a row branches
-            off between two stages of a slide.
+        InputError: If no joint moves, if limits leave no motion, if two slides cancel each other, or if a chain
+            branches off between two stages of a slide.
     """
     drives: dict[str, Drive] = {}
     joints: list[ChainJoint] = []  # of all branches, in the world's axes, each behind a fixed link of no motion
@@ -319,7 +322,8 @@ def driver_of(name: str, followed: Callable[[str], tuple[str, float, float] | No
             returns None for a joint that follows no other.
 
     Returns:
-        Name of the commanded joint; ratio and offset (rad or m) of the driven joint's displacement to its displacement.
+        Three values: the commanded joint's name, a ratio, and an offset, rad or m. The driven joint's displacement is
+        the offset plus the ratio times the commanded joint's displacement.
 
     Raises:
         InputError: If the joint follows itself.

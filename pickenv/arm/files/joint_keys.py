@@ -30,7 +30,7 @@ PER_JOINT = Then(_per_joint)
 
 
 def joint_index(number: int, context: Any) -> int:
-    """Convert a joint number, from 1, to an index, from 0; a number that the arm does not have is refused."""
+    """Convert a joint number (from 1) to an index (from 0); refuse a number that the arm in ``context`` lacks."""
     if (arm := arm_in(context)) is not None and not 1 <= number <= arm.nominal.joints:
         raise fault(f"a joint number from 1 to {arm.nominal.joints}")
     return number - 1
@@ -59,7 +59,7 @@ def numbers_per_joint(table: Any, context: Any, *keys: str) -> tuple[tuple[float
 
     Args:
         table: A table whose attribute ``joints`` is a list of entries, each for one joint.
-        context: Context of reading the plant file, which holds the arm.
+        context: Context of the plant file that is being read; it holds the arm.
         keys: Names of the sizes in the entries. The number of a joint without an entry is 0.
 
     Raises:
@@ -75,7 +75,7 @@ def numbers_per_joint(table: Any, context: Any, *keys: str) -> tuple[tuple[float
 
 
 class Entry(dict[str, Any]):
-    """An entry of a list of tables by joint; ``slides`` says whether the entry's joint is prismatic."""
+    """One table of a list with a table per joint; ``slides`` says whether this table's joint is prismatic."""
 
     slides = False
 
@@ -92,7 +92,7 @@ class ByJoint:
     def __get_pydantic_core_schema__(self, _source: Any, handler: Any) -> Any:
         """Return the pydantic schema of the list.
 
-        An entry's units are those of its joint's type. If the joint is unknown, the units in its keys decide.
+        The type of an entry's joint decides the entry's units. If the joint is unknown, the units in the keys decide.
         """
         from pydantic_core import core_schema as core
 
@@ -121,8 +121,8 @@ def joint_table(make: Callable[..., Any], **sizes: tuple[Unit, Unit] | Unit) -> 
     """Return the type of an effect's table with sizes by joint and with single numbers; missing values are zero.
 
     Args:
-        make: Function that returns the effect. Its arguments are a tuple with one number per joint for each size by
-            joint, then each single number.
+        make: Function that returns the effect. It takes one tuple of n numbers, one per joint, for each size by joint.
+            The single numbers are its last arguments.
         sizes: Units by name: a pair (revolute, prismatic) for a size by joint, one unit for a single number.
     """
     pairs = {name: unit for name, unit in sizes.items() if isinstance(unit, tuple)}

@@ -298,7 +298,7 @@ def load_mjcf(path: str | Path, tip: str | None = None) -> Arm:
 
 
 def mjcf_row(path: Path, tip: str | None = None) -> JointRow:
-    """Read the joints from the world to ``tip`` of a MuJoCo model, from which `load_mjcf` makes an arm.
+    """Read the chain of joints from the world of a MuJoCo model to ``tip``; `load_mjcf` makes an arm of this chain.
 
     Args:
         path: The file (.xml).

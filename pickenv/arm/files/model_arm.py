@@ -44,7 +44,7 @@ def geometry_in_mujoco(model: Any, site: str, joints: Sequence[str] | None = Non
 
     Raises:
         MissingExtra: If MuJoCo is not installed.
-        InputError: If the site or a joint is missing, a joint does not move the site, or is a ball.
+        InputError: If the site or a joint is missing, a joint does not move the site, or is a ball joint.
     """
     require("mujoco")
     mujoco: Any = import_module("mujoco")

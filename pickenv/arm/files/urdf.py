@@ -170,11 +170,11 @@ def load_urdf(path: str | Path, tip: str | None = None) -> Arm:
 
 
 def urdf_row(path: Path, tip: str | None = None) -> JointRow:
-    """Read the joints from the root to link ``tip`` of a URDF file, from which `load_urdf` makes an arm.
+    """Read the chain of joints from the root link of a URDF file to link ``tip``; `load_urdf` makes an arm of it.
 
     Args:
         path: The file.
-        tip: Last link; the flange by default.
+        tip: Name of the last link; the flange by default.
 
     Raises:
         InputError: If the file, a link or a joint is unusable; the message names it.

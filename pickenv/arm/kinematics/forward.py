@@ -246,7 +246,7 @@ def frames(m: ModuleType, chain: Chain, q: Sequence[Scalar], flexure: Flexure | 
 
 
 def frame_within(reference: Frame, frame: Frame) -> Frame:
-    """Return ``frame``, given in world axes like ``reference``, expressed in ``reference``; the inverse of `attach`."""
+    """Express ``frame`` in the frame ``reference``; both are given in world axes. This is the inverse of `attach`."""
     gap = [p - q for p, q in zip(frame[9:], reference[9:], strict=True)]
     vectors, axes = (*(frame[i : i + 3] for i in (0, 3, 6)), gap), [reference[i : i + 3] for i in (0, 3, 6)]
     return tuple(x * u + y * v + z * w for x, y, z in vectors for u, v, w in axes)
@@ -316,9 +316,9 @@ SHORTEST_LINK = 0.02
 
 
 def nominal_points(geometry: Geometry, q: ArrayLike) -> Array:
-    """Compute points ``(..., 2n + 2, 3)`` along the arm, from the base to the tool, in m, in the world frame.
+    """Compute points ``(..., 2L + 2, 3)`` along an arm of L links, from the base to the tool, m, world frame.
 
-    The points are the ends of all link parts.
+    Each link has two parts, of lengths a and d; the points are the ends of these parts.
 
     Args:
         geometry: The arm.
@@ -338,9 +338,9 @@ def nominal_points(geometry: Geometry, q: ArrayLike) -> Array:
 
 
 def true_points(geometry: Geometry, q: ArrayLike, tool: ArrayLike) -> Array:
-    """Compute points ``(..., 2n + 2, 3)`` along the true arm, in m, in the world frame, for drawing.
+    """Compute points ``(..., 2L + 2, 3)`` along the true arm of L links, m, world frame, for drawing.
 
-    The points of the true geometry are shifted so that the last is the true tool position. The shift grows in
+    The points of the true geometry are shifted so that the last point is the tool's true position. The shift grows in
     proportion to the length along the arm. Base and tool are exact; the points between are approximate, because the
     places where compliance, drives or the ground displace the arm are not computed.
 

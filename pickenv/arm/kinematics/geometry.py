@@ -56,9 +56,10 @@ def behind(pose: Pose, after: Pose) -> Pose:
 
 @dataclass(frozen=True)
 class Coupling:
-    """Which joint moves which links, where a joint moves several: link i is displaced by ratio[i] q[joint[i]].
+    """The joint that moves each link, for an arm in which one joint moves several links.
 
-    A ratio of 0 marks a fixed link. Each branch of a `LinkTree` begins with one.
+    The displacement of link i is ratio[i] q[joint[i]]. A ratio of 0 marks a fixed link. Each branch of a `LinkTree`
+    begins with a fixed link.
 
     The displacement of a link at zero joints is part of its theta or d.
 
@@ -179,7 +180,7 @@ class Geometry:
     def link_names(self) -> tuple[str, ...]:
         """One name per link, shape (L,): the joint's name, with a number if the joint moves several links.
 
-        A fixed link is called "mount of" its joint.
+        A fixed link has the name "mount of JOINT", with the joint that `owners` gives for it.
         """
         names = []
         for i, (joint, ratio) in enumerate(zip(self.owners, self.ratios, strict=True)):
@@ -250,7 +251,8 @@ class Geometry:
         """Return this geometry with ``delta`` (5L + 12,) added to its parameters, in the order of `parameter_names`.
 
         Base and tool are moved on the manifold. Position changes are added. Rotations are multiplied from the left by
-        the rotation of the given rotation vector. It is in world axes for the base, in the last link's for the tool.
+        the rotation of the given rotation vector. The vector is in world axes for the base, in the last link's axes for
+        the tool.
 
         Raises:
             ValueError: If ``delta`` has another shape.
@@ -273,7 +275,7 @@ class Geometry:
         return np.concatenate(parts)
 
     def fingerprint(self) -> str:
-        """Return a hash of joint types, link parameters, base, tool, coupling and tree.
+        """Return one hash over joint types, link parameters, base, tool, coupling and tree.
 
         A calibration of one arm is refused on an arm with another hash.
         """

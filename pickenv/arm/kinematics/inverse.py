@@ -94,7 +94,8 @@ def inverse(
         position_only: Whether to ignore the attitude. An arm of few joints reaches few positions with a given attitude.
 
     Returns:
-        An `InverseSolution`. A target not reached has ``reached`` False, with the joints of the smallest error found.
+        An `InverseSolution`. If a target is not reached, ``reached`` is False, and the joints are those of all starts
+        that leave the smallest error.
 
     Raises:
         ValueError: If the target or the start is not finite.

@@ -57,7 +57,7 @@ class Operation(NamedTuple):
 
 
 Call = tuple[Fill, Sequence[Scalar], int]
-"""A function of whole arrays that is called between two loops, its arguments, and the number of its results."""
+"""Three values: a function of whole arrays, called between two loops; its arguments; and its number of results."""
 
 
 class Trace:
@@ -82,7 +82,7 @@ class Trace:
             name: Name of the operation.
             kind: Type of its result.
             operands: Indices of the operations whose results are its operands.
-            detail: As in `Operation`.
+            detail: Array name and row of an input, or value of a constant.
         """
         if name in COMMUTATIVE and operands[0] > operands[1]:
             operands = operands[::-1]
@@ -281,7 +281,7 @@ LANES = 8
 """Number of poses per vector operation; the processor needs two instructions if its vectors are half as wide."""
 
 THOROUGH = 1024
-"""Number of poses from which LLVM optimises the code, which takes four times as long and runs a third faster."""
+"""Least number of poses for which LLVM optimises: compiling takes four times as long, the code runs a third faster."""
 
 BY_KIND = {
     DOUBLE: {
@@ -298,7 +298,7 @@ FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64)
 
 
 class Compiled:
-    """A trace compiled to loops over the poses: one for the arguments of each call, and a last one for the outputs.
+    """A trace compiled to loops over the poses: for each call a loop that computes its arguments, then one for outputs.
 
     Args:
         trace: The operations.
@@ -327,7 +327,7 @@ class Compiled:
         self.bound(arrays, count)()
 
     def bound(self, arrays: Mapping[str, NDArray[Any]], count: int) -> Callable[[], None]:
-        """Return a function that does the same as `run`, which reads and writes the same arrays at each call."""
+        """Return a function without arguments that does what `run` does, with these arrays at each call."""
         if self._calls and (not self._between or self._between["given0"].shape[1] != count):
             for i, (_, values, rows) in enumerate(self._calls):
                 self._between[f"given{i}"] = np.empty((len(values), count))

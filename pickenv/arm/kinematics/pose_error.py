@@ -87,7 +87,7 @@ def _turn(reference: Sequence[Scalar], actual: Sequence[Scalar]) -> tuple[tuple[
 
 
 def small_rotation(m: ModuleType, reference: Sequence[Scalar], actual: Sequence[Scalar]) -> tuple[Scalar, ...]:
-    """Return the same as `rotation_between`, faster for rotations of up to six degrees: by a series of the arc sine."""
+    """Return the same vector as `rotation_between`, but faster up to six degrees, by a series of the arc sine."""
     sines, (xx, yy, zz) = _turn(reference, actual)
     sx, sy, sz = sines
     square = sx * sx + sy * sy + sz * sz

@@ -63,7 +63,7 @@ def move_time(plant: Plant, start: ArrayLike, target: ArrayLike, pace: Pace) -> 
         plant: The arm, which has the largest joint speeds.
         start: Joints at the start ``(..., n)``, rad or m.
         target: Joints at the end ``(..., n)``, rad or m.
-        pace: Share of the largest speeds.
+        pace: Settings of the motion; only ``speed``, the share of the largest speeds, is used.
     """
     way = np.abs(np.asarray(target, dtype=float) - np.asarray(start, dtype=float))
     return np.asarray(np.max(way / (plant.arm.speed * pace.speed), axis=-1))
@@ -117,7 +117,7 @@ def moved(
     place: Place | None = None,
     normal: Array | None = None,
 ) -> tuple[PlantState, Frame]:
-    """Move from the command ``start`` to ``target`` and wait; return the state and the true tool frame after that.
+    """Simulate a move from ``start`` to ``target`` and a wait; return the new state and the true tool frame.
 
     Args:
         plant: The simulated true arm, or a batch of arms.
@@ -161,7 +161,8 @@ class Instrument:
             warm, the ground is at rest, and friction and backlash are in the middle of their bands.
         warm_up: Time for which the arm rests in the middle of the joints' ranges before the first move, s.
         period: Control period of the moves from pose to pose, s. They are at full speed.
-        noise: The instrument's errors; None for those of the plant's effect "measurement_noise".
+        noise: The instrument's errors. None for those of the effect "measurement_noise" of the plant (the
+            simulated true arm).
     """
 
     name: str
@@ -203,7 +204,7 @@ def load_instrument(name: str | Path) -> Instrument:
     """Read an instrument by its name ("laser_tracker", "ideal"), or from a TOML file by its path.
 
     Raises:
-        InputError: If the instrument is unknown or a number is impossible; the message names the file and the key.
+        InputError: If the instrument is unknown or a number is outside its limits; the message names file and key.
     """
     return read_toml(Instrument, file_named("instrument", name, INSTRUMENTS))
 
@@ -214,7 +215,7 @@ def normal_draws(plant: Plant, poses: int, rng: np.random.Generator) -> NormalDr
     Args:
         plant: The simulated true arm.
         poses: Number of poses P.
-        rng: Source of the readings' numbers; those of mounting and stops come from a spawned child.
+        rng: Random generator of the numbers for readings. A child spawned from it gives those for mounting and stops.
     """
     (child,) = rng.spawn(1)
     band, shape = plant.effect("stick_band"), (poses, 2, plant.geometry.joints)
@@ -230,7 +231,7 @@ def switched_on(plant: Plant, m: ModuleType, joints: Array, warm_up: float, plac
         plant: The simulated true arm, or a batch of arms.
         m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
         joints: The command ``(..., n)``, rad or m.
-        warm_up: Time for which it is held, s.
+        warm_up: Time for which the command is held, s.
         place: Function that converts arrays to the type of ``m``, such as tensors; None for arrays and floats.
     """
     q = in_components(m, joints, place)
@@ -247,7 +248,7 @@ def visited(
         m: The namespace of the functions: ``numpy`` for one arm; ``numpy`` or ``torch`` for many.
         joints: Joint commands ``(P, n)`` of one arm, ``(P, N, n)`` of many, rad or m, in the order of the poses.
         instrument: The instrument, which has the warm-up and waiting times.
-        stops: The numbers `NormalDraws.stops`.
+        stops: Standard normal numbers for the friction of each stop, in the form of `NormalDraws.stops`.
         place: Function that converts arrays to the type of ``m``, such as tensors; None for arrays.
 
     Returns:
@@ -272,7 +273,7 @@ def visited(
 
 
 def measured_poses(plant: Plant, joints: Array, instrument: Instrument, draws: NormalDraws) -> Pose:
-    """Simulate a campaign on one arm and return the tool poses ``(P)`` that the instrument reports, in its world frame.
+    """Simulate a campaign on one arm and return the tool poses ``(P,)`` that the instrument reports, in world axes.
 
     Args:
         plant: The simulated true arm.
@@ -296,12 +297,15 @@ GEOMETRY = "geometry"
 
 
 def causes_of(plant: Plant) -> tuple[str, ...]:
-    """Return the names of the causes of a plant's error: "geometry", and all effects but those at `BESIDE`."""
+    """Return the names of the causes of a true arm's error: "geometry", and all effects but those at `BESIDE`."""
     return (GEOMETRY, *(name for name in plant.names if plant.effect(name).place < BESIDE))
 
 
 def alone(plant: Plant, *names: str) -> Plant:
-    """Return the plant with only these of its `causes_of` on; without "geometry", its geometry is the nominal one."""
+    """Return the plant (the true arm with its errors) with only the causes ``names`` of its error switched on.
+
+    The names are some of those that `causes_of` returns. Without "geometry", the true geometry is the nominal one.
+    """
     geometry = plant.geometry if GEOMETRY in names else plant.arm.nominal
     return replace(plant, geometry=geometry, effects=tuple(effect for effect in plant.effects if effect.name in names))
 
@@ -313,18 +317,19 @@ def effect_shares(
 
     Args:
         plant: The simulated true arm, a single one.
-        joints: Joint commands ``(P, n)`` to reach, rad or m; each is approached from the one before it.
+        joints: Joint commands ``(P, n)`` to reach, rad or m. Each is approached from the one before it, the first
+            from the last.
         running_time: Time since the machine was switched on, s.
         pace: Speed, control period and waiting time; by default full speed and 0.5 s of waiting.
 
     Returns:
         A mapping for JSON. ``plant``, ``reaches``, ``running_hours`` and ``dwell`` (s) describe the run; all else is in
         mm. ``alone``: for each cause, the error if it is the only one that is on. ``without``: for each cause, the
-        error with all others on. ``all``: the error with all causes on. ``sum_of_means``: the sum of the means in
+        error with all other causes on. ``all``: the error with all causes on. ``sum_of_means``: the sum of the means in
         ``alone``, which is the worst case (all errors in one direction). ``root_sum_square``: the root of the sum of
-        their squares, for random directions. Each error is a mapping of statistics over the reaches of the distance
-        between the true and the nominal tool: ``mean``, the 95th percentile ``p95``, and ``max``. Its ``varying`` is
-        the mean distance after the mean error of each axis is subtracted, that is without a constant offset.
+        their squares, for random directions. Each error is a mapping of statistics of the distance between the
+        tool's true and nominal position over all commands: ``mean``, the 95th percentile ``p95``, and ``max``. Another
+        entry, ``varying``, is the mean distance without the constant offset: the mean error of each axis is subtracted.
 
     Raises:
         ValueError: If there are fewer than two commands.

@@ -170,8 +170,8 @@ def iso9283(
         plant: The simulated true arm, a single one.
         compensate: Function from joint targets to joint commands, such as a calibration's compensator. With None, only
             the uncalibrated arm is tested.
-        rng: Source of the friction of each stop and of the instrument's noise. The uncalibrated and the calibrated arm
-            get the same random numbers.
+        rng: Random generator for the friction of each stop and the instrument's noise. The uncalibrated and the
+            calibrated arm get the same random numbers.
         settings: Settings of the test; those of the standard by default.
         cube: The cube that contains the test poses; the largest cube in the workspace by default.
         reference: The geometry whose forward kinematics turn joint targets into commanded poses; by default the arm's
@@ -299,8 +299,8 @@ def pose_performance(name: str, errors: Array) -> dict[str, Any]:
 
     Args:
         name: Name of the pose.
-        errors: Errors of the cycles ``(cycles, 6)``, m and rad, as `pose_error` gives them; ``(cycles, 3)`` for
-            positions only.
+        errors: Errors of the cycles ``(cycles, 6)`` in world axes: position, m, then rotation vector, rad, from
+            `pose_error`. ``(cycles, 3)`` for positions only.
 
     Returns:
         A mapping. ``name`` and ``cycles``, the number of cycles. ``accuracy_mm``: AP_P, the distance between the mean

@@ -33,9 +33,9 @@ CONSTANTS = toml_tables.Check(
 
 @toml_tables.toml_table
 class Unmeasured:
-    """A group of a plant's constants that were never measured: an entry of [[unmeasured]] in a plant file.
+    """Constants of a plant (a simulated true arm) that were never measured: an entry of [[unmeasured]] in its file.
 
-    All constants of a group are multiplied by one random factor.
+    The constants form a group: all are multiplied by one random factor.
 
     Attributes:
         name: Name of the group.
@@ -181,7 +181,7 @@ class Plant:
         return replace(self, effects=(*(effect for effect in self.effects if effect.name not in names), *effects))
 
     def without(self, effects: str | Iterable[str]) -> Plant:
-        """Return this plant without the effects of these names; names of effects that it does not have are ignored.
+        """Return this plant without the effects of these names; other registered effects' names are ignored.
 
         Args:
             effects: One name, or several.
@@ -292,7 +292,7 @@ class Plant:
         return at.frame
 
     def stands(self, m: ModuleType, state: PlantState, q: Sequence[Scalar]) -> tuple[list[Scalar], Frame]:
-        """Return the true joint positions and the true tool frame in a given state.
+        """Return the true joint positions and the true tool frame in the state ``state``.
 
         Args:
             m: The namespace of the functions: ``math``, ``numpy`` or ``torch``.
@@ -308,7 +308,7 @@ class Plant:
         return list(at.joints), at.frame
 
     def readings(self, m: ModuleType, state: PlantState, q: Sequence[Scalar]) -> list[Scalar]:
-        """Return the readings of the motor encoders in a given state: n components, rad or m.
+        """Return the readings of the motor encoders in the state ``state``: n components, rad or m.
 
         A reading is the motor position, with its following error, rounded to encoder counts. It does not contain drive
         errors, friction, backlash, deflection or vibration.

@@ -56,7 +56,7 @@ def one_link_per_joint(arm: Arm) -> Arm:
 
 @cache
 def plant_file(effects: tuple[str, ...]) -> Any:
-    """Return the type of a plant file that may have tables of these effects.
+    """Return the class for the content of a plant file, with an optional table for each of these effects.
 
     Args:
         effects: Names of the effects.
@@ -77,7 +77,7 @@ def plant_file(effects: tuple[str, ...]) -> Any:
 
 
 def any_plant_file() -> Any:
-    """Return the type of a plant file that may have a table for each registered effect."""
+    """Return the class for the content of a plant file, with an optional table for each registered effect."""
     return plant_file(tuple(registry.load_all("effect")))
 
 
@@ -92,15 +92,15 @@ def shipped_plants() -> list[str]:
 
 
 def read_plant(name: str | Path) -> Plant:
-    """Read a preset plant by its name, or a plant from a TOML file or a calibrated arm's file (.npz).
+    """Read a plant (a simulated true arm) by a preset's name, from a TOML file, or from a calibrated arm's file (.npz).
 
-    The true geometry of a plant from a TOML file is that in its arm's file, or else the nominal geometry.
+    A TOML file names an arm. The plant's true geometry is the one in that arm's file; if it has none, the nominal one.
 
     Args:
-        name: Name or path. It may end in "#" and a number, as in `load_plant`.
+        name: Name or path. It may end in "#" and the number of a draw of unmeasured constants, as in `load_plant`.
 
     Raises:
-        InputError: If the plant is unknown or a number is impossible; the message names the file and the key.
+        InputError: If the plant is unknown or a number is outside its limits; the message names the file and the key.
     """
     if (draw := NUMBERED.fullmatch(str(name))) and not is_file(str(name)):
         return with_drawn_constants(read_plant(draw[1]), int(draw[2]))
@@ -193,7 +193,7 @@ IDEAL = "ideal"
 """Name of the plant without any error, whose true geometry is the nominal one."""
 
 FIRST_ARM = "qiao2026"
-"""Default arm or plant of a name that only has a tolerance class or "ideal"."""
+"""Arm or plant that is taken if a plant's name is only "ideal" or "CLASS:", without an arm."""
 
 SAMPLES = 2**10
 """Number of poses from which a joint's largest gravity torque is computed."""
@@ -206,7 +206,7 @@ It is a share of the largest torque of all joints of the same type (revolute or 
 
 
 def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
-    """Read a plant.
+    """Read a plant, that is a simulated true arm with its errors.
 
     Args:
         name: A preset's name, a path to a plant file (.toml) or to a twin of a calibrated arm (.npz), "ideal:ARM", or
@@ -216,8 +216,8 @@ def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
         without: Names of effects to switch off.
 
     Raises:
-        InputError: If plant, arm, class or effect are unknown or a number is impossible; the message names the file
-            and the key.
+        InputError: If plant, arm, class or effect are unknown or a number is outside its limits; the message names
+            the file and the key.
     """
     kind, arm_name = _split(name)
     if kind == IDEAL:
@@ -237,10 +237,11 @@ def class_of(name: str | Path) -> Tolerances | None:
 def draw_arms(
     name: str | Path, tolerances: str | Path, count: int, rng: np.random.Generator, *, without: Iterable[str] = ()
 ) -> Plant:
-    """Draw true arms of a plant's design by `draw_plants`, as one plant whose numbers are arrays.
+    """Draw true arms of one design, as one plant (simulated true arm) whose numbers are arrays, by `draw_plants`.
 
     Args:
-        name: The plant's name, as in `load_plant`. If it begins with a tolerance class, that class is used.
+        name: Name of the design: any name that `load_plant` takes. If it begins with a tolerance class, that class is
+            used.
         tolerances: Tolerance class, by name or path, if ``name`` begins with none.
         count: Number of arms, at least 1.
         rng: Parent of the arms' random streams.

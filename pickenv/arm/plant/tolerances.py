@@ -120,7 +120,7 @@ def load_tolerances(name: str | Path) -> Tolerances:
     """Read a tolerance class by its name, or from a TOML file by its path.
 
     Raises:
-        InputError: If the class is unknown or a number is impossible; the message names the file and the key.
+        InputError: If the class is unknown or a number is outside its limits; the message names the file and the key.
     """
     return toml_tables.read_toml(Tolerances, toml_tables.file_named("tolerance class", name, TOLERANCES))
 
@@ -128,7 +128,7 @@ def load_tolerances(name: str | Path) -> Tolerances:
 def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random.Generator) -> Plant:
     """Draw ``count`` different true arms of one design, as one plant whose numbers are arrays.
 
-    Link parameters are drawn about the nominal geometry, the sizes of the plant's effects about the plant's own. Arm i
+    Link parameters are drawn about the nominal geometry, effect sizes about those of ``plant``. Arm i
     has its own random stream, child i of ``rng``. The arm therefore does not depend on ``count``, nor on which effects
     are on, except for effects with random numbers of their own: these take the last numbers of the stream.
 
@@ -136,7 +136,7 @@ def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random
     parameters that its data do not identify are drawn within their tolerances about the identified values.
 
     Args:
-        plant: The design, or the calibrated arm; a single arm.
+        plant: The design (a simulated true arm), or the twin of a calibrated arm; a single arm.
         tolerances: The tolerance class of the design's arms. For a calibrated arm it only applies to the parameters
             that were not identified.
         count: Number of arms N, at least 1.
@@ -165,7 +165,7 @@ def erring_by(plant: Plant, size: float, joints: Array) -> Plant:
 
     Args:
         plant: The true arm, a single one. Only its geometry is used; the returned plant has no effects.
-        size: Mean distance between the true and the nominal tool, m.
+        size: Mean distance between the tool's true and nominal position, m.
         joints: Joints over which the mean is taken ``(..., n)``, rad or m.
 
     Raises:
@@ -184,13 +184,13 @@ def erring_by(plant: Plant, size: float, joints: Array) -> Plant:
 
 
 def plants_from(plant: Plant, tolerances: Tolerances, even: Array) -> Plant:
-    """Return the arms that follow from given uniform random numbers, as one plant whose numbers are arrays.
+    """Compute true arms from uniform random numbers, as one plant whose numbers are arrays.
 
     Args:
         plant: The design, a single arm.
         tolerances: The tolerance class of the design's arms.
-        even: Uniform random numbers from 0 to 1 ``(N, K)``, a row per arm; `random_columns` gives the meaning of the K
-            columns.
+        even: Uniform random numbers from 0 to 1 ``(N, K)``, one row per arm. `random_columns` says which of the K
+            columns determine which quantity.
     """
     columns = {key: even[:, places.start : places.stop] for key, places in random_columns(plant).items()}
     draws = Draws(columns, tolerances.spread, tolerances.temperature_rise)
@@ -199,10 +199,10 @@ def plants_from(plant: Plant, tolerances: Tolerances, even: Array) -> Plant:
 
 
 def random_columns(plant: Plant) -> dict[str, range]:
-    """Return the columns of each quantity among an arm's uniform random numbers.
+    """Return, by the name of each random quantity, its columns in the uniform random numbers of `plants_from`.
 
-    Most columns are the same for all effects that a plant may have. Only those whose number depends on the plant's
-    effects come last.
+    The columns of most quantities do not depend on the plant's effects. Quantities whose number of columns depends on
+    the effects come last.
     """
     n, drives, waves = plant.arm.nominal.joints, plant.effect("transmission_error"), plant.effect("drive_harmonics")
     terms = len(drives.harmonics) if drives is not None else 0

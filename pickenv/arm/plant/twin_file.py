@@ -32,10 +32,10 @@ Zone = Callable[[Array], Array]
 
 
 def twin_plant(name: str, arm: Arm, posterior: Posterior, noise: MeasurementNoise | None) -> Plant:
-    """Return the plant of an arm as it was identified.
+    """Return the twin of a calibrated arm: a plant (simulated true arm) with the identified parameters.
 
-    Its residual field has the posterior's mean weights. This mean is smoother than any possible arm; evaluate methods
-    on arms drawn by `twin_arms`.
+    The twin's residual field has the posterior's mean weights. This mean is smoother than any possible arm; evaluate
+    methods on arms drawn by `twin_arms`.
 
     Args:
         name: Name of the plant.
@@ -55,7 +55,7 @@ def twin_arms(plant: Plant, zone: Zone, streams: Sequence[np.random.Generator]) 
 
     Args:
         plant: A plant with a posterior.
-        zone: Function that gives the deviations of the unidentified parameters.
+        zone: Function from uniform random numbers to deviations of the unidentified parameters, m or rad (`Zone`).
         streams: One random generator per arm.
     """
     posterior = plant.posterior
