@@ -364,7 +364,7 @@ def _solve(matrix: Array, right: Array, damping: float) -> Array:
 def triangle(matrix: Array, right: Array) -> tuple[Array, Array]:
     """Reduce least-squares equations to a triangular system with the same solution.
 
-    Each block of `BLOCK` equations is reduced by QR, then the triangles of all blocks together.
+    Each block of about `BLOCK` equations is reduced by QR, then the triangles of all blocks together.
 
     Args:
         matrix: Matrix of the equations ``(rows, P)``.

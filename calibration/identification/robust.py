@@ -508,7 +508,8 @@ def set_ups(arm: Arm, parts: Sequence[Measurements]) -> tuple[SetUp, ...]:
 
     Errors of the rows of one file are alike, so at most `COUNTED_ROWS` of each file count. So a file has frames of its
     own only if these remove a large part of the remaining error. A file with too few rows, or whose rows do not fit the
-    arm, is put into the first set-up, or shares its frames if the two cannot be joined.
+    arm, is put into the first set-up. If the two cannot be joined as one data set, the file shares the frames of that
+    set-up.
 
     Args:
         arm: The arm.

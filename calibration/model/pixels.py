@@ -2,8 +2,9 @@
 
 A target is a printed board, whose points are its corners, or any list of points in space. The instrument's frame is the
 target's if the camera is on the tool, and the camera's if it watches a target on the tool. Of camera and target, one is
-fixed in the world and its pose is the fitted base. The other is on the flange and its pose is the fitted tool. This
-kind has no unknowns of its own but the numbers of the lens, if they are fitted. SI units; pictures in px.
+fixed in the world, and the other is on the flange. The fitted base says where the first one is, and the fitted tool
+where the second one is. This kind has no unknowns of its own but the numbers of the lens, if they are fitted. SI units;
+pictures in px.
 """
 
 from __future__ import annotations
