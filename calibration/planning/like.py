@@ -1,8 +1,8 @@
 """Further poses for an instrument that has already measured a few: wires, touches, reflectors, tilts, pictures.
 
 The first rows determine the instrument's own unknowns, such as the anchor of a wire, a touched point, or a camera's
-place and lens. With these unknowns, what the instrument would read at other joints is predicted, and whether it could
-read anything there. The exchange of poses starts from the information that the first rows give. SI units.
+place and lens. From these unknowns follow the instrument's readings at other joints, and whether it could read anything
+there. The exchange of poses starts from the information that the first rows give. SI units.
 """
 
 from __future__ import annotations
