@@ -288,8 +288,8 @@ def write_board(board: Board, path: str | Path, margin: float = 0.01) -> Path:
 
 
 FEW_MARKERS = 4
-"""Largest number of markers in a picture without a corner for the message that too little of the board is seen. With
-more markers, the message is that they are of another board."""
+"""If a picture shows no corner and at most this many markers, all with numbers of the board, the message is that too
+little of the board is seen. Otherwise the message is that the markers are of another board."""
 
 WINDOW = 5
 """Half width, px, of the square around a corner whose gradients determine the corner's uncertainty."""
@@ -328,7 +328,7 @@ def find_corners(board: Board, picture: Grey, where: str) -> Corners:
 
 
 def corners_at(count: int, numbers: ArrayLike, places: ArrayLike, std: ArrayLike) -> Corners:
-    """Return the corners of a board, or points of another target, from those that a picture shows.
+    """Return all corners of a board, or points of another target, from the ones that a picture shows.
 
     Args:
         count: Number of corners on the board.
@@ -366,7 +366,7 @@ def corner_std(picture: Grey, corners: Array, least: float, half: int = WINDOW) 
 
 
 def picture_noise(grey: Array) -> float:
-    """Standard deviation of a picture's noise, grey values (Immerkaer 1996), from a median, so edges do not count."""
+    """Standard deviation of a picture's noise, grey values (Immerkaer 1996), from a median that edges hardly change."""
     twice = np.diff(np.diff(grey, 2, axis=0), 2, axis=1)
     return max(float(np.median(np.abs(twice))) / 0.6745 / 6.0, 0.3)  # no less than rounding to whole grey values
 

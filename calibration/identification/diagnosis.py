@@ -133,7 +133,7 @@ LEAST_VIEWS = 4
 
 @dataclass(frozen=True)
 class LeftOut:
-    """A row that was left out as an outlier or as a view of too little of the board, or an outlier that was kept.
+    """A row that was left out, as an outlier or a view of too little of the board; or an outlier that was kept.
 
     Attributes:
         file: The row's file.
@@ -144,7 +144,7 @@ class LeftOut:
         attitude: Size of the row's attitude error, rad; None if no attitudes were measured.
         sigma: Size of the row's error in robust standard deviations of one coordinate.
         why: The reason in words, if one is known.
-        kept: Whether the row was kept all the same.
+        kept: Whether the row was kept, although it is an outlier.
         unit: Unit in which the miss is shown, one of `MISS_UNITS`.
     """
 
@@ -187,10 +187,11 @@ def checked_rows(
 
     Returns:
         Training rows, held-out rows, and the outliers, the largest error first. If all of a few held-out rows are
-        outliers, they stay in the held-out rows.
+        outliers, they stay in the held-out rows. If the robust fit fails, or half of the training rows are outliers,
+        both sets are unchanged and no outliers are returned.
 
     Raises:
-        InputError: If the held-out rows come from another set-up.
+        InputError: If most held-out rows are outliers, as rows of another set-up are.
     """
     try:
         found, (_, _, scales) = robust_fit(arm, train, known)

@@ -88,8 +88,8 @@ def random_walk(state: FilterState, tolerances: float) -> Array:
 
     Args:
         state: The filter's state.
-        tolerances: Standard deviation of each parameter's drift after one hour, in its tolerances; it grows with the
-            square root of time.
+        tolerances: Standard deviation of each parameter's drift after one hour, in that parameter's tolerances. It
+            grows with the square root of time.
     """
     return np.asarray(np.diag((tolerances * state.tolerance) ** 2) / HOUR)
 

@@ -1,8 +1,8 @@
 """Rank-aware iterated least squares, Qiao 2026 eqs (11)-(12): identify a geometry from measurements.
 
-Redundant parameters are identified at the start and left out. The normal equations of eq (11) are replaced by a QR
-solution. So a redundant model gives the same geometry as its base set, and not one that is wrong by metres (digest,
-fact 3).
+Redundant parameters are detected at the start and left out. The normal equations of eq (11) are replaced by a QR
+solution. So a redundant model gives the same geometry as its base set, and not one that is wrong by metres (Qiao 2026
+digest, fact 3).
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ NEAR = 5.0
 """The Jacobian is reused after a step below this many uncertainties, if steps also shrink tenfold each time."""
 
 REDUNDANCY_TOLERANCE = 1e-3
-"""A parameter is redundant if earlier columns explain its scaled column but for less than this share of the largest
-norm."""
+"""A parameter is redundant if the part of its scaled column that earlier columns do not explain is small: its norm is
+below this share of the largest norm."""
 
 BLOCK = 1600
 """Number of equations that `triangle` reduces at a time; so many fit into the processor's cache."""
@@ -52,8 +52,10 @@ class Identification:
 
     Attributes:
         arm_model: The identified geometry, with the coefficients of its terms.
-        unknowns: Identified unknowns of the measurements themselves (reflectors, anchors, sockets), m.
-        identifiability: Which parameters were identified, which were dropped as redundant, and what absorbs these.
+        unknowns: Identified values, by name, of the measurements' own unknowns, such as places of reflectors, anchors
+            and sockets, m.
+        identifiability: Which parameters were identified and which were dropped as redundant, and the kept parameters
+            that have the same effects as the dropped ones.
         delta: Identified minus starting parameters, m or rad, per parameter (0 for dropped ones).
         covariance: Covariance of the kept parameters. It is that of the posterior if they have priors, else from the
             residual's scatter; NaN if there are no more equations than parameters.
@@ -117,7 +119,7 @@ class Identification:
 
     @property
     def spent(self) -> float:
-        """Effective number of parameters that the measurements determine, rather than the priors."""
+        """Effective number of parameters that the measurements, and not the priors, determine."""
         width = self.prior_std[self.identifiability.kept]
         return float(np.sum(1.0 - np.clip(np.diag(self.covariance) / width**2, 0.0, 1.0)))
 
@@ -160,14 +162,14 @@ def identify(
         start: Geometry, or geometry with parametric terms, to start from, near the data (see
             `pickenv.calibration.identification.robust`).
         data: Poses or positions, or any mix of kinds; the kinds' own unknowns are identified too.
-        max_iterations: Largest number of steps before the rank is judged a second time, and again after that; three or
-            four are usual.
-        whiten: Function that weighs the equations ``(E, ...)`` again, which are in stated standard uncertainties and in
-            the order of the data. It applies robust weights, or estimated noise
-            (`pickenv.calibration.model.noise.RowNoise.whiten`).
+        max_iterations: Largest number of steps; three or four are usual. It is doubled if the rank is judged a second
+            time, that is if the data have unknowns of their own and ``every`` is False.
+        whiten: Function that weighs equations ``(E, ...)`` again, by robust weights or by estimated noise
+            (`pickenv.calibration.model.noise.RowNoise.whiten`). The equations are in the order of the data, in stated
+            standard uncertainties.
         rank_tolerance: Threshold below which a parameter is redundant, see `REDUNDANCY_TOLERANCE`.
-        every: Whether every parameter has a prior among the data. Then all are kept, and the covariance is the
-            posterior's, for equations whitened to unit variance.
+        every: Whether every parameter has a prior among the data. Then all are kept. The covariance is that of the
+            posterior, for equations whitened to unit variance.
 
     Returns:
         The identification; ``converged`` is False if the last step was not negligible.
@@ -285,7 +287,7 @@ def identify_converged(
     """Run `identify`; if it does not converge, run it again without parameters that the data hardly determine.
 
     Raises:
-        InputError: As `identify`, or if none of the runs converges.
+        InputError: If there are too few poses for the model's rank, or none of the runs converges.
     """
     for factor in (1.0, 3.0, 10.0):
         solution = identify(model, start, data, max_iterations=60, rank_tolerance=factor * REDUNDANCY_TOLERANCE)
@@ -360,7 +362,9 @@ def _solve(matrix: Array, right: Array, damping: float) -> Array:
 
 
 def triangle(matrix: Array, right: Array) -> tuple[Array, Array]:
-    """Reduce least-squares equations to a triangular system with the same solution, by QR of blocks and then of these.
+    """Reduce least-squares equations to a triangular system with the same solution.
+
+    Each block of about `BLOCK` equations is reduced by QR, then the triangles of all blocks together.
 
     Args:
         matrix: Matrix of the equations ``(rows, P)``.
@@ -414,13 +418,14 @@ def _enough_poses(
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
-    """Which parameters are identifiable: the result of `identifiability`.
+    """The parameters that are identifiable and those that are not: the result of `identifiability`.
 
     Attributes:
         names: All parameters, in order.
         kept: Indices of the identifiable base set.
-        dropped: The other parameters, by name. Each has the deviations of kept parameters (m or rad) that have the same
-            effect as a deviation of 1 (m or rad) of it. They are empty if it has no effect on the measurements.
+        dropped: By name of each other parameter, the deviations of kept parameters, by name, m or rad. Together they
+            have the same effect as a deviation of 1 m or 1 rad of the dropped parameter. They are empty if the dropped
+            parameter has no effect on the measurements.
         r_diagonal: |R_kk| of the scaled stacked Jacobian per parameter, about 0 for dropped ones (Qiao 2026 eq (9)).
             Divided by its mean it is the paper's ratio phi (eq (10)).
         singular_values: Singular values of the kept parameters' scaled stacked Jacobian, per pose (over sqrt(N)).

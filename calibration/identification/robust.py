@@ -107,7 +107,7 @@ def laid_onto(points: Array, targets: Array) -> tuple[Array, Array]:
 
 
 def registered(geometry: Geometry, tool: Pose, chain: Pose, measurements: Measurements) -> Geometry:
-    """Return the geometry with this tool, and with the base that best maps its poses onto the measured ones.
+    """Return the geometry with this tool, and with the base that best maps the arm's tool poses onto the measured ones.
 
     The base's rotation follows from the attitudes if they were measured, else from the positions (Kabsch 1976).
 
@@ -229,14 +229,14 @@ def robust_identify(model: ErrorModel, start: Geometry | ArmModel, data: Observa
 
     Args:
         model: The parameters.
-        start: Geometry, or geometry with terms, near the data (see `robust_align`).
+        start: Geometry, or geometry with terms, with base and tool near the data (see `robust_align`).
         data: Rows of any kind.
 
     Returns:
-        The identification by the last weighted least squares, and the sizes of the rows' errors.
+        The identification by the last weighted least squares, and the sizes of the rows' errors (`Sizes`).
 
     Raises:
-        InputError: As `identify`.
+        InputError: If there are too few poses for the model's rank.
     """
     arm, apart = ArmModel.of(start), counted(data.joints)
     _, weights, _ = sizes_of(arm, data.start(arm), data, apart=apart)
@@ -267,7 +267,7 @@ def robust_align(
         rng: Draws the sets of four positions.
 
     Raises:
-        InputError: If there are fewer than eight poses, or as `align`.
+        InputError: If there are fewer than eight poses, or the data do not fit the arm at all.
     """
     count = len(measurements)
     if count < 8:
@@ -290,9 +290,10 @@ def robust_align(
 def sizes_of(
     arm: ArmModel, unknowns: Array, data: Observations, scales: Array | None = None, *, apart: Array | None = None
 ) -> Sizes:
-    """Return the sizes of the rows' errors, in given standard deviations or in robust ones from the rows.
+    """Return the sizes of the rows' errors (`Sizes`), in standard deviations of the channels.
 
-    Robust standard deviations are never below the instrument's own uncertainty.
+    Without ``scales`` the standard deviations are robust ones, computed from the rows. They are never below the
+    instrument's own uncertainty.
 
     Args:
         arm: The arm.
@@ -321,7 +322,14 @@ def sizes_of(
 
 
 def sigma_of(found: Identification, data: Observations, scales: Array | None = None) -> Array:
-    """Largest error of each row ``(N,)`` under an identified arm, in given or robust standard deviations."""
+    """Return the largest error of each row ``(N,)`` under an identified arm, in standard deviations of the channels.
+
+    Args:
+        found: The identification.
+        data: The rows.
+        scales: Standard deviations by channel ``(C,)``, in stated standard uncertainties; robust ones from the rows if
+            left out.
+    """
     return sizes_of(found.arm_model, unknowns_of(found, data), data, scales)[0]
 
 
@@ -421,8 +429,8 @@ def stations_of(arm: Arm, data: Sequence[Observations], own: Collection[str]) ->
     Args:
         arm: The arm.
         data: The data sets.
-        own: Frames, of "base" and "tool", of which every station but the first has its own. A data set without an
-            instrument's frame has no base of its own.
+        own: Names of the frames ("base", "tool") that each station but the first has for itself. A data set whose
+            instrument has no frame has no base of its own.
 
     Raises:
         InputError: If a set does not fit the arm.
@@ -432,11 +440,13 @@ def stations_of(arm: Arm, data: Sequence[Observations], own: Collection[str]) ->
 
 
 def scene_of(arm: Arm, data: Sequence[Observations]) -> Stacked:
-    """Return data sets as stations of one arm that share the base if they name one sensor, and the tool if one target.
+    """Return data sets as stations of one arm, which share frames if their sensors or targets have the same name.
+
+    Stations that name the same sensor share the base. Stations that name the same target share the tool.
 
     Args:
         arm: The arm.
-        data: The data sets, whose origins name sensor and target; a frame whose sensor or target has no name is not
+        data: The data sets, whose origins name sensor and target. A frame whose sensor or target has no name is not
             shared.
 
     Raises:
@@ -476,7 +486,9 @@ set-up."""
 
 
 def by_set_up(arm: Arm, parts: Sequence[Measurements]) -> Measurements | Stacked:
-    """Join the poses or positions of several files: as one data set if they share a set-up, else a station per set-up.
+    """Join the poses or positions of several files.
+
+    Files that share one set-up become one data set. If there are several set-ups, each becomes a station.
 
     Args:
         arm: The arm.
@@ -494,9 +506,10 @@ def by_set_up(arm: Arm, parts: Sequence[Measurements]) -> Measurements | Stacked
 def set_ups(arm: Arm, parts: Sequence[Measurements]) -> tuple[SetUp, ...]:
     """Group files that share base and tool by the Bayesian information criterion, adding one file after the other.
 
-    Errors of the rows of one file are alike, so at most `COUNTED_ROWS` of each file count. Frames of a file's own must
-    thus remove a large part of the remaining error, not merely a significant one. Files that do not decide it are put
-    into the first set-up.
+    Errors of the rows of one file are alike, so at most `COUNTED_ROWS` of each file count. So a file has frames of its
+    own only if these remove a large part of the remaining error. A file with too few rows, or whose rows do not fit the
+    arm, is put into the first set-up. If the two cannot be joined as one data set, the file shares the frames of that
+    set-up.
 
     Args:
         arm: The arm.

@@ -54,8 +54,8 @@ def solve(
     """Fit a model's parameters to rows and priors.
 
     Args:
-        model: The parameters with their priors; the solution is averaged over those scales of prior widths that it does
-            not state.
+        model: The parameters with their priors; the solution is averaged over those scales of prior widths that the
+            model does not state.
         data: The rows. If they involve no known length, priors of lengths are not rescaled, because the smallest arm
             would fit best.
         noise: The scatter of the rows; estimated from them when left out.

@@ -36,7 +36,8 @@ Places = NDArray[np.int64]
 class Linearised:
     """A linear model of the residual of a fitted geometry, with terms that may be added to the geometry.
 
-    Its parameters are the fit's own, geometry and unknowns of the measurements alike, then the terms' coefficients.
+    Its parameters are first those of the fit (of the geometry, and unknowns of the measurements), then the terms'
+    coefficients.
 
     Attributes:
         arm: The fitted geometry and the terms, all coefficients zero.
@@ -46,7 +47,7 @@ class Linearised:
         ridge: The priors' addition to the normal equations' diagonal ``(P,)``.
         pull: The priors' addition to the right-hand side ``(P,)``; it is not zero where fitted parameters differ from
             their priors' means.
-        blocks: Rows in blocks, each of which is held out once.
+        blocks: Contiguous blocks of training rows; each block is held out once.
     """
 
     arm: ArmModel
@@ -64,7 +65,7 @@ class Linearised:
         Args:
             bare: The identification without terms.
             terms: The terms.
-            blocks: Training rows in blocks.
+            blocks: Contiguous blocks of training rows.
         """
         arm, fitted = ArmModel.of(bare.geometry, terms), bare.identifiability.kept_names
         names = fitted + arm.parameter_names[len(bare.geometry.parameter_names) :]
@@ -90,7 +91,15 @@ class Linearised:
         return np.arange(first, first + counts[term])
 
     def equations(self, data: Observations) -> tuple[Array, Array]:
-        """Return whitened columns ``(R, P)``, and the residual under the fitted geometry ``(R,)``, of R equations."""
+        """Return the equations of a data set, linearised at the fitted geometry.
+
+        Args:
+            data: The rows, which give R equations.
+
+        Returns:
+            Whitened derivatives with respect to the parameters, times `scale` ``(R, P)``, and the whitened residual
+            ``(R,)``.
+        """
         unknowns = data.unknowns()
         values = np.array([self.unknowns[name] for name in unknowns])
         by_arm, by_unknown = data.jacobian(self.arm, values)
@@ -102,14 +111,21 @@ class Linearised:
 
     @cached_property
     def normal(self) -> tuple[Array, Array, Array]:
-        """Normal equations of each block: A^T A ``(B, P, P)``, A^T r ``(B, P)`` and r^T r ``(B,)``."""
+        """Normal equations of each of B blocks of rows: A^T A ``(B, P, P)``, A^T r ``(B, P)`` and r^T r ``(B,)``."""
         parts = [self.equations(block) for block in self.blocks]
         matrix = np.stack([columns.T @ columns for columns, _ in parts])
         right = np.stack([residual @ columns for columns, residual in parts])
         return matrix, right, np.array([residual @ residual for _, residual in parts])
 
     def without(self, block: int | None) -> tuple[Array, Array]:
-        """Return normal equations, with priors, of all blocks but one, or of all blocks if ``block`` is None."""
+        """Return the normal equations, with priors, of all blocks of rows but one.
+
+        Args:
+            block: Index of the block that is left out; with None all blocks are included.
+
+        Returns:
+            Matrix ``(P, P)`` and right-hand side ``(P,)``.
+        """
         of_each, right_of_each, _ = self.normal
         matrix, right = of_each.sum(axis=0), right_of_each.sum(axis=0)
         if block is not None:
@@ -126,10 +142,10 @@ class Linearised:
 
 
 def left_of(normal: tuple[Array, Array, Array], block: int, solution: Array) -> float:
-    """Return the sum of squared residuals of one block under a solution.
+    """Return the sum of squared residuals of one block of rows after a change of the parameters.
 
     Args:
-        normal: Normal equations of the blocks, as from `Linearised.normal`.
+        normal: The normal equations of all blocks of rows (`Linearised.normal`).
         block: Index of the block.
         solution: Change of the parameters ``(P,)``.
     """
@@ -206,7 +222,7 @@ def harmonics_of(found: Identification) -> list[Harmonic]:
 
 
 def every_order(geometry: Geometry) -> PeriodicTerm:
-    """Return a term of all candidate harmonics, on the coarse grid of orders, of all revolute joints."""
+    """Return a term with all candidate harmonics: every order of the coarse grid, for every revolute joint."""
     orders = np.arange(1.0, HIGHEST + STEP / 2, STEP).tolist()
     return _harmonics([(i, order) for i in range(geometry.joints) if not geometry.prismatic[i] for order in orders])
 
@@ -264,10 +280,11 @@ def pursued(matrix: Array, right: Array, base: Places, candidates: Places, most:
 
 
 def chosen_orders(equations: Linearised, base: Places, candidates: Places) -> tuple[list[Places], Places]:
-    """Return column indices of the chosen harmonics: for each block held out, and for all blocks together.
+    """Return column indices of the chosen harmonics, for each block of rows held out and for all blocks together.
 
-    Harmonics are chosen on the other blocks one after the other, and judged on the block held out. The number is the
-    smallest one whose error is within `WITHIN` of the least error. Indices are empty if no harmonic reduces the error.
+    On the other blocks harmonics are chosen one after the other. They are judged on the block held out. The number of
+    harmonics is the smallest one whose error is within `WITHIN` of the least error. Indices are empty if no harmonic
+    reduces the error.
 
     Args:
         equations: Normal equations of geometry, other terms and every candidate harmonic.
@@ -300,7 +317,7 @@ def refined(
 
     Args:
         wave: The harmonics, with orders on the grid.
-        others: Other terms, which are fitted together with them.
+        others: Other terms, which are fitted together with the harmonics.
         bare: The geometry identified without terms.
         observations: Training rows.
     """
@@ -358,9 +375,9 @@ def identify_terms(
 
     Args:
         terms: The terms.
-        bare: The geometry without them.
+        bare: The identification without the terms.
         observations: The rows.
-        known: Whether base and tool are known, where ``bare`` was identified without priors.
+        known: Whether base and tool are known; it counts only if ``bare`` was identified without priors.
     """
     model = bare.prior or prior_model("", bare.geometry, known=known, fit="full")
     return solve(model.with_terms(terms), observations, near=bare)
@@ -369,9 +386,10 @@ def identify_terms(
 def choose_terms(arm: Arm, bare: Identification, observations: Observations) -> TermChoice:
     """Choose terms by blocked cross-validation within training rows, which are in the order they were measured.
 
-    Terms are tried one after the other in the order of `NAMES`. Each is added only if it reduces the error of the terms
-    before it by more than `MARGIN`. The order matters: on the WAM's grid, harmonics alone score better than gravity
-    alone, but extrapolate worse. Gravity is kept beside harmonics only if it also improves on the terms without it.
+    Terms are tried one after the other in the order of `NAMES`. A term is added only if it cuts the RMS error with the
+    terms chosen so far by more than the share `MARGIN`. The order matters: on the WAM's grid, harmonics alone score
+    better than gravity alone, but extrapolate worse. If gravity and harmonics are chosen, gravity is kept only if the
+    chosen terms without gravity have a larger error, by the same margin.
 
     Args:
         arm: The arm.

@@ -43,10 +43,10 @@ class Conditions:
         return Conditions(**{name: None if part is None else part[rows] for name, part in vars(self).items()})
 
     def repeated(self, shape: tuple[int, ...]) -> Conditions:
-        """Return the one payload and the one temperature, repeated for every pose of a batch.
+        """Repeat a single payload and a single temperature for every pose of a batch; leave torques and links out.
 
         Args:
-            shape: Shape of the batch; the result is flat. Torques and links are left out.
+            shape: Shape of the batch. The result is flat, with one entry per pose.
         """
         count, parts = int(np.prod(shape)), (self.payload, self.temperature)
         payload, temperature = (None if part is None else np.broadcast_to(part, (count,)) for part in parts)
@@ -82,7 +82,11 @@ class JointTerm(Term, Protocol):
         """Return each coefficient's joint ``(k,)``, and that joint's motion per unit of it ``(N, k)``, rad or m."""
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        """Return the joint Jacobian's columns times `steps` ``(N, 6, k)``; in memory, poses are the innermost axis."""
+        """Return the pose displacement per unit of each coefficient ``(N, 6, k)``, m and rad, world axes.
+
+        It is the joint Jacobian's column times the joint's motion from `steps`. In memory, poses are the innermost
+        axis.
+        """
         which, steps = self.steps(geometry, joints, conditions)
         by_joint = np.moveaxis(joint_jacobian(geometry, joints), 0, -1)
         return np.asarray(np.moveaxis(by_joint[:, list(which)] * steps.T, -1, 0))
@@ -197,8 +201,8 @@ ORDER_TOLERANCE = 0.25
 class ComplianceTerm(JointTerm):
     """Joint compliance: deflection dq = c tau under torque tau, with c = 1/k per joint (rad/(N*m) or m/N).
 
-    The torque is the measured one if the data contain torques. Otherwise it is the gravity torque from ``moments`` of
-    the arm's weight, which were fitted to measured torques.
+    The torque is the measured one if the data contain torques. Otherwise it is the gravity torque from ``moments``, the
+    links' masses and first moments as fitted to measured torques.
 
     Attributes:
         joints: Indices of the compliant joints, from 0.
@@ -258,7 +262,7 @@ class PeriodicTerm(JointTerm):
         return PeriodicTerm(tuple(self.joints[i] for i in numbers), tuple(self.orders[i] for i in numbers))
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
-        """Names of the coefficients, from joint (from 1), order and sine or cosine, such as periodic1_13.5_sin."""
+        """Names of the coefficients, such as periodic1_13.5_sin: joint (counted from 1), order, and sine or cosine."""
         pairs = zip(self.joints, self.orders, strict=True)
         return tuple(f"periodic{i + 1}_{order:.5g}_{part}" for i, order in pairs for part in ("sin", "cos"))
 
@@ -275,9 +279,10 @@ class PeriodicTerm(JointTerm):
 
 @dataclass(frozen=True)
 class OrderTerm(JointTerm):
-    """Tool displacement per change of each harmonic's order, used to refine the orders of a `PeriodicTerm`.
+    """A term whose coefficients are changes of the orders of a `PeriodicTerm`, used to refine these orders.
 
-    It is J q (s cos(order q) - c sin(order q)), with the joint Jacobian J, and the harmonic's coefficients s and c.
+    The tool displacement per unit change of an order is J q (s cos(order q) - c sin(order q)). J is the joint Jacobian,
+    and s and c are the harmonic's coefficients.
 
     Attributes:
         wave: The term that has the harmonics.
@@ -318,7 +323,9 @@ class ThermalTerm(Term):
         return np.array([5e-5])
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        """Return the sum of the Jacobian's length columns times the lengths, times the temperature ``(N, 6, 1)``.
+        """Return the pose displacement per unit of the coefficient ``(N, 6, 1)``, m and rad, world axes.
+
+        It is the sum over all link lengths of the Jacobian's column times the length, times the temperature.
 
         Raises:
             InputError: If no temperatures are recorded.
@@ -356,13 +363,13 @@ class GravityTerm(JointTerm):
     def moments(self, geometry: Geometry) -> tuple[tuple[int, int, str], ...]:
         """Return the joint, link (indices from 0) and moment of each coefficient.
 
-        Moment "m" is the mass at the link's origin; "x", "y" and "z" are its first moments; "p" is the payload at the
-        tool.
+        Moment "m" is the mass at the link's origin; "x", "y" and "z" are the link's first moments; "p" is the payload
+        at the tool.
         """
         return _moments(self, geometry)
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
-        """Names of the coefficients, from joint and link (both from 1) and moment, such as gravity2_3x."""
+        """Names of the coefficients, such as gravity2_3x: joint and link (both counted from 1), and moment."""
         return tuple(f"gravity{i + 1}_{j + 1}{moment}" for i, j, moment in self.moments(geometry))
 
     def tolerances(self, geometry: Geometry) -> Array:
@@ -374,7 +381,7 @@ class GravityTerm(JointTerm):
         return np.array([i for i, _, _ in self.moments(geometry)])
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """Return each coefficient's joint ``(k,)``, and the torque of its moment ``(N, k)`` from `torques`."""
+        """Return each coefficient's joint ``(k,)``, and the torque on it per unit of the moment ``(N, k)``."""
         return self.owners(geometry).tolist(), self.torques(geometry, joints, conditions)
 
     def torques(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
@@ -501,10 +508,10 @@ class ErrorModel:
     """The parameters to identify.
 
     Attributes:
-        columns: Indices into the geometry's ``parameter_names``, shape (P,), in order of preference: of redundant
-            parameters, the earlier one is kept.
+        columns: Indices into the arm's ``parameter_names`` ``(P,)``, in order of preference: of redundant parameters,
+            the earlier one is kept.
         names: The parameters' names.
-        tolerance: Scale of each parameter's deviation, m or rad, shape (P,).
+        tolerance: Scale of each parameter's deviation ``(P,)``, m or rad.
     """
 
     columns: NDArray[np.int64]
@@ -540,7 +547,10 @@ def complete_model(geometry: Geometry) -> ErrorModel:
 
 
 def frames_model(geometry: Geometry) -> ErrorModel:
-    """Return the model of base and tool pose alone, which are fitted before the error of a nominal arm is stated."""
+    """Return the model of base and tool pose alone.
+
+    They are fitted before the error of a nominal arm is computed.
+    """
     return _model(geometry, [name for name in geometry.parameter_names if name.startswith(("base_", "tool_"))])
 
 
@@ -628,7 +638,7 @@ def fitted_model(arm: str, nominal: Geometry, known_frames: bool) -> ErrorModel:
 
 
 def joints_of_finished_poses(poses: Pose) -> Array:
-    """Return the pose carrier's joints ``(N, 6)``, m and rad, at which its tool has the given poses ``(N,)``."""
+    """Return the joints ``(N, 6)``, m and rad, at which the tool of `pose_carrier` has the poses ``poses`` ``(N,)``."""
     geometry = pose_carrier().nominal
     zero = forward(geometry, np.zeros(6))
     along = np.stack([forward(geometry, row).position for row in np.eye(6)[:3]], axis=1)

@@ -34,13 +34,20 @@ ORIGIN: Tip = (0.0, 0.0, 0.0)
 
 
 def tool_points(model: ArmModel, joints: Array, conditions: Conditions, tip: Array) -> Array:
-    """World positions ``(N, 3)``, m, of the point ``tip`` ``(3,)`` of the tool's frame, m, at joints ``(N, n)``."""
+    """Return the world positions ``(N, 3)``, m, of a point of the tool.
+
+    Args:
+        model: The arm.
+        joints: Joints ``(N, n)``, rad or m.
+        conditions: Payload, temperature and torques, where known.
+        tip: The point in the tool's frame ``(3,)``, m.
+    """
     pose = model.pose(joints, conditions)
     return np.asarray(pose.position + pose.rotation @ tip)
 
 
 def tool_points_jacobian(model: ArmModel, joints: Array, conditions: Conditions, tip: Array) -> tuple[Array, Array]:
-    """Derivatives of `tool_points` with respect to the model ``(N, 3, P)`` and to ``tip`` ``(N, 3, 3)``."""
+    """Derivatives of `tool_points` with respect to the arm's parameters ``(N, 3, P)`` and ``tip`` ``(N, 3, 3)``."""
     rotation = model.pose(joints, conditions).rotation
     return observations.point_jacobian(model.jacobian(joints, conditions), rotation @ tip), rotation
 
@@ -276,7 +283,7 @@ class SocketObservations(Observations):
         return np.concatenate([*sockets, self.tip])[self.numbers.free]
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """Whitened derivatives of tool point minus socket with respect to the model and to the instrument's numbers."""
+        """Whitened derivatives of tool point minus socket with respect to arm parameters and instrument's numbers."""
         by_model, by_tip = tool_points_jacobian(model, self.joints, self.conditions, numbers[-3:])
         places = np.eye(len(self._names))[self.socket]
         by_socket = -np.einsum("ns,ij->nisj", places, np.eye(3)).reshape(*by_tip.shape[:2], -1)
@@ -300,7 +307,7 @@ class SocketObservations(Observations):
 
 
 SCALE_TOLERANCE = 1e-3
-"""Scale of the deviation of a distance reading's scale factor from 1."""
+"""Typical deviation from 1 of the factor on a distance reading."""
 
 
 @register("observation", "distances")
@@ -308,7 +315,7 @@ SCALE_TOLERANCE = 1e-3
 class DistanceObservations(Observations):
     """Distances of a point of the tool from a point or plane that does not move.
 
-    Each uncertainty is 0 if its number is exact and infinite if the number is to be fitted.
+    An uncertainty is 0 if the number is exact, and infinite if the number is unknown.
 
     Attributes:
         joints: ``(N, n)``, rad or m.
@@ -320,7 +327,7 @@ class DistanceObservations(Observations):
         zero: The reading at distance 0, m.
         zero_std: Standard uncertainty of ``zero``, m.
         scale_std: Standard uncertainty of the reading's scale factor, which is expected at 1.
-        tip: The point in the tool's frame, m.
+        tip: The point of the tool, in the tool's frame, m.
         tip_std: Standard uncertainty of a coordinate of ``tip``, m.
         conditions: Payload, temperature and torques, where known.
         source: Where the data come from.
@@ -374,16 +381,16 @@ class DistanceObservations(Observations):
         return self.length[:, None]
 
     def start(self, model: ArmModel) -> Array:
-        """Return starting values of the unknowns, with the surface fitted to the tool points of the model."""
+        """Return starting values of the unknowns; the point or plane is fitted to the predicted tool points."""
         points = tool_points(model, self.joints, self.conditions, np.array(self.tip))
         place, zero = SURFACES[self.surface].start(points, self.length, self.zero, bool(np.isinf(self.zero_std)))
         return np.concatenate([place, [zero, 0.0], self.tip])[self.numbers.free]
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """Return whitened derivatives of the readings with respect to the model and to the instrument's numbers.
+        """Return whitened derivatives of the predicted readings.
 
         Returns:
-            Derivatives ``(N, P)`` and ``(N, K)``.
+            Derivatives with respect to the arm's parameters ``(N, P)`` and to the instrument's numbers ``(N, K)``.
         """
         values, scale, tip = numbers[:-5], numbers[-4], numbers[-3:]
         points = tool_points(model, self.joints, self.conditions, tip)
@@ -467,7 +474,7 @@ class ReflectorObservations(Observations):
         return Stated(names, values, std, np.full(count, LENGTH_TOLERANCE))
 
     def start(self, model: ArmModel) -> Array:
-        """Return starting values of the reflectors' places: as stated, or else from `seen_from`."""
+        """Return starting values of the reflectors' places: the stated ones, or measured ones (`seen_from`)."""
         return self.seen_from(model).ravel() if self.places is None else self.numbers.start()
 
     @property
@@ -495,7 +502,7 @@ class ReflectorObservations(Observations):
         return np.asarray((self.points - predicted)[self.seen])
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """Whitened derivatives of the reflectors seen, with respect to the model and to the reflectors' places."""
+        """Whitened derivatives of the predicted positions with respect to arm parameters and reflectors' places."""
         tool, pose = model.pose(self.joints, self.conditions), model.jacobian(self.joints, self.conditions)
         count = self.points.shape[1]
         lever = np.einsum("nij,kj->nki", tool.rotation, numbers.reshape(-1, 3))
@@ -605,7 +612,7 @@ class TiltObservations(Observations):
         return np.asarray(self.components - local @ np.array(axes).T)
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """Whitened derivatives of the components with respect to the model, and to the axes and the down direction."""
+        """Whitened derivatives of the components with respect to arm parameters, axes and down direction."""
         *axes, (down, by_down) = (direction(vector) for vector in numbers.reshape(-1, 3))
         rotation = model.pose(self.joints, self.conditions).rotation
         turned = model.jacobian(self.joints, self.conditions)[:, 3:]

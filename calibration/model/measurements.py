@@ -33,8 +33,8 @@ ATTITUDE_STD = 2e-4
 
 
 Frames = Literal["known", "fitted"]
-"""Choices for base and tool: "known" for poses of the arm's own tool in the arm's own base frame. It is "fitted" if the
-places of the instrument and of its target are unknown."""
+"""Choices for base and tool. "known": the poses are those of the arm's own tool in the arm's own base frame. "fitted":
+the places of the instrument and of its target are unknown, so base and tool are fitted."""
 
 FRAMES: tuple[Frames, ...] = get_args(Frames)
 
@@ -59,7 +59,7 @@ class Measurements(Observations):
         origins: File and line of each row; None if the rows come from no file.
         frames: "known" for poses of the arm's own tool in the arm's own base frame. "fitted" if the places of the
             instrument, and of its target on the tool, are unknown.
-        std_stated: Whether the uncertainties were stated; otherwise they are the defaults.
+        std_stated: Whether a file or the instrument states the uncertainties; if False they are the defaults.
     """
 
     joints: Array
@@ -103,11 +103,14 @@ class Measurements(Observations):
         return pose_error(predicted, Pose(self.position, self.rotation))
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Return measured minus predicted pose, in standard uncertainties, as one vector."""
+        """Return the measured minus the predicted poses, in standard uncertainties, as one vector ``(E,)``."""
         return np.asarray((self.difference(model) * self.row_weights).ravel())
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Whitened derivatives with respect to the model (Qiao 2026 eq (8)), and no columns for unknowns."""
+        """Return whitened derivatives of the poses with respect to the arm's parameters (Qiao 2026 eq (8)).
+
+        The second array, the derivatives with respect to unknowns, has no columns.
+        """
         jacobian = np.moveaxis(model.jacobian(self.joints, self.conditions), 0, -1)
         flat = np.empty((jacobian.shape[1], len(self), self.rows_per_pose))
         for i, weight in enumerate(self.row_weights):
@@ -129,7 +132,7 @@ class Measurements(Observations):
 
     @property
     def poses(self) -> Measurements:
-        """This data set."""
+        """The rows as `Measurements`, which are this data set itself."""
         return self
 
     def joinable(self, other: Measurements) -> bool:
@@ -142,7 +145,7 @@ class Measurements(Observations):
         return replace(self, rotation=None)
 
     def fingerprint(self) -> str:
-        """Hash of joints, positions and attitudes."""
+        """One hash over joints, positions and attitudes together."""
         return hash_of(self.joints, self.position, *([] if self.rotation is None else [self.rotation]))
 
     def table(self) -> tuple[list[str], Array]:
@@ -208,14 +211,15 @@ def simulated_tracker(
 ) -> Measurements:
     """Simulate an instrument that measures the tool poses of an arm at ``joints``, one after another.
 
-    The poses are those of the arm's own tool in its own base frame. One call is one campaign: the arm is switched on,
-    warms up, drives from pose to pose and waits before each reading. The target is mounted on the tool once. The
+    The poses are those of the arm's own tool in the arm's own base frame. One call is one campaign: the arm is switched
+    on, warms up, drives from pose to pose and waits before each reading. The target is mounted on the tool once. The
     instrument "ideal" waits at each pose without limit.
 
     Args:
-        plant: The plant, that is the true arm.
+        plant: The plant, that is the true arm with its errors.
         joints: Joint commands ``(N, n)`` in the order of the visits, rad or m.
-        rng: Draws the errors of the readings. A child of it draws the friction at each stop and the target's mounting.
+        rng: Draws the errors of the readings. A child generator draws the friction at each stop and the target's
+            mounting.
         instrument: A name of `pickenv.arm.load_instrument`, a path to a file, or an `Instrument`.
 
     Raises:
@@ -232,7 +236,14 @@ def simulated_tracker(
 
 
 def tracked(plant: Plant, instrument: Instrument, joints: Array, draws: NormalDraws) -> Measurements:
-    """Simulate an instrument's readings of the arm at joints ``(N, n)``, rad or m, with given random draws."""
+    """Simulate the tool poses that an instrument measures of an arm, with random draws made beforehand.
+
+    Args:
+        plant: The plant, that is the true arm with its errors.
+        instrument: The instrument.
+        joints: Joint commands ``(N, n)`` in the order of the visits, rad or m.
+        draws: Standard normal draws for the N poses.
+    """
     pose, noise = measured_poses(plant, joints, instrument, draws), instrument.noise_on(plant)
     std = attitude_std = 0.0
     if noise is not None:
@@ -277,10 +288,11 @@ class InstrumentStation:
     Attributes:
         data: The data set.
         number: Number of the station, from 1; from 2 on it is part of the names of the station's unknowns.
-        base: Starting value of the station's own base frame; None if it uses the arm's.
-        tool: Starting value of the station's own tool frame; None if it uses the arm's.
+        base: Starting value of the station's own base frame; None if the station uses the arm's base frame.
+        tool: Starting value of the station's own tool frame; None if the station uses the arm's tool frame.
         scale: Factor on the data's standard uncertainties, which weighs instruments by their scatter.
-        owners: Number of the station that the frame "base" or "tool" belongs to; this station's own number if missing.
+        owners: Number of the station that owns a frame, by the frame's name ("base" or "tool"). This station owns a
+            frame that is not among the names.
     """
 
     data: Observations
@@ -297,7 +309,7 @@ class InstrumentStation:
 
     @property
     def suffix(self) -> str:
-        """Ending of the names of the station's unknowns; empty for the first station."""
+        """Ending of the names of the data's own unknowns, such as _2; empty for the first station."""
         return "" if self.number == 1 else f"_{self.number}"
 
     def unknowns(self) -> tuple[str, ...]:
@@ -307,7 +319,7 @@ class InstrumentStation:
         return names + tuple(f"{frame}_{name}" for frame in frames for name in FRAME_PARAMETERS)
 
     def tolerances(self) -> Array:
-        """Scales of the data's own unknowns, then of the frames' deviations, as for the arm's own base and tool."""
+        """Scales of the data's own unknowns, then of the frames' deviations (`FRAME_TOLERANCES`)."""
         return np.concatenate([self.data.tolerances(), np.tile(FRAME_TOLERANCES, len(self.frames))])
 
     def start(self, model: ArmModel) -> Array:
@@ -320,7 +332,7 @@ class InstrumentStation:
 
         Args:
             model: The arm, with the first station's frames.
-            unknowns: Values of `unknowns`.
+            unknowns: Values of the station's unknowns, in the order of `unknowns`.
         """
         values, deviations = np.split(unknowns, [len(unknowns) - 6 * len(self.frames)])
         steps = zip(self.frames.items(), deviations.reshape(-1, 6), strict=True)
@@ -328,9 +340,10 @@ class InstrumentStation:
         return replace(model, geometry=replace(model.geometry, **frames)) if frames else model, values
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Return derivatives of the residual with respect to the arm and to the station's unknowns.
+        """Return whitened derivatives with respect to the arm's parameters and to the station's unknowns.
 
-        A frame of the station's own has its columns among the unknowns, and zero columns among those of the arm.
+        The station's own frames are among the unknowns. The columns of these frames among the arm's parameters are
+        zero.
         """
         by_arm, by_own = self.data.jacobian(*self.seen(model, unknowns))
         columns = np.concatenate([np.zeros(0, int), *(frame_columns(model.geometry, frame) for frame in self.frames)])
@@ -341,10 +354,12 @@ class InstrumentStation:
 
 @dataclass(frozen=True, eq=False)
 class Stacked(Observations):
-    """The data sets of several stations of one arm, stacked as one data set; unknowns of equal names are one unknown.
+    """The data sets of several stations of one arm, stacked as one data set.
+
+    If unknowns of several stations have the same name, they are one unknown.
 
     Attributes:
-        stations: The stations; those with an instrument's frame come first.
+        stations: The stations; those whose instrument has a frame come first.
     """
 
     stations: tuple[InstrumentStation, ...]
@@ -398,7 +413,7 @@ class Stacked(Observations):
 
     @worked_out
     def origins(self) -> Origins:
-        """File and line of every row, and the first station's scatter of repeated measurements."""
+        """Files, lines and clocks of all rows, and the first station's scatter of repeated measurements."""
         parts = [origins_of(part) for part in self.parts]
         starts = _starts([len(origins.files) for origins in parts])
         return Origins(
@@ -411,7 +426,7 @@ class Stacked(Observations):
 
     @property
     def groups(self) -> Rows:
-        """The group of each row; no two stations share a group."""
+        """Group of each row for splits ``(N,)``; no two stations share a group."""
         return _numbered([part.groups for part in self.parts])
 
     @property
@@ -478,7 +493,7 @@ class Stacked(Observations):
         return np.asarray(block_diag(*(part.readings() for part in self.parts)))
 
     def select(self, rows: ArrayLike) -> Self:
-        """Return the data set of only the given rows; stations without any of them are left out."""
+        """Return the data set of only the given rows (indices or a mask), without stations that have none of them."""
         first, parts = self._first_rows(), self.parts
         owner = np.repeat(np.arange(len(parts)), [len(part.joints) for part in parts])
         numbers = np.arange(len(owner))[np.asarray(rows)]
@@ -497,14 +512,15 @@ class Stacked(Observations):
         return replace(self, stations=tuple(replace(s, scale=s.scale * f / factors[0]) for s, f in stations))
 
     def from_the_first(self, model: ArmModel, unknowns: Array) -> Measurements | None:
-        """Return all poses or positions as the first station would have measured them; None for other kinds.
+        """Return all poses or positions as the first station would have measured them.
 
-        Each row's difference from the model is rotated into the first station's axes. For poses it is also transferred
-        to the first station's tool. If any station measured positions alone, attitudes are left out.
+        The result is None if a station has data of another kind, or if the robot's links form a tree. Each row's
+        difference from the model is rotated into the first station's axes. For poses it is also transferred to the
+        first station's tool. If any station measured positions alone, attitudes are left out.
 
         Args:
-            model: The arm as the first station sees it.
-            unknowns: Values of `unknowns`.
+            model: The arm, with the first station's base and tool.
+            unknowns: Values of the unknowns of all stations, in the order of `unknowns`.
         """
         parts: list[Measurements] = [part.poses for part in self.parts if part.poses is not None]
         if len(parts) < len(self.parts) or model.geometry.tree is not None:
@@ -527,7 +543,7 @@ class Stacked(Observations):
         return replace(rows, position=position, rotation=rotation)
 
     def channels_of(self, other: Observations) -> Rows:
-        """The channels of this data set that match those of ``other``, which may lack some of its stations."""
+        """Return the indices of the channels that ``other`` has too; ``other`` may lack some of the stations."""
         starts = zip(self.stations, self._first_channels(), strict=True)
         channels = {station.number: station.data.channels_of(station.data) + first for station, first in starts}
         return np.concatenate([channels[station.number] for station in other.stations])
@@ -543,7 +559,11 @@ class Stacked(Observations):
 
 
 def rows_together(parts: Sequence[Measurements]) -> Measurements:
-    """Join data sets that are `Measurements.joinable` into one, with those conditions that all of them recorded."""
+    """Join data sets into one, with those conditions that all of them recorded.
+
+    Args:
+        parts: The data sets, which `Measurements.joinable` accepts.
+    """
     first = parts[0]
     if len(parts) == 1:
         return first

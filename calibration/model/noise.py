@@ -110,7 +110,8 @@ def noise_of(data: Observations, model: ArmModel, unknowns: Array, leverage: Arr
         data: The rows.
         model: The fitted model.
         unknowns: The data's own unknowns.
-        leverage: Leverage of each equation ``(E,)``, 0 to 1: the share of it that the fit used to determine parameters.
+        leverage: Leverage of each equation ``(E,)``, 0 to 1: the share of the equation that the fit used to determine
+            parameters.
     """
     residual = data.residual(model, unknowns)
     rows, channels = data.equations()

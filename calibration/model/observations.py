@@ -32,16 +32,16 @@ NAMED = 6
 
 @dataclass(frozen=True)
 class Clocks:
-    """Estimated offset and rate between the clocks of the instrument and the joint log of a recording, and its rows.
+    """Offset and rate between the clocks of instrument and joint log in one recording, as estimated from the recording.
 
     Attributes:
         file: The instrument's file.
-        moment: Time on the instrument's clock, amid the recording, to which ``offset`` belongs, s.
-        offset: Reading of the instrument's clock at that moment minus that of the joint log's, s.
+        moment: Time on the instrument's clock, within the recording, at which the clocks differ by ``offset``, s.
+        offset: Reading of the instrument's clock at ``moment`` minus the reading of the joint log's clock, s.
         offset_std: Standard uncertainty of ``offset``, s.
         rate: Share by which the instrument's clock runs faster than the joint log's; 1e-6 is one part in a million.
         rate_std: Standard uncertainty of ``rate``.
-        expected_rate_std: Standard uncertainty of the rate before the recording.
+        expected_rate_std: Prior standard uncertainty of ``rate``, before the recording is used.
         still: True if each row is a mean over a rest of the arm, False if it is a single sample of its motion.
         rows: Number of rows that the recording gave.
     """
@@ -189,7 +189,11 @@ class Stated:
         return values
 
     def residual(self, unknowns: Array) -> Array:
-        """Return stated minus present values in standard uncertainties, for fitted numbers of finite uncertainty."""
+        """Return stated minus current values in standard uncertainties, for the fitted numbers of finite uncertainty.
+
+        Args:
+            unknowns: Current values of all fitted numbers.
+        """
         return np.asarray(((self.start() - unknowns) / self.std[self.free])[self._known])
 
     def jacobian(self) -> Array:
@@ -198,7 +202,7 @@ class Stated:
 
 
 def worked_out(question: Callable[[Any], Answer]) -> Answer:
-    """Return a cached property that type checkers see as the plain attribute of the base class."""
+    """Turn a method into a cached property, which type checkers see as the plain attribute of the base class."""
     return cast(Answer, cached_property(question))
 
 
@@ -216,8 +220,8 @@ class Observations:
         source: Origin of the data, for messages.
         kind: Name of the kind.
         origins: File and line of each row; None if the rows come from no file.
-        framed: Whether the instrument has a frame; without one the arm's base pose cannot be seen.
-        sized: Whether the data involve a known length; without one the arm's size cannot be seen.
+        framed: Whether the instrument has a frame; without one the arm's base pose cannot be determined.
+        sized: Whether the data involve a known length; without one the arm's size cannot be determined.
         per_row: Names of the arrays that hold one entry per row, beside the joints.
         width: Number of equations of each miss.
         miss_unit: Unit of `misses` on screens: "mm" for metres, "deg" for radians.
@@ -249,7 +253,7 @@ class Observations:
 
     @property
     def parts(self) -> tuple[Observations, ...]:
-        """The data sets of the stations, or this one alone."""
+        """The data sets of the stations; without stations, this data set alone."""
         return (self,)
 
     @cached_property
@@ -258,7 +262,7 @@ class Observations:
         return Stated((), np.zeros(0), np.zeros(0), np.zeros(0))
 
     def missed(self, model: ArmModel, numbers: Array) -> Array:
-        """Return measured minus predicted readings ``(R, m)``.
+        """Return measured minus predicted readings ``(R, m)``: R misses of m components each.
 
         Args:
             model: The arm.
@@ -267,7 +271,10 @@ class Observations:
         raise NotImplementedError
 
     def whitened(self, model: ArmModel, numbers: Array) -> Array:
-        """Return the errors of `missed` in standard uncertainties ``(R, m)``."""
+        """Return measured minus predicted readings, in standard uncertainties ``(R, m)``.
+
+        The arguments are those of `missed`.
+        """
         return np.asarray(self.missed(model, numbers) / self.std)  # type: ignore[attr-defined]
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
@@ -278,12 +285,19 @@ class Observations:
             numbers: All of the instrument's numbers ``(K,)``.
 
         Returns:
-            Derivatives with respect to the model ``(..., P)`` and to the numbers ``(..., K)``.
+            Derivatives with respect to the arm's P parameters ``(..., P)`` and to the numbers ``(..., K)``.
         """
         raise NotImplementedError
 
     def bonds(self, numbers: Array) -> tuple[Array, Array]:
-        """Further equations among the numbers: whitened residual ``(G,)`` and derivatives ``(G, K)``."""
+        """Return G further equations among the instrument's numbers; by default there are none.
+
+        Args:
+            numbers: All of the instrument's numbers ``(K,)``.
+
+        Returns:
+            Whitened residual ``(G,)`` and derivatives ``(G, K)``.
+        """
         return np.zeros(0), np.zeros((0, len(numbers)))
 
     def readings(self) -> Array:
@@ -291,11 +305,24 @@ class Observations:
         raise NotImplementedError
 
     def from_the_first(self, model: ArmModel, unknowns: Array) -> Any:
-        """Return `poses`, for several stations as the first would have measured them; None for other kinds."""
+        """Return the rows as `Measurements`, or None if they are of another kind.
+
+        Rows of several stations are returned as the first station would have measured them.
+
+        Args:
+            model: The arm.
+            unknowns: Values of the data's own unknowns.
+        """
         return self.poses
 
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Any:
-        """Return the poses or positions (`Measurements`) that the rows give without a fit, as a start; None if none."""
+        """Return poses or positions (`Measurements`) that start a fit, computed from the rows without a fit of the arm.
+
+        The result is None if the kind gives no such poses.
+
+        Args:
+            prismatic: Whether each joint is prismatic.
+        """
         return self.poses
 
     def span(self, tool: Array) -> float:
@@ -303,7 +330,7 @@ class Observations:
         return 1.0 if self.miss_unit == "deg" else float(np.linalg.norm(tool.std(axis=0)))
 
     def fingerprint(self) -> str:
-        """Hash of joints and readings, which a calibration records."""
+        """One hash over joints and readings together, which a calibration records."""
         return hash_of(self.joints, self.readings())
 
     def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
@@ -311,7 +338,11 @@ class Observations:
         return self.jacobian(model, unknowns)[0][:, [name.startswith("tool_") for name in model.parameter_names]]
 
     def channels_of(self, other: Observations) -> Rows:
-        """The channels of this data set that match those of other rows of the same instruments; by default all."""
+        """Return the indices of this data set's channels that ``other`` has too; by default all.
+
+        Args:
+            other: Other rows of the same instruments.
+        """
         return np.arange(int(self.equations()[1].max(initial=-1)) + 1)
 
     def weighed(self, scales: Array) -> Self:
@@ -331,12 +362,15 @@ class Observations:
         return self.numbers.scales[self.numbers.free]
 
     def start(self, model: ArmModel) -> Array:
-        """Closed-form starting values of the unknowns for a model; by default the stated values."""
+        """Return starting values of the unknowns, in closed form for this arm; by default the stated values."""
         return self.numbers.start()
 
     @property
     def groups(self) -> Rows:
-        """Group of each row ``(N,)``; a split holds out a share of every group. By default all rows are one group."""
+        """Group of each row ``(N,)``, such as its socket; by default all rows are one group.
+
+        A split holds out a share of every group.
+        """
         return np.zeros(len(self.joints), dtype=np.int64)
 
     @property
@@ -360,13 +394,13 @@ class Observations:
         return self.missed(model, self.numbers.whole(unknowns))
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Whitened residual ``(E,)`` of the misses, of the numbers' stated values, and of `bonds`."""
+        """Whitened residual ``(E,)`` of the misses, the numbers' stated values, and further equations (`bonds`)."""
         numbers = self.numbers.whole(unknowns)
         statements = self.numbers.residual(unknowns)
         return np.concatenate([self.whitened(model, numbers).ravel(), statements, self.bonds(numbers)[0]])
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Whitened derivatives with respect to the model ``(E, 5n + 12 + k)``, and to the unknowns ``(E, u)``."""
+        """Whitened derivatives with respect to arm parameters ``(E, 5n + 12 + k)`` and unknowns ``(E, u)``."""
         numbers, free = self.numbers.whole(unknowns), self.numbers.free
         by_arm, by_numbers = self.derivatives(model, numbers)
         by_arm = by_arm.reshape(-1, by_arm.shape[-1])
@@ -383,7 +417,10 @@ class Observations:
         return replace(self, **changed, **self._arrays(rows))  # type: ignore[type-var]
 
     def imagined(self, joints: Array) -> Self:
-        """Return a data set of the same instrument at other joints ``(M, n)``, with its readings repeated in turn."""
+        """Return a data set of the same instrument at other joints ``(M, n)``, rad or m.
+
+        Its readings are placeholders, which repeat those of this data set.
+        """
         rows = np.resize(np.arange(len(self.joints)), len(joints))
         alike = replace(self.conditions.select(rows), payload=None, temperature=None, torque=None)
         return replace(self, joints=joints, conditions=alike, origins=None, **self._arrays(rows))  # type: ignore[type-var]
@@ -395,7 +432,7 @@ class Observations:
 
 
 def hash_of(*parts: Array) -> str:
-    """Hash of numbers rounded to 1e-9 m or rad; writing and reading a CSV file keeps the hash."""
+    """One hash over all arrays, rounded to 1e-9 m or rad; writing and reading a CSV file keeps the hash."""
     integers = [np.rint(part * 1e9).astype(np.int64) for part in parts]
     return hashlib.sha256(b"".join(part.tobytes() for part in integers)).hexdigest()[:16]
 
@@ -435,7 +472,7 @@ def nearest_rotation(matrix: Array) -> Array:
 Rows = NDArray[np.int64]
 
 BLOCKS = 10
-"""Number of contiguous blocks, each of which is held out once when errors are judged by blocks."""
+"""Number of contiguous blocks of rows; each block is held out once when errors are judged by blocks."""
 
 
 SAME_POSE = 2e-4
@@ -443,7 +480,8 @@ SAME_POSE = 2e-4
 or written with two decimals, differs by less."""
 
 PATH = 10 * SAME_POSE
-"""A chain of near rows that extends over more than this, rad or m, is a path that was followed slowly, and no pose."""
+"""A chain of near rows that extends over more than this, rad or m, is a path that was followed slowly, and not a
+pose."""
 
 
 def equally_spaced(rows: int, most: int) -> Rows:
@@ -489,7 +527,7 @@ def random_split(poses: Rows, test_rows: int, rng: np.random.Generator) -> tuple
     Args:
         poses: The pose of each row ``(N,)``, as `same_poses` numbers them.
         test_rows: Number of rows to hold out; it is met exactly if no pose is repeated.
-        rng: Shuffles.
+        rng: Shuffles the poses.
 
     Returns:
         Indices of the training rows and of the held-out rows.
@@ -508,16 +546,20 @@ def random_split(poses: Rows, test_rows: int, rng: np.random.Generator) -> tuple
 def choose(observations: Observations, test_rows: int | None, rng: np.random.Generator) -> tuple[Rows, Rows]:
     """Draw the training rows and the held-out rows of one data set.
 
-    Sockets and stations are split one by one, to train on each. Rows of one pose stay on one side, also if several
-    stations measured it.
+    Rows are held out of every socket and every station, and each of them keeps training rows. Rows of one pose stay on
+    one side, also if several stations measured that pose.
 
     Args:
         observations: The data.
-        test_rows: Rows to hold out; a fifth when left out.
+        test_rows: Number of rows to hold out; a fifth when left out.
         rng: Draws the split.
 
+    Returns:
+        Indices of the training rows and of the held-out rows.
+
     Raises:
-        InputError: If the split is impossible.
+        InputError: If ``test_rows`` leaves nothing to train on, or nothing to test. Also if a socket or station would
+            keep fewer than two training rows.
     """
     count = len(observations.joints)
     most = max(1, count // 5) if test_rows is None else test_rows
@@ -541,7 +583,7 @@ def choose(observations: Observations, test_rows: int | None, rng: np.random.Gen
 
 
 def blocked_split(poses: Rows, test_rows: int | None = None) -> tuple[Rows, Rows]:
-    """Hold out two contiguous runs of poses, centred at 35 % and 75 % of the file.
+    """Hold out two contiguous runs of poses, centred at 35 % and 75 % of all poses.
 
     By default a fifth of the rows is held out, and the runs are blocks 3 and 7 of ten, counted from 0.
 
@@ -571,12 +613,15 @@ def blocked_split(poses: Rows, test_rows: int | None = None) -> tuple[Rows, Rows
 
 
 def contiguous_folds(groups: Rows, poses: Rows, folds: int) -> list[tuple[Rows, Rows]]:
-    """Cut the poses of each group into contiguous folds; return each fold's training rows and held-out rows.
+    """Cut the poses of each group into contiguous parts; fold i holds out part i of every group.
 
     Args:
-        groups: The group of each row ``(N,)``.
+        groups: Group of each row ``(N,)``, such as its socket or station.
         poses: The pose of each row ``(N,)``, as `same_poses` numbers them.
         folds: Number of folds.
+
+    Returns:
+        Indices of the training rows and of the held-out rows, for each fold.
 
     Raises:
         InputError: If there are fewer than two folds, or fewer poses than folds.
@@ -595,7 +640,14 @@ def contiguous_folds(groups: Rows, poses: Rows, folds: int) -> list[tuple[Rows, 
 
 
 def home_groups(groups: Rows, poses: Rows) -> Rows:
-    """Return the group of the first row of each row's pose ``(N,)``, so that a split by groups keeps poses whole."""
+    """Return one group for all rows of a pose ``(N,)``, so that a split by groups keeps poses whole.
+
+    It is the group of the pose's first row.
+
+    Args:
+        groups: Group of each row ``(N,)``.
+        poses: The pose of each row ``(N,)``, as `same_poses` numbers them.
+    """
     return np.asarray(groups[np.unique(poses, return_index=True)[1]][poses])
 
 

@@ -1,9 +1,10 @@
 """Pixels of a target's points, in pictures of a camera that is on the arm's tool or watches a target on the tool.
 
 A target is a printed board, whose points are its corners, or any list of points in space. The instrument's frame is the
-target's if the camera is on the tool, and the camera's if it watches a target on the tool. The fitted base and tool are
-then the poses of the one that is fixed in the world and of the one on the flange. The only unknowns of this kind's own
-are the numbers of the lens, if they are fitted. SI units; pictures in px.
+target's if the camera is on the tool, and the camera's if it watches a target on the tool. Of camera and target, one is
+fixed in the world, and the other is on the flange. The fitted base says where the first one is, and the fitted tool
+where the second one is. This kind has no unknowns of its own but the numbers of the lens, if they are fitted. SI units;
+pictures in px.
 """
 
 from __future__ import annotations
@@ -90,7 +91,7 @@ def undistorted(values: Array, pixels: Array) -> Array:
 
 
 def by_point(values: Array, points: Array) -> Array:
-    """Derivative of `projected` with respect to the point ``(..., 2, 3)``."""
+    """Derivative of the pixels (`projected`) with respect to the points ``(..., 2, 3)``, px per m."""
     z = points[..., 2]
     x, y = points[..., 0] / z, points[..., 1] / z
     k1, k2, p1, p2, k3 = values[4:]
@@ -108,7 +109,7 @@ def by_point(values: Array, points: Array) -> Array:
 
 
 def by_values(values: Array, points: Array) -> Array:
-    """Derivative of `projected` with respect to the lens' numbers ``(..., 2, 9)``."""
+    """Derivative of the pixels (`projected`) with respect to the lens' numbers ``(..., 2, 9)``."""
     fx, fy = values[:2]
     ideal = points[..., :2] / points[..., 2:]
     bent = distorted(values, ideal)
@@ -204,10 +205,15 @@ class PixelObservations(Observations):
         return enough
 
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Measurements:
-        """Return the board's pose in the camera's frame; for a camera on the tool, the camera's in the board's frame.
+        """Return the pose of the board in the camera's frame, from each view that determines the pose (`starters`).
+
+        If the camera is on the tool, return the pose of the camera in the board's frame instead.
+
+        Args:
+            prismatic: Whether each joint is prismatic.
 
         Raises:
-            InputError: If no view is one of the `starters`.
+            InputError: If no view determines the board's pose.
         """
         views = self.select(self.starters())
         if not len(views.joints):
@@ -271,7 +277,7 @@ class PixelObservations(Observations):
         return np.where(self.seen[..., None], self.corners, 0.0).reshape(len(self.joints), -1)
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """Whitened derivatives of the projected corners with respect to the model, and to the numbers of the lens."""
+        """Whitened derivatives of the projected corners with respect to arm parameters and the lens' numbers."""
         tool, pose = model.pose(self.joints, self.conditions), model.jacobian(self.joints, self.conditions)
         rows, _ = np.nonzero(self.seen)
         points = self.in_camera(model)[self.seen]

@@ -52,7 +52,7 @@ class Prior(Observations):
     """The prior of parameters as one more data set: each parameter is expected near its value in a reference model.
 
     Attributes:
-        reference: The expected model.
+        reference: The arm whose parameters have the expected values.
         columns: Indices of the parameters that have this prior ``(k,)``.
         std: Standard deviations ``(k,)``, in the parameters' units.
     """
@@ -71,11 +71,14 @@ class Prior(Observations):
         return np.zeros((0, self.reference.geometry.joints))
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Expected minus present parameters ``(k,)``, in standard deviations."""
+        """Expected minus current parameters ``(k,)``, in the priors' standard deviations."""
         return model.difference(self.reference)[self.columns] / self.std
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Whitened derivatives of the parameters, one per row, and an array without columns for unknowns."""
+        """Return the whitened derivatives of the k parameters with respect to all parameters of the arm.
+
+        The second array, the derivatives with respect to unknowns, has no columns.
+        """
         rows = np.zeros((len(self.columns), len(model.parameter_names)))
         rows[np.arange(len(self.columns)), self.columns] = 1.0 / self.std
         return rows, np.zeros((len(rows), 0))
@@ -87,10 +90,10 @@ class PriorModel:
 
     Attributes:
         parameters: The parameters ``(P,)``.
-        start: The model with the expected values, where a fit also starts.
+        start: The arm with the expected values of the parameters; a fit starts from them.
         std: The priors' standard deviations ``(P,)``, m, rad or a coefficient's unit; infinite without a prior.
         group: The group of each parameter: `FRAMES`, one of `MADE`, or `TERMS`.
-        source: Where the widths of zeros and parts come from.
+        source: Origin, in words, of the prior widths of joint zeros, lengths and angles.
         scales: Known factors on the widths, by group; missing factors are estimated from the rows.
     """
 

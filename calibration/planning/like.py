@@ -1,8 +1,8 @@
 """Further poses for an instrument that has already measured a few: wires, touches, reflectors, tilts, pictures.
 
 The first rows determine the instrument's own unknowns, such as the anchor of a wire, a touched point, or a camera's
-place and lens. These predict what the instrument would read at other joints, and whether it could read anything there.
-The exchange of poses starts from the information that the first rows give. SI units.
+place and lens. From these unknowns follow the instrument's readings at other joints, and whether it could read anything
+there. The exchange of poses starts from the information that the first rows give. SI units.
 """
 
 from __future__ import annotations
@@ -73,14 +73,15 @@ def first_rows(arm: Arm, data: Observations) -> First:
 def measurable_joints(geometry: Geometry, first: First, count: int, rng: np.random.Generator) -> Array:
     """Draw joints within their limits at which the instrument can read something.
 
-    Half of the trials are drawn from the joint ranges. The other half are drawn near joints that are known to be
-    readable, because a board is seen from few poses. At the start these are the joints of the first rows.
+    Half of the joint vectors that are tried are drawn from the joint ranges. The other half are drawn near joints that
+    are known to be readable, because a board is seen from few poses. At the start these are the joints of the first
+    rows.
 
     Args:
         geometry: The nominal arm.
         first: The instrument.
         count: Number of joint vectors wanted.
-        rng: Draws the trials.
+        rng: Draws the joint vectors.
 
     Returns:
         Joints ``(count or fewer, n)``, rad or m.

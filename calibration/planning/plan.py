@@ -1,9 +1,9 @@
 """Choice of the poses to measure, out of many candidates, and of an order with short travel.
 
-The chosen set is D-optimal (largest determinant of the information matrix, which means the best O1). Or it has the
-least predicted error at given test poses (Klimchik, Wu et al. 2012-2014: accuracy where the arm will pick). If
-parameters have priors, poses are chosen by the information that they add to these. The predicted error is then the one
-that a calibration will state. SI units.
+The chosen set is D-optimal (largest determinant of the information matrix, and thus the largest observability index
+O1). Or it has the least predicted error at given test poses (Klimchik, Wu et al. 2012-2014: accuracy where the arm will
+pick). If parameters have priors, poses are chosen by the information that they add to these. The predicted error is
+then the one that a calibration will state. SI units.
 """
 
 from __future__ import annotations
@@ -32,10 +32,11 @@ from pickenv.calibration.model.prior import FRAMES, PriorModel
 # at once.
 
 RIDGE = 1e-9
-"""Information that every direction has from the start, so that inverses exist, as a share of a mean candidate's."""
+"""Information that is added in every direction of the parameters, so that inverses exist, as a share of the mean
+information of a candidate."""
 
 MAX_PASSES = 20
-"""Largest number of rounds through the chosen poses; three to six are usual."""
+"""Largest number of rounds of exchange through the chosen poses; three to six are usual."""
 
 
 def exchange(
@@ -191,8 +192,8 @@ class Design:
         rows: Weighted, scaled Jacobians of the candidates with respect to the parameters ``(N, r, p)``, an instrument's
             own unknowns first.
         model: The arm's parameters, which come last among the columns.
-        weight: One over the standard uncertainty of each row ``(r,)``; empty if ``rows`` come from an instrument's
-            first rows.
+        weight: One over the standard uncertainty of each row ``(r,)``; empty if the plan builds on rows that an
+            instrument measured before.
         kind: "pose" (r = 6), "position" (r = 3), or the kind of an instrument's rows.
         known: Information ``(p, p)`` that exists already, from priors and from rows measured before.
         names: Names of an instrument's own unknowns.
@@ -221,16 +222,16 @@ class PosePlan:
         criterion: "d-optimal" or "test-poses".
         travel_seconds: Time of the moves in measuring order, joints moving together at the arm's speeds, s.
         random_travel_seconds: Time of the moves in random order, mean of 20 orders, s.
-        predicted_error: RMS position error to expect from the parameters' uncertainty, m; None if there are no test
-            poses, priors or first rows.
+        predicted_error: RMS position error to expect from the parameters' uncertainty, m; None if there are neither
+            test poses nor priors nor rows measured before the plan.
         random_predicted_error: The error to expect from as many poses drawn at random, median of 20 sets, m; or None.
         where: The poses at which these errors are predicted, in words.
         passes: Number of rounds of exchange.
         model: Observability of the parameters that the plan is to determine, and the same for as many random poses (for
-            JSON). None if the plan builds on an instrument's first rows.
+            JSON). None if the plan builds on rows that an instrument measured before.
         arm: Observability of the arm's own parameters with base and tool known, as papers state it. None if the plan
-            builds on first rows, or if the poses are too few to determine all these parameters without priors.
-        first: Number of rows measured already.
+            builds on such rows, or if the poses are too few to determine all these parameters without priors.
+        first: Number of rows measured before the plan.
         seconds: Time that the planning took, s.
         lines: Lines of the poses in the file of candidates; None if the candidates were drawn.
         curve: For several numbers of poses: the number, the error to expect from as many planned poses, and from as
@@ -603,7 +604,7 @@ def refuse_too_few(count: int, parameters: int, least: int, besides: str = "") -
 
 
 def error_weight(geometry: Geometry, design: Design, test_joints: Array) -> Array:
-    """Return the matrix W ``(p, p)``, which makes trace(W M^-1) the mean squared position error predicted, m^2.
+    """Return the matrix W ``(p, p)`` for which trace(W M^-1) is the predicted mean squared position error, m^2.
 
     M is the information matrix of the parameters. The error is predicted at the test poses.
 
@@ -626,7 +627,7 @@ def predicted_error(rows: Array, weight: Array, known: Array | float = 0.0) -> f
 
     Args:
         rows: Jacobians of the measured poses ``(M, r, p)``.
-        weight: The matrix W ``(p, p)`` of `error_weight`, which determines the poses of the error.
+        weight: The matrix W ``(p, p)`` from `error_weight`, for the poses at which the error is predicted.
         known: Information ``(p, p)`` that exists already.
     """
     stacked = rows.reshape(-1, rows.shape[-1])

@@ -119,8 +119,8 @@ class Bpnn:
     def predict(self, joints: ArrayLike) -> Array:
         """Residual pose error ``(..., 6)`` (m and rad, world axes) at joints ``(..., n)``.
 
-        Many poses go through the network in blocks of `ROWS`. With machine code, the result of a pose is bitwise the
-        same alone and among others.
+        Many poses go through the network in blocks of `ROWS`. Machine code gives bitwise the same result for a pose
+        that is predicted alone and among other poses.
         """
         if self._code is not None:
             inputs = np.asarray(joints, dtype=float)

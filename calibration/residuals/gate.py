@@ -1,8 +1,8 @@
 """The gate: a learnt residual is accepted only if it reduces the error on contiguous blocks of held-out rows.
 
-A random split flatters models that interpolate between neighbouring poses. The verdicts come from blocks held out of
-all training. The choice among models comes from blocks within the training rows, so that the outer blocks remain a fair
-test. Rows of a cluster have similar errors, so each of them has a smaller weight.
+A random split flatters models that interpolate between neighbouring poses. The verdicts come from blocks of rows that
+are held out of all training. The choice among models comes from blocks of the training rows, so that the outer blocks
+remain a fair test. Rows of a cluster have similar errors, so each of them has a smaller weight.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ FOLDS = 5
 """Number of contiguous folds of the cross-validation within the training rows."""
 
 AUTO = ("bpnn", "rbf", "gp")
-"""Models that are tried by default; other packages, if installed, do not change their results."""
+"""Models that are tried by default. The list is fixed, so that other installed packages do not change the results."""
 
 SLOW = ("bpnn",)
 """Models that take seconds to fit. They are tried last and, if other models are tried, only if one of these gains on
@@ -107,8 +107,9 @@ def gate_residuals(
     A model is accepted if it cuts the blocked RMS by more than `MARGIN` and does not increase the attitude RMS by more
     than `MARGIN`. It must do both again when cross-validated over contiguous folds of the blocked split's training
     rows. The cross-validation also ranks the accepted models. So the held-out blocks may reject a model but never rank
-    models. To choose the best of several on the rows that then state its error would flatter it. A network takes
-    seconds to fit. It is tried last and, beside others, only if one of them gains on the held-out blocks (`SLOW`).
+    models. If they also chose the best of several models, the error of that model on them would look too small. A
+    network takes seconds to fit. It is tried last and, beside others, only if one of them gains on the held-out blocks
+    (`SLOW`).
 
     Args:
         measurements: Poses or positions, in the order they were measured.

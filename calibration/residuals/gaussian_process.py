@@ -77,8 +77,8 @@ class SavedArrays:
 def column_std(values: Array, constant: float) -> Array:
     """Standard deviation of each column of ``values`` ``(N, F)``, or ``constant`` for columns that do not vary.
 
-    Use 1 for inputs, so that later changes of a constant input keep their size. Use a tiny number for outputs, so that
-    a model's error on a constant output stays tiny.
+    Set ``constant`` to 1 for inputs, so that changes of a constant input after training keep their size. Set it to a
+    tiny number for outputs, so that a model's error on a constant output stays tiny.
     """
     std = values.std(axis=0)
     return np.where(std <= CONSTANT * np.max(np.abs(values), axis=0, initial=0.0), constant, std)
@@ -254,8 +254,8 @@ class GaussianProcess(SavedArrays):
             inputs: Standardised inputs ``(N, F)``.
             targets: Residuals to learn ``(N, k)``, m and rad.
             rng: Draws the starts of the search, and the rows to keep if there are too many.
-            rows: Largest number of training rows kept, drawn at random without replacement; the cost grows with its
-                cube.
+            rows: Largest number of training rows kept, drawn at random without replacement; the cost grows with the
+                cube of this number.
             likelihood_rows: Largest number of rows on which the marginal likelihood is maximised.
             starts: Number of random starts of the search, beside the two fixed ones.
 

@@ -65,7 +65,7 @@ def joint_inputs(
         joints: Training joints ``(N, n)``, rad or m.
         prismatic: Whether each joint is prismatic.
         conditions: Conditions of the training rows ``(N, c)``.
-        periodic_span: See `PERIODIC_SPAN`.
+        periodic_span: A revolute joint whose training values span more than this, rad, enters as sine and cosine.
     """
     periodic = ~np.asarray(prismatic, dtype=bool) & (np.ptp(joints, axis=0) > periodic_span)
     raw = _raw_inputs(joints, conditions, periodic)
