@@ -394,10 +394,10 @@ class ReachGoalEnv(ReachEnv):
 
     ## Description
 
-    The arm, the fruit and the plant are those of `pickenv/Reach-v0`; observation and reward differ. The reward is
-    computed from what a controller can measure, so that a goal can be exchanged afterwards. It compares the tool's
-    position and attitude, as the chosen feedback measures them, with the fruit as the camera saw it and the wanted
-    attitude. The errors of the true tool are in `info`.
+    Arm, fruit and plant (the true arm with its errors) are those of `pickenv/Reach-v0`; observation and reward differ.
+    The reward is computed from what a controller can measure, so that a goal can be exchanged afterwards. It compares
+    the tool's position and attitude, as the chosen feedback measures them, with the fruit as the camera saw it and the
+    wanted attitude. The errors of the true tool are in `info`.
 
     ## Action Space
 
