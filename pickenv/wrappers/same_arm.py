@@ -220,7 +220,7 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         self, env: VectorEnv[Any, Any, Any], picks: int = 20, window: int = 1, looks: int = 10, reach_mm: float = 8.0,
         reward: str = "measured",
     ) -> None:  # fmt: skip
-        """Wrap ``env``; arguments as in `SameArm`.
+        """Wrap ``env``; `SameArm` explains the arguments.
 
         Raises:
             InputError: If ``env`` is no native reach environment on NumPy with a camera, or an argument is one that

@@ -130,7 +130,7 @@ class HarvestEnv(DrawnEnv):
     """
 
     def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
-        """See the class for the arguments; raises `InputError` for impossible ones."""
+        """See the class for the arguments; raises `InputError` for values that are not allowed."""
         super().__init__(render_mode)
         self.task: batch.HarvestTask = batch.make_harvest_task(**arguments)
         self.compensator: Compensate | None = None

@@ -77,7 +77,7 @@ class ReachScaledEnv(ReachEnv):
     """
 
     def __init__(self, **arguments: Any) -> None:
-        """See the class for the arguments; raises `InputError` for impossible ones."""
+        """See the class for the arguments; raises `InputError` for values that are not allowed."""
         super().__init__(**arguments)
         self.scaling = scaling_of(self.task)
         self.observation_space = self.scaling.space
@@ -163,8 +163,8 @@ class ReachToolEnv(ReachScaledEnv):
 
     ## Rewards
 
-    As in `pickenv/Reach-v0`. With `actions="position"` no attitude is asked for: it counts neither in the reward nor
-    in `is_success`.
+    As in `pickenv/Reach-v0`. With `actions="position"` the goal has no attitude. Then attitude counts neither in the
+    reward nor in `is_success`.
 
     ## Starting State
 

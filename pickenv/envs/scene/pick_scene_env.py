@@ -173,7 +173,7 @@ class PickSceneEnv(ReachEnv):
         render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
-        """See the class for the arguments; raises `InputError` for impossible ones."""
+        """See the class for the arguments; raises `InputError` for values that are not allowed."""
         check_choice("obs_type", obs_type, OBSERVATIONS)
         for name, count, least in (("fruit", fruit, 1), ("leaves", leaves, 0), ("pixels", pixels, SMALLEST)):
             check_count(name, count, least)
@@ -310,7 +310,7 @@ class PickSceneEnv(ReachEnv):
         moment: Scalar,
         dt: Scalar,
     ) -> tuple[ArmState, View]:
-        """Hold the joint command for ``dt`` seconds in MuJoCo; arguments and result are as in `simulation.look`."""
+        """Hold the joint command for ``dt`` seconds in MuJoCo; `simulation.look` explains arguments and result."""
         memory = plant.carried(x.m, state.plant, command, dt)
         joints, tool = plant.stands(x.m, memory, command)
         scene = self.scene

@@ -83,11 +83,12 @@ class View(NamedTuple):
         seen: Fruit position as the camera saw it, 3.
         offset: Pose of the fruit as seen, with the wanted attitude, relative to the believed tool: m and rotation
             vector, 6.
-        camera: Fruit minus true tool position as the camera measures it, 3; empty without camera feedback.
+        camera: Fruit position minus the tool's true position, as the camera measures it, 3; empty without camera
+            feedback.
         command: Joint command that the drives got, n.
-        tool: True tool position, 3.
+        tool: The tool's true position, 3.
         fruit: True fruit position, 3.
-        error: Pose of the true tool relative to the fruit: m and rotation vector, 6.
+        error: The tool's true pose relative to the fruit: m and rotation vector, 6.
         numbers: Four sizes of the error in the order of `NUMBER_KEYS`: a distance, mm, then three angles, deg. These
             are the whole angle, the part of it that no joint motion removes, and the rest.
         success: Whether the fruit is inside the capture region.
@@ -109,7 +110,7 @@ class View(NamedTuple):
 
     @property
     def vectors(self) -> Components:
-        """Pose error, joint command, true tool position and fruit position, 12 + n."""
+        """Pose error (6), joint command (n), true tool position (3) and fruit position (3): 12 + n numbers."""
         return (*self.error, *self.command, *self.tool, *self.fruit)
 
 
@@ -253,7 +254,7 @@ def look(
     moment: Scalar,
     dt: Scalar,
 ) -> tuple[ArmState, View]:
-    """Hold the joint command for ``dt`` seconds, then measure where the true tool is.
+    """Hold the joint command for ``dt`` seconds, then measure the tool's true pose.
 
     Args:
         x: The executor.
@@ -394,7 +395,7 @@ def _frame(goal: Sequence[Scalar]) -> Frame:
 
 
 def true_reward(x: Executor, task: Task, scene: View) -> Scalar:
-    """Compute the reward from the error of the true tool, by the formulas of `pickenv/Reach-v0`."""
+    """Compute the reward from the tool's true error, by the formulas of `pickenv/Reach-v0`."""
     distance_mm, angle_deg, *_ = scene.numbers
     return _reward(x, task, scene.success, distance_mm, angle_deg)
 

@@ -100,7 +100,7 @@ POOL, NEAREST = 2**14, 16
 
 
 Goals = tuple[Array | None, Array | None]
-"""Goals given by reset options: joints of the nominal arm at the goal ``(..., n)``, and frames of the goal
+"""Goals that options of `reset` give: joints of the nominal arm at the goal ``(..., n)``, and frames of the goal
 ``(..., 12)``, axes and origin. One of the two is None, or both if no goal is given."""
 
 
