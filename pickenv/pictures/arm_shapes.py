@@ -1,7 +1,7 @@
 """Solids of a drawn arm: links, joints, telescopes, a gripper, its ghost, and the camera's field of view.
 
-The ghost is a transparent arm that shows where the controller believes the arm to be. Pictures do not show where along
-the arm a deviation arises. The tool's deviation is distributed evenly along the links. Units: m.
+The ghost is a transparent arm that shows where the controller believes the arm to be. The tool's deviation is
+distributed evenly along the links, so pictures do not show where along the arm it arises. Units: m.
 """
 
 from __future__ import annotations
@@ -101,14 +101,14 @@ def arm_solids(look: ArmLook, points: Array, axis: Array, accent: Rgb | None = N
 def arm_at_work(
     geometry: Geometry, command: Array, tool: Array, axis: Array, believed: Array, accent: Rgb | None = None
 ) -> Solids:
-    """Return the solids of the true arm and of the ghost, whose deviation from it is drawn `GAIN` times as large.
+    """Return the solids of the true arm and of the ghost (the believed arm), at `GAIN` times the true deviation.
 
     Args:
         geometry: The nominal arm.
         command: Joint command that the drives got ``(n,)``, rad or m.
-        tool: True tool position ``(3,)``, m.
+        tool: The tool's true position ``(3,)``, m.
         axis: Direction in which the tool points ``(3,)``.
-        believed: Tool position that the controller believes ``(3,)``, m.
+        believed: The tool's position as the controller believes it to be ``(3,)``, m.
         accent: Colour of the true arm's links instead of white.
     """
     look = arm_look(geometry)
@@ -133,7 +133,14 @@ def cup_solids(tool: Array, axis: Array, radius: float) -> Solids:
 
 
 def hand_solids(tool: Array, axis: Array, radius: float, closed: bool) -> Solids:
-    """Return the solids of a hand with three fingers around a fruit at ``tool``, m; ``radius`` is its opening's."""
+    """Return the solids of a hand with three fingers around a fruit.
+
+    Args:
+        tool: Position of the fruit ``(3,)``, m.
+        axis: Direction from the palm to the fruit, a unit vector ``(3,)``.
+        radius: Radius of the hand's opening, m.
+        closed: Whether the fingers are closed.
+    """
     out = ring_around(axis, 3)
     palm = tool - 1.6 * radius * axis
     knuckle, tip = palm + 0.7 * radius * out, tool + (0.75 if closed else 1.25) * radius * out + 0.5 * radius * axis

@@ -1,8 +1,8 @@
 """Draws stages with MuJoCo's renderer, off screen, on a GPU or a CPU.
 
-Rods and balls are MuJoCo's own shapes. All meshes, which are opaque, become the faces of one soft body (flex). They are
-replaced for each picture, and a texture has one pixel with the colour of each face. The background is a plane behind
-everything.
+Rods and balls are MuJoCo's own shapes. All meshes, which are opaque, become the faces of one soft body (flex). The
+faces are replaced for each picture, and a texture has one pixel with the colour of each face. The background is a plane
+behind everything.
 """
 
 from __future__ import annotations

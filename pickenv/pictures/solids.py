@@ -50,7 +50,8 @@ def turned(profile: ArrayLike, point: Array, axis: Array, colour: Rgb, around: i
     """Make a surface of revolution.
 
     Args:
-        profile: Radius and height of points along its outline ``(P, 2)``, m. A point given twice makes a sharp edge.
+        profile: Radius and height of points along its outline ``(P, 2)``, m. A point that is listed twice makes a sharp
+            edge.
         point: Point on the axis where the height is zero ``(3,)``, m.
         axis: Unit vector along the axis, in which height grows ``(3,)``.
         colour: Red, green, blue.

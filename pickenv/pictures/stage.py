@@ -150,7 +150,7 @@ def fitted_eye(points: Array, direction: Array, size: tuple[int, int], angle_deg
 
     Args:
         points: The points ``(N, 3)``, m.
-        direction: Direction from their middle, which is looked at, to the viewpoint ``(3,)``.
+        direction: Direction ``(3,)`` to the viewpoint from the middle of the points, at which the viewpoint looks.
         size: Width and height of the picture, px.
         angle_deg: Vertical angle of view, degrees.
     """

@@ -22,14 +22,14 @@ Compensate: TypeAlias = Callable[[NDArray[np.float64]], NDArray[np.float64]]
 
 
 class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action], RecordConstructorArgs):
-    """Correct the joint target before it reaches the drives, without any change that the policy sees.
+    """Correct joint targets before they reach the drives; the policy sees the same spaces and nominal joints.
 
     Spaces, seeds, episodes and observations stay as they are. Joint readings are mapped back to nominal joints, so that
     a policy that servos on its believed tool position does not cancel the compensation. With a plant (true arm) whose
     motors move in whole encoder counts and lag behind their commands (`plant="orchard"`), readings still change
-    slightly. The change is less than a count, plus a few thousandths of the difference in the step. The compensator is
-    stored in the innermost environment, so the wrapper's place in a stack of wrappers does not matter. Closing the
-    wrapper removes the compensator.
+    slightly. A reading changes by less than a count, plus a few thousandths of the compensator's change to the
+    step. The compensator is stored in the innermost environment, so the wrapper's place in a stack of wrappers does not
+    matter. Closing the wrapper removes the compensator.
 
     Example:
         >>> import gymnasium as gym
@@ -62,10 +62,10 @@ class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action],
         self._compensator = compensator
 
     def step(self, action: Action) -> tuple[Observation, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Step the environment; at the end of an episode, add the calibrated arm's expected error to `info`.
+        """Step the environment; at the end of an episode, add bounds of the calibrated arm's error to `info`.
 
-        The entries are `within95_mm` and `within95_deg`, if the calibration has them. The calibrated arm's errors stay
-        below them in 95 of 100 reaches, as measured on data that the calibration was not fitted to.
+        The entries are `within95_mm` and `within95_deg`, if the calibration has these bounds. The calibrated arm's
+        errors stay below them in 95 of 100 reaches, as measured on data that the calibration was not fitted to.
         """
         observation, reward, terminated, truncated, info = self.env.step(action)
         if (terminated or truncated) and "joint_command" in info:
@@ -113,7 +113,7 @@ class CompensationVectorWrapper(VectorWrapper[Any, Any, Any, Any, Any], RecordCo
         self._compensator = compensator
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:
-        """Step the environments; where episodes end, add to `infos` what `CompensationWrapper.step` adds to `info`.
+        """Step the environments; where episodes end, add to `infos` the bounds that `CompensationWrapper.step` adds.
 
         If episodes begin within the same step, the entries are in `final_info`, like all infos of the ended episodes.
         """

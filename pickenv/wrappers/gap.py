@@ -27,9 +27,9 @@ class ScaledEnv(gym.Wrapper[Any, Any, Any, Any]):
 
     Args:
         env: The environment.
-        scaling: The formulas.
-        shaping: Discount of the learner, for reward shaping: each reward gets the discounted potential after the step
-            minus the potential before it. None leaves rewards as they are.
+        scaling: The formulas that rescale observations and actions and give the potential.
+        shaping: Discount of the learner, or None for no reward shaping. With shaping, the discounted potential after
+            the step, minus the potential before it, is added to each reward.
     """
 
     def __init__(self, env: gym.Env[Any, Any], scaling: Rescaling, shaping: float | None = None) -> None:
@@ -105,7 +105,7 @@ class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
 
 
 class GapScaling(ScaledEnv, RecordConstructorArgs):
-    """Show the gap to the fruit by direction and logarithm, and multiply actions by its size, so that PPO learns.
+    """Show the gap to the fruit by direction and logarithm, and multiply actions by the gap's size, so that PPO learns.
 
     `pickenv/ReachScaled-v0` does the same without a wrapper, also as a native vector environment. With n joints the
     observation is `Box(float32)` of n + 7 numbers. The size of the gap is the larger of two ratios: its position over
@@ -118,8 +118,8 @@ class GapScaling(ScaledEnv, RecordConstructorArgs):
     | n+3 to n+5   | attitude gap (rotation vector), divided by the size          | -1  | 1   | 0.2 rad      |
     | n+6          | half the size's logarithm                                    | -3  | 3   | two decimals |
 
-    The gap is the pose of the fruit relative to the believed tool. With ``feedback="camera"`` its position is the one
-    that the camera measures. Actions are clipped to -1 to 1 and, if the size is below one, multiplied by it.
+    The gap is the pose of the fruit relative to the believed tool. With ``feedback="camera"`` the camera measures
+    the gap's position. Actions are clipped to -1 to 1 and, if the size is below one, multiplied by it.
 
     Args:
         env: A `pickenv/Reach-v0` or `pickenv/ReachIdeal-v0`.
@@ -163,7 +163,7 @@ class GapScalingVector(ScaledVector, RecordConstructorArgs):
     """
 
     def __init__(self, env: VectorEnv[Any, Any, Any], actions: bool = True) -> None:
-        """Wrap ``env``; ``actions`` as in `GapScaling`.
+        """Wrap ``env``; ``actions`` says whether actions are scaled too.
 
         Raises:
             InputError: If the observations are not the flat observations of a reach task, as NumPy arrays.

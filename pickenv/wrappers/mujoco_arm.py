@@ -1,8 +1,8 @@
-"""A real arm's errors in another package's MuJoCo environment, whose success then depends on the true tool.
+"""A real arm's errors in another package's MuJoCo environment, whose success then depends on the tool's true pose.
 
 In such environments the arm has no error. Here the environment's arm is the nominal arm, in which the controller
-believes. A plant or a geometry describes the true arm, and gives the true tool at the same joints. The policy never
-sees the true tool. Units: m, rad.
+believes. A plant (the true arm with its errors) or a geometry gives the tool's true pose at the same joints. The policy
+never sees this pose. Units: m, rad.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pickenv.base import InputError
 from pickenv.wrappers.compensation import Compensate
 
 FAR = 1e-3
-"""Largest distance allowed between the nominal arm's tool and the achieved goal or the tool's site, m (and rad)."""
+"""Largest distance of the achieved goal, or of the tool's site, from the nominal arm's tool, m (and rad)."""
 
 
 def _physics(env: gym.Env[Any, Any]) -> tuple[Any, Any]:
@@ -100,15 +100,15 @@ class _Hung:
 class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """Give the arm of another package's MuJoCo environment the errors of a real arm.
 
-    Observations stay those of the nominal arm. `info` gets `tool_error_mm`, the distance between true and believed
-    tool.
+    Observations stay those of the nominal arm. `info` gets `tool_error_mm`, the distance between the true
+    and the believed position of the tool.
 
     Without ``contact``, the task must be a reaching task with Gymnasium-Robotics' goal interface (`achieved_goal`,
     `desired_goal`, `compute_reward`). Its goal is a position of the tool, and actions are joint or tool targets. Reward
-    and `info["is_success"]` are then computed for the true tool, and `info` gets `true_distance_mm`, the distance of
-    the true tool from the goal.
+    and `info["is_success"]` are then computed from the tool's true position. `info` gets `true_distance_mm`, the
+    distance of that position from the goal.
 
-    With ``contact``, for all other tasks, fingers and all other parts fixed to the tool are shifted to where the true
+    ``contact`` is for all other tasks. It shifts the fingers, and all other parts fixed to the tool, to where the true
     arm has them. Reward and success are the environment's own. Links before the last joint are not shifted. Parts are
     shifted once per step, without velocity, so a held object slips by as much as the error changes during a move.
 
@@ -137,10 +137,10 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             env: The environment.
             nominal: Geometry of the arm in the environment's model (`geometry_in_mujoco`), with the model's joint
                 names.
-            true: The true arm: a plant without memory, or a geometry.
+            true: The true arm: a plant (an arm with its errors) without memory, or a geometry.
             compensator: Function from joint targets to joint commands of the true arm, such as a calibration's; None to
                 send targets unchanged.
-            contact: Whether the tool's parts are shifted, so that the true tool touches things; see the class.
+            contact: Whether the tool's parts are shifted to their true places, where they touch things; see the class.
 
         Raises:
             InputError: If ``env`` has no MuJoCo model, or without ``contact`` no goal interface, or if the arms differ
@@ -172,7 +172,7 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         return observation, self._judged(observation, info)
 
     def step(self, action: Any) -> tuple[Any, SupportsFloat, bool, bool, dict[str, Any]]:
-        """Step the environment; reward and success are those of the true tool, see the class."""
+        """Step the environment; without ``contact``, reward and success are those of the tool's true position."""
         observation, reward, terminated, truncated, info = self.env.step(action)
         info = self._judged(observation, info)
         if not self._contact:

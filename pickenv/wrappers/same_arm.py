@@ -2,8 +2,9 @@
 
 An episode is a run of picks on one true arm; the next episode may have another arm. In `ManyCanopies` a run consists of
 whole canopies. In `SameArm` an action is a whole pick. Before each pick the policy chooses how far to aim beside the
-fruit. The nominal arm goes to that aim and stays there, and the camera measures by how much true and believed tool
-differ. Only these measurements at past picks distinguish one arm from another. Units: m and rad.
+fruit. The arm gets the joints that bring the nominal arm to that aim, and stays there. The camera measures by how
+much the tool's true and believed positions differ. Only these measurements at past picks distinguish one arm from
+another. Units: m and rad.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ MOST_SEEN = 20.0
 """Bound of errors in observations, in units of `SEEN_MM`; larger errors are clipped."""
 
 SAME_ARM_REWARDS = ("measured", "true")
-"""Kinds of reward for a pick: from the gap that the camera measured, or from the true tool, which no real arm knows."""
+"""Kinds of reward for a pick: from the gap that the camera measured, or from the true gap, which no real arm knows."""
 
 LONGEST_LOOK = 59
 """Largest number of steps that the arm may stay at a fruit, since the environment's own time limit is 60."""
@@ -60,12 +61,12 @@ class PickMemory:
 
     @property
     def token(self) -> int:
-        """Count of the numbers for one past pick: its joints, the arm's error (3), and 1 if the pick took place."""
+        """Count of the numbers for one past pick, n + 4: n joints, 3 errors, and a flag that the pick took place."""
         return self.joints + 4
 
     @property
     def inputs(self) -> int:
-        """Count of numbers in the observation."""
+        """Count of numbers in the observation, n + window (n + 4)."""
         return self.joints + self.window * self.token
 
     def space(self) -> spaces.Box:
@@ -75,15 +76,15 @@ class PickMemory:
         return spaces.Box(-high, high, dtype=np.float32)
 
     def empty(self, rows: int) -> NDArray[np.float32]:
-        """Return the tokens ``(rows, window, token)`` of arms that have not picked yet, which are zeros."""
+        """Return the tokens of arms before their first pick: zeros ``(rows, window, token)``."""
         return np.zeros((rows, self.window, self.token), dtype=np.float32)
 
     def after(self, tokens: NDArray[np.float32], joints: Array, error: Array) -> NDArray[np.float32]:
-        """Add a pick to the tokens, and drop the oldest one.
+        """Return the tokens with a new pick in front, and without the oldest pick.
 
         Args:
             tokens: Tokens before the pick ``(N, window, token)``, newest first.
-            joints: Scaled joints of the pick ``(N, n)``.
+            joints: Joints of the pick ``(N, n)``, scaled from their limits to -1 to 1.
             error: True minus believed tool position at the pick ``(N, 3)``, m.
         """
         errors = (error / (SEEN_MM * 1e-3)).clip(-MOST_SEEN, MOST_SEEN)
@@ -91,7 +92,7 @@ class PickMemory:
         return np.concatenate([new, tokens[:, :-1]], axis=1)
 
     def shown(self, joints: Array, tokens: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return observations ``(N, inputs)`` before a pick, from scaled ``joints (N, n)`` and the ``tokens``."""
+        """Return observations ``(N, inputs)`` before a pick, from ``joints (N, n)``, -1 to 1, and ``tokens``."""
         return np.concatenate([joints, tokens.reshape(len(tokens), -1)], axis=1, dtype=np.float32)
 
     def aim(self, geometry: Geometry, joints: Array, actions: Any) -> Array:
@@ -219,10 +220,11 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         self, env: VectorEnv[Any, Any, Any], picks: int = 20, window: int = 1, looks: int = 10, reach_mm: float = 8.0,
         reward: str = "measured",
     ) -> None:  # fmt: skip
-        """Wrap ``env``; arguments as in `SameArm`.
+        """Wrap ``env``; `SameArm` explains the arguments.
 
         Raises:
-            InputError: If ``env`` is no native reach environment on NumPy with a camera, or an argument is impossible.
+            InputError: If ``env`` is no native reach environment on NumPy with a camera, or an argument is one that
+                `SameArm` refuses.
         """
         how: dict[str, Any] = {"picks": picks, "window": window, "looks": looks, "reach_mm": reach_mm, "reward": reward}
         RecordConstructorArgs.__init__(self, **how)
@@ -296,8 +298,8 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
 class SameArmMixture(VectorEnv[Any, Any, Any]):
     """Several `SameArmVector` joined into one vector environment, for learning on arms of several plants.
 
-    Each environment behaves as it would in its own part with the same seed. All runs have the same length, so they all
-    end in the same step.
+    Each environment gives the same results as in its own `SameArmVector` with the same seed. All runs have the same
+    length, so they all end in the same step.
 
     Change log:
      * v0.3.0 - Added.
@@ -305,7 +307,7 @@ class SameArmMixture(VectorEnv[Any, Any, Any]):
     Attributes:
         parts: The joined vector environments, in the order of their environments.
         task: The task of the first part; all parts have the same nominal arm.
-        run: The run of the first part.
+        run: State of the present runs in the first part.
     """
 
     def __init__(self, parts: Sequence[SameArmVector]) -> None:
@@ -364,8 +366,8 @@ def _joined(infos: Sequence[dict[str, Any]]) -> dict[str, Any]:
 class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     """Pick fruit after fruit with one unknown arm, one action per fruit: a task of calibrating while picking.
 
-    An episode is a run of ``picks`` fruit of `pickenv/Reach-v0` on one true arm. The nominal arm's joints at each fruit
-    are given. The action is the shift of the aim beside the fruit, x, y, z in the base frame, as shares of
+    An episode is a run of ``picks`` fruit of `pickenv/Reach-v0` on one true arm. The policy gets the nominal arm's
+    joints at each fruit. The action is the shift of the aim beside the fruit, x, y, z in the base frame, as shares of
     ``reach_mm``. The arm is put at that aim and stays there for ``looks`` steps, and the camera's measurements are
     averaged. With n joints the observation is `Box(float32)` of n + window (n + 4) numbers:
 
@@ -378,10 +380,10 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     The reward of a pick is that of `pickenv/Reach-v0` for the gap between tool and fruit that the camera measured,
     averaged over all looks. A real arm could measure it, so a policy may observe it. With `reward="true"` the reward is
-    computed from the true tool. It has no noise, so that a few probing aims would locate the fruit. Use it for training
-    only. A run is truncated after its last pick. `info` has the errors of `pickenv/Reach-v0`, the number of picks so
-    far as `pick`, and the arm's number as `arm`. Make the environment with `arms="per_episode"`, else every run has the
-    same arm. `reset(options={"arm": number})` chooses an arm.
+    computed from the tool's true pose. This reward has no noise. A policy that observed it could locate the fruit with
+    a few probing aims, so use it for training only. A run is truncated after its last pick. `info` has the errors of
+    `pickenv/Reach-v0`, the number of picks so far as `pick`, and the arm's number as `arm`. Make the environment with
+    `arms="per_episode"`, else every run has the same arm. `reset(options={"arm": number})` chooses an arm.
 
     Example:
         >>> import gymnasium as gym
@@ -411,7 +413,8 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             reward: "measured", from the gap that the camera measured, or "true", for training in simulation only.
 
         Raises:
-            InputError: If ``env`` is no flat `pickenv/Reach-v0` with a camera, or an argument is impossible.
+            InputError: If ``env`` is no flat `pickenv/Reach-v0` with a camera, or ends on success. If a count is below
+                1, ``looks`` is above `LONGEST_LOOK`, ``reach_mm`` is not above 0, or ``reward`` is unknown.
         """
         how: dict[str, Any] = {"picks": picks, "window": window, "looks": looks, "reach_mm": reach_mm, "reward": reward}
         RecordConstructorArgs.__init__(self, **how)
@@ -487,7 +490,8 @@ class ManyCanopies(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             reward: "measured", which a real arm could measure, or "true", for training in simulation only.
 
         Raises:
-            InputError: If ``env`` is no `pickenv/Pick-v0`, or an argument is impossible.
+            InputError: If ``env`` is no `pickenv/Pick-v0`, ``canopies`` is below 1, ``hours`` are not two numbers from
+                0 to 1000, or ``reward`` is unknown.
         """
         RecordConstructorArgs.__init__(self, canopies=canopies, hours=hours, reward=reward)
         gym.Wrapper.__init__(self, env)

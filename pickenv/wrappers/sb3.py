@@ -79,7 +79,7 @@ class Sb3Vec(VecEnv):
         return self.seen
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """Set a different seed for each environment at the next reset; no two values of ``seed`` share a seed."""
+        """Set a different seed for each environment at the next reset; other values of ``seed`` give other seeds."""
         sequence = np.random.SeedSequence(seed) if seed is None else stream(seed, "training")
         self._seeds = list(seed_words(sequence, self.num_envs))
         return self._seeds
@@ -89,7 +89,11 @@ class Sb3Vec(VecEnv):
         self._actions = actions
 
     def step_wait(self) -> tuple[Any, NDArray[np.float32], NDArray[np.bool_], list[dict[str, Any]]]:
-        """Act in all environments with the actions that `step_async` stored."""
+        """Act in all environments with the actions that `step_async` stored.
+
+        Returns:
+            Observations, rewards, flags of the episodes that ended, and infos as the class describes them.
+        """
         self.seen, rewards, terminations, truncations, batch = self.envs.step(self._actions)
         self._returns += rewards
         self._lengths += 1
@@ -158,7 +162,7 @@ class Sb3Vec(VecEnv):
         self.envs.close()
 
     def get_attr(self, attr_name: str, indices: int | Iterable[int] | None = None) -> list[Any]:
-        """Return an attribute that all environments share, once per index."""
+        """Return an attribute of the vector environment, repeated once per index."""
         return [getattr(self.envs.unwrapped, attr_name)] * len(list(self._get_indices(indices)))
 
     def set_attr(self, attr_name: str, value: Any, indices: int | Iterable[int] | None = None) -> None:
@@ -183,6 +187,6 @@ class Sb3Vec(VecEnv):
         return [wrapped] * len(list(self._get_indices(indices)))
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
-        """Draw one picture per environment; return None for each without a render mode."""
+        """Draw one picture per environment; without a render mode, return one None per environment."""
         pictures: Any = self.envs.render()
         return [None] * self.num_envs if pictures is None else list(pictures)

@@ -1,4 +1,4 @@
-"""Wrappers for picking with steps of the tool instead of joint increments, and the gap shown by size and direction.
+"""Wrappers for picking by steps of the tool instead of joint increments, with the gap by size and direction.
 
 A policy that moves joints must learn the arm's kinematics before it can learn to pick. Here the nominal Jacobian turns
 a step of the believed tool, which is kept upright, into joint increments. Near the fruit, steps are multiplied by the
@@ -58,7 +58,7 @@ MOVES = 2
 
 @dataclass(frozen=True, eq=False)
 class ToolSteps(Rescaling):
-    """Formulas that turn observations of `pickenv/Pick-v0` into a policy's, and steps of the tool into its actions.
+    """Formulas between `pickenv/Pick-v0` and a policy whose actions are steps of the tool.
 
     Attributes:
         geometry: The nominal arm.
@@ -114,10 +114,11 @@ class ToolSteps(Rescaling):
         return xp.concatenate((values[..., :n], *shares, xp.clip(_length(turn) ** 2, 0.0, 1.0), others), -1)
 
     def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
-        """Compute the environment's actions ``(..., n + 1)`` from a policy's ``(..., 3)``.
+        """Compute the environment's actions ``(..., n + 1)`` from a policy's ``actions (..., 3)``.
 
-        Actions of another shape are passed on unchanged, so that the environment raises the error. Numbers larger than
-        ``most``, or not finite, become numbers that the environment refuses.
+        ``values`` are the environment's observations ``(..., n + 17)``. Actions of another shape are passed on
+        unchanged, so that the environment raises the error. If a number is larger than ``most``, or not finite, the
+        result has numbers that the environment refuses.
         """
         numbers = as_numbers("actions", actions)
         if numbers.shape != (*values.shape[:-1], self.outputs):
@@ -127,7 +128,7 @@ class ToolSteps(Rescaling):
         return np.where(wrong, np.inf if most == MOST_ACTION["clip"] else 2.0, commands).astype(np.float32)
 
     def commands(self, values: NDArray[Any], actions: Any) -> Any:
-        """Compute joint increments and gripper ``(..., n + 1)`` from a policy's ``actions``, which are from -1 to 1."""
+        """Compute joint increments and gripper command ``(..., n + 1)`` from a policy's ``actions``, from -1 to 1."""
         n = self.joints
         holding = (values[..., n + 14 : n + 16] > 0.5).any(axis=-1, keepdims=True)
         away = ~holding & (_length(values[..., n + 6 : n + 9]) > CLOSING)
@@ -165,8 +166,8 @@ class ToolSteps(Rescaling):
     def potential(self, values: NDArray[Any]) -> Any:
         """Compute the progress of the pick, ``(...)`` from 0 to 0.8, for reward shaping.
 
-        Before the grasp it grows with the logarithm of the gap up to 0.35. It is 0.5 with a fruit in the gripper and
-        0.6 once the fruit is detached. It then grows up to 0.8 as the fruit is brought down.
+        Before the grasp it is at most 0.35, and grows as the logarithm of the gap falls. It is 0.5 with a fruit in the
+        gripper and 0.6 once the fruit is detached. It then grows up to 0.8 as the fruit is brought down.
         """
         n = self.joints
         gap = np.asarray(values[..., n + 6 : n + 9], dtype=float)
@@ -224,7 +225,7 @@ class ToolStepping(ScaledEnv, RecordConstructorArgs):
 
         Raises:
             InputError: If the observations are not those of a picking task without `feedback="gripper"`, or ``shaping``
-                is impossible.
+                is not above 0 and at most 1.
         """
         RecordConstructorArgs.__init__(self, shaping=shaping)
         ScaledEnv.__init__(self, env, _steps_of(env, env.observation_space, shaping), shaping)
@@ -246,10 +247,11 @@ class ToolSteppingVector(ScaledVector, RecordConstructorArgs):
     """
 
     def __init__(self, env: VectorEnv[Any, Any, Any], shaping: float | None = None) -> None:
-        """Wrap ``env``; ``shaping`` as in `ToolStepping`.
+        """Wrap ``env``; `ToolStepping` explains ``shaping``.
 
         Raises:
-            InputError: As in `ToolStepping`.
+            InputError: If the observations are not those of a picking task without `feedback="gripper"`, or ``shaping``
+                is not above 0 and at most 1.
         """
         RecordConstructorArgs.__init__(self, shaping=shaping)
         ScaledVector.__init__(self, env, _steps_of(env, env.single_observation_space, shaping), shaping)

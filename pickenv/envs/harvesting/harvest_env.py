@@ -64,10 +64,10 @@ class HarvestEnv(DrawnEnv):
     ## Rewards
 
     Per period: 1 x (fruit collected whole) - 1 x (fruit damaged) + (progress in m) - 0.05 x (arms that the guard holds)
-    - 0.005 - 0.005 x (mean size of the action's numbers, held or not). Progress is the decrease of a distance. To
-    compute it, the distances from each hanging fruit in reach, as the camera saw it, to the nearest believed cup are
-    summed. The sum is divided by the number of fruit in the zone. Eight fruit give at most about 8; doing nothing for a
-    minute gives -3.
+    - 0.005 - 0.005 x (mean size of the action's numbers, also of arms that the guard holds). Progress is the decrease
+    of a distance. To compute it, the distances from each hanging fruit in reach, as the camera saw it, to the nearest
+    believed cup are summed. The sum is divided by the number of fruit in the zone. Eight fruit give at most about 8;
+    doing nothing for a minute gives -3.
 
     ## Starting State
 
@@ -130,7 +130,7 @@ class HarvestEnv(DrawnEnv):
     """
 
     def __init__(self, *, render_mode: str | None = None, **arguments: Any) -> None:
-        """See the class for the arguments; raises `InputError` for impossible ones."""
+        """See the class for the arguments; raises `InputError` for values that are not allowed."""
         super().__init__(render_mode)
         self.task: batch.HarvestTask = batch.make_harvest_task(**arguments)
         self.compensator: Compensate | None = None

@@ -180,7 +180,7 @@ def make_harvest_task(
     """Check the arguments of `HarvestEnv`, which its class explains, read the files, and return the task.
 
     Raises:
-        InputError: If an argument is impossible.
+        InputError: If an argument has a value that is not allowed. The message says which values are.
     """
     check_choice("out_of_range", out_of_range, tuple(MOST_ACTION))
     check_choice("executor", executor, ("auto", "numpy"))
@@ -241,7 +241,7 @@ class HarvestState:
         held: Number of arms that the guard held in the last period.
         closest: Least distance between two arms' centre lines so far, m.
         attempts: Number of attempts so far.
-        left: Present value of `work_left`, m.
+        left: Distance whose decrease is rewarded as progress, as `work_left` computes it, m.
     """
 
     joints: Array
@@ -289,7 +289,7 @@ def begin_zones(
         joints: Joints of whole machines to start from ``(machines, joints)``, rad or m, or None.
 
     Raises:
-        InputError: If the cameras find no fruit in `DRAWS` draws, or at the given joints arms are too near each other.
+        InputError: If the cameras find no fruit in `DRAWS` draws, or arms are too near each other at ``joints``.
     """
     machine, n = task.machine, len(rngs)
     positions, sightings, zeros = np.zeros((3, n, task.fruit, 3))
@@ -331,7 +331,7 @@ def begin_zones(
 
 
 def distances(task: HarvestTask, joints: Array) -> Array:
-    """Compute the least distance between two arms' centre lines, m, (machines,); `Rules.shown` for a single arm."""
+    """Compute the least distance between two arms' centre lines, m, (machines,); with one slave arm, `Rules.shown`."""
     machine = task.machine
     if machine.arms < 2:
         return np.full(len(joints), task.rules.shown)
@@ -339,15 +339,16 @@ def distances(task: HarvestTask, joints: Array) -> Array:
 
 
 def of_rows(task: HarvestTask, what: str, joints: Array) -> Array:
-    """Compute the true cups or the distances between slaves for many machines.
+    """Compute the true positions of cups, or the distances between slave arms, for many machines.
 
     Args:
         task: The task.
-        what: "tips" for the true positions of the cups, or "distances" for those between pairs of slaves.
-        joints: Joint commands of whole machines for "tips", joints of the slaves for "distances", (rows, joints).
+        what: "tips" for the true positions of the cups, or "distances" for the distances between pairs of slave arms.
+        joints: Joints, one pose of a machine per row, (poses, joints), rad or m. For "tips" they are joint commands of
+            whole machines, for "distances" joints of the slave arms.
 
     Returns:
-        Coordinates of the cups or distances, m, (rows, k).
+        Coordinates of the cups, or distances, m, (poses, k).
     """
     if task.compiled:
         return rows_formula(task, what, len(joints))(joints)
@@ -358,7 +359,7 @@ def of_rows(task: HarvestTask, what: str, joints: Array) -> Array:
 
 @lru_cache(maxsize=16)
 def rows_formula(task: HarvestTask, what: str, count: int) -> Callable[[Array], Array]:
-    """Compile the formula for "tips" or "distances" to machine code, for arrays of ``count`` rows of joints."""
+    """Compile the formula for "tips" or "distances" (see `of_rows`) to machine code, for ``count`` poses at once."""
     from pickenv.arm.kinematics import machine_code
 
     def formula(m: Any, joints: Sequence[Any]) -> Sequence[Any]:
@@ -441,7 +442,7 @@ def _guard(task: HarvestTask, start: Array, target: Array) -> tuple[NDArray[np.i
 def attempts(
     task: HarvestTask, state: HarvestState, tips: Array, rngs: Sequence[np.random.Generator]
 ) -> tuple[Array, Array]:
-    """Let each cup whose sensor detects a fruit close its blade, and compute the outcomes.
+    """Close the blade of each cup whose sensor detects a fruit, and compute the outcomes.
 
     Args:
         task: The task.

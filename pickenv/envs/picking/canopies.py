@@ -1,7 +1,7 @@
-"""One or many picking arms before their canopies, whose fruit is in one array; each `PickScene` has a part of it.
+"""One or many picking arms before their canopies: one array holds all fruit, and each `PickScene` a part of it.
 
-What happens to all fruit in every period is computed on the whole array. What happens to one canopy from time to time,
-such as a grasp or a push, is computed by its scene. Both change the same array. Units: m, rad, s.
+The swing of the fruit, which goes on in every period, is computed on the whole array. A grasp or a push, which happens
+to one canopy from time to time, is computed by its scene. Both change the same array. Units: m, rad, s.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from pickenv.pictures.stage import SIZE, Eye, Mesh, Stage, Words
 from pickenv.pictures.tree_shapes import GREEN, MISSED_FRUIT, crate, fruit_colours, fruit_solids, row_of_trees
 
 ABSENT = np.zeros((), pick_scene.FRUIT)
-"""Placeholder record of absent fruit, far away. It fills the rows of canopies with less fruit than the fullest one."""
+"""Record of an absent fruit, far away. It fills the array for canopies that have less fruit than the fullest one."""
 ABSENT["rest"], ABSENT["masses"] = 1e6, 1.0
 
 FUNNEL = ("visible", "reachable", "attempted", "attached", "detached", "collected", "damaged")
@@ -54,7 +54,7 @@ class Canopies:
         still: Time since each joint target moved, s.
         moments: Number of steps in each episode so far.
         time: Simulated time of each episode so far, s.
-        handling: Time in addition to it, which is not simulated, for grasps and for bringing fruit to the bin, s.
+        handling: Time in addition to `time`, which is not simulated, for grasps and for bringing fruit to the bin, s.
     """
 
     def __init__(self, task: Task, orchard: pick_scene.PickSetting, count: int) -> None:
@@ -125,7 +125,7 @@ class Canopies:
         """Compute the effects of the arms' moves on the fruit, and operate the grippers.
 
         Args:
-            going: Flags of the arms that are active, (N,); the fruit before the others does not change.
+            going: Flags of the arms that are active, (N,); fruit before inactive arms does not change.
             before: True tool positions at the beginning of the period, m, (N, 3).
             gripper: The grippers' commands, (N,).
             stirred: Whether each joint target moved, (N,).
@@ -153,7 +153,7 @@ class Canopies:
         return np.asarray((self.held < 0) & (self._waiting() == 0))
 
     def observations(self, low: NDArray[Any], high: NDArray[Any]) -> NDArray[np.float32]:
-        """Return observations ``(N, n + 17)``, or with 3 more numbers, clipped to the bounds ``low`` and ``high``."""
+        """Return clipped observations ``(N, n + 17)``, or ``(N, n + 20)`` with feedback from the gripper."""
         n = self.task.joints
         sight, tools = self.sight, self.sight[BELIEVED][9:]
         positions = self.fruit["seen"][np.arange(self.count), self.number].T

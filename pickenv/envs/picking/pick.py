@@ -193,7 +193,7 @@ class PickEnv(ArmEnv):
     look = staticmethod(look_at_arm)
 
     def __init__(self, *, executor: str = "auto", render_mode: str | None = None, **arguments: Any) -> None:
-        """See the class for the arguments; raises `InputError` for impossible ones."""
+        """See the class for the arguments; raises `InputError` for values that are not allowed."""
         task, self.orchard = make_pick(**on_ladder("Pick", **arguments))
         super().__init__(task, render_mode, executor)
         self._reach = reach_of(task.plant.arm.nominal, self.orchard.station.approach)

@@ -66,7 +66,7 @@ class Reach:
 
 @lru_cache(maxsize=4)
 def reach_of(geometry: Geometry, approach: float) -> Reach:
-    """Return the `Reach` of an arm, whose poses are sampled once per arm and ``approach`` (m)."""
+    """Return the `Reach` of an arm for ``approach``, m. It is cached, so that its poses are sampled only once."""
     return Reach(geometry, approach)
 
 
@@ -82,9 +82,9 @@ STIRRED = 1e-9
 
 
 BELIEVED, TOOL, TURN, TILT, SIGHT = slice(0, 12), slice(12, 24), slice(24, 27), 27, 28
-"""Positions of the numbers in a view of the arm. `BELIEVED` is the frame of the believed tool, `TOOL` that of the true
-tool. `TURN` is the rotation vector from the believed attitude to upright. `TILT` is the angle between the true tool's
-axis and the vertical (degrees). From `SIGHT` on follow the joint readings, scaled to the limits."""
+"""Positions of the numbers in a view of the arm. `BELIEVED` is the frame of the believed tool, `TOOL` is the tool's
+true frame. `TURN` is the rotation vector from the believed attitude to upright. `TILT` is the angle between the true
+tool's axis and the vertical (degrees). From `SIGHT` on follow the joint readings, scaled to the limits."""
 
 
 def act_arm(
@@ -117,7 +117,9 @@ def look_at_arm(
     moment: Scalar,
     dt: Scalar,
 ) -> tuple[simulation.ArmState, simulation.Components]:
-    """Hold the joint command for ``dt`` seconds; arguments as in `pickenv.envs.shared.simulation.look`.
+    """Hold the joint command for ``dt`` seconds, then measure where the tool is.
+
+    `pickenv.envs.shared.simulation.look` explains the arguments.
 
     Returns:
         The state afterwards, and the view of the arm, in the layout of `BELIEVED` to `SIGHT`.

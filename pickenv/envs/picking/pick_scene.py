@@ -1,8 +1,8 @@
 """The fruit before a picking arm: where it hangs and is seen, how it is pushed, taken, twisted off and collected.
 
-Everything is in the arm's base frame (m, s, N). It is the orchard frame turned by half a turn about z (and shifted), so
-that trees stand at -y. The tool is a cylinder that opens upwards, with its point on top, and approaches from below. All
-random numbers are drawn at the start, so that two policies meet the same fruit and the same random outcomes.
+Everything is in the arm's base frame (m, s, N). This frame is the orchard frame shifted and turned by half a turn about
+z, so that trees stand at -y. The tool is a cylinder that opens upwards, with its point on top, and approaches from
+below. All random numbers are drawn at the start, so that two policies meet the same fruit and the same random outcomes.
 """
 
 from __future__ import annotations
@@ -31,17 +31,28 @@ CLOSE, OPEN = 0.5, -0.5
 """Thresholds of the gripper's command: above `CLOSE` it closes, below `OPEN` it opens."""
 
 ATTEMPTS, GIVEN_ATTEMPTS = 200, 10
-"""Largest numbers of draws until a fruit is in reach, for drawn and for given fruit. Given fruit keeps its positions in
-each draw."""
+"""Largest numbers of draws until a fruit is in reach. `ATTEMPTS` is for positions that are drawn, `GIVEN_ATTEMPTS` for
+positions that the user gives, which stay the same in each draw."""
 
 
 @dataclass(frozen=True, eq=False)
 class PickSetting:
     """The orchard before the arm, the camera that sees its fruit, and the gripper that takes it.
 
-    `looks` is the number of images that the camera averages. `order` is a key of `ORDERS`. `eyes` is the stereo pair
-    that sees fruit instead of `camera`, or None. `felt` is the noise per axis with which the gripper measures where a
-    fruit lies in it, m, or None if it measures nothing.
+    Attributes:
+        canopy: The foliage before the arm.
+        fruit_map: Distribution of the number of fruit along the row of trees.
+        size: Diameter and density of fruit.
+        camera: Errors of the camera that sees the fruit, unless `eyes` is given.
+        gripper: Tolerances of the gripper.
+        branch: The branch that fruit hangs from.
+        detachment: Distribution of the loads that detach fruit.
+        station: Place of the canopy before the arm, and constants of the approach from below.
+        looks: Number of images that the camera averages.
+        eyes: The stereo pair that sees fruit instead of `camera`, or None.
+        order: Order in which fruit is picked, a key of `ORDERS`.
+        felt: Standard deviation per axis with which the gripper measures a held fruit's position, m; None if it
+            measures nothing.
     """
 
     canopy: trees.Canopy
@@ -64,8 +75,8 @@ ORDERS: dict[str, tuple[float, float, float] | None] = {
     "highest": (0.0, 0.0, -1.0),
     "foremost": (0.0, -1.0, 0.0),
 }
-"""Orders in which fruit is picked. None stands for the nearest to the believed tool, a vector for the first along it
-(base frame)."""
+"""Orders in which fruit is picked. None means that the fruit nearest to the believed tool is next. A vector (base
+frame) means that the fruit with the smallest coordinate along it is next."""
 
 PUBLISHED = "published"
 """Name of the vision that uses a camera's published errors; `pickenv.orchard.VISIONS` names the others."""
@@ -236,7 +247,7 @@ class PickScene:
             share: The command, -1 to 1.
             number: Number of the fruit to pick.
             believed: Frame of the believed tool, with which the controller decides.
-            tool: Frame of the true tool, which decides the outcome.
+            tool: The tool's true frame, which decides the outcome.
         """
         if self.held is None:
             near = math.dist(self.seen[number].tolist(), believed[9:]) <= self.orchard.station.near
@@ -252,7 +263,7 @@ class PickScene:
             self.detached_at = believed[11]
 
     def grasp(self, i: int, tool: Frame) -> None:
-        """Close the gripper on fruit ``i``, which cannot be tried again; ``tool`` is the true tool's frame."""
+        """Close the gripper on fruit ``i``, which cannot be tried again; ``tool`` is the tool's true frame."""
         point, axis = np.array(tool[9:]), np.array(tool[6:9])
         lateral, axial, angle = trees.misalignment(self.positions[i] - point, axis, UP)
         probability = trees.capture_probability(self.orchard.gripper, lateral, axial, angle, self.diameters[i])
@@ -307,7 +318,8 @@ def draw_scenes(
         given: For each episode fruit positions (n, 3) in the base frame, m, or None to draw them.
 
     Raises:
-        InputError: If no fruit is both seen and in reach, for given fruit or in `ATTEMPTS` draws.
+        InputError: If no draw of an episode has a fruit that is both seen and in reach. There are `ATTEMPTS` draws, or
+            `GIVEN_ATTEMPTS` where positions are given.
     """
     centres = [None if positions is None else _given_fruit(positions) for positions in given]
     scenes: dict[int, PickScene] = {}
@@ -407,7 +419,7 @@ def looked_at(
 LONGEST = 400
 """Number of steps of the time budget. It does not follow `max_episode_steps`, which the environment does not know."""
 STILL = 1.0
-"""Upper bound of the time since the joint target moved in observations, s."""
+"""Upper bound, in observations, of the time since the joint target last moved, s."""
 MOST_LEFT = 50
 COLLECTED, DAMAGED, STEP = 1.0, -0.25, -0.002
 
@@ -446,7 +458,7 @@ def make_pick(
         The arm's task, and the setting of fruit, camera and gripper.
 
     Raises:
-        InputError: If an argument is impossible. The message names it.
+        InputError: If an argument has a value that is not allowed. The message names the argument.
     """
     check_number("fruit", fruit, positive=True)
     check_count("looks", looks)
@@ -545,9 +557,10 @@ def draw_starts(
         orchard: The orchard, the camera and the gripper.
         reach: Test of what the arm reaches.
         rngs: Random generators.
-        before: Numbers of the true arms so far. With `arms="per_env"`, an arm is drawn only if its number is None.
-        fruit: Fruit positions as `reset` takes them, or None to draw fruit.
-        arms: Numbers of true arms, or None to draw them.
+        before: Number of the true arm in the environment's last episode, or None. With `arms="per_env"` this arm stays,
+            and an arm is drawn only for None.
+        fruit: Fruit positions (n, 3) in the base frame, m, or None to draw fruit.
+        arms: Number of the true arm that the user wants, or None.
 
     Raises:
         InputError: If no fruit is within reach, or the population has no arm of a given number.

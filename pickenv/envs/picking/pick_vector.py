@@ -51,7 +51,7 @@ class PickVectorEnv(NativeVectorEnv):
         ((3, 23), [5, 9, 2])
 
     Raises:
-        InputError: If an argument is impossible.
+        InputError: If an argument has a value that is not allowed. The message names the argument.
     """
 
     options = pick_scene.PICK_OPTIONS
@@ -80,7 +80,7 @@ class PickVectorEnv(NativeVectorEnv):
 
     @property
     def plant(self) -> Plant:
-        """The true arm that all environments share, or else the true arms, one per environment."""
+        """The true arm that all environments share, or the true arms of a population, one per environment."""
         return self.batch.plant
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
@@ -202,10 +202,11 @@ class PickBatch(NumpyArms):
 
         Args:
             rows: Indices of the environments.
-            starts: The fruit, true arm and key drawn for each.
+            starts: What was drawn for each environment: its fruit, true arm, and key of its random streams.
             joints: Joint targets to start from ``(rows, n)``, or None.
             compensate: Turns joint targets into joint commands, or None.
-            hours: Time for which the arms have been switched on ``(rows,)``, h, or None for that of the situation.
+            hours: Time for which each arm has been switched on ``(rows,)``, h, or None for the time of the task's
+                situation.
         """
         x, task, canopies = self.x, self.task, self.canopies
         scenes, arms, words = zip(*starts, strict=True)

@@ -21,15 +21,15 @@ from pickenv.envs.shared.task import GOAL_ATTEMPTS, Compensate, Task
 
 
 class Views(NamedTuple):
-    """Many environments' views, component by component, one column per environment; see `simulation.View`.
+    """The views of many environments, in arrays with one column per environment; `simulation.View` explains the parts.
 
     Attributes:
         observation: Parts of the observation, each an array ``(k, count)`` of float32.
         reward: Rewards ``(count,)``.
         success: Whether the fruit is inside the capture region, ``(count,)``.
         numbers: The errors that `simulation.NUMBER_KEYS` names, ``(4, count)``.
-        vectors: The vectors of `simulation.View.vectors`, ``(12 + n, count)``; no rows, or None, if poses are not asked
-            for.
+        vectors: The vectors of `simulation.View.vectors`, ``(12 + n, count)``. It has no rows, or is None, if
+            `Batch.poses` is False.
     """
 
     observation: tuple[Scalar, ...]
@@ -76,12 +76,12 @@ class Batch(ArmBatch, ABC):
         frames: Array | None = None,
         arm: NDArray[np.intp] | None = None,
     ) -> None:
-        """Begin an episode in the environments ``rows``. The other arrays have one entry for each of these.
+        """Begin an episode in each of the environments ``rows``. ``count`` below is the number of these.
 
         Args:
             rows: Indices of the environments.
-            seeds: Seeds of their random streams.
-            episodes: Numbers of the episodes.
+            seeds: Seeds of the environments' random streams ``(count,)``.
+            episodes: Number of each environment's episode ``(count,)``.
             compensate: Turns joint targets into joint commands, or None.
             start: Joint targets ``(count, n)``, or None to draw them if the task has a spread, else for mid-range.
             goal: Joints of wanted poses ``(count, n)``, or None.
@@ -109,7 +109,7 @@ class Batch(ArmBatch, ABC):
             self.write(self.columns, some, state.columns)
 
     def scene(self, row: int, compensate: Compensate | None) -> simulation.View:
-        """Return the present view of environment ``row`` with floats as numbers; no time passes."""
+        """Return the present view of environment ``row`` as Python floats; no time passes."""
         place = self.indices(np.array([row]))
         state = self.state_of([column[place] for column in self.columns])
         command, key = self.commands(compensate, list(state.target)), self.keys[place]

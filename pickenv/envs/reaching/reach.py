@@ -231,7 +231,7 @@ class ReachEnv(ArmEnv):
     """Count of the gripper's numbers, which follow the arm's numbers in an action."""
 
     def __init__(self, *, executor: str = "auto", render_mode: str | None = None, **arguments: Any) -> None:
-        """See the class for the arguments; raises `InputError` for impossible ones."""
+        """See the class for the arguments; raises `InputError` for values that are not allowed."""
         super().__init__(self.task_of(**on_ladder("Reach", **arguments)), render_mode, executor)
         self.observation_space: spaces.Space[Any] = flat_space(self.task)
         self.action_space: Any = action_space(self.task)
@@ -266,7 +266,7 @@ class ReachEnv(ArmEnv):
         return observation, information
 
     def step(self, action: ArrayLike) -> tuple[Any, float, bool, bool, Information]:
-        """Move the joint target by `action` and measure where the true tool is after one period.
+        """Move the joint target by `action`, and measure the tool's true pose after one period.
 
         Raises:
             InputError: If the action has another shape or numbers that are not finite, if its numbers are beyond -1 to
@@ -382,7 +382,7 @@ class ReachIdealEnv(ReachEnv):
     """
 
     def __init__(self, **arguments: Any) -> None:
-        """See the class for the arguments; raises `InputError` for impossible ones."""
+        """See the class for the arguments; raises `InputError` for values that are not allowed."""
         super().__init__(**{"plant": IDEAL, **arguments})
 
 
@@ -394,10 +394,10 @@ class ReachGoalEnv(ReachEnv):
 
     ## Description
 
-    The arm, the fruit and the plant are those of `pickenv/Reach-v0`; observation and reward differ. The reward is
-    computed from what a controller can measure, so that a goal can be exchanged afterwards. It compares the tool's
-    position and attitude, as the chosen feedback measures them, with the fruit as the camera saw it and the wanted
-    attitude. The errors of the true tool are in `info`.
+    Arm, fruit and plant (the true arm with its errors) are those of `pickenv/Reach-v0`; observation and reward differ.
+    The reward is computed from what a controller can measure, so that a goal can be exchanged afterwards. It compares
+    the tool's position and attitude, as the chosen feedback measures them, with the fruit as the camera saw it and the
+    wanted attitude. The errors of the true tool are in `info`.
 
     ## Action Space
 
@@ -472,7 +472,7 @@ class ReachGoalEnv(ReachEnv):
     """
 
     def __init__(self, *, reward: str = "sparse", **arguments: Any) -> None:
-        """See the class for the arguments; raises `InputError` for impossible ones."""
+        """See the class for the arguments; raises `InputError` for values that are not allowed."""
         super().__init__(reward=reward, **arguments)
         self.observation_space = goal_space(self.task)
 

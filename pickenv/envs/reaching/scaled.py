@@ -21,11 +21,11 @@ class ReachScaledEnv(ReachEnv):
 
     ## Description
 
-    Arm, fruit, plant, reward, information and arguments are those of `pickenv/Reach-v0`. The gap is the fruit's pose
-    minus the tool's pose. A network that reads the gap in metres hardly notices millimetres, and the noise of its
-    exploration hides them: PPO stays at some 20 mm in `pickenv/Reach-v0`. Here the network sees the gap by direction
-    and logarithm, and its actions shrink with the gap. It then becomes so accurate that the arm's calibration limits it
-    ("Training a policy" in the documentation has the results).
+    Arm, plant (the true arm with its errors), fruit, reward, information and arguments are those of `pickenv/Reach-v0`.
+    The gap is the fruit's pose minus the tool's pose. A network that reads the gap in metres hardly notices
+    millimetres, and the noise of its exploration hides them: PPO stays at some 20 mm in `pickenv/Reach-v0`. Here the
+    network sees the gap by direction and logarithm, and its actions shrink with the gap. It then becomes so accurate
+    that the arm's calibration limits it ("Training a policy" in the documentation has the results).
 
     ## Action Space
 
@@ -77,7 +77,7 @@ class ReachScaledEnv(ReachEnv):
     """
 
     def __init__(self, **arguments: Any) -> None:
-        """See the class for the arguments; raises `InputError` for impossible ones."""
+        """See the class for the arguments; raises `InputError` for values that are not allowed."""
         super().__init__(**arguments)
         self.scaling = scaling_of(self.task)
         self.observation_space = self.scaling.space
@@ -131,9 +131,9 @@ class ReachToolEnv(ReachScaledEnv):
 
     ## Description
 
-    Plant, fruit, information and score are those of `pickenv/Reach-v0`. But the policy says how the tool shall move,
-    and the nominal arm's Jacobian turns this into joint increments. Observations and actions are the same for every
-    arm, so that a policy trained on one arm can act on another.
+    Plant (the true arm with its errors), fruit, information and score are those of `pickenv/Reach-v0`. But the policy
+    says how the tool shall move, and the nominal arm's Jacobian turns this into joint increments. Observations and
+    actions are the same for every arm, so that a policy trained on one arm can act on another.
 
     ## Action Space
 
@@ -163,15 +163,15 @@ class ReachToolEnv(ReachScaledEnv):
 
     ## Rewards
 
-    As in `pickenv/Reach-v0`. With `actions="position"` no attitude is asked for: it counts neither in the reward nor
-    in `is_success`.
+    As in `pickenv/Reach-v0`. With `actions="position"` the goal has no attitude. Then attitude counts neither in the
+    reward nor in `is_success`.
 
     ## Starting State
 
     Starts and goals lie in a box of joint positions. Its middle is an upright pose from which the tool moves freely in
     every direction, and `goal_spread` sets its width. The arm starts in the middle, or with `start_spread` at random in
     that share of the box. Wanted poses are drawn as joints in the box, such that the tool points upwards as in
-    `pickenv/Reach-v0`. So each can be reached, and no joint has to turn by more than half a circle.
+    `pickenv/Reach-v0`. So the arm can reach each pose, and no joint has to turn by more than half a circle.
     `reset(options=...)` takes the options of `pickenv/Reach-v0`.
 
     ## Episode End

@@ -79,7 +79,7 @@ class TorchBatch(Batch):
         self.remake()
 
     def remake(self) -> None:
-        """Wrap the step for compilation, if compilation is asked for."""
+        """Prepare the step for compilation, if the argument ``compiled`` was True."""
         self._step, self._see = self._fused(self._act), self._fused(self._shown)
         self._pack = self._fused(_packed)
 

@@ -71,7 +71,7 @@ class ReachVectorEnv(NativeVectorEnv):
         ((3, 6), [True, True, True])
 
     Raises:
-        InputError: If an argument is impossible.
+        InputError: If an argument has a value that is not allowed. The message names the argument.
     """
 
     options = OPTIONS
@@ -107,7 +107,7 @@ class ReachVectorEnv(NativeVectorEnv):
 
     @property
     def plant(self) -> Plant:
-        """The true arm that all environments share, or else the true arms, one per environment."""
+        """The true arm that all environments share, or the true arms of a population, one per environment."""
         return self.batch.plant
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:

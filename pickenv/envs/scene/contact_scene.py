@@ -1,9 +1,9 @@
 """The scene of `pickenv/PickScene-v0` as a MuJoCo model: the arm, fruit on a branch, leaves and cameras.
 
-The model's arm is the true arm. The plant, that is the model of the true arm, computes the frame of its tool, and its
-joints with the errors of drives, gears and joints. MuJoCo drives the joints there, and shifts the last link so that
-the true gripper touches the fruit. Arms have no weight in MuJoCo, since the plant computes how they sag. Units: m, kg,
-s, N, rad.
+The MuJoCo model's arm is the true arm. The plant (the model of the true arm's errors) computes the tool's true frame,
+and joint positions with the errors of drives, gears and joints. MuJoCo drives the joints to these positions, and shifts
+the last link so that the true gripper touches the fruit. Arms have no weight in MuJoCo, since the plant computes how
+they sag. Units: m, kg, s, N, rad.
 """
 
 from __future__ import annotations
@@ -47,9 +47,9 @@ contacts would be unstable."""
 
 CAMERAS = ("world", "wrist")
 HULL, AS_DRAWN, UNSEEN = 48, 2, 5
-"""Largest number of corners of the convex hulls that stand for a manufacturer's meshes in contacts and pictures. Then
-the group of geoms that only show the arm's look, which take ten times as long to draw, and the group of geoms that are
-not drawn."""
+"""`HULL` is the largest number of corners of the convex hulls that replace a manufacturer's meshes in contacts and
+pictures. `AS_DRAWN` is the group of geoms that only show the arm's look and take ten times as long to draw. `UNSEEN` is
+the group of geoms that are not drawn."""
 
 OTHER, GRIPPER_BIT, FRUIT_BIT, LEAF_BIT = 0, 1, 2, 4
 SMALLEST, LARGEST = 16, 1024
@@ -376,8 +376,8 @@ class ContactScene:
 
         Args:
             plant: The true arm.
-            joints: Positions of its joints ``(n,)``.
-            tool: Frame of its tool.
+            joints: Positions of the true arm's joints ``(n,)``, rad or m.
+            tool: The tool's true frame.
             fruit: Where fruit hangs at rest ``(f, 3)``, m.
             rng: Random generator for strengths of stems, places of leaves and errors of cameras.
         """
@@ -413,7 +413,7 @@ class ContactScene:
 
         Args:
             joints: Positions of the true arm's joints at the end ``(n,)``, rad or m.
-            tool: Frame of the true tool at the end.
+            tool: The tool's true frame at the end.
             grip: The gripper's command, -1 to 1; suction is on above 0.
             period: Length of the period, s.
         """
@@ -469,7 +469,7 @@ class ContactScene:
 
     @property
     def tool(self) -> Frame:
-        """The true tool's frame."""
+        """The tool's true frame."""
         spot = self._site
         return frame_of(Pose(self.data.site_xpos[spot], self.data.site_xmat[spot].reshape(3, 3)))
 

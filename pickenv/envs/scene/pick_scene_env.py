@@ -32,7 +32,7 @@ PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25
 """Default of `control_period_s`, the cost of each step, and the reward for detaching a fruit from its stem."""
 
 HELD_STEPS, REACH_OF_APPLES = 5, 0.85
-"""Number of steps for which a detached fruit must be held to count as picked. Then the reach of an arm from which
+"""Number of steps for which a detached fruit must be held to count as picked; and the least reach of arms for which
 `scale` is 1 by default."""
 
 SPREAD, ATTEMPTS = 64, 2000
@@ -51,9 +51,9 @@ class PickSceneEnv(ReachEnv):
     `pickenv/Reach-v0` in MuJoCo, with contact and pictures. An arm with a suction cup stands before a branch; the
     fruit's stem breaks when it is pulled hard enough. The policy commands the *nominal* arm, that is the model that its
     controller believes in. What moves, touches and carries the wrist camera is the *true* arm. Its parts, joint zeros,
-    compliance, backlash and warm-up are those of the plant. Delays and noise are those of `pickenv/Reach-v0`. With an
-    ideal plant the states equal those of the plain MuJoCo model, to the bit. Contacts, their forces and the success of
-    picks are simulated, and hold for this cup and this branch only.
+    compliance, backlash and warm-up are those of the plant (the model of the true arm). Delays and noise are those of
+    `pickenv/Reach-v0`. With an ideal plant the states equal those of the plain MuJoCo model, to the bit. Contacts,
+    their forces and the success of picks are simulated, and hold for this cup and this branch only.
 
     The arm is drawn as rods from the arm file, or comes from a manufacturer's MJCF file (`model`). Of the arm, only the
     cup has contacts. The arm has no weight in MuJoCo, since the plant computes how it sags.
@@ -173,7 +173,7 @@ class PickSceneEnv(ReachEnv):
         render_mode: str | None = None,
         **arguments: Any,
     ) -> None:
-        """See the class for the arguments; raises `InputError` for impossible ones."""
+        """See the class for the arguments; raises `InputError` for values that are not allowed."""
         check_choice("obs_type", obs_type, OBSERVATIONS)
         for name, count, least in (("fruit", fruit, 1), ("leaves", leaves, 0), ("pixels", pixels, SMALLEST)):
             check_count(name, count, least)
@@ -310,7 +310,7 @@ class PickSceneEnv(ReachEnv):
         moment: Scalar,
         dt: Scalar,
     ) -> tuple[ArmState, View]:
-        """Hold the joint command for ``dt`` seconds in MuJoCo; arguments and result are as in `simulation.look`."""
+        """Hold the joint command for ``dt`` seconds in MuJoCo; `simulation.look` explains arguments and result."""
         memory = plant.carried(x.m, state.plant, command, dt)
         joints, tool = plant.stands(x.m, memory, command)
         scene = self.scene

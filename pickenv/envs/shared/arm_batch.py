@@ -22,7 +22,7 @@ Columns = list[Scalar]
 
 @contextmanager
 def naming_effects(plant: Plant, executor: str) -> Iterator[None]:
-    """Context manager that turns an executor's error into one that names the plant's effects from other packages.
+    """Turn an executor's error into one that names the effects of ``plant`` (the true arm) from other packages.
 
     Raises:
         InputError: If anything is raised inside, and the plant has effects from other packages.
@@ -43,8 +43,8 @@ def naming_effects(plant: Plant, executor: str) -> Iterator[None]:
 class ArmBatch:
     """The state of N arms, one per environment.
 
-    The methods from `numbers` to `components` decide in which kind of array the state is stored. Here it is NumPy's;
-    subclasses may override them.
+    The methods from `numbers` to `components` decide in which kind of array the state is stored. Here the arrays are
+    NumPy's; subclasses may override these methods.
 
     Attributes:
         x: The executor.
@@ -57,7 +57,7 @@ class ArmBatch:
         population: The population that true arms are taken from.
         keys: Keys of the environments' episodes, ``(N,)``.
         columns: The state, one array ``(N,)`` (a column) per number.
-        remade: Names of the attributes that are neither pickled nor copied, but made again by `remake`.
+        remade: Names of the attributes that `remake` makes again, since they are neither pickled nor copied.
     """
 
     x: Executor
@@ -99,7 +99,7 @@ class ArmBatch:
 
     @property
     def fixed(self) -> int:
-        """Count of the first columns: the joint target, and numbers that do not change during an episode."""
+        """Number of leading columns, which hold the joint target and the numbers that are constant in an episode."""
         return sum(self._widths[:4])
 
     def numbers(self, values: Array) -> Scalar:
@@ -206,7 +206,7 @@ class ArmBatch:
             self.put(column, where, new)
 
     def blocks(self, count: int) -> Iterator[tuple[int, int]]:
-        """Split ``count`` environments into blocks; yield the first index of each and the first index after it."""
+        """Split ``count`` environments into blocks; yield each block's first index, and the first index after it."""
         return ((a, min(a + self.block, count)) for a in range(0, count, self.block))
 
     def take_arms(self, rows: Rows, arms: NDArray[np.intp]) -> None:
@@ -226,10 +226,10 @@ class NumpyArms(ArmBatch):
 
     x = NUMPY
     block = 2048
-    """Number of arms in a block. A component then takes 16 KiB, and a few fit into a core's first-level cache."""
+    """Number of arms in a block. A component then takes 16 KiB; a core's first-level cache holds a few of them."""
 
     def make_plants(self) -> None:
-        """Set the true arms of all environments, and those of each block of environments."""
+        """Set the true arms of all environments, and the true arms of each block of environments."""
         self.population = self.plant = self.task.plant
         if self.task.arms != "fixed":
             self.plant = plants_on(self.task.plant, lambda values: values[self.arm])

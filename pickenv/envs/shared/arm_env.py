@@ -233,11 +233,11 @@ def ground_below(look: arm_shapes.ArmLook, geometry: Geometry) -> float:
 
 
 def tool_dial(axis: Array, offset: Array, tolerance_mm: float) -> Dial:
-    """Return the dial that shows the true tool's offset from the fruit, seen along the tool's axis.
+    """Return the dial that shows the tool's true offset from the fruit, seen along the tool's axis.
 
     Args:
-        axis: Unit vector of the true tool's axis ``(3,)``, base frame.
-        offset: True tool minus fruit ``(3,)``, m, base frame.
+        axis: Unit vector along the tool's true axis ``(3,)``, base frame.
+        offset: The tool's true position minus the fruit's ``(3,)``, m, base frame.
         tolerance_mm: Radius of the ring on the dial, mm.
     """
     right = np.cross([0.0, 1.0, 0.0], axis)

@@ -130,7 +130,7 @@ the numbers of the situation, `START` for the start, and `JOINTS` for the noise 
 
 
 def mixed(x: Executor, word: Scalar) -> Scalar:
-    """Mix the bits of a 64-bit word by a one-to-one function, the finaliser of splitmix64."""
+    """Mix the bits of a 64-bit word by the finaliser of splitmix64, which is one-to-one."""
     word = x.times(word ^ x.shifted(word, 30), 0xBF58476D1CE4E5B9)
     word = x.times(word ^ x.shifted(word, 27), 0x94D049BB133111EB)
     return word ^ x.shifted(word, 31)

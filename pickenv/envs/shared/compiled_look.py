@@ -29,13 +29,13 @@ TRACER = Executor(
 
 
 def with_numbers(plants: Plant, numbers: Iterable[Scalar]) -> Plant:
-    """Return ``plants`` with its arrays ``(arms,)`` replaced, in order, by ``numbers``."""
+    """Return ``plants`` (true arms) with each array of shape ``(arms,)`` replaced by the next one of ``numbers``."""
     rows = iter(numbers)
     return plants_on(plants, lambda values: next(rows) if values.ndim == 1 else values)
 
 
 class LatestCompiled:
-    """A cache of one: the machine code of the compensator that was used last, for ``count`` poses at once."""
+    """Cache with one entry: the machine code, for ``count`` poses at once, of the compensator that was used last."""
 
     def __init__(self, count: int) -> None:
         self._count = count
@@ -51,7 +51,7 @@ class LatestCompiled:
 class CompiledLook:
     """Machine code of `simulation.look`, or of a function with the same arguments, for one arm and one period.
 
-    Results agree up to rounding.
+    Results equal those of the function up to rounding.
 
     Args:
         look: The function.

@@ -71,7 +71,7 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         Args:
             seed: Environment i gets ``seed + i``, or entry i of a sequence. With None it continues its own stream of
                 random numbers.
-            options: See the class.
+            options: Options by name: those named in the attribute `options`, and "reset_mask".
 
         Returns:
             The observations and the infos.
@@ -203,7 +203,8 @@ def checked_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[i
     """Return a seed for each of ``count`` environments.
 
     Args:
-        seed: A number, from which environment i gets ``seed + i``; or a sequence of seeds; or None.
+        seed: A number, from which environment i gets ``seed + i``; or a sequence of one seed or None per environment;
+            or None.
         count: Number of environments.
 
     Returns:

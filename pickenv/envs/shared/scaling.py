@@ -36,7 +36,7 @@ class Rescaling(ABC):
         features: Count of numbers that the policy sees.
         space: Space of the observations that the policy sees.
         answers: Space of the policy's actions; None if it is the environment's action space.
-        home: Part of an error message: what the policy must be used with ("use ... of its training").
+        home: Part of an error message: what to use the policy with, for example "the feedback and the arm".
     """
 
     inputs: Any
@@ -50,10 +50,11 @@ class Rescaling(ABC):
 
         Args:
             width: Count of numbers in an observation.
-            scaled: Whether observations are scaled already, and so must have `features` numbers instead of `inputs`.
+            scaled: Whether the observations are results of `observe`, and must have `features` numbers instead of
+                `inputs`.
 
         Raises:
-            InputError: If ``width`` is another number.
+            InputError: If ``width`` differs from this count.
         """
         trained, home = (self.features, "the environment") if scaled else (self.inputs, self.home)
         if width != trained:
@@ -89,7 +90,7 @@ class Rescaling(ABC):
 
     @abstractmethod
     def potential(self, values: NDArray[Any]) -> Any:
-        """Compute a potential for reward shaping, which grows as observations get nearer to the task's goal."""
+        """Compute a potential for reward shaping from observations; it grows as the task's goal gets nearer."""
 
 
 @dataclass(frozen=True)
@@ -159,7 +160,7 @@ class Scaling(Rescaling):
         return xp.clip(far if self.tool == 3 else xp.maximum(far, turned), SMALLEST, None)
 
     def share(self, values: Any, xp: Any) -> Any:
-        """Compute the factor ``(..., 1)`` by which a network's actions are multiplied."""
+        """Compute the factor ``(..., 1)``, at most 1, by which a network's actions are multiplied."""
         size = self.size(values, xp)
         return xp.clip(size, None, 1.0) if self.actions else 0.0 * size + 1.0
 
@@ -173,7 +174,7 @@ class Scaling(Rescaling):
         return xp.concatenate((*parts, xp.log10(size) / 2.0), -1)
 
     def commands(self, values: Any, actions: Any) -> Any:
-        """Compute the environment's actions from a network's ``actions``, which lie between -1 and 1."""
+        """Compute the environment's actions from a network's ``actions`` (-1 to 1) at the observations ``values``."""
         return actions * self.share(values, np)
 
     def potential(self, values: NDArray[Any]) -> Any:
@@ -194,7 +195,7 @@ class Scaling(Rescaling):
 
 
 def scaling_of(task: Task, actions: bool = True) -> Scaling:
-    """Return the scaling for a task's flat observations; ``actions`` as in `Scaling`.
+    """Return the scaling for a task's flat observations; ``actions`` says whether actions shrink with the gap.
 
     Where actions move the tool, a gap counts as near if one action can close it.
     """

@@ -83,13 +83,14 @@ class View(NamedTuple):
         seen: Fruit position as the camera saw it, 3.
         offset: Pose of the fruit as seen, with the wanted attitude, relative to the believed tool: m and rotation
             vector, 6.
-        camera: Fruit minus true tool position as the camera measures it, 3; empty without camera feedback.
+        camera: Fruit position minus the tool's true position, as the camera measures it, 3; empty without camera
+            feedback.
         command: Joint command that the drives got, n.
-        tool: True tool position, 3.
+        tool: The tool's true position, 3.
         fruit: True fruit position, 3.
-        error: Pose of the true tool relative to the fruit: m and rotation vector, 6.
-        numbers: Size of the error in the order of `NUMBER_KEYS`: its length, mm, its angle, the part of the angle that
-            no joint motion removes, and the rest of the angle, deg.
+        error: The tool's true pose relative to the fruit: m and rotation vector, 6.
+        numbers: Four sizes of the error in the order of `NUMBER_KEYS`: a distance, mm, then three angles, deg. These
+            are the whole angle, the part of it that no joint motion removes, and the rest.
         success: Whether the fruit is inside the capture region.
     """
 
@@ -109,7 +110,7 @@ class View(NamedTuple):
 
     @property
     def vectors(self) -> Components:
-        """Pose error, joint command, true tool position and fruit position, 12 + n."""
+        """Pose error (6), joint command (n), true tool position (3) and fruit position (3): 12 + n numbers."""
         return (*self.error, *self.command, *self.tool, *self.fruit)
 
 
@@ -124,7 +125,7 @@ def nominal_frames(x: Executor, task: Task, q: Sequence[Scalar]) -> tuple[list[F
 def goal_attempt(x: Executor, task: Task, key: Scalar, attempt: int) -> tuple[list[Scalar], Scalar]:
     """Draw joints for a wanted pose, and check whether the pose fits the task.
 
-    It fits if its tool is in the task's region and points upwards within the largest tilt.
+    A pose fits if the tool is in the task's region and points upwards within the largest tilt.
 
     Args:
         x: The executor.
@@ -133,7 +134,7 @@ def goal_attempt(x: Executor, task: Task, key: Scalar, attempt: int) -> tuple[li
         attempt: Number of the attempt, from 0; the first pose that fits becomes the goal.
 
     Returns:
-        The joints, and whether they fit.
+        The joints ``n``, rad or m, and whether their pose fits.
     """
     joints = []
     for i, (low, high) in enumerate(zip(*task.box, strict=True)):
@@ -183,7 +184,7 @@ def begin(
         goal: Frame of the fruit with the wanted attitude, or empty.
         command: Joint command that the drives get for ``start``.
         gripper: Count of the gripper's numbers, which follow the arm's numbers in an action.
-        hours: Time for which the arm has been switched on, h; None for that of the task's situation.
+        hours: Time for which the arm has been switched on, h; None for the time that the task's situation has.
     """
     setting, sighting = task.situation, goal[9:]
     if task.fruit_noise:
@@ -253,7 +254,7 @@ def look(
     moment: Scalar,
     dt: Scalar,
 ) -> tuple[ArmState, View]:
-    """Hold the joint command for ``dt`` seconds, then measure where the true tool is.
+    """Hold the joint command for ``dt`` seconds, then measure the tool's true pose.
 
     Args:
         x: The executor.
@@ -284,7 +285,7 @@ def viewed(
     moment: Scalar,
     dt: Scalar,
 ) -> tuple[ArmState, View]:
-    """Return the view for encoder readings ``read (n,)`` and the true tool's frame ``true``; all else as in `look`."""
+    """Return state and view for encoder readings ``read (n,)`` and the tool's true frame ``true``; see `look`."""
     m, goal, sighting, setting = x.m, state.goal, state.seen, task.situation
     dx, dy, dz, *turn = error = frame_error(m, goal, true)
     camera: Components = ()
@@ -326,7 +327,7 @@ def viewed(
 def nominal_readings(
     x: Executor, plant: Plant, state: PlantState, target: Sequence[Scalar], command: Sequence[Scalar]
 ) -> list[Scalar]:
-    """Return the joint readings as nominal joints: the joint target plus the reading minus the command.
+    """Return the joint readings as nominal joints: joint target + reading - joint command.
 
     So the difference that a compensator makes between target and command does not appear in observations.
     """
@@ -394,7 +395,7 @@ def _frame(goal: Sequence[Scalar]) -> Frame:
 
 
 def true_reward(x: Executor, task: Task, scene: View) -> Scalar:
-    """Compute the reward from the error of the true tool, as `pickenv/Reach-v0` defines it."""
+    """Compute the reward from the tool's true error, by the formulas of `pickenv/Reach-v0`."""
     distance_mm, angle_deg, *_ = scene.numbers
     return _reward(x, task, scene.success, distance_mm, angle_deg)
 

@@ -36,7 +36,7 @@ Given = float | Sequence[float]
 class Span(NamedTuple):
     """Range of a number that each episode draws uniformly.
 
-    If both ends are equal, the number is constant. If they are ints, it is whole.
+    If both ends are equal, the number is constant. If both ends are ints, the number is whole.
     """
 
     low: float
@@ -85,7 +85,7 @@ class Situation:
         return not (self.drawn or self.spread or self.joint_noise.high)
 
     def widths(self, joints: int, sensed: int) -> tuple[int, int, int]:
-        """Return how many numbers a state stores: those drawn for the episode, delayed actions, and delayed readings.
+        """Return three counts of numbers that a state stores: values drawn, delayed actions, delayed readings.
 
         Args:
             joints: Count of the numbers in an action.
@@ -109,7 +109,8 @@ def make_situation(
     """Check the arguments, which `pickenv/Reach-v0` explains, and return the situation.
 
     Raises:
-        InputError: If a number or range is impossible. The message names it.
+        InputError: If a number is outside the range that the environment allows. The message names the argument and
+            this range.
     """
     noise = _span("joint_noise", joint_noise, 0.0, 100.0)
     if isinstance(start_spread, Sequence):
@@ -175,7 +176,7 @@ def warmed_up(
         plant: The true arm.
         state: Memory of the plant before.
         command: Joint command at which the arm stands.
-        hours: Time for which the arm stands, h; None for that of the situation.
+        hours: Time for which the arm stands, h; None for the time that the situation has.
     """
     if hours is None and not setting.hours.high:
         return state
@@ -185,14 +186,22 @@ def warmed_up(
 def acted(
     x: Executor, setting: Situation, drawn: Components, sent: Components, action: Sequence[Scalar]
 ) -> tuple[Sequence[Scalar], Components]:
-    """Return the action that takes effect now, and the delayed actions that are still pending, latest first."""
+    """Return the action that takes effect now, and the delayed actions that are still pending, latest first.
+
+    Args:
+        x: The executor.
+        setting: The situation.
+        drawn: Numbers drawn for the episode.
+        sent: Delayed actions that were pending before, latest first.
+        action: The policy's present action.
+    """
     if not setting.delay.high:
         return action, sent
     return _late(x, setting, "delay", drawn, sent, action)
 
 
 def in_period(x: Executor, setting: Situation, drawn: Components, action: Sequence[Scalar]) -> Sequence[Scalar]:
-    """Scale an action by the episode's period over the longest period, so that a shorter period moves the arm less."""
+    """Scale an action by the ratio of the episode's period to the longest one: a short period moves the arm less."""
     if not setting.period.varies:
         return action
     share = setting.value("period", drawn) / setting.period.high
@@ -219,7 +228,7 @@ def sensed(
         x: The executor.
         setting: The situation.
         drawn: Numbers drawn for the episode.
-        past: Delayed readings pending before.
+        past: Delayed readings that were pending before, latest first.
         key: Key of the episode.
         moment: Number of the step in its episode, a 64-bit word.
         joints: Joint readings without noise, rad or m.

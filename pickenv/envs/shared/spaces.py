@@ -96,16 +96,16 @@ def given_options(options: Any, allowed: tuple[str, ...] = OPTIONS) -> dict[str,
 
 
 POOL, NEAREST = 2**14, 16
-"""Number of sampled poses, and how many of those nearest to a position inverse kinematics starts from."""
+"""Number of sampled poses; and how many of them, the nearest to a position, inverse kinematics starts from."""
 
 
 Goals = tuple[Array | None, Array | None]
-"""Goals given by reset options: joints of the nominal arm at the goal ``(..., n)``, and frames of the goal
+"""Goals that options of `reset` give: joints of the nominal arm at the goal ``(..., n)``, and frames of the goal
 ``(..., 12)``, axes and origin. One of the two is None, or both if no goal is given."""
 
 
 def given_goals(task: Task, options: Mapping[str, Any], count: int | None = None) -> Goals:
-    """Return the goals that reset options give.
+    """Return the goals that the options of `reset` give, as `Goals`.
 
     Args:
         task: The task.

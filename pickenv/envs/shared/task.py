@@ -71,7 +71,7 @@ def exact(value: Scalar) -> Any:
 
 
 def exact_plant(plant: Plant) -> Plant:
-    """Return ``plant`` with `Exact` zeros and ones in its base frame, its payload and the payload's centre."""
+    """Return ``plant`` (the true arm) with `Exact` zeros and ones in its base frame, payload and payload's centre."""
     load = plant.load
     if load is not None and isinstance(load.payload, float):
         centre = tuple(tuple(exact(value) for value in point) for point in load.centre)
@@ -181,7 +181,7 @@ class Task:
 
     @cached_property
     def edge_cost(self) -> float:
-        """The dense reward's cost at both tolerances; outside the capture region this is added to the cost."""
+        """The dense reward's cost at both tolerances, which is added to the cost outside the capture region."""
         angle_cost = 0.5 * math.log10(1.0 + self.angle_tolerance_deg) if self.attitude else 0.0
         return math.log10(1.0 + self.tolerance_mm) + angle_cost
 
@@ -278,7 +278,7 @@ def make_task(
     """Check the arguments of a reach environment, which `pickenv/Reach-v0` explains, and return its task.
 
     Raises:
-        InputError: If an argument is impossible. The message names it.
+        InputError: If an argument has a value that is not allowed. The message names the argument.
     """
     setting = make_situation(**situation)
     check_choice("feedback", feedback, FEEDBACK)
@@ -353,7 +353,7 @@ def load_true_arm(plant: str, without: Sequence[str] = (), seed: int = 0) -> Pla
         seed: Seed of the draw from a tolerance class.
 
     Raises:
-        InputError: If an argument is impossible.
+        InputError: If a plant, arm, tolerance class or effect is unknown, or an argument has another type.
     """
     check_name("plant", plant, 'a plant preset or a path to a plant file (.toml), "ideal:ARM" or "CLASS:ARM"')
     if isinstance(without, str) or not isinstance(without, Sequence) or not all(isinstance(e, str) for e in without):
@@ -410,7 +410,7 @@ def as_numbers(name: str, given: Any) -> Array:
     """Convert ``given`` to an array of floats.
 
     Raises:
-        InputError: If this is impossible, for example for text or for rows of different lengths. The message uses
+        InputError: If ``given`` cannot be converted, for example text, or rows of different lengths. The message uses
             ``name``.
     """
     try:

@@ -34,7 +34,8 @@ def make_tool_task(
     """Check the arguments of an environment, which `pickenv/ReachTool-v0` explains, and return its task.
 
     Raises:
-        InputError: If an argument is impossible, or the arm has fewer joints than an action has numbers.
+        InputError: If an argument has a value that is not allowed, or the arm has fewer joints than an action has
+            numbers.
     """
     check_choice("actions", actions, tuple(ACTIONS))
     for name, size in (("tool_step_mm", tool_step_mm), ("tool_turn_deg", tool_turn_deg), ("goal_spread", goal_spread)):
