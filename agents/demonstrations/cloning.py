@@ -46,7 +46,7 @@ class Clone(nn.Module):
     """Network that predicts the tool's next step from an image, the joint values and the gripper's state.
 
     Args:
-        numbers: Number of joint values and the gripper's one value together, n + 1.
+        numbers: n + 1: the number n of joints, and one for the gripper's state.
         task: One hash over the nominal arm, its joint increments per control period, and the scale of the scene.
         pixels: Width and height of the images, px.
 

@@ -32,7 +32,7 @@ class Rollout:
     Attributes:
         reaches: Last step of each episode.
         arm: Index of each episode's arm ``(R,)``.
-        wanted_rotation: Wanted tool attitudes ``(R, 3, 3)``.
+        wanted_rotation: Tool attitude that each episode wants ``(R, 3, 3)``, as a rotation matrix.
         error_mm: Distance between the tool's true position and the fruit after each step ``(steps, R)``.
     """
 

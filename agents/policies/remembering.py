@@ -44,13 +44,14 @@ def attended(xp: Any, given: Mapping[str, Any], memory: PickMemory, seen: Any) -
 
     Args:
         xp: The module numpy or torch.
-        given: Weight arrays, named as in `WINDOW`.
+        given: Weight arrays by the names in `WINDOW`.
         memory: Layout of the observations.
         seen: Observations ``(N, inputs)``.
 
     Returns:
-        Features ``(N, features)``, three parts joined in this order: the scaled joints of the next pick, each head's
-        weighted means of past errors and learnt features, and the filled share of the window.
+        Features ``(N, features)``, joined from three parts. The first part is the scaled joints of the next pick. The
+        second part is each head's weighted means of past errors and learnt features. The third part is the filled share
+        of the window.
     """
     n, window = memory.joints, memory.window
     goal = seen[:, :n]
@@ -74,7 +75,7 @@ def stepped(given: Mapping[str, Array], seen: Array, state: State) -> State:
     The gates are in torch's order: input, forget, cell, output.
 
     Args:
-        given: Weight arrays, named as in `LSTM`.
+        given: Weight arrays by the names in `LSTM`.
         seen: Observations ``(N, inputs)``.
         state: Present state.
     """
@@ -92,7 +93,7 @@ class RememberingPolicy(Actor):
 
     Attributes:
         memory: Layout of the observations.
-        arrays: Weight arrays of the memory, named as in `LSTM` or `WINDOW`.
+        arrays: Weight arrays of the memory, by the names in `LSTM` or `WINDOW`.
     """
 
     memory: PickMemory

@@ -105,8 +105,8 @@ def train(
         progress: Whether to draw a progress bar.
 
     Raises:
-        InputError: If the environment or the algorithm refuses a setting, there is no intact checkpoint to resume from,
-            or an input file has changed since the training began. Also if another process is at work in the folder.
+        InputError: If the environment or the algorithm refuses a setting, or there is no intact checkpoint to resume
+            from. Also if an input file has changed since the training began, or another process works in the folder.
     """
     out = Path(out)
     path = out / CHECKPOINT

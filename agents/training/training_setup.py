@@ -288,7 +288,7 @@ def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy | Rememb
 
 
 def memory_arrays(policy: Any) -> dict[str, Any]:
-    """Return the weight arrays of a torch policy's memory, named as in the attribute `RememberingPolicy.arrays`."""
+    """Return the weight arrays of a torch policy's memory by name, for the attribute `RememberingPolicy.arrays`."""
     if (lstm := getattr(policy, "lstm_actor", None)) is None:
         arrays = policy.features_extractor.given
         return {name: value.detach().numpy().astype(float) for name, value in arrays.items()}

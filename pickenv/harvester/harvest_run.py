@@ -61,7 +61,7 @@ class Strategy:
 class Round:
     """One picture of a zone and the picks that follow from it.
 
-    A detection is either a fruit of the tree or false.
+    A detection is either true (a fruit of the tree) or false.
 
     Attributes:
         zone: The zone.

@@ -1,8 +1,8 @@
 """Distances between slave arms, taken as capsules, and the pairs of picks that must not overlap in time.
 
-Slave arms are horizontal. The distance between two of them follows from their distance in plan and their difference in
-height. An arm at rest points straight ahead and has its shortest length. There no neighbour can touch it
-(`machine.refuse_touching_arms`). Between picks it moves up and down at rest only. An excursion is its way from
+Slave arms are horizontal. The distance between two slave arms follows from their distance in plan and their difference
+in height. An arm at rest points straight ahead and has its shortest length. No neighbour can touch an arm at rest
+(`machine.refuse_touching_arms`). Between picks an arm moves up and down at rest only. An excursion is an arm's way from
 rest out to a fruit and back. Arms can meet only during excursions. Units: m, rad, s.
 """
 
@@ -91,7 +91,9 @@ def arm_distances(machine: Machine, slaves: ArrayLike) -> Array:
 
 
 def pair_distances(m: Any, machine: Machine, slaves: Sequence[Sequence[Scalar]]) -> list[Scalar]:
-    """Return the distances of `arm_distances` for one joint configuration, as a list with one entry per pair of slaves.
+    """List the distances between the centre lines of each pair of slaves for one joint configuration, m.
+
+    `pairs_of` gives the order of the list.
 
     Args:
         m: NumPy, or `ONE` for single numbers.

@@ -219,7 +219,7 @@ class Machine:
     def slave_inverse(self, master: ArrayLike, targets: ArrayLike) -> Array:
         """Compute the joints of every slave for every target by eq (6).
 
-        There theta5 = -theta1 - atan2(A, B). The joint value is theta5 + pi/2, wrapped to [-pi, pi).
+        In eq (6), theta5 = -theta1 - atan2(A, B). The returned joint is theta5 + pi/2, wrapped to [-pi, pi).
 
         Args:
             master: Joints of the master, (..., 3).

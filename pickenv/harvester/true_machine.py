@@ -39,7 +39,7 @@ class TrueMachine:
 
     Attributes:
         machine: The machine as designed.
-        master: Plant of the master.
+        master: Plant of the master arm.
         slaves: Plants of the slaves, left to right.
         repeatability: Standard deviation per axis of the position at which an arm stops, m.
     """
@@ -59,7 +59,9 @@ class TrueMachine:
         return self.master.tool_pose(master)
 
     def tips(self, master: ArrayLike, slaves: ArrayLike) -> Array:
-        """Compute the true cup positions of all slaves in the base frame, m, (..., arms, 3), without `repeatability`.
+        """Compute the true cup positions of all slaves in the base frame, m, (..., arms, 3).
+
+        They leave out the random error of each stop (`repeatability`).
 
         Args:
             master: Commands of the master, (..., 3).
@@ -86,7 +88,9 @@ class TrueMachine:
         return [attach(base, plant.tool_frame(m, joints))[9:] for plant, joints in plants]
 
     def picking_tips(self, master: Array, arm: Array, joints: Array) -> Array:
-        """Compute the true cup position of each pick in the base frame, m, (picks, 3), without `repeatability`.
+        """Compute the true cup position of each pick in the base frame, m, (picks, 3).
+
+        The positions leave out the random error of each stop (`repeatability`).
 
         Args:
             master: Commands of the master at each pick, (picks, 3).
