@@ -1,8 +1,9 @@
 """Behaviour cloning: a small network that picks fruit in `pickenv/PickScene-v0` from the wrist camera's images.
 
-It learns from recorded demonstrations of any policy. Inputs are image, joints and gripper, and the output is a step of
-the tool. The network reduces an image to feature points (the spatial softmax of Levine et al. 2016). Steps are given in
-the tool's own frame, where they look the same at any joint values. Needs torch.
+It learns from recorded demonstrations of any policy. Inputs are an image, joint values and the gripper's state. The
+output is a step of the tool and the gripper. The network reduces an image to feature points (the spatial softmax of
+Levine et al. 2016). Steps are given in the tool's own frame, where they look the same at any joint values. The module
+needs torch.
 """
 
 from __future__ import annotations
@@ -42,17 +43,17 @@ BATCH, RATE, DECAY, PASSES = 64, 2e-3, 1e-4, 12
 
 
 class Clone(nn.Module):
-    """Network that predicts the tool's next step from an image, joints and gripper.
+    """Network that predicts the tool's next step from an image, the joint values and the gripper's state.
 
     Args:
-        numbers: Number of values for joints and gripper, n + 1.
-        task: Hash of the nominal arm, its increments in a period and the scale of the scene.
+        numbers: n + 1: the number n of joints, and one for the gripper's state.
+        task: One hash over the nominal arm, its joint increments per control period, and the scale of the scene.
         pixels: Width and height of the images, px.
 
     Attributes:
-        middle: Means of joints and gripper in the demonstrations.
-        spread: Standard deviations of joints and gripper in the demonstrations.
-        unit: Mean absolute values of the steps, m and rad.
+        middle: Means over the demonstrations of joint values and gripper state ``(n + 1,)``.
+        spread: Standard deviations over the demonstrations of joint values and gripper state ``(n + 1,)``.
+        unit: Mean absolute values over the demonstrations of the tool's steps, m and rad, and the gripper's ``(7,)``.
     """
 
     middle: th.Tensor
@@ -72,11 +73,11 @@ class Clone(nn.Module):
             self.register_buffer(name, th.ones(size))
 
     def forward(self, pictures: th.Tensor, numbers: th.Tensor) -> th.Tensor:
-        """Return steps ``(b, 7)`` of the tool in its own frame and of the gripper, in units of their mean sizes.
+        """Return steps ``(b, 7)`` of the tool, in the tool's frame, and of the gripper, each divided by its ``unit``.
 
         Args:
             pictures: Images, uint8 ``(b, 3, h, w)``.
-            numbers: Joints and gripper ``(b, n + 1)``.
+            numbers: Joint values and gripper state ``(b, n + 1)``.
         """
         seen = self.see(pictures.float() / 255.0 - 0.5)
         rows, columns = (th.linspace(-1.0, 1.0, size) for size in seen.shape[2:])

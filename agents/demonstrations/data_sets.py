@@ -62,7 +62,7 @@ SIGHT: Mapping[str, Any] = {
     "within_mm": 60.0,
     "feedback": "camera",
 }
-"""Arguments of the environment of task "sight": images, and in the state the gap that a camera measures."""
+"""Arguments of the environment of task "sight": they add images, and the gap that a camera measures to the state."""
 
 ARMS: Mapping[tuple[str, str], dict[str, Any]] = {
     ("scene", "expert"): {"plant": "ideal:so101"},
@@ -72,7 +72,7 @@ ARMS: Mapping[tuple[str, str], dict[str, Any]] = {
     ("sight", "medium"): {"plant": "coarse:ur5e", "error_mm": 5.0, **SIGHT},
     ("sight", "random"): {"plant": "ideal:ur5e", **SIGHT},
 }
-"""Arguments that choose the arm of a data set, where it is not the environment's default arm."""
+"""Arguments of the environment for data sets that use another arm than the environment's default arm."""
 
 COLUMNS = ("observations", "actions", "rewards", "terminations", "truncations")
 
@@ -91,7 +91,9 @@ def datasets(
     seed: int = 0,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> list[dict[str, Any]]:
-    """Record Minari data sets: `minari.MinariDataset(FOLDER / "pickenv/reach/expert-v0/data")` reads one.
+    """Record Minari data sets.
+
+    `minari.MinariDataset(FOLDER / "pickenv/reach/expert-v0/data")` reads one of them.
 
     Args:
         out: Folder of data sets; Minari finds them by name if MINARI_DATASETS_PATH is this folder.
@@ -190,10 +192,10 @@ def _episodes(task: str, quality: str, seeds: Sequence[int], rng: np.random.Gene
 
 
 def recorded_episode(env: Any, policy: Policy, seed: int) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Run one episode of a policy, and return its columns of a data set and the last `info`.
+    """Run one episode of a policy, and return its recorded columns and the last `info`.
 
     Args:
-        env: Environment with a time limit or an end of its episodes.
+        env: Environment whose episodes end, for instance by a time limit.
         policy: Policy to run; its actions are clipped to -1 to 1.
         seed: Seed of the episode.
 
@@ -217,7 +219,7 @@ def recorded_episode(env: Any, policy: Policy, seed: int) -> tuple[dict[str, Any
 def arms_of(env: Any) -> dict[str, dict[str, list[float]]]:
     """Return the link parameters of an environment's nominal arm ("believed") and true arm ("true"), m and rad.
 
-    They go into the card of a data set.
+    `datasets` writes them into the card of a data set.
     """
     plant = env.unwrapped.plant
     arms = {"believed": plant.arm.nominal, "true": plant.geometry}

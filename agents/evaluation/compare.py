@@ -41,8 +41,8 @@ class PolicyComparison:
     """Result of `compare`.
 
     Attributes:
-        episodes: Every episode of every policy, step by step. It is a `Comparison`, which also holds error fields over
-            a grid of goals, where the environment has an arm that reaches for one fruit.
+        episodes: Every episode of every policy, step by step. If the environment has an arm that reaches for one fruit,
+            this is a `Comparison`, which also holds error fields over a grid of goals.
         command: Command line that reproduces the numbers.
     """
 
@@ -94,7 +94,8 @@ def compare(
     Args:
         policies: Each policy is a registered name, a shipped baseline, a file, or an object with ``act`` and ``reset``.
         env: Id of the environment; its `info` must give tool and fruit positions (docs/recordings.md).
-        compensate: Calibration of each policy: "none", a file, or a file and "#ls" for its least-squares part alone.
+        compensate: Calibration of each policy: "none" or None, a `Calibration`, a file, or a file name followed by
+            "#ls" for its least-squares part alone.
         labels: Display names, one for each policy; made from policies and calibrations by default.
         episodes: Number of episodes of each policy.
         seed: Seed of the fruit and of the policies' own random draws.

@@ -89,12 +89,18 @@ def kind_of(name: str) -> Kind:
 
 
 def load_any(name: str, arm: Arm | None = None) -> LearnedPolicy | RememberingPolicy:
-    """Load a shipped baseline or a policy file, with or without a memory; errors as for `load_policy`."""
+    """Load a shipped baseline or a policy file, with or without a memory.
+
+    Raises:
+        InputError: If the file is missing, damaged, newer than this program, or of another arm.
+    """
     return load_remembering(name, arm) if remembers(name) else load_policy(name, arm)
 
 
 def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw") -> PolicyMaker:
     """Return a function ``(env, seed)`` that makes a policy for an environment.
+
+    Its attribute ``envs`` makes the environments in which `roll_out` evaluates the policy.
 
     Args:
         name: Name of a registered or shipped policy, or a policy file (.npz, or as `foreign_policy` takes it).
@@ -102,7 +108,7 @@ def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw")
         compensation: Compensation between the policy and the arm; "raw" for none.
 
     Raises:
-        InputError: If the policy acts in `pickenv/Pick-v0` and cannot reach, or for the reasons that `kind_of` gives.
+        InputError: If the policy acts in `pickenv/Pick-v0` and cannot reach, or ``name`` names no policy.
     """
 
     def make(env: Any, seed: int) -> Policy:
@@ -203,9 +209,9 @@ def contenders_of(
     Args:
         policies: One or more policies. A calibration file among them stands for the scripted policy with this
             calibration.
-        compensate: Calibration of each policy, in the same order: "none", a file, a file and "#ls" for its
-            least-squares part alone, or a `Calibration`. One policy is combined with each of several calibrations, and
-            one calibration with each of several policies.
+        compensate: Calibration of each policy, in the same order: "none" or None, a `Calibration`, a file, or a file
+            name followed by "#ls" for its least-squares part alone. One policy is combined with each of several
+            calibrations, and one calibration with each of several policies.
         labels: Display names, one for each policy; made from policies and calibrations by default.
         arm: Arm to which the calibrations must belong; None where the environment has none.
         camera_noise_mm: Standard deviation of the camera noise that an adaptive policy assumes, mm per axis.
@@ -247,7 +253,7 @@ def contenders_of(
 def load_compensator(path: str | Path, arm: Arm, allow: Collection[str] = ()) -> Compensate:
     """Load a calibration file and return its compensator.
 
-    It is meant for environments whose fruit positions are given in the arm's own base frame.
+    Use it in environments that give fruit positions in the arm's own base frame.
 
     Args:
         path: Calibration file.
@@ -264,7 +270,7 @@ def load_compensator(path: str | Path, arm: Arm, allow: Collection[str] = ()) ->
 
 
 def check_labels(labels: Sequence[str]) -> None:
-    """Raise an error for labels that give viewers an empty key, or the same key twice.
+    """Raise an error if viewers would show a label under an empty key, or two labels under the same key.
 
     Raises:
         InputError: If a label has no letter or digit, or two labels differ in punctuation and capitals only.

@@ -1,4 +1,4 @@
-"""Runs of policies on seeded fruit, and the final distance between true tool and fruit of each episode."""
+"""Runs of policies on seeded fruit, and the final distance between the tool's true position and the fruit."""
 
 from __future__ import annotations
 
@@ -31,9 +31,10 @@ def pick_canopies(
         options: Options, passed to `reset`.
 
     Returns:
-        Arrays ``(N,)`` by name: the counts `FRUIT`, "duration_s" and "steps" of the canopy, and "reward", the sum over
-        these steps. Two more are sums over grasps: "error_sum_mm" of the distance between fruit and true tool, and
-        "tilt_sum_deg" of the angle between true tool axis and the vertical.
+        Arrays ``(N,)`` by name, one entry per canopy. The names in `FRUIT` hold numbers of fruit. "duration_s" and
+        "steps" are duration and number of steps, and "reward" is the sum of the rewards. "error_sum_mm" sums the
+        distance between the fruit and the tool's true position over all grasps. "tilt_sum_deg" sums the angle between
+        the tool's true axis and the vertical over all grasps.
     """
     policy.reset()
     observation, _ = envs.reset(seed=seed, options=options)
@@ -63,7 +64,7 @@ LONGEST_EPISODE = 10_000
 
 
 def episode_seeds(seed: int, count: int) -> tuple[int, ...]:
-    """Return seeds for ``count`` evaluation episodes, none of which another ``seed`` or any training uses."""
+    """Return seeds for ``count`` evaluation episodes; no other ``seed`` and no training uses them."""
     return tuple(seed_words(stream(seed, "fruit"), count))
 
 
@@ -102,7 +103,17 @@ def moments_of(env: gym.Env[Any, Any], policy: Policy, seed: int) -> Iterator[Mo
 def run_episodes(
     env: gym.Env[Any, Any], policy: Policy, seeds: Sequence[int], progress: Callable[[int], None] | None = None
 ) -> list[list[Moment]]:
-    """Run one episode per seed and return the moments of each; arguments and errors as for `run_reaches`."""
+    """Run one episode per seed, and return the moments of each episode as a list.
+
+    Args:
+        env: An environment with a time limit.
+        policy: Policy to run.
+        seeds: One seed per episode.
+        progress: Called after each episode with the number of episodes done.
+
+    Raises:
+        InputError: If there are no seeds, or an episode does not end.
+    """
     if not seeds:
         raise InputError("there are no episodes to run; give at least one seed")
     episodes = []

@@ -1,4 +1,4 @@
-"""Reaches of many arms at once in pickenv's vector environment, with one row per pair of arm and fruit."""
+"""Reaches of many arms at once in pickenv's vector environment: one environment for each pair of arm and fruit."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pickenv.orchard import Gripper, capture_probability, misalignment
 from pickenv.wrappers import Compensate
 
 MOST_ROWS = 2048
-"""Most rows that a vector environment passes to a compensator in one call (`pickenv.envs.reaching.batch.BLOCK`)."""
+"""Largest number of environments whose joints a compensator gets in one call (`pickenv.envs.reaching.batch.BLOCK`)."""
 
 PolicyMaker = Callable[[Any, int], Policy]
 """Function ``(env, seed)`` that makes a policy for an environment."""
@@ -32,8 +32,8 @@ class Rollout:
     Attributes:
         reaches: Last step of each episode.
         arm: Index of each episode's arm ``(R,)``.
-        wanted_rotation: Wanted tool attitudes ``(R, 3, 3)``.
-        error_mm: Distance between true tool and fruit after each step ``(steps, R)``.
+        wanted_rotation: Tool attitude that each episode wants ``(R, 3, 3)``, as a rotation matrix.
+        error_mm: Distance between the tool's true position and the fruit after each step ``(steps, R)``.
     """
 
     reaches: Reaches
@@ -55,11 +55,11 @@ class Rollout:
 
 
 def per_arm(compensators: Sequence[Compensate], arm: ArrayLike) -> Compensate:
-    """Return a compensator that corrects each row of a vector environment by its own arm's compensator.
+    """Return a compensator that corrects each environment of a vector by the compensator of its own arm.
 
     Args:
         compensators: One compensator per arm.
-        arm: Index of the arm of each row ``(R,)``.
+        arm: Index into ``compensators`` for each environment ``(R,)``.
     """
     rows = np.asarray(arm)
 
@@ -92,7 +92,7 @@ def roll_out(
     Args:
         make: Function ``(env, seed)`` that makes the policy; its attribute ``envs``, if it has one, makes the
             environments.
-        arms: Number of arms of the population.
+        arms: Number of arms to run; the population has ``first`` arms more.
         episodes: Number of fruit per arm. Fruit, arms and camera noise depend on ``seed`` alone, so that runs can be
             paired.
         seed: Seed of the episodes and of the policy's own random draws.
@@ -100,7 +100,7 @@ def roll_out(
         sequential: Whether each arm reaches for its fruit one after the other, for policies that learn from episode to
             episode.
         steps: Number of steps in an episode.
-        first: Index of the first arm in its population; the others follow it.
+        first: Index in the population of the first arm; the arms after it have the next indices.
         arguments: Further keyword arguments of `pickenv/Reach-v0`.
 
     Raises:

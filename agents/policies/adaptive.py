@@ -1,6 +1,6 @@
 """Policies that calibrate the arm while they pick: a Kalman filter per arm learns from each pick.
 
-In `pickenv/Reach-v0` such a policy drives open loop to joint targets that its own estimate of the arm corrects. Once
+In `pickenv/Reach-v0` such a policy drives open loop to joint targets, corrected by its own estimate of the arm. Once
 the arm stands still at a fruit, the policy averages the camera's measurements. When the next episode begins, each arm's
 filter takes this average as one measurement of the tool's position. In `pickenv/Pick-v0` every fruit that the gripper
 took gives one measurement.
@@ -24,7 +24,7 @@ CALIBRATED_PRIOR = 0.2
 """Prior standard deviation of the parameters' errors after a calibration, as a share of their tolerances."""
 
 ARRIVED = 0.02
-"""Share of a joint increment; an arm whose largest action is below it counts as standing still."""
+"""An arm counts as standing still if its largest action is below this share of a joint increment."""
 
 
 class LookingReach(ScriptedReach):
@@ -72,11 +72,11 @@ class LookingReach(ScriptedReach):
         return action[0] if np.ndim(observation) == 1 else action
 
     def meet(self, arms: int) -> None:
-        """Start with ``arms`` arms that have not picked yet, unless the policy already has that many."""
+        """Make models of ``arms`` arms that have not picked yet, unless the policy already has that many."""
         raise NotImplementedError
 
     def corrected(self, rows: NDArray[np.intp], joints: Array) -> Array:
-        """Return joint targets at which the arms, as modelled so far, reach the nominal arm's tool positions.
+        """Return joint targets at which the modelled arms have the nominal arm's tool positions at ``joints``.
 
         Args:
             rows: Indices of the arms ``(r,)``.
@@ -136,11 +136,11 @@ class AdaptiveReach(LookingReach):
             self.filters = [self.start] * arms
 
     def corrected(self, rows: NDArray[np.intp], joints: Array) -> Array:
-        """Return joint targets as in `LookingReach`, corrected by the filters' arm models."""
+        """Return joint targets at which the filters' arm models have the nominal arm's tool positions at ``joints``."""
         return aimed(self.geometry, [self.filters[row] for row in rows], joints)
 
     def learn(self, rows: NDArray[np.intp], joints: Array, seen: Array, looks: NDArray[Any]) -> None:
-        """Update each arm's filter with one measurement; arguments as in `LookingReach`."""
+        """Update each arm's filter with one measured tool position; `LookingReach.learn` explains the arguments."""
         for i, at, tool, count in zip(rows, joints, seen, looks, strict=True):
             # The fruit is seen once per episode, the gap in every picture.
             std = float(np.sqrt(self.camera_std**2 * (1.0 + 1.0 / int(count)) + self.unmodelled_std**2))
@@ -148,7 +148,7 @@ class AdaptiveReach(LookingReach):
 
 
 class FeelingPick(ScriptedPick):
-    """`ScriptedPick` whose aim is corrected by what the gripper measured at earlier fruit of the same arm.
+    """`ScriptedPick` that corrects its aim by what the gripper measured at earlier fruit of the same arm.
 
     Call `reset` between canopies, and make a new policy for another arm. The policy learns nothing from fruit that the
     gripper missed.
@@ -159,7 +159,7 @@ class FeelingPick(ScriptedPick):
 
         Args:
             env: Environment, single or native vector.
-            memory: Policy that models the arms and corrects joint targets; its arms are those of ``env``.
+            memory: Policy that models the arms of ``env`` and corrects their joint targets.
             how: Keyword arguments of `ScriptedPick` except `patience`, because the policy learns from arms that have
                 arrived.
 

@@ -1,6 +1,6 @@
 """Policies that others trained or wrote: registered policies, Stable-Baselines3 zip files, files with `make_policy`.
 
-All of them execute the code that they hold, so load only what you trust. A policy file (.npz) of `pickenv train`
+Each of them can execute code, so load only what you trust. A policy file (.npz) of `pickenv train`
 executes nothing.
 """
 
@@ -34,10 +34,10 @@ TELLING: Mapping[str, tuple[str, str]] = {
     "clip_range": ("stable_baselines3", "PPO"),
     "gae_lambda": ("stable_baselines3", "A2C"),
 }
-"""Module and name of the algorithm for each setting that identifies it in a zip file; tried in this order."""
+"""Settings in a zip file that identify its algorithm, and the algorithm's module and name; tried in this order."""
 
 RECURRENT = ("sb3_contrib", "RecurrentPPO")
-"""Module and name of the algorithm for a zip file whose policy class is recurrent; its other settings are PPO's."""
+"""Module and name of the algorithm of a zip file with a recurrent policy class, which otherwise looks like PPO."""
 
 
 class Sb3Policy:

@@ -63,8 +63,8 @@ class Actor:
             path: File; ``.npz`` is appended if missing.
             kind: Kind of the container.
             version: Version of the file's format.
-            header: Further entries of the header.
-            arrays: Further arrays, stored in single precision.
+            header: Entries of the header besides those of the actor.
+            arrays: Arrays besides weights and biases, stored in single precision.
 
         Returns:
             Path of the file.
@@ -123,7 +123,7 @@ def read_actor(name: str | Path, arm: Arm | None, kind: str, version: int, make:
         make: Function that makes the policy from the file's header and arrays.
 
     Raises:
-        InputError: As for `load_policy`.
+        InputError: If the file is missing, damaged, newer than this program, or of another arm.
     """
     path = policy_path(name)
     container = read_container(path, kind, remake=REMAKE, version=version)
@@ -159,7 +159,8 @@ class LearnedPolicy(Actor):
     def act(self, observation: Any) -> NDArray[np.float32]:
         """Return actions ``(..., n)`` for observations ``(..., k)``, or for goal observations (dictionaries).
 
-        In `pickenv/ReachTool-v0`, whose actions move the tool, observations and actions are already scaled.
+        A policy for `pickenv/ReachTool-v0` reads and returns scaled numbers, as this environment gives and takes them.
+        For any other environment, the policy scales its observations and actions by `scaling`.
 
         Raises:
             InputError: If the observation is of another kind than those of the training.
@@ -182,13 +183,13 @@ class LearnedPolicy(Actor):
 
 
 class LearnedReach(ReachController):
-    """Trained actor whose observations are corrected for the delays of readings and actions.
+    """Trained actor that first corrects its observations for the delays of readings and actions.
 
     Joints and gaps are predicted from the actions already sent; see `ReachController`.
     """
 
     def __init__(self, env: Any, policy: LearnedPolicy) -> None:
-        """Read the nominal arm and the delays from ``env``."""
+        """Read the nominal arm and the delays from ``env``; ``policy`` is the trained actor."""
         super().__init__(env)
         self.policy = policy
 

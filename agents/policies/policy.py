@@ -60,9 +60,10 @@ class ObservationParts:
         joints: Joint readings ``(..., n)``, rad or m.
         believed: Believed tool position ``(..., 3)``, m.
         seen: Fruit position as the camera measured it ``(..., 3)``, m.
-        offset: Fruit minus believed tool ``(..., 3)``, m.
-        turn: Rotation vector from believed to wanted attitude ``(..., 3)``, rad.
-        camera: Fruit minus true tool as the camera measures it ``(..., 3)``, m, or None without camera feedback.
+        offset: Vector from the believed tool position to the fruit ``(..., 3)``, m.
+        turn: Rotation vector from the believed to the wanted tool attitude ``(..., 3)``, rad.
+        camera: Vector from the tool's true position to the fruit as the camera measures it ``(..., 3)``, m; None
+            without camera feedback.
     """
 
     joints: Array
@@ -100,19 +101,19 @@ def read_observation(geometry: Geometry, observation: ArrayLike) -> ObservationP
 
 
 def joined_parts(geometry: Geometry, parts: ObservationParts) -> Array:
-    """Return the flat observation ``(..., k)`` of the given parts, as the inverse of `read_observation`."""
+    """Join parts into a flat observation ``(..., k)``; the inverse of `read_observation`."""
     scaled = 2.0 * (parts.joints - geometry.lower) / (geometry.upper - geometry.lower) - 1.0
     gaps = [parts.offset, parts.turn, *([] if parts.camera is None else [parts.camera])]
     return np.concatenate([scaled, parts.believed, parts.seen, *gaps], axis=-1)
 
 
 def attitude_after(pose: Pose, turn: Array) -> Array:
-    """Return the attitudes ``(..., 3, 3)`` of poses turned by rotation vectors ``turn (..., 3)``, rad, base frame."""
+    """Rotate poses by rotation vectors ``turn (..., 3)``, rad, base frame; return their attitudes ``(..., 3, 3)``."""
     return displace_pose(pose, np.concatenate([np.zeros_like(turn), turn], axis=-1)).rotation
 
 
 def camera_of(reading: ObservationParts, policy: str) -> Array:
-    """Return the gap from true tool to fruit that the camera measured ``(..., 3)``, m.
+    """Return the vector from the tool's true position to the fruit, as the camera measured it ``(..., 3)``, m.
 
     Args:
         reading: Parts of an observation.
@@ -129,10 +130,10 @@ def camera_of(reading: ObservationParts, policy: str) -> Array:
 class ReachController:
     """Base class of policies that know the nominal arm and turn joint steps into actions.
 
-    Where readings or actions are delayed, a reading shows past joints. A policy that commands the whole remaining step
-    from it makes the arm oscillate. The controller then predicts the joints as the first reading plus its own
-    increments since. It reads again when the arm has stood still for longer than the delays. Measured gaps are shifted
-    to the predicted joints, as in the predictor of Smith (1957).
+    If readings or actions are delayed, a reading shows past joints. A policy that commands the whole remaining step
+    from such a reading makes the arm oscillate. The controller therefore predicts the joints as the first reading plus
+    all increments sent since. Once the arm has stood still for longer than the delays, a reading that differs from the
+    prediction replaces it. Measured gaps are shifted to the predicted joints, as in the predictor of Smith (1957).
     """
 
     def __init__(self, env: Any) -> None:
@@ -163,12 +164,12 @@ class ReachController:
         return self._sent
 
     def present(self, observation: ArrayLike) -> ObservationParts:
-        """Return the parts of an observation, predicted for the joints that the arm has been sent to.
+        """Return the parts of an observation, shifted to the joints that the arm has been sent to.
 
-        Without delays these are the parts as observed.
+        Without delays, the parts stay as observed.
 
         Raises:
-            InputError: As `read_observation` does.
+            InputError: If the observation has another length than `pickenv/Reach-v0` gives for such an arm.
         """
         late = read_observation(self.geometry, observation)
         if not self.lag:
@@ -192,7 +193,7 @@ class ReachController:
         return shares
 
     def sent(self, shares: NDArray[Any]) -> None:
-        """Record actions ``(..., n)``, as shares of the joint increments, that are about to be sent."""
+        """Record actions ``(..., n)`` that are about to be sent, each as a share of the joint's increment."""
         if self._sent is not None:
             moved = self._sent + shares * self.increment
             self._sent = np.clip(moved, self.geometry.lower, self.geometry.upper)
@@ -200,7 +201,7 @@ class ReachController:
 
 
 COUNTS = 2e-5
-"""Half an encoder count, rad or m. A settled arm whose reading differs by more from its command is not there."""
+"""Half an encoder count, rad or m. A settled arm has missed its command if the reading differs from it by more."""
 
 STANDING = 1e-3
 """Share of an increment below which a joint step counts as standing still."""

@@ -33,7 +33,7 @@ STEEPEST = 20.0
 
 LSTM = ("input", "input_bias", "state", "state_bias")
 WINDOW = ("near", "near_bias", "query", "key", "value", "value_bias")
-"""Names of the arrays of the two kinds of memory, `LSTM` and `WINDOW`, inputs first."""
+"""`LSTM` and `WINDOW` name the arrays of the two kinds of memory, inputs first."""
 
 State = tuple[Array, Array]
 """State of a recurrent policy: its hidden output and its cell state, ``(N, units)`` each."""
@@ -44,14 +44,14 @@ def attended(xp: Any, given: Mapping[str, Any], memory: PickMemory, seen: Any) -
 
     Args:
         xp: The module numpy or torch.
-        given: Weight arrays, named as in `WINDOW`.
+        given: Weight arrays by the names in `WINDOW`.
         memory: Layout of the observations.
         seen: Observations ``(N, inputs)``.
 
     Returns:
-        Features ``(N, features)``, which join three parts. First are the scaled joints of the next pick. Then follow
-        each head's weighted means of the picks' errors and learnt features. Last is the share of the window that is
-        filled.
+        Features ``(N, features)``, joined from three parts. The first part is the scaled joints of the next pick. The
+        second part is each head's weighted means of past errors and learnt features. The third part is the filled share
+        of the window.
     """
     n, window = memory.joints, memory.window
     goal = seen[:, :n]
@@ -75,7 +75,7 @@ def stepped(given: Mapping[str, Array], seen: Array, state: State) -> State:
     The gates are in torch's order: input, forget, cell, output.
 
     Args:
-        given: Weight arrays, named as in `LSTM`.
+        given: Weight arrays by the names in `LSTM`.
         seen: Observations ``(N, inputs)``.
         state: Present state.
     """
@@ -89,11 +89,11 @@ def stepped(given: Mapping[str, Array], seen: Array, state: State) -> State:
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class RememberingPolicy(Actor):
-    """Trained actor with a memory that acts deterministically; its layers come after the memory.
+    """Trained actor with a memory; it acts deterministically, and its layers follow the memory.
 
     Attributes:
         memory: Layout of the observations.
-        arrays: Weight arrays of the memory, named as in `LSTM` or `WINDOW`.
+        arrays: Weight arrays of the memory, by the names in `LSTM` or `WINDOW`.
     """
 
     memory: PickMemory
@@ -110,14 +110,14 @@ class RememberingPolicy(Actor):
         return np.zeros((rows, units)), np.zeros((rows, units))
 
     def aim(self, seen: NDArray[Any], state: State) -> tuple[NDArray[np.float32], State]:
-        """Return the aim's offsets to the fruit, as actions of `pickenv.wrappers.SameArmVector`, and the next state.
+        """Return the offsets from fruit to aim, as actions of `pickenv.wrappers.SameArmVector`, and the next state.
 
         Args:
-            seen: Observations ``(N, inputs)`` of that wrapper.
+            seen: Observations ``(N, inputs)`` of the same wrapper.
             state: State from `begin`, or the one returned at the last pick.
 
         Raises:
-            InputError: If the observations have another length.
+            InputError: If the observations have another length than those of the training.
         """
         if seen.shape[-1] != self.memory.inputs:
             lengths = f"{self.memory.inputs} numbers, but was given {seen.shape[-1]}"
@@ -149,37 +149,41 @@ def load_remembering(name: str | Path, arm: Arm | None = None) -> RememberingPol
 
 
 def remembers(name: str | Path) -> bool:
-    """Whether a shipped baseline or a file holds a policy with a memory; errors as for `load_policy`."""
+    """Whether a shipped baseline or a policy file holds a policy with a memory.
+
+    Raises:
+        InputError: If there is no such baseline or file, or the file is damaged.
+    """
     return read_container(policy_path(name), None, remake=REMAKE).kind == REMEMBERING
 
 
 class RememberingReach(LookingReach):
-    """Reach policy that aims the nominal arm at an offset to the fruit, which a policy with a memory chooses.
+    """Reach policy that aims the nominal arm beside the fruit, at an offset that a policy with a memory chooses.
 
-    With a compensator it observes the errors that remain after compensation. It was not trained on those.
+    With a compensator, it observes the errors that remain after compensation, although it was not trained on them.
     """
 
     def __init__(self, env: Any, policy: RememberingPolicy) -> None:
-        """Read the nominal arm from ``env``."""
+        """Read the nominal arm from ``env``; ``policy`` chooses the offsets."""
         super().__init__(env)
         self.policy = policy
         self._tokens: NDArray[np.float32] = policy.memory.empty(0)
         self._state = policy.begin(0)
 
     def meet(self, arms: int) -> None:
-        """Start with ``arms`` arms that have not picked yet, unless there are that many already."""
+        """Make memories for ``arms`` arms that have not picked yet, unless there are that many already."""
         if len(self._tokens) != arms:
             self._tokens, self._state = self.policy.memory.empty(arms), self.policy.begin(arms)
 
     def corrected(self, rows: NDArray[np.intp], joints: Array) -> Array:
-        """Return joint targets as in `LookingReach`, shifted by the offsets that the policy chooses."""
+        """Return joint targets ``(r, n)``: those of the nominal arm, shifted by the offsets that the policy chooses."""
         observations = self.policy.memory.shown(scaled_joints(self.geometry, joints), self._tokens[rows])
         actions, state = self.policy.aim(observations, (self._state[0][rows], self._state[1][rows]))
         self._state[0][rows], self._state[1][rows] = state
         return self.policy.memory.aim(self.geometry, joints, actions)
 
     def learn(self, rows: NDArray[np.intp], joints: Array, seen: Array, looks: NDArray[Any]) -> None:
-        """Store one more pick of each arm; arguments as in `LookingReach`."""
+        """Store one more pick of each arm; `LookingReach.learn` explains the arguments."""
         error = seen - forward(self.geometry, joints).position
         self._tokens = self._tokens.copy()
         self._tokens[rows] = self.policy.memory.after(self._tokens[rows], scaled_joints(self.geometry, joints), error)

@@ -87,9 +87,9 @@ class RandomReach:
 class ScriptedScene(ScriptedReach):
     """Scripted policy for `pickenv/PickScene-v0`: approach along the tool axis, stop, advance, grip, and draw back.
 
-    It uses the state observation and the nominal arm. With `feedback="camera"` it measures, while it stands before the
-    fruit, how far the camera's gap to the fruit differs from the believed gap. It then corrects its target by the mean
-    difference.
+    It uses the state observation and the nominal arm. With `feedback="camera"` it stops before the fruit and
+    measures the mean difference between the camera's gap to the fruit and the believed gap. It then corrects its target
+    by this difference.
     """
 
     FAR, BEFORE, PRESS, AWAY = -0.2, -0.08, 0.003, -0.4
@@ -180,12 +180,12 @@ class SeeingScene(ScriptedScene):
     """`ScriptedScene` that locates the fruit in the wrist camera's images while it stands, and corrects its target.
 
     It needs observations "pixels_environment_state_agent_pos". Li's detector (extra `harvest`) segments the fruit, and
-    the policy takes the largest region. It relies on the stated pose of the camera on the tool, so an error of that
-    pose becomes an error of the grasp.
+    the policy takes the largest region. It relies on the camera's pose on the tool as the environment states
+    it, so an error of this pose becomes an error of the grasp.
     """
 
     def __init__(self, env: Any) -> None:
-        """Read the arm, the scale and the stated pose of the camera on the tool from ``env``."""
+        """Read the arm, the scene's scale and the camera's pose on the tool from ``env``."""
         super().__init__(env)
         self._eye, self._eye_axes, self._slope = env.unwrapped.scene.wrist_eye
         self._detector = load_stereo_camera("li2016")
@@ -213,20 +213,21 @@ def _state_of(observation: Any) -> Any:
 
 
 class ServoScene(policy.ReachController):
-    """Visual-servoing policy for `pickenv/PickScene-v0`, which has no plan.
+    """Visual-servoing policy for `pickenv/PickScene-v0`; it plans nothing ahead.
 
-    Each step removes a share of the gap between true tool and fruit that the camera measures (`feedback="camera"`). The
-    tool first moves to the fruit's axis, then along it, and retreats once the cup holds the fruit. Without delays the
-    action depends on the present observation only, so that a network can learn it (`clone`).
+    Each step removes a share of the gap that the camera measures between the tool's true position and the fruit
+    (`feedback="camera"`). The tool first moves sideways until its axis points at the fruit. It then advances along this
+    axis, and retreats once the cup holds the fruit. Without delays the action depends on the present observation only,
+    so that a network can learn it (`clone`).
     """
 
     SHARE, MOST, TURNS = 0.25, 0.015, 0.03
-    """Share of the remaining gap that a step removes, and the largest move, m at full scale, and turn, rad, of a
-    step."""
+    """Share of the remaining gap that one step removes, largest move of one step, m at full scale, and largest turn of
+    one step, rad."""
     PRESS, BACK, FUNNEL = 0.01, -0.012, (0.004, 0.25)
-    """Distance of the aim beyond the fruit, and retreat per step, m at full scale. `FUNNEL` gives the lateral distance
-    to the axis at which the advance slows to 1/e. The distance is its first number, m, or its second number times the
-    remaining gap, if that is larger."""
+    """`PRESS` is the distance of the aim beyond the fruit and `BACK` the retreat per step, both m at full scale.
+    `FUNNEL` sets the lateral distance from tool axis to fruit at which the advance slows to 1/e. This distance is the
+    larger of two: the first number, m at full scale, and the second number times the remaining gap."""
 
     def __init__(self, env: Any) -> None:
         """Read the arm and the scene's scale from ``env``."""
@@ -264,7 +265,7 @@ SETTLED = 16
 """Number of steps that the arm stands before the policy measures the gap to the fruit."""
 
 STRAY = 0.01
-"""Relative position error of a shift that is accepted to keep the tool's attitude."""
+"""Largest relative position error of a move that keeps the tool's attitude; above it, the attitude may change."""
 
 MOST_WAITED = 60
 """Number of steps after which the policy goes on although the joints have not arrived."""
@@ -273,7 +274,7 @@ MOST_WAITED = 60
 
 
 ITERATIONS = 6
-"""Number of Newton steps from the nominal solution; three remove errors of millimetres."""
+"""Number of Newton steps from the nominal solution; three are enough for errors of millimetres."""
 
 
 class OracleReach(ScriptedReach):
@@ -284,7 +285,7 @@ class OracleReach(ScriptedReach):
     """
 
     def __init__(self, env: Any) -> None:
-        """Keep ``env``, whose plant (the true arm) is read again in every episode, for populations of arms."""
+        """Keep ``env``; its plant (the true arm with its errors) may change, and is read anew in every episode."""
         super().__init__(env)
         self._env = env.unwrapped
 
@@ -313,8 +314,8 @@ def _of_true_arm(plant: Plant, joints: Array, pose: Pose) -> Array:
 class ServoReach(ScriptedReach):
     """Reach policy that drives to the first measured fruit position and corrects its target by visual servoing.
 
-    The pseudoinverse of the nominal Jacobian, truncated to the task's rank, maps the camera's corrections to joints. It
-    is taken at the nominal solution, near which the arm arrives.
+    The pseudoinverse of the nominal Jacobian, truncated to the task's rank, maps the camera's corrections to joints.
+    The Jacobian is that of the nominal solution, near which the arm arrives.
 
     Attributes:
         gain: Weight of the newest measurement in the filtered correction, above 0 and at most 1.
@@ -373,13 +374,13 @@ HASTY: dict[str, Any] = {"settle": 0.0, "tool_speed": np.inf}
 """Arguments of `ScriptedPick` for full speed without waiting."""
 
 OUT, BELOW, AT = range(3)
-"""Indices of the waypoints to a fruit: below the last fruit, below this fruit, and at it."""
+"""Indices of the three waypoints to a fruit: below the last fruit, below this fruit, and at this fruit."""
 
 
 class ScriptedPick(policy.ReachController):
     """Scripted policy for `pickenv/Pick-v0`: approach each fruit from below, stand still for `settle` s, and grasp.
 
-    Each argument but ``iterations`` has one value, or one value for each environment of a vector.
+    Numeric arguments except ``iterations`` take one value, or one value for each environment of a vector.
     """
 
     def __init__(
@@ -401,14 +402,14 @@ class ScriptedPick(policy.ReachController):
             env: The environment.
             settle: Time without motion before the grasp, s; at most 1.
             approach: Length of the straight path from below up to the fruit, m.
-            tool_speed: Largest speed of the believed tool, m/s; `GENTLE` times the bruising speed by default. Limits of
-                joint speeds hold in any case.
+            tool_speed: Largest speed of the tool as the nominal arm predicts it, m/s; by default, `GENTLE` times the
+                bruising speed. Limits of joint speeds hold in any case.
             gain: Share of the remaining joint step that one action commands; less than 1 where readings are delayed.
             arrived: Joint error below which a joint counts as arrived, m or rad.
             aim: Offset from the measured fruit position to the aim ``(..., 3)``, base frame, m.
-            patience: Time for one fruit after which the gripper closes as soon as it can, s.
-            iterations: Most iterations of the inverse kinematics. Fewer are faster, but leave joints farther from
-                mid-range.
+            patience: Longest time for one fruit, s; after it, the gripper closes wherever the arm is.
+            iterations: Largest number of iterations of the inverse kinematics. Fewer iterations are faster, but leave
+                joints farther from mid-range.
         """
         super().__init__(env)
         gentle = GENTLE * env.unwrapped.orchard.station.bruise_speed
@@ -502,7 +503,7 @@ class OraclePick(ScriptedPick):
     """
 
     def __init__(self, env: Any, **how: Any) -> None:
-        """Keep ``env``, whose true arms are read again for every fruit; ``how`` are arguments of `ScriptedPick`."""
+        """Keep ``env``; its true arms are read anew for every fruit. ``how`` goes to `ScriptedPick`."""
         super().__init__(env, **how)
         self._env = env.unwrapped
 

@@ -1,6 +1,6 @@
 """Checkpoints from which a training continues exactly: weights, optimisers, random states, environments.
 
-A checkpoint is a container (`pickenv.base.container`), which detects damage to any of its bytes. Its state holds
+A checkpoint is a container file (`pickenv.base.container`) in which damage to any byte is detected. Its state holds
 tensors and plain values only, and is read without executing code. Its header holds the settings of the training and
 hashes of its input files.
 """
@@ -116,8 +116,8 @@ def take_checkpoint(path: Path, content: State, model: Any, env: Sb3Vec) -> None
     Args:
         path: Checkpoint file, named in error messages.
         content: State that `read_checkpoint` returned.
-        model: Newly made model, changed in place.
-        env: Its environments, changed in place.
+        model: Model that `make_model` has just made, changed in place.
+        env: Environments of the model, changed in place.
 
     Raises:
         InputError: If the state does not fit the training.

@@ -1,7 +1,7 @@
 """PPO policy with attention over a window of past picks; training learns how to weigh the picks.
 
-It is for `pickenv.wrappers.SameArm` with a window. The encoder is `pickenv.agents.policies.remembering.attended` on
-torch.
+It learns on `pickenv.wrappers.SameArm` with a window. Its encoder is `pickenv.agents.policies.remembering.attended`,
+run by torch.
 """
 
 from __future__ import annotations
@@ -18,14 +18,15 @@ from pickenv.agents.policies.remembering import HEADS, attended
 from pickenv.wrappers import MOST_SEEN, PickMemory
 
 WIDTH, MADE = 32, 16
-"""Size of keys and queries, a multiple of `HEADS`, and number of features that each pick gives beside its error."""
+"""`WIDTH` is the size of keys and queries, a multiple of `HEADS`. `MADE` is the number of learnt features of each pick,
+which add to its measured error."""
 
 
 class HistoryFeatures(BaseFeaturesExtractor):
-    """Feature extractor that attends to the window's past picks for the next pick."""
+    """Feature extractor for the next pick that weighs a window of past picks by attention."""
 
     def __init__(self, observation_space: spaces.Box) -> None:
-        """Make the encoder for the observation space of a `pickenv.wrappers.SameArm` with a window."""
+        """Make the encoder for the observation space of `pickenv.wrappers.SameArm` with a window."""
         window = int((observation_space.high == MOST_SEEN).sum()) // 3
         memory = PickMemory((observation_space.shape[0] - 4 * window) // (1 + window), window)
         super().__init__(observation_space, memory.joints + HEADS * (3 + MADE) + 1)

@@ -1,8 +1,8 @@
 """SAC and TQC policies that scale observations and actions inside their networks.
 
-The replay buffer therefore holds unscaled observations and actions, and hindsight experience replay may exchange goals
-in it. The actor multiplies its output by a share that depends on the gap to the goal (`Scaling.share`). The critics
-divide actions by this share. The entropy is that of the actor's output before the multiplication.
+The replay buffer therefore holds unscaled observations and actions, in which hindsight experience replay may replace
+goals. The actor multiplies its output by a share that depends on the gap to the goal (`Scaling.share`). The critics
+divide the actions by the same share. The entropy is that of the actor's output before the multiplication.
 """
 
 from __future__ import annotations
@@ -19,26 +19,26 @@ from stable_baselines3.sac import policies as sac
 from pickenv.wrappers import Scaling, joined_observation
 
 MOST = 3.0
-"""Limit of the actions that critics see, as a multiple of the share. Hindsight goals lie near the tool, where shares
-are near zero."""
+"""Largest absolute value of an action divided by its share, as the critics read it. Hindsight goals lie near the tool,
+where shares are near zero."""
 
 
 class ScaledFeatures(BaseFeaturesExtractor):
     """Feature extractor that scales observations; it has no trained parameters."""
 
     def __init__(self, observation_space: spaces.Dict, actions: bool = True) -> None:
-        """Make the extractor for a goal observation space; ``actions`` is as in `pickenv.wrappers.GapScaling`."""
+        """Make the extractor for a goal observation space; ``actions`` says whether actions are scaled with the gap."""
         joints = observation_space["observation"].shape[0] - 3  # type: ignore[index]  # and the believed position
         scaling = Scaling(joints, goal=True, actions=actions)
         super().__init__(observation_space, scaling.features)
         self.scaling = scaling
 
     def forward(self, observations: Any) -> th.Tensor:
-        """Return features ``(N, features)`` of goal observations."""
+        """Return the scaled features ``(N, features)`` of goal observations."""
         return cast(th.Tensor, self.scaling.observe(joined_observation(observations, th), th))
 
     def share(self, observations: Any) -> th.Tensor:
-        """Return the share ``(N, 1)`` by which the scaling multiplies actions."""
+        """Return the share ``(N, 1)`` by which actions are multiplied; it depends on the gap to the goal."""
         return cast(th.Tensor, self.scaling.share(joined_observation(observations, th), th))
 
 
@@ -68,19 +68,19 @@ class _ScaledValues:
 
 
 class SacActor(_ScaledActions, sac.Actor):
-    """SAC actor whose output is multiplied by the scaling's share."""
+    """SAC actor that multiplies its output by `ScaledFeatures.share`."""
 
 
 class SacCritic(_ScaledValues, ContinuousCritic):
-    """SAC critics whose actions are divided by the scaling's share."""
+    """SAC critics that divide actions by `ScaledFeatures.share`."""
 
 
 class TqcActor(_ScaledActions, tqc.Actor):
-    """TQC actor whose output is multiplied by the scaling's share."""
+    """TQC actor that multiplies its output by `ScaledFeatures.share`."""
 
 
 class TqcCritic(_ScaledValues, tqc.Critic):
-    """TQC critics whose actions are divided by the scaling's share."""
+    """TQC critics that divide actions by `ScaledFeatures.share`."""
 
 
 class _ScaledNetworks:

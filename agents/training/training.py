@@ -50,13 +50,13 @@ def judged(
     policy: LearnedPolicy | RememberingPolicy,
     steps: int,
 ) -> dict[str, float]:
-    """Evaluate a policy, and add the result to the evaluations of the training and of its folder.
+    """Evaluate a policy, and add the result to ``rows`` and to the run's `evaluations.json`.
 
     Args:
         training: Settings of the training.
         inputs: Hashes of the calibration and the arms with which the training began.
         out: Folder of the run.
-        rows: Evaluations so far, changed in place.
+        rows: Evaluations so far, changed in place. Those at ``steps`` or later are dropped first.
         policy: Actor to evaluate.
         steps: Number of environment steps so far.
 
@@ -105,8 +105,8 @@ def train(
         progress: Whether to draw a progress bar.
 
     Raises:
-        InputError: If an argument is impossible, there is no intact checkpoint to resume from, or an input file has
-            changed since the training began. Also if another process is at work in the folder.
+        InputError: If the environment or the algorithm refuses a setting, or there is no intact checkpoint to resume
+            from. Also if an input file has changed since the training began, or another process works in the folder.
     """
     out = Path(out)
     path = out / CHECKPOINT

@@ -42,7 +42,8 @@ class Training:
         steps: Number of environment steps; None for the tuned number.
         seed: Seed of all random numbers.
         arguments: Keyword arguments of the environment. For an algorithm that remembers past picks, "plant" may be a
-            list. Its environments are then divided among the plants, and each plant has its own population of arms.
+            list of plants (a plant is the true arm with its errors). The environments are then divided among the
+            plants, and each plant has its own population of arms.
         compensate: Calibration file whose compensator corrects the commands during training, or None.
         allow: Names of the calibration's reservations to accept (`pickenv.base.obey`).
         checkpoint_every: Environment steps between checkpoints.
@@ -78,7 +79,10 @@ class Training:
 
     @property
     def wrapper(self) -> tuple[str | None, dict[str, Any]]:
-        """Name of the wrapper on which the algorithm learns, in RL Zoo's notation, or None, and its arguments."""
+        """Name (None without a wrapper) and keyword arguments of the wrapper on which the algorithm learns.
+
+        The name is the dotted path of the wrapper, as in RL Zoo's notation.
+        """
         entry = self.chosen.get("env_wrapper")
         ((name, settings),) = entry.items() if isinstance(entry, dict) else [(entry, {})]
         return name, settings
@@ -96,18 +100,18 @@ class Training:
 
 
 Inputs = dict[str, str | None]
-"""Hashes of a training's inputs besides its settings. "arms" is a hash of the parameters of its true arms (plant, arm
-and tolerance class), for several plants one hash after the other. "calibration" is the SHA-256 of the calibration file,
-or None."""
+"""Hashes of a training's inputs besides its settings. "arms" holds one hash per plant (the true arm with its errors),
+separated by spaces. Each hash is over the parameters of plant, arm and tolerance class. "calibration" is the SHA-256
+of the calibration file, or None."""
 
 
 def arguments_of(training: Training) -> list[dict[str, Any]]:
-    """Return the environment arguments of a training, one dict per plant.
+    """Return the environment arguments of a training, one dict per plant (the true arm with its errors).
 
     Each plant draws its arms from a random stream of its own.
 
     Raises:
-        InputError: If the list of plants is empty, or the algorithm learns one arm only and was given a list.
+        InputError: If the list of plants is empty, or the algorithm does not remember past picks and a list is given.
     """
     arguments = training.chosen.get("env_kwargs", {}) | training.arguments
     plants = arguments.get("plant")
@@ -125,16 +129,18 @@ def arguments_of(training: Training) -> list[dict[str, Any]]:
 
 
 def make_environment(training: Training, count: int, mode: str, number: int = 0) -> Native:
-    """Make a training's environments with one of its plants, and install the training's calibration.
+    """Make a training's environments with one of its plants, and install the compensator of its calibration.
+
+    A plant is the true arm with its errors.
 
     Args:
         training: Settings of the training.
         count: Number of environments.
-        mode: Autoreset mode.
-        number: Index of the plant.
+        mode: Autoreset mode: "SameStep", "NextStep" or "Disabled".
+        number: Index of the plant in the training's list of plants.
 
     Raises:
-        InputError: If an argument is impossible or the calibration is of another arm.
+        InputError: If the environment refuses an argument, or the calibration is missing or of another arm.
     """
     env = ENVIRONMENTS[training.env_id](count, autoreset_mode=mode, **arguments_of(training)[number])
     if training.compensate is not None:
@@ -145,13 +151,16 @@ def make_environment(training: Training, count: int, mode: str, number: int = 0)
 def make_runs(training: Training, count: int, mode: str) -> SameArmVector | SameArmMixture:
     """Make the environments for a policy with a memory, divided among the plants of its training.
 
+    A plant is the true arm with its errors.
+
     Args:
         training: Settings of the training.
         count: Number of environments.
-        mode: Autoreset mode.
+        mode: Autoreset mode: "SameStep", "NextStep" or "Disabled".
 
     Raises:
-        InputError: If an argument is impossible, there are more plants than environments, or their nominal arms differ.
+        InputError: If the environment refuses an argument, there are more plants than environments, or the plants'
+            nominal arms differ.
     """
     plants = len(arguments_of(training))
     if count < plants:
@@ -163,10 +172,10 @@ def make_runs(training: Training, count: int, mode: str) -> SameArmVector | Same
 
 
 def inputs_of(training: Training) -> Inputs:
-    """Return the hashes of a training's arms and calibration file as they are now.
+    """Compute the hashes of a training's arms and of its calibration file in their present state; see `Inputs`.
 
     Raises:
-        InputError: If the calibration is missing or of another arm, or a plant is impossible.
+        InputError: If the calibration is missing or of another arm, or the file of a plant (true arm) is refused.
     """
     made = [make_environment(training, 1, "Disabled", k) for k in range(len(arguments_of(training)))]
     calibration = None if training.compensate is None else file_sha256(npz_path(training.compensate))
@@ -174,14 +183,14 @@ def inputs_of(training: Training) -> Inputs:
 
 
 def check_inputs(training: Training, begun: Inputs) -> None:
-    """Raise an error if inputs of a training have changed since it began.
+    """Raise an error if the calibration or a plant (true arm) of a training has changed since the training began.
 
     Args:
         training: Settings of the training.
         begun: Hashes of the inputs with which the training began.
 
     Raises:
-        InputError: If the calibration or the plant has changed or is missing; the message names it.
+        InputError: If the calibration or a plant has changed or is missing; the message names the changed input.
     """
     restore = "put back what the training was begun with, or begin another in another folder (`out`)"
     if training.compensate is not None:
@@ -201,7 +210,7 @@ def check_inputs(training: Training, begun: Inputs) -> None:
 
 
 def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
-    """Make the seeded model of a training and its environments.
+    """Make the environments of a training, and the seeded Stable-Baselines3 model that learns in them.
 
     Args:
         training: Settings of the training.
@@ -211,7 +220,7 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
         The Stable-Baselines3 model and its environments.
 
     Raises:
-        InputError: If PPO is chosen for a goal environment.
+        InputError: If the algorithm is "ppo" and the observations are goal observations.
     """
     from sb3_contrib import TQC, RecurrentPPO
     from stable_baselines3 import PPO, SAC, HerReplayBuffer
@@ -279,7 +288,7 @@ def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy | Rememb
 
 
 def memory_arrays(policy: Any) -> dict[str, Any]:
-    """Return the weight arrays of a torch policy's memory, named as in `RememberingPolicy`."""
+    """Return the weight arrays of a torch policy's memory by name, for the attribute `RememberingPolicy.arrays`."""
     if (lstm := getattr(policy, "lstm_actor", None)) is None:
         arrays = policy.features_extractor.given
         return {name: value.detach().numpy().astype(float) for name, value in arrays.items()}
@@ -291,9 +300,10 @@ def judge(policy: LearnedPolicy | RememberingPolicy, training: Training) -> dict
     """Evaluate a policy, acting deterministically, on held-out episodes of the training's environment.
 
     Returns:
-        For reaching, "mean_mm", "p95_mm" and "success_rate" at the end of 256 episodes. For a policy with a memory
-        these are over all picks of 256 arms. For picking, "collected", "damaged", "attempted" and "reachable", mean
-        numbers of fruit per canopy over 16 canopies.
+        For reaching: "mean_mm" and "p95_mm", mean and 95th percentile of the final position error, and "success_rate".
+        They are taken over 256 episodes, or over all picks of 256 arms for a policy with a memory. For picking: mean
+        numbers of fruit per canopy, over 16 canopies, under the names "collected", "damaged", "attempted" and
+        "reachable".
     """
     if training.env_id == "pickenv/Pick-v0" and isinstance(policy, LearnedPolicy):
         envs: Any = make_environment(training, 16, "NextStep")

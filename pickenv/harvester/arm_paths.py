@@ -1,8 +1,8 @@
 """Paths of the slave arms over time, their least distance, and the echoes that a side arm's ultrasonic rangers receive.
 
-Arms are numbered from 0, left to right. Arms of odd number are middle arms, arms of even number side arms. A side arm
-has a ranger on each flank of its cup. The ranger points sideways in the horizontal plane at a middle arm, and measures
-the nearest surface in its cone. It does not use the timetable. Units: m, rad, s.
+Arms are numbered from 0, left to right. Arms with odd numbers are middle arms, arms with even numbers side arms. A side
+arm has a ranger on each flank of its cup. The ranger points sideways in the horizontal plane at a middle arm, and
+measures the nearest surface in its cone. The ranger does not use the timetable. Units: m, rad, s.
 """
 
 from __future__ import annotations
@@ -81,7 +81,7 @@ def ultrasonic_hold(machine: Machine, work: Work, rng: np.random.Generator) -> H
 
 
 def slave_joints_at(machine: Machine, work: Work, times: Timetable, at: Array) -> Array:
-    """Return the nominal joints of all slave arms at the given times of a timetable.
+    """Compute the nominal joints of all slave arms at times ``at`` of a timetable.
 
     Each phase of a pick is a move with a trapezoidal speed profile.
 

@@ -36,11 +36,12 @@ class Strategy:
 
     Attributes:
         name: Name for reports.
-        controller: Controller that converts nominal joints to commands, with what it knows of the true machine.
-        pick_point: Method of `pickenv.harvester.pick_point`.
-        assignment: Method of `pickenv.harvester.assign`.
+        controller: Controller that converts nominal joints to commands, by its beliefs about the true machine.
+        pick_point: Name of the method of `pickenv.harvester.pick_point`.
+        assignment: Name of the method of `pickenv.harvester.assign`.
         guard: Whether side arms wait while their ultrasonic ranger measures a middle arm too near.
-        looks: Most pictures of a zone. A further picture is taken only if some pick of the last one detached no fruit.
+        looks: Largest number of pictures of a zone. After each picture and its picks, another picture is taken only if
+            some of these picks detached no fruit.
         unload_full: If true, the tubes are emptied only when one is full, and at the end. Otherwise they are emptied
             after each zone.
         detector: Detector that reads the pictures, one of `pickenv.orchard.DETECTORS`.
@@ -60,11 +61,11 @@ class Strategy:
 class Round:
     """One picture of a zone and the picks that follow from it.
 
-    A detection is that of a fruit of the tree, or a false one.
+    A detection is either true (a fruit of the tree) or false.
 
     Attributes:
         zone: The zone.
-        begin: Time at which picking starts on the tree's clock, s.
+        begin: Time on the tree's clock at which picking starts, s.
         master: Nominal joints of the master while its slaves pick, (3,).
         numbers: Index in the tree of each detected fruit, -1 for a false detection, (n,).
         believed: Position of each detection as measured in the picture, base frame, m, (n, 3).
@@ -98,20 +99,20 @@ class Round:
 class Harvest:
     """State of a tree during its harvest, and the record of what was done.
 
-    Flags and indices of fruit have shape (n,), n being the number of fruit of the tree.
+    Flags of fruit, and `by_arm`, have shape (n,), n being the number of fruit of the tree.
 
     Attributes:
         tree: The tree.
         rng: Random generator of what happens to the fruit.
         looking: Random generator of what the pictures show.
         leaves: Leaves of the tree, or None unless pictures are rendered.
-        seen: Fruit of which at least a part was in sight in some picture.
-        located: Fruit whose position was measured in some picture.
-        reachable: Fruit that some arm reached from a pick point.
-        attempted: Fruit to which a cup was sent.
-        attached: Fruit that was in a cup.
-        detached: Fruit whose stalk was cut.
-        collected: Fruit that came into a tube undamaged.
+        seen: Whether at least a part of each fruit was in sight in some picture.
+        located: Whether the position of each fruit was measured in some picture.
+        reachable: Whether some arm could reach each fruit from a pick point.
+        attempted: Whether a cup was sent to each fruit.
+        attached: Whether each fruit was in a cup.
+        detached: Whether the stalk of each fruit was cut.
+        collected: Whether each fruit came into a tube undamaged.
         by_arm: Index of the arm of the last attempt at each fruit, or -1.
         load: Number of fruit in the tube of each arm, (arms,).
         master: Present nominal joints of the master, (3,).
@@ -334,7 +335,7 @@ def _unload(machine: Machine, state: Harvest) -> None:
 def generators_of(
     seeds: Sequence[np.random.SeedSequence],
 ) -> tuple[list[np.random.Generator], list[np.random.Generator]]:
-    """Return two lists of random generators, one of each per seed: for drawing trees, and for what happens to them."""
+    """Return two lists with one random generator per seed: the first draws trees, the second decides their harvest."""
     pairs = [np.random.SeedSequence(seed.entropy, spawn_key=seed.spawn_key).spawn(2) for seed in seeds]
     return [np.random.default_rng(a) for a, _ in pairs], [np.random.default_rng(b) for _, b in pairs]
 

@@ -1,9 +1,9 @@
 """Distances between slave arms, taken as capsules, and the pairs of picks that must not overlap in time.
 
-Slave arms are horizontal. The distance between two of them follows from their distance in plan and their difference in
-height. An arm at rest points straight ahead and has its shortest length. There no neighbour can touch it
-(`machine.refuse_touching_arms`). Only at rest does it move up and down between picks. Arms can meet only during
-excursions, that is from rest out to a fruit and back. Units: m, rad, s.
+Slave arms are horizontal. The distance between two slave arms follows from their distance in plan and their difference
+in height. An arm at rest points straight ahead and has its shortest length. No neighbour can touch an arm at rest
+(`machine.refuse_touching_arms`). Between picks an arm moves up and down at rest only. An excursion is an arm's way from
+rest out to a fruit and back. Arms can meet only during excursions. Units: m, rad, s.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from pickenv.harvester.machine import Machine
 Point = tuple[Scalar, Scalar]
 
 FEW = 4
-"""Number of sets of joints up to which plain floats are faster than NumPy; both give the same bits."""
+"""Largest number of joint configurations for which plain floats are faster than NumPy; both give the same bits."""
 
 
 def segment_distance(p: ArrayLike, q: ArrayLike, r: ArrayLike, s: ArrayLike) -> Array:
-    """Distances between the segments p-q and r-s in the plane, for end points (..., 2) that broadcast."""
+    """Return the distances between segments p-q and r-s in the plane; their end points (..., 2) broadcast."""
     ends = [(point[..., 0], point[..., 1]) for point in (np.asarray(end, dtype=float) for end in (p, q, r, s))]
     return np.asarray(np.sqrt(_square_between(np, *ends)))
 
@@ -54,13 +54,20 @@ def _side(a: Point, b: Point, c: Point) -> Scalar:
 
 
 def cup_in_plan(m: Any, offset: Scalar, swing: Scalar, d6: Scalar) -> Point:
-    """A cup in plan, m: its places right and ahead of the middle pivot; ``m`` is NumPy, or `ONE` for floats."""
+    """Return a cup's position in plan, m: right and ahead of the middle between the outer pivots.
+
+    Args:
+        m: NumPy, or `ONE` for floats.
+        offset: Offset of the slave's pivot to the right of the middle, m.
+        swing: Swing of the slave from straight ahead, rad, positive to the left.
+        d6: Length of the slave from pivot to cup, m.
+    """
     return offset - d6 * m.sin(swing), d6 * m.cos(swing)
 
 
 @lru_cache(maxsize=8)
 def pairs_of(arms: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Indices of the first and of the second arm of each pair, in the order of ``numpy.triu_indices(arms, 1)``."""
+    """Return the index of the first arm and of the second arm of each pair, as ``numpy.triu_indices(arms, 1)`` does."""
     first, second = np.triu_indices(arms, 1)
     return first, second
 
@@ -84,7 +91,9 @@ def arm_distances(machine: Machine, slaves: ArrayLike) -> Array:
 
 
 def pair_distances(m: Any, machine: Machine, slaves: Sequence[Sequence[Scalar]]) -> list[Scalar]:
-    """Return `arm_distances` of one machine as a list with one entry per pair.
+    """List the distances between the centre lines of each pair of slaves for one joint configuration, m.
+
+    `pairs_of` gives the order of the list.
 
     Args:
         m: NumPy, or `ONE` for single numbers.
@@ -107,7 +116,7 @@ def _between(m: Any, first: tuple[Scalar, ...], second: tuple[Scalar, ...]) -> S
 
 
 def excursion_distances(machine: Machine, joints: Array, approach: Array) -> Array:
-    """Return the least distances between every two excursions, at whatever times they happen.
+    """Compute the least distance between every two excursions, over all times at which they could happen.
 
     An excursion is an arm's way from rest out to a fruit and back. In plan it sweeps a fan, from the arm at rest to the
     arm at the fruit. Its height runs from ``approach`` below the fruit up to the fruit.

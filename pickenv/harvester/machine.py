@@ -1,6 +1,6 @@
 """The harvester of Li 2016: one master arm (R, P, P) that carries one to six slave arms (P, R, P).
 
-The kinematics are the closed forms of eqs (4), (5) and (6), the last two with the two-argument arctangent. The base
+The kinematics are the closed forms of eqs (4), (5) and (6); eqs (5) and (6) use the two-argument arctangent. The base
 frame has z up and the trees at negative y. The slaves stand side by side across the master's heading, numbered from
 left to right. Joints of the master are theta1, d2, d3; joints of a slave are d4, theta5 (counted from -pi/2) and d6.
 Moves have trapezoidal speed profiles within limits of speed and acceleration (Fig. 9). Units: m, rad, s.
@@ -32,8 +32,8 @@ class Body:
 
     Attributes:
         radius: Radius of the capsule, m.
-        margin: Least distance between the surfaces of two arms, m.
-        guard: Distance measured by its ultrasonic ranger below which a side arm waits, surface to surface, m.
+        margin: Least allowed distance between the surfaces of two arms, m.
+        guard: A side arm waits while its ultrasonic ranger measures less than this distance between surfaces, m.
     """
 
     radius: Annotated[float, MM.positive]
@@ -48,13 +48,13 @@ class Body:
 
 @toml_table
 class Ranger:
-    """An ultrasonic ranger on each flank of a side arm's cup, looking sideways at the neighbour.
+    """Ultrasonic rangers of a side arm: one on each flank of its cup, looking sideways at the neighbouring arm.
 
     Attributes:
         farthest: Longest distance from which an echo returns, m.
-        beam: Half angle of the cone that it measures in, rad.
+        beam: Half angle of the cone in which a ranger measures, rad.
         noise: Standard deviation of a measured distance, m.
-        period: Time between two measurements, s.
+        period: Time between two measurements of a ranger, s.
     """
 
     farthest: Annotated[float, Key("range_mm"), MM.positive]
@@ -69,10 +69,10 @@ class Cycle:
 
     Attributes:
         approach: Distance below the fruit at which the cup starts to rise, m.
-        sense: Time that the sensor takes to find the fruit in the cup, s.
+        sense: Time that the sensor takes to detect the fruit in the cup, s.
         cut: Time that the blade takes, s.
-        image: Time of a picture and its analysis, s.
-        unload: Time that the tubes take to empty, s.
+        image: Time to take and analyse a picture, s.
+        unload: Time to empty the tubes, s.
         tube_fruit: Number of fruit at which the tube of one arm is full.
     """
 
@@ -86,11 +86,11 @@ class Cycle:
 
 @dataclass(frozen=True, eq=False)
 class Machine:
-    """A master arm and its slaves as designed, the only machine that a controller knows before a calibration.
+    """A master arm and its slaves as designed; without a calibration, a controller knows only this machine.
 
     Attributes:
-        master: The master arm, base frame to frame 3.
-        slaves: The slave arms from left to right, frame 3 to the cup. They differ in a3 alone.
+        master: The master arm, from the base frame to frame 3, on which the slaves are mounted.
+        slaves: The slave arms from left to right, each from frame 3 to its cup. They differ only in a3 (see `offsets`).
         spacing: Distance between neighbouring slaves, m.
         master_start: Joints of the master where it starts and unloads, rad and m, (3,).
         slave_home: Joints of a slave at rest, m and rad, (3,): lowest, straight ahead, shortest.
@@ -141,7 +141,7 @@ class Machine:
 
     @property
     def a4(self) -> float:
-        """Distance from frame 3 ahead to the pivots of the slaves, m: 52 mm in the paper."""
+        """Distance by which the pivots of the slaves lie ahead of frame 3, m: 52 mm in the paper."""
         return float(self.slave.a[1])
 
     @property
@@ -169,7 +169,7 @@ class Machine:
         return joints[..., :3], joints[..., 3:].reshape(*joints.shape[:-1], self.arms, 3)
 
     def frame3(self, master: ArrayLike) -> Array:
-        """Origin of frame 3 in the base frame, m, (..., 3), for master joints (..., 3): last column of eq (2)."""
+        """Return the origin of frame 3 in the base frame, m, (..., 3), at master joints (..., 3), by eq (2)."""
         master = np.asarray(master, dtype=float)
         theta1, d2, d3 = (master[..., i] for i in range(3))
         sin, cos = np.sin(theta1), np.cos(theta1)
@@ -179,13 +179,16 @@ class Machine:
         return position
 
     def master_inverse(self, position: ArrayLike) -> Array:
-        """Master joints (..., 3) that bring the origin of frame 3 to a position: eq (5), corrected for y > 0.
+        """Compute the master joints (..., 3) that bring the origin of frame 3 to a position, by eq (5).
+
+        The equation is corrected for y > 0.
 
         Args:
             position: Positions in the base frame, m, (..., 3).
 
         Returns:
-            Joints, not limited; NaN for positions nearer to the master's axis than a2. See `master_within_limits`.
+            Joints, rad and m, not clipped to the limits; NaN for positions nearer to the master's axis than `a2`. Check
+            them with `master_within_limits`.
         """
         x, y, z = np.moveaxis(np.asarray(position, dtype=float), -1, 0)
         square = x * x + y * y - self.a2**2
@@ -214,14 +217,16 @@ class Machine:
         return positions
 
     def slave_inverse(self, master: ArrayLike, targets: ArrayLike) -> Array:
-        """Compute the joints of every slave for every target by eq (6), with theta5 = -theta1 - atan2(A, B), wrapped.
+        """Compute the joints of every slave for every target by eq (6).
+
+        In eq (6), theta5 = -theta1 - atan2(A, B). The returned joint is theta5 + pi/2, wrapped to [-pi, pi).
 
         Args:
             master: Joints of the master, (..., 3).
             targets: Positions in the base frame, m, (..., n, 3).
 
         Returns:
-            Joints (..., arms, n, 3), not limited; see `within_limits`.
+            Joints (..., arms, n, 3), m and rad, not clipped to the limits. Check them with `within_limits`.
         """
         master, targets = np.asarray(master, dtype=float), np.asarray(targets, dtype=float)[..., None, :, :]
         theta1, d2, d3 = (master[..., None, None, i] for i in range(3))
@@ -273,7 +278,7 @@ class MachineTable:
 
 @toml_table
 class AccelerationTable:
-    """Table [acceleration] of a machine file: the master's turn and two slides, a slave's two slides and turn."""
+    """Table [acceleration] of a machine file: largest accelerations of the turning and sliding joints."""
 
     master_turn: Annotated[float, DEG_PER_S2, Key("master_deg_per_s2")]
     master_slides: Annotated[tuple[float, float], MM_PER_S2, Key("master_mm_per_s2")]
@@ -283,9 +288,10 @@ class AccelerationTable:
 
 @toml_table
 class TrueTable:
-    """Table [true] of a machine file: plants of master and slaves, and errors of each slave's seat on the frame.
+    """Table [true] of a machine file: how the machine as built differs from its design.
 
-    See `pickenv.harvester.true_machine.TrueMachine`.
+    It names the plants (true arms with their errors) of master and slaves. It gives the position errors of each slave's
+    seat on the frame, and the repeatability. See `pickenv.harvester.true_machine.TrueMachine`.
     """
 
     master: Annotated[str, PLANT]
@@ -298,7 +304,7 @@ class TrueTable:
 
 @toml_table
 class WorkspaceTable:
-    """Table [workspace] of a machine file: ranges in the base frame, m, where the cloud of reached points is dense."""
+    """Table [workspace] of a machine file: ranges in the base frame, m, in which reached points lie densely."""
 
     dense_x: Annotated[tuple[float, float], MM]
     dense_y: Annotated[tuple[float, float], MM]
@@ -323,12 +329,12 @@ def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spaci
 
     Args:
         path: The file; Li's machine by default.
-        slaves: Number of slave arms, 1 to 6, instead of the file's.
-        spacing: Distance between neighbouring slaves, m, instead of the file's. The paper also implies 0.3 and 0.45.
+        slaves: Number of slave arms, 1 to 6; the file's by default.
+        spacing: Distance between neighbouring slaves, m; the file's by default. The paper also implies 0.3 and 0.45 m.
 
     Raises:
-        InputError: If a number is impossible, the master does not reach its start, or neighbouring arms would meet at
-            rest.
+        InputError: If a number is outside its limits, the master does not reach its start, or a swinging slave could
+            touch a neighbour at rest.
     """
     file = read_toml(MachineFile, path)
     head, accelerations = file.machine, file.acceleration
@@ -366,10 +372,10 @@ def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spaci
 
 
 def refuse_touching_arms(machine: Machine) -> None:
-    """Raise an error for a spacing at which a swinging slave can come too near a neighbour at rest.
+    """Raise an error if a swinging slave can come too near a neighbour at rest.
 
-    The arm at rest points straight ahead and has its shortest length. If a neighbour swings towards it by t, the cup at
-    rest is spacing*cos(t) - d6*sin(t) away from the neighbour's line.
+    An arm at rest points straight ahead and has its shortest length d6. If the neighbour swings towards it by t rad,
+    the resting cup is spacing*cos(t) - d6*sin(t) away from the neighbour's centre line.
 
     Raises:
         InputError: If that distance can be less than two radii and the margin.
@@ -408,7 +414,7 @@ def travel_time(distance: ArrayLike, speed: ArrayLike, acceleration: ArrayLike) 
 
 
 def profile(time: ArrayLike, distance: ArrayLike, speed: ArrayLike, acceleration: ArrayLike) -> Array:
-    """Displacement during a move from rest to rest whose speed has a trapezoidal profile.
+    """Return the displacement after a time in a move from rest to rest with a trapezoidal speed profile.
 
     Args:
         time: Time since the start of the move, s; before the start and after the end the arm stands still. Shapes

@@ -1,7 +1,7 @@
 """Plans of a zone by several methods, and a lower bound of their makespan.
 
 A plan says which arm picks which fruit in which order. Li's rule and the usual baselines of the field need no search.
-The local search takes milliseconds and keeps apart in time the excursions that must not overlap (`Work.conflict`).
+The local search takes milliseconds; it counts the waiting between excursions that must not overlap (`Work.conflict`).
 Plans leave out fruit that no arm reaches. Units: s.
 """
 
@@ -22,7 +22,7 @@ from pickenv.harvester.zones import SHIPPED
 
 
 def columns(work: Work, *, falling: bool) -> Plan:
-    """Plan in which each fruit goes to the arm with the least swing to it, of the arms that reach it.
+    """Assign each fruit to the arm that swings least to reach it.
 
     Arms pick by rising height. With ``falling``, middle arms (odd numbers) pick by falling height, as in Li 2016,
     section 5.2.
@@ -37,9 +37,9 @@ def columns(work: Work, *, falling: bool) -> Plan:
 
 
 def nearest_neighbour(work: Work) -> Plan:
-    """Plan in which the arm that is free first takes, of the remaining fruit, the one that it can finish first.
+    """Plan greedily: the arm that is free first takes the remaining fruit that it can finish first.
 
-    Conflicts are not considered.
+    Conflicts between excursions are not considered.
     """
     waiting: list[int] = np.flatnonzero(work.reachable).tolist()
     plan: list[list[int]] = [[] for _ in range(work.arms)]
@@ -54,9 +54,10 @@ def nearest_neighbour(work: Work) -> Plan:
 
 
 def hungarian_waves(work: Work) -> Plan:
-    """Plan in waves: in each wave every arm takes at most one fruit, and the sum of their times is minimal.
+    """Plan in waves: every arm takes at most one fruit per wave, with the least sum of pick times.
 
-    The time of a fruit is its travel and its excursion. Conflicts are not considered.
+    The time of a pick is the arm's travel to the fruit plus its excursion (out to the fruit and back). Conflicts
+    between excursions are not considered.
     """
     waiting: list[int] = np.flatnonzero(work.reachable).tolist()
     plan: list[list[int]] = [[] for _ in range(work.arms)]
@@ -78,14 +79,14 @@ def _next_times(work: Work, plan: list[list[int]], waiting: list[int]) -> Array:
 
 
 def lower_bound(work: Work, *, integral: bool = True) -> float:
-    """Lower bound of the makespan of any plan, s.
+    """Compute a lower bound of the makespan of any plan, s.
 
-    It balances the load of the arms, with the least possible travel to each fruit and without conflicts.
+    The bound balances the load of the arms, with the least possible travel to each fruit and without conflicts.
 
     Args:
         work: Scheduling problem of the zone.
-        integral: Whether a fruit belongs to one arm (a mixed-integer programme of at most 0.2 s). Otherwise arms may
-            share it.
+        integral: If true, each fruit belongs to one arm (a mixed-integer programme, solved in at most 0.2 s). If false,
+            arms may share a fruit.
     """
     some = np.flatnonzero(work.reachable)
     if not some.size:
@@ -117,13 +118,14 @@ def local_search(
     """Plan by simulated annealing, which starts from the best of three greedy plans.
 
     Each step moves a fruit to another place, or exchanges two fruit. Half of the steps take a fruit of the arm that
-    ended last in the current plan.
+    finishes last in the current plan.
 
     Args:
         work: Scheduling problem of the zone.
         rng: Random generator of the steps; a fixed seed by default.
-        bound: Makespan, s; the search stops once its plan is within 1 % of it. `lower_bound` by default.
-        patience: Number of rounds, as a multiple of the strategy file's.
+        bound: Makespan at which the search may stop, s: it stops once its plan is within 1 % of this. By default,
+            `lower_bound` with fruit that arms may share.
+        patience: Factor on the number of steps in the strategy file (`Effort.rounds`).
     """
     rng = np.random.default_rng(0) if rng is None else rng
     starts = [_by_height(work), nearest_neighbour(work), hungarian_waves(work)]
@@ -191,7 +193,7 @@ class Effort:
     """Table [optimiser] of a strategy file.
 
     Attributes:
-        rounds: Rounds of the local search per fruit.
+        rounds: Number of steps of the local search per fruit.
         seconds: Time limit of the constraint solver CP-SAT, s.
     """
 
@@ -200,7 +202,7 @@ class Effort:
 
 
 load_effort = cache(partial(read_toml, Effort, SHIPPED, section="optimiser"))
-"""Read the table [optimiser] of the strategy file, once."""
+"""Return the table [optimiser] of the strategy file; the file is read only once."""
 
 
 def assign(work: Work, method: str, rng: np.random.Generator | None = None) -> Plan:
@@ -208,8 +210,8 @@ def assign(work: Work, method: str, rng: np.random.Generator | None = None) -> P
 
     Args:
         work: Scheduling problem of the zone.
-        method: "li": Li's rule, `columns` with middle arms from above; "nearest": `nearest_neighbour`; "columns":
-            `columns` from below; "hungarian": `hungarian_waves`; "search": `local_search`.
+        method: "li" (Li's rule) is `columns` whose middle arms pick from above. "columns" is `columns` whose arms all
+            pick from below. "nearest" is `nearest_neighbour`, "hungarian" `hungarian_waves`, "search" `local_search`.
         rng: Random generator of the local search; a fixed seed by default.
 
     Raises:

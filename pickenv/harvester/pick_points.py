@@ -23,9 +23,10 @@ METHODS = ("as_printed", "equations", "corrected", "search")
 
 
 def border_indices(fruit: Array, printed: bool = False) -> tuple[int, int]:
-    """Indices of the left-most fruit P3 and the right-most fruit P4 as seen from the base: eq (7).
+    """Return the indices of the left-most fruit P3 and the right-most fruit P4, as seen from the base, by eq (7).
 
-    As printed, arctan(X/Y) is largest on the left. That holds for Y > 0 only, and Li's trees stand at Y < 0.
+    As printed, eq (7) takes the fruit with the largest arctan(X/Y) as P3. At Y < 0, where Li's trees stand, this is the
+    right-most fruit.
 
     Args:
         fruit: Positions in the base frame, m, (n, 3).
@@ -39,15 +40,15 @@ def border_indices(fruit: Array, printed: bool = False) -> tuple[int, int]:
 
 
 def pick_heading(fruit: Array, spacing: float, printed: bool = False) -> float:
-    """Heading theta2 of eqs (10) and (11), rad.
+    """Compute the heading theta2 of the master by eqs (10) and (11), rad.
 
     Args:
         fruit: Positions in the base frame, m, (n, 3).
-        spacing: The paper's k0, m: distance from the middle slave to the outermost.
+        spacing: Distance from the middle slave to the outermost slave, m; the paper's k0.
         printed: Whether to take eqs (7) and (11) as printed.
 
     Raises:
-        InputError: If a border fruit is within the spacing of the master's axis.
+        InputError: If a border fruit is no farther than ``spacing`` from the master's axis.
     """
     first, last = border_indices(fruit, printed)
     (x3, y3), (x4, y4) = fruit[first, :2], fruit[last, :2]
@@ -66,9 +67,9 @@ def pick_point(machine: Machine, fruit: ArrayLike, method: str = "search") -> Ar
     Args:
         machine: The machine.
         fruit: Positions in the base frame, m, (n, 3).
-        method: "as_printed" takes eqs (7) to (12) as printed. "equations" is the same with the border fruit on the
-            correct sides. "corrected" also takes theta2 as the master's joint theta1. "search" reaches most fruit with
-            least motion.
+        method: "as_printed" takes eqs (7) to (12) as printed. "equations" corrects the border fruit of eq (7) and
+            the arctangent of eq (11). "corrected" also takes theta2 as the master's joint theta1. "search" looks for
+            the point from which most fruit is reached with least motion of the slaves.
 
     Returns:
         Joints, rad and m. Those of "search" are within the limits; those of the other methods need not be.
@@ -105,9 +106,9 @@ def pick_point(machine: Machine, fruit: ArrayLike, method: str = "search") -> Ar
 def searched(machine: Machine, fruit: Array) -> Array:
     """Return the master joints (3,) from which most fruit is reached and, among those, the slaves move least.
 
-    All slaves reach the same heights, so height can be chosen apart from heading and reach. The search evaluates two
-    grids of headings and reaches. The second grid is finer and around the best point of the first. Each grid is
-    combined with a few heights: see `_heights`.
+    All slaves reach the same heights, so the height is chosen independently of heading and reach. The search evaluates
+    two grids of headings and reaches. The second grid is finer, and lies around the best point of the first. Each grid
+    is combined with a few heights: see `_heights`.
     """
     settings = _search()
     low, high = machine.master.nominal.lower, machine.master.nominal.upper

@@ -1,6 +1,6 @@
 """Outcomes of picking attempts with Li's cup, position sensor and blade, and displacements of fruit by other cups.
 
-A cup that goes in pushes the foliage. Fruit nearby then swings on its branch, a spring-pendulum, and part of the push
+A cup that enters the foliage pushes it. Fruit nearby then swings on its branch, a spring-pendulum, and part of the push
 remains. Units: m, kg, s.
 """
 
@@ -38,7 +38,7 @@ class Picking:
         cluster_success: Probability that an attempt succeeds although another fruit is in the cup's way.
         cut_success: Probability that the blade meets the stalk.
         undamaged: Probability that picked fruit stays whole.
-        push: Median shift of the foliage by a cup that goes in, m.
+        push: Median shift of the foliage by a cup that enters it, m.
         push_spread: Standard deviation of the natural logarithm of that shift.
         lasting: Share of a push that remains after the swing.
     """
@@ -60,7 +60,7 @@ def load_picking(path: str | Path = SHIPPED) -> Picking:
     """Read the picking model from a picking file.
 
     Raises:
-        InputError: If a number is impossible or the gripper is not a cup.
+        InputError: If a number is outside its limits or the gripper is not a cup.
     """
     return read_toml(Picking, path, section="pick")
 
@@ -94,15 +94,15 @@ def draw_luck(rng: np.random.Generator, count: int) -> Luck:
 def attempt(
     model: Picking, tips: Array, fruit: Array, moved: Array, diameters: Array, others: Array, luck: Luck
 ) -> tuple[Flags, Flags, Flags]:
-    """Return the outcomes of attempts whose cups go to fruit one after another.
+    """Compute the outcomes of picking attempts that are made one after another.
 
     Args:
         model: The picking model.
         tips: True cup positions at the end of the rise, m, (picks, 3), in the order of the attempts.
         fruit: True fruit centres at rest, m, (picks, 3).
-        moved: Displacement of each fruit by earlier pushes when its cup comes, m, (picks, 3).
+        moved: Displacement of each fruit by earlier pushes at the time its own cup arrives, m, (picks, 3).
         diameters: Diameters of the fruit, m, (picks,).
-        others: Centres of the hanging fruit that is not attempted here, m, (m, 3).
+        others: Centres of the hanging fruit to which none of these attempts goes, m, (m, 3).
         luck: Random numbers that decide the outcomes.
 
     Returns:
@@ -128,7 +128,7 @@ def attempt(
 
 
 def in_the_way(model: Picking, fruit: Array, diameter: float, near: Array) -> Flags:
-    """Flags (m,) of the fruit that the cup's wall would meet, because it hangs beside or just below the fruit to take.
+    """Return flags (m,): whether the cup's wall would meet each other fruit, beside or just below the fruit to take.
 
     Args:
         model: The picking model.
@@ -142,10 +142,10 @@ def in_the_way(model: Picking, fruit: Array, diameter: float, near: Array) -> Fl
 
 
 def pushes(model: Picking, fruit: Array, others: Array, luck: Luck) -> Array:
-    """Initial displacements of fruit by cups that go in, m, (picks, m, 3).
+    """Compute the initial displacements of fruit by cups that enter the foliage, m, (picks, m, 3).
 
-    They decrease with distance. The share `Picking.lasting` of a push remains. The rest swings as the branch does and
-    decays.
+    Displacements decrease with the distance from the fruit that a cup goes to. The share `Picking.lasting` of a push
+    remains. The rest swings as the branch does and decays.
 
     Args:
         model: The picking model.
@@ -160,7 +160,7 @@ def pushes(model: Picking, fruit: Array, others: Array, luck: Luck) -> Array:
 
 
 def displacements(model: Picking, fruit: Array, masses: Array, entry: Array, luck: Luck) -> Array:
-    """Displacement of each fruit by all earlier cups at the time of its own cup, m, (picks, 3).
+    """Compute each fruit's displacement by all earlier cups at the time its own cup enters, m, (picks, 3).
 
     Args:
         model: The picking model.

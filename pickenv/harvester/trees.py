@@ -1,6 +1,7 @@
-"""Trees that the harvester works, of an orchard row or of Li's lab, with fruit positions in the machine's base frame.
+"""Trees of an orchard row or of Li's lab, with fruit positions in the harvester's base frame.
 
-The machine's column stands in front of the canopy at its stand-off, and the tree is at negative y. Units: m, kg.
+The machine's column stands in front of the canopy, at the distance `Canopy.standoff`. The tree is at negative y.
+Units: m, kg.
 """
 
 from __future__ import annotations
@@ -22,13 +23,14 @@ SHIPPED = Path(__file__).parent / "picking.toml"
 
 @dataclass(frozen=True, eq=False)
 class Tree:
-    """One side of a tree, as it stands before the machine.
+    """One side of a tree, in front of the machine.
 
     Attributes:
         fruit: Fruit centres in the base frame, m, (n, 3).
         diameters: Diameters of the fruit, m, (n,).
         masses: Masses of the fruit, kg, (n,).
-        side: Smallest x, largest x, smallest z and largest z of the side that is cut into zones, base frame, m.
+        side: Limits of the side that is divided into zones, base frame, m: smallest and largest x, smallest and largest
+            z.
     """
 
     fruit: Array
@@ -89,12 +91,12 @@ def load_orchard(
 
     Args:
         path: The file.
-        per_metre: Number of fruit per metre of row, instead of the file's.
-        fruit_map: Fruit map of `pickenv.orchard`, instead of the file's; "v_trellis" hangs fruit in clusters of three.
-        canopy: Canopy of `pickenv.orchard`, instead of the file's; "li2016_bare" has no leaves.
+        per_metre: Number of fruit per metre of row; the file's by default.
+        fruit_map: Fruit map of `pickenv.orchard`; the file's by default. "v_trellis" hangs fruit in clusters of three.
+        canopy: Canopy of `pickenv.orchard`; the file's by default. "li2016_bare" has no leaves.
 
     Raises:
-        InputError: If a preset is unknown or a number impossible.
+        InputError: If a preset is unknown or a number is outside its limits.
     """
     orchard = read_toml(Orchard, path, section="trees")
     per_metre = orchard.per_metre if per_metre is None else per_metre
@@ -131,14 +133,14 @@ def in_base_frame(machine: Machine, canopy: trees.Canopy, positions: Array) -> A
 
 
 def tree_leaves(machine: Machine, eyes: trees.Eyes, rng: np.random.Generator) -> trees.Leaves | None:
-    """Draw the leaves of a tree in the base frame; return None unless the eyes render pictures."""
+    """Draw the leaves of a tree in the base frame; return None if the vision model ``eyes`` renders no pictures."""
     leaves = trees.foliage(eyes, rng)
     return None if leaves is None else replace(leaves, places=in_base_frame(machine, eyes.canopy, leaves.places))
 
 
 @cache
 def load_lab() -> Lab:
-    """Read the table [lab] of the picking file, Li's experiment, once."""
+    """Return the table [lab] of the picking file (Li's experiment); the file is read only once."""
     return read_toml(Lab, SHIPPED, section="lab")
 
 

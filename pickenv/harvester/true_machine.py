@@ -1,8 +1,8 @@
 """The harvester as built, with a plant (true arm) for each arm, and the controller that corrects known errors.
 
 A belief is a model that predicts the pose of an arm's last frame from joint commands. The nominal geometry is the
-simplest belief, the compensator of a calibration another. In the true machine, frame 3 of the true master carries the
-true slaves. Units: m, rad.
+simplest belief; the compensator of a calibration is another. In the true machine, the true slaves
+are mounted on frame 3 of the true master. Units: m, rad.
 """
 
 from __future__ import annotations
@@ -27,19 +27,19 @@ ROUNDS = 3
 
 
 class Belief(Protocol):
-    """Model by which a controller predicts one arm, such as the compensator of a calibration."""
+    """Model of one arm that predicts poses from joint commands, such as the compensator of a calibration."""
 
     def predict(self, joints: ArrayLike, /) -> Pose:
-        """Pose of the arm's last frame in the arm's base frame, at joint commands (..., 3)."""
+        """Return the pose of the arm's last frame in the arm's base frame, at joint commands (..., 3)."""
 
 
 @dataclass(frozen=True, eq=False)
 class TrueMachine:
-    """A machine as built.
+    """A machine as built, with a plant (the true arm with its errors) for each arm.
 
     Attributes:
         machine: The machine as designed.
-        master: Plant of the master.
+        master: Plant of the master arm.
         slaves: Plants of the slaves, left to right.
         repeatability: Standard deviation per axis of the position at which an arm stops, m.
     """
@@ -59,7 +59,9 @@ class TrueMachine:
         return self.master.tool_pose(master)
 
     def tips(self, master: ArrayLike, slaves: ArrayLike) -> Array:
-        """True cup positions of all slaves in the base frame, m, (..., arms, 3), without the spread of repeated stops.
+        """Compute the true cup positions of all slaves in the base frame, m, (..., arms, 3).
+
+        They leave out the random error of each stop (`repeatability`).
 
         Args:
             master: Commands of the master, (..., 3).
@@ -74,18 +76,26 @@ class TrueMachine:
         return np.stack([np.stack(np.broadcast_arrays(*cup), axis=-1) for cup in cups], axis=-2)
 
     def cups(self, m: Any, master: Sequence[Scalar], slaves: Sequence[Sequence[Scalar]]) -> list[Frame]:
-        """True positions of all slaves' cups as x, y and z; ``m`` is NumPy, or `ONE` for single numbers."""
+        """Compute the true positions of all slaves' cups in the base frame, each as x, y and z in metres.
+
+        Args:
+            m: NumPy, or `ONE` for single numbers.
+            master: The three commands of the master.
+            slaves: The three commands of each slave.
+        """
         base = self.master.tool_frame(m, master)
         plants = zip(self.slaves, slaves, strict=True)
         return [attach(base, plant.tool_frame(m, joints))[9:] for plant, joints in plants]
 
     def picking_tips(self, master: Array, arm: Array, joints: Array) -> Array:
-        """True cup positions of picks in the base frame, m, (picks, 3), without the spread of repeated stops.
+        """Compute the true cup position of each pick in the base frame, m, (picks, 3).
+
+        The positions leave out the random error of each stop (`repeatability`).
 
         Args:
             master: Commands of the master at each pick, (picks, 3).
             arm: Index of the slave of each pick, (picks,).
-            joints: Commands of that slave, (picks, 3).
+            joints: Commands of this slave, (picks, 3).
         """
         plants, base = self.slaves, self.frame3(master)
         return _arm_by_arm(base, arm, lambda i, here, mine: behind(here, plants[i].tool_pose(joints[mine])).position)
@@ -112,7 +122,7 @@ class Controller:
             raise InputError(f"{len(self.slaves)} beliefs were given for {self.machine.arms} slave arms; give one each")
 
     def __call__(self, joints: ArrayLike) -> Array:
-        """Return the commands (..., 3 + 3 arms) for nominal joints of the same shape, as a compensator does."""
+        """Return the commands (..., 3 + 3 arms) for nominal joints of the same shape, corrected by the beliefs."""
         joints = np.array(joints, dtype=float)
         if self.master is None and not self.slaves:
             return joints
@@ -137,7 +147,7 @@ class Controller:
         return np.asarray(command)
 
     def pick_commands(self, master: Array, arm: Array, targets: Array) -> Array:
-        """Return the commands (picks, 3) at which the slaves' believed cups are at the targets of picks.
+        """Return the slave commands (picks, 3) that bring each pick's cup, as believed, to its target.
 
         Args:
             master: Commands of the master at each pick, (picks, 3).
@@ -192,7 +202,8 @@ def load_true_machine(machine: Machine, path: str | Path = SHIPPED) -> TrueMachi
         path: The file; Li's machine by default.
 
     Raises:
-        InputError: If the table [true] is missing, a number is impossible, or the master's plant is of another arm.
+        InputError: If the table [true] is missing, a number is outside its limits, or the master's plant is of another
+            arm.
     """
     table = read_toml(TrueTable, path, section="true")
     master, slave = load_plant(table.master), load_plant(table.slave)

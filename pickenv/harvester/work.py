@@ -1,8 +1,8 @@
 """The work of one zone as a scheduling problem: which arm can pick which fruit, in what time, and which picks conflict.
 
-A pick begins with travel: the arm moves up or down while it is at rest. Its excursion follows: the arm swings and
-stretches below the fruit, rises, senses, cuts, and goes back to rest. Travel is safe. Only excursions of different arms
-can meet. Units: m, rad, s.
+A pick begins with travel: the arm moves up or down, straight ahead and at its shortest. Its excursion follows: the arm
+swings and stretches below the fruit, rises, senses, cuts, swings back and draws in. Travel is safe. Only excursions of
+different arms can meet. Units: m, rad, s.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from pickenv.harvester.interference import excursion_distances
 from pickenv.harvester.machine import Machine, travel_time
 
 Plan = tuple[tuple[int, ...], ...]
-"""Indices of the fruit that each arm picks, in order."""
+"""For each arm, the indices of the fruit that it picks, in picking order."""
 
 Row = tuple[int, int, float, float, float]
 
@@ -28,17 +28,18 @@ Row = tuple[int, int, float, float, float]
 class Work:
     """The picks that a zone offers, as a scheduling problem.
 
-    An excursion is an arm's way from rest out to a fruit and back. Travel is its vertical move at rest before an
-    excursion.
+    An excursion is an arm's way from rest (straight ahead, shortest) out to a fruit and back. Travel is the vertical
+    move that the arm makes before an excursion.
 
     Attributes:
-        joints: Nominal slave joints at each fruit, not limited, (arms, n, 3).
+        joints: Nominal slave joints at each fruit, m and rad, not clipped to the limits, (arms, n, 3).
         reached: Whether each arm reaches each fruit, (arms, n).
         out: Time from the start of an excursion to the end of its rise, s, (arms, n).
         duration: Time of a whole excursion, s, (arms, n).
-        first: Time of the travel from rest at home to below each fruit, s, (n,).
+        first: Time of the travel from the home position to below each fruit, s, (n,).
         travel: Time of the travel from one fruit's height to below another, s, (n, n).
-        conflict: Whether two excursions must not overlap in time, (arms, n, arms, n).
+        conflict: Whether the excursions of one arm to one fruit and of another arm to another fruit must not overlap in
+            time, (arms, n, arms, n).
         approach: Distance below each fruit at which the cup starts to rise, m, (n,).
     """
 
@@ -63,7 +64,7 @@ class Work:
 
     @cached_property
     def lists(self) -> tuple[list[list[float]], list[float], list[list[float]], list[list[list[list[bool]]]]]:
-        """Duration, first, travel and conflict as plain lists, which a search over plans can read fastest."""
+        """`duration`, `first`, `travel` and `conflict` as plain lists, which a search over plans reads fastest."""
         return self.duration.tolist(), self.first.tolist(), self.travel.tolist(), self.conflict.tolist()
 
     @property
@@ -144,9 +145,9 @@ def timetable(work: Work, plan: Plan, *, hold: Hold | None = None) -> Timetable:
 
     Args:
         work: Scheduling problem of the zone.
-        plan: Indices of each arm's fruit, in order.
-        hold: Rule by which an arm waits longer, such as `pickenv.harvester.ultrasonic_hold`. With a rule, of two arms
-            that could start at the same time the middle arm (odd number) goes first.
+        plan: For each arm, the indices of its fruit in picking order.
+        hold: Rule by which an arm waits longer, such as `pickenv.harvester.ultrasonic_hold`. With a rule, the
+            middle arm (odd number) goes first if two arms could start at the same time.
     """
     return _table(_schedule(work, plan, hold))
 
@@ -192,6 +193,6 @@ def _schedule(work: Work, plan: Sequence[Sequence[int]], hold: Hold | None = Non
 
 
 def last_arm(work: Work, plan: Sequence[Sequence[int]]) -> tuple[float, int]:
-    """Return the makespan of a plan, s, and the index of the arm that ends it; zeros for a plan without picks."""
+    """Return a plan's makespan, s, and the index of the arm that finishes last; (0, 0) for a plan without picks."""
     row = max(_schedule(work, plan), key=lambda row: row[3], default=(0, 0, 0.0, 0.0, 0.0))
     return row[3], row[0]

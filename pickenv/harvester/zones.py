@@ -22,7 +22,7 @@ AHEAD = np.array([0.0, -1.0, 0.0])
 
 @dataclass(frozen=True)
 class Zone:
-    """One part of a tree's side, overlap included; base frame, m.
+    """One part of a tree's side, including the overlap with its neighbours; base frame, m.
 
     Attributes:
         name: Row and column, for reports.
@@ -66,14 +66,14 @@ class Grid:
 
 
 def load_grid(path: str | Path = SHIPPED) -> Grid:
-    """Read the grid from a strategy file."""
+    """Read the table [zones] of a strategy file."""
     return read_toml(Grid, path, section="zones")
 
 
 def cut(grid: Grid, left: float, right: float, bottom: float, top: float) -> list[Zone]:
-    """Return the zones that cover a tree's side, in the order of work.
+    """Return the zones that cover a tree's side, in the order in which they are harvested.
 
-    The order goes through the columns from left to right, up the first column, down the next.
+    The order goes from column to column by rising x, up the first column, down the second, and so on.
 
     Args:
         grid: Numbers of columns and rows, and their overlap.
