@@ -353,7 +353,7 @@ class Protocol:
         """Return fruit, calibration poses and tracker errors of the arm with this number.
 
         Raises:
-            InputError: If the arm holds its tool upright in too few of the random poses for its fruit.
+            InputError: If too few random joint vectors hold the tool of the nominal arm upright.
         """
         count = max((setting.poses for setting in self.settings), default=0)
         return Circumstances(
@@ -379,11 +379,11 @@ class Protocol:
 
 
 def prepared_study(config: StudyConfig) -> Protocol:
-    """Load everything that a study needs, then draw fruit for the first `TRIED` arms and calibrate an ideal arm for each.
+    """Load everything that a study needs, and check on a few arms that there are fruit, and poses enough to calibrate.
 
     Raises:
-        InputError: If a plant, instrument or tolerance class does not exist or is refused, the poses are too few for a
-            calibration, or too few random poses hold the tool upright for the fruit.
+        InputError: If a plant, instrument or tolerance class does not exist or its file has a refused value, the poses
+            are too few for a calibration, or too few random joint vectors hold the tool upright.
     """
     design = config.load_plant()
     model, tracker = link_model(design.arm.nominal), load_instrument(config.instrument)
@@ -666,7 +666,7 @@ def figures(position: Array, attitude: Array, radius_mm: float) -> dict[str, Arr
     Args:
         position: Position errors ``(N, M)``, m.
         attitude: Attitude errors ``(N, M)``, rad.
-        radius_mm: The specified radius, mm; "share_within" is the share of fruit with smaller position errors.
+        radius_mm: The specified radius, mm; "share_within" is the share of fruit with position errors up to this.
     """
     position_mm = 1e3 * np.ascontiguousarray(position)
     median, p95 = np.percentile(position_mm, [50, 95], axis=1)

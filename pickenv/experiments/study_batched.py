@@ -172,7 +172,7 @@ alone."""
 def visited_frames(
     protocol: study.Protocol, plants: Plant, around: Sequence[study.Circumstances], place: Place
 ) -> list[Tensor]:
-    """Return the true tool frames of N arms at the times of the tracker's readings, at all P calibration poses ``(P, N)``."""
+    """Return the true tool frames of N arms at all P calibration poses ``(P, N)``, at the times of the readings."""
     visits = np.stack([met.poses for met in around], axis=1)
     stops = np.stack([met.tracker.stops for met in around], axis=-1)
     frame = visited(plants, torch, visits, protocol.tracker, stops, place)
