@@ -177,7 +177,8 @@ def measured_under(plant: Plant, state: State, rng: np.random.Generator) -> Meas
 
 
 Left: TypeAlias = Callable[[Measurements, State], Array]
-"""Function of measurements and their conditions. It returns the pose errors ``(N, 6)`` after a calibration, m and rad."""
+"""Function of N measurements and their conditions; it returns the pose errors after a calibration ``(N, 6)``, m and
+rad."""
 
 
 def left_by(

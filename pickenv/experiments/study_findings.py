@@ -118,7 +118,9 @@ FEW = 200
 
 
 def study_verdict(config: study.StudyConfig, rows: Sequence[Row]) -> PageVerdict:
-    """Return the verdict: the way to make and calibrate arms that reaches `REQUIRED_YIELD` with the least effort, if any.
+    """Return the verdict: the way to make and calibrate arms that reaches `REQUIRED_YIELD` with the least effort.
+
+    If no way reaches it, the verdict names the way with the highest yield.
 
     The yield of a way is the lowest one over all payloads.
 

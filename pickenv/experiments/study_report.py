@@ -271,7 +271,8 @@ def record_study(folder: str | Path, setting: int, path: str | Path) -> Path:
 def arms_compared(folder: str | Path, setting: int) -> Comparison:
     """Return the reaches of a setting's worst, median and best arm, in the format of a comparison of policies.
 
-    `record_study` makes its recording from them."""
+    `record_study` makes its recording from them.
+    """
     protocol = prepared_study(study_of(folder))
     config, nominal = protocol.config, protocol.nominal
     if not 0 <= setting < len(protocol.settings):
