@@ -1,9 +1,9 @@
 """Compare policies: policies × compensations × feedback × plants, on the same arms and fruit, with one row per episode.
 
 Arms are drawn from a population on which no policy was trained. Fruit, arms, pictures and calibrations depend on the
-seed alone, so any two policies on one plant can be compared pair by pair. Two different seeds share none of these.
-`pickenv evaluate` uses one seed, `pickenv bench policies` several. Each arm is calibrated once per method, before the
-episodes.
+seed alone, so any two policies on one plant can be compared pair by pair. Another seed has other fruit, arms, pictures
+and calibrations. `pickenv evaluate` uses one seed, `pickenv bench policies` several. Each arm is calibrated once per
+method, before the episodes.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ them."""
 
 @dataclass(frozen=True)
 class PolicySettings:
-    """Settings of a comparison of policies.
+    """Settings of a comparison of policies; a plant is a simulated true arm with its errors.
 
     Attributes:
         policies: Names of registered policies or of shipped baselines, policy files, or folders of one training with
@@ -84,7 +84,7 @@ class PolicySettings:
         tolerances: Tolerance class of the arms.
         camera_noise_mm: Standard deviation, per axis, of the vector from tool to fruit as the camera measures it.
         fruit_noise_mm: Standard deviation, per axis, of the fruit's position in the observation.
-        plan: How arms are calibrated; its seed is replaced by the seed of the comparison.
+        plan: How arms are calibrated; each seed in ``seeds`` replaces the seed of the plan.
         canopies: Number of canopies that each picking policy clears with each arm and gripper, one after the other.
         split: Arms of a rung: "test", on which policies are judged, or "train".
     """

@@ -40,7 +40,7 @@ class Findings:
 
     Attributes:
         protocol: The study, ready to run.
-        rows: Its rows, verified.
+        rows: All rows of the study's folder, verified.
         yields: Rows of `yields_of`.
         quantiles: Rows of `quantiles_of`.
         dense: Quantiles of the mean position error at the probabilities `DENSE`.
@@ -120,9 +120,8 @@ FEW = 200
 def study_verdict(config: study.StudyConfig, rows: Sequence[Row]) -> PageVerdict:
     """Return the verdict: the way to make and calibrate arms that reaches `REQUIRED_YIELD` with the least effort.
 
-    If no way reaches it, the verdict names the way with the highest yield.
-
-    The yield of a way is the lowest one over all payloads.
+    If no way reaches this yield, the verdict names the way with the highest yield. The yield of a way is its lowest
+    yield over all payloads.
 
     Args:
         config: The study.
@@ -166,7 +165,7 @@ def study_verdict(config: study.StudyConfig, rows: Sequence[Row]) -> PageVerdict
 
 
 def specified(config: study.StudyConfig) -> str:
-    """Return the specification in words: when an arm is good enough."""
+    """Return the specification in words, such as: at least 90 % of the fruit within 5 mm."""
     return f"at least {100 * config.share:g} % of the fruit within {config.radius_mm:g} mm"
 
 
