@@ -382,8 +382,8 @@ def prepared_study(config: StudyConfig) -> Protocol:
     """Load everything that a study needs, and check on a few arms that there are fruit, and poses enough to calibrate.
 
     Raises:
-        InputError: If a plant, instrument or tolerance class does not exist or its file has a refused value, the poses
-            are too few for a calibration, or too few random joint vectors hold the tool upright.
+        InputError: If a plant, instrument or tolerance class does not exist, or its file has a refused value. Also if
+            the poses are too few for a calibration, or too few random joint vectors hold the tool upright.
     """
     design = config.load_plant()
     model, tracker = link_model(design.arm.nominal), load_instrument(config.instrument)
