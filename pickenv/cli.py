@@ -56,7 +56,7 @@ def demo(
         seed: Seed of all random numbers.
         quick: Fewer reaches and training epochs: sooner, with worse results.
         no_network: Calibrate by least squares alone, as is done without torch.
-        details: Print RMS, 95th percentiles, floors, and what a network gains on other arms as well.
+        details: Print RMS, 95th percentiles, floors (errors that no joint motion removes), and networks' gains as well.
 
     Examples:
         pickenv demo --quick

@@ -1,7 +1,8 @@
 """Demonstrate Qiao 2026's protocol in simulation: calibrate the arm, compensate it, pick, and measure the error.
 
-100 poses identify the geometry, 200 train the network, and 100 test both. Then the same scripted policy reaches for the
-same seeded fruit three times: raw, with least squares (LS), and with least squares and network (LS+BPNN).
+Measurements at 100 poses identify the geometry, at 200 poses they train the network, and at 100 poses they test both.
+Then the same scripted policy reaches for the same seeded fruit three times: with the arm raw, calibrated by least
+squares (LS), and calibrated by least squares and network (LS+BPNN).
 """
 
 from __future__ import annotations
@@ -62,7 +63,8 @@ class DemoSettings:
         reaches: Number of fruit to reach for.
         epochs: Training epochs of the network.
         grid_step: Cell size of the error field, m.
-        gain_poses: Number of grid poses on which a network's gain is judged by held-out blocks; 0 skips this.
+        gain_poses: Number of poses on a grid, of which contiguous parts are held out to judge a network's gain; 0 skips
+            this.
         network: Whether a network learns the residuals of least squares, which needs torch.
     """
 
@@ -80,11 +82,11 @@ class DemoSettings:
 
     @property
     def is_quick(self) -> bool:
-        """Whether this is the shorter run."""
+        """Whether these are the settings of `quick`, with or without network."""
         return replace(self, network=True) == DemoSettings.quick(self.seed)
 
     def command(self) -> str:
-        """Return the command line, or the call, that computes the same numbers."""
+        """Return the command line that computes the same numbers, or the call of `run_demo` if no command line does."""
         if not self.is_quick and replace(self, network=True) != DemoSettings(self.seed):
             return f"run_demo({self!r})"
         return command_line("pickenv", "demo", seed=self.seed, quick=self.is_quick, no_network=not self.network)
@@ -96,17 +98,16 @@ class DemoResult:
 
     Attributes:
         settings: The settings of the run.
-        plant: The plant, that is the simulated true arm.
-        calibrated: The calibration, judged.
-        sets: Measurements by their purpose, as in `POSES`: for least squares, for the network, or held out to test
-            both.
-        test_errors: For each policy, errors of the true pose against the wanted pose at the test poses ``(N, 6)``, m
-            and rad.
+        plant: The plant, that is the simulated true arm with its errors.
+        calibrated: The calibration, and its errors at the test poses.
+        sets: Measurements by purpose: "identification" for least squares, "network" for its training, "test" held out.
+        test_errors: For each policy, the difference of the tool's true pose from the wanted pose at the N test poses
+            ``(N, 6)``, m and rad.
         reaches: For each policy, how the reaches ended.
         comparison: Reaches and error field, for recording and figures.
-        gains: Share of the error that a network removes on held-out blocks, on arms drawn from this plant and from the
-            plant `field`.
-        cases: How calibration changes picks, on this plant and on `OTHER`.
+        gains: Share of the error that a network removes on held-out contiguous rows, for arms drawn from this plant,
+            and from the plant `field`.
+        cases: For this plant and for the plant `OTHER`, how calibration changes picks.
     """
 
     settings: DemoSettings
@@ -215,7 +216,7 @@ def _comparison(
 
 
 def summarise(result: DemoResult) -> dict[str, Any]:
-    """Return the summary of a demonstration, as `summary.json` contains it."""
+    """Return the numbers of a demonstration as a mapping for JSON, which is the content of `summary.json`."""
     settings, calibration = result.settings, result.calibrated.calibration
     rank = result.calibrated.fit.identification.identifiability
     policies, r2 = {}, None
@@ -270,8 +271,8 @@ def _figures(error: Array, impossible: Array) -> dict[str, Any]:
 def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -> list[Path]:
     """Write the run folder, and return the files written.
 
-    It contains data, calibration and summary. Figures, page and recording are written where the extra `inspect` is
-    installed. Without it, `pickenv report` and `pickenv inspect` can make them from the folder later.
+    The folder contains data, calibration and summary. Figures, page and recording are written too, if the extra
+    `inspect` is installed. If it is installed afterwards, `pickenv report` and `pickenv inspect` make them.
 
     Args:
         result: Results of `run_demo`.

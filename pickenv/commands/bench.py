@@ -27,7 +27,7 @@ def calibration(
     seed: Annotated[int, Option(min=0)] = 0,
     workers: Annotated[int, Option(min=1)] = 1,
 ) -> None:
-    """Compute errors that calibrations leave on measured robots, beside predictions by twins made from other rows.
+    """Calibrate measured robots, and compare errors on held-out rows with predictions by twins of the fitted rows.
 
     Args:
         json_file: Write the rows to this file.
@@ -91,7 +91,7 @@ def policies(
     """Compare policies, raw and calibrated, on the ladder's rungs, with other arms for every seed; picks per hour too.
 
     Args:
-        policy: A policy to judge as well: a file of `pickenv train` (.npz), a zip of SB3 or Python, both executed.
+        policy: Further policy: a file of `pickenv train` (.npz), or of SB3 (.zip) or Python, whose code is executed.
         json_file: Write the rows to this file.
         out: Folder for the table and finished work; an interrupted run continues.
         plant: Plant preset in place of the ladder; may be repeated.
@@ -104,7 +104,7 @@ def policies(
         seeds: Number of seeds; at least 5.
         trainings: Number of trainings of each learned policy, made first; 5 if left out.
         quick: Three policies on one arm per seed: a minute.
-        executor: Where pieces are computed; it does not change the results.
+        executor: serial: in this process; joblib: in several processes, with the same results.
         workers: Number of processes; one per core if left out.
     """
     from pickenv.experiments import policy_tables

@@ -51,9 +51,9 @@ def calibrate(
         arm: Arm name, or file ({arm_format}; .urdf#link, .xml#body; .urdf#link,link for a whole robot); not for
             tool poses given in place of joint values.
         columns: Column description, by name or path; pickenv's own if left out. Repeat it to give one per file.
-        stations: Frames that each file has of its own; if left out, poses and positions tell, other kinds have both.
+        stations: Frames that each file has of its own; if left out, found from rows of poses or positions, else both.
         frames: known: the instrument measures the arm's own tool in its own base frame; fitted: base and tool are
-            fitted too. As the files say if left out, which is fitted unless they have a column 'frames'.
+            fitted too. If left out, the files' column 'frames' decides; without this column, fitted.
         test_rows: Number of rows to hold out at random; a fifth if left out.
         split: random: some random rows are held out; blocked: each contiguous tenth of the rows in turn, and the
             calibration is fitted to all rows.

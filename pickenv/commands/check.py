@@ -34,10 +34,10 @@ class Finding:
 
     Attributes:
         path: The file.
-        what: Kind of the file, as far as it could be read: "calibration", "file of a run".
-        version: Version of its content; None if it has none of its own.
+        what: Kind of the file, such as "calibration" or "file of a run".
+        version: Version of the file's format; None if the format has no version of its own.
         about: What the file belongs to, in a few words.
-        reason: Why it is refused, in one sentence; None if it is sound.
+        reason: Why the file is refused, in one sentence; None if the file is sound.
     """
 
     path: str
@@ -142,7 +142,7 @@ def _faults(what: str, faults: Iterable[tuple[Path, str | None]]) -> list[Findin
 
 
 def listed_findings(folder: Path) -> list[Finding]:
-    """Check a folder's record or list of files, the files that it names, and the files beside it."""
+    """Check a run's record, or a folder's list of files, then the files that it names and all other files there."""
     from pickenv.inspect.runs.run_folder import FORMAT, LIST, RECORD, faults_of, faults_of_list
 
     is_run = (folder / RECORD).exists()
@@ -288,12 +288,12 @@ FILES: Mapping[str, str | tuple[str, Mapping[str, str]]] = {
         },
     ),
 }
-"""For each kind of file, where its class, or a function that returns the class, is defined. A kind with several
-sections has a name, and such a place for each section."""
+"""For each kind of file the place "module:name" of its class, or of a function that returns the class. For a kind with
+several sections: the name of the class to make, and the places of the classes of the sections."""
 
 
 def class_of_file(kind: str) -> Any:
-    """Return the class of a kind of file; for kinds with shipped presets, the class of a user's own file."""
+    """Return the class that a kind of file is read into, by the name of the kind in `FILES`."""
     from pickenv.base import toml_table
 
     place = FILES[kind]

@@ -21,7 +21,7 @@ class SeveralValues(CommandOfNames):
     """A command whose options `SEVERAL` take all values up to the next option; these options may also be repeated."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        """Parse arguments in which each of `SEVERAL` was repeated for each of its values."""
+        """Repeat each option of `SEVERAL` before each of its values, then parse the arguments."""
         spread: list[str] = []
         option = ""
         for word in args:
@@ -56,7 +56,7 @@ def compare(
         policies: {policy}, a shipped baseline, a policy file (.npz), a model of Stable-Baselines3 (.zip), a Python file
             with make_policy(env, seed), a calibration (the scripted policy with it), or the folder of a training.
         compensate: A calibration for each policy, in the same order: none, a file, or a file and #ls for its least
-            squares alone; one policy is taken with each of several.
+            squares alone; a single policy is combined with each of several calibrations.
         label: A name for each policy.
         env: Id of the environment.
         episodes: Number of episodes of each policy.
@@ -65,7 +65,7 @@ def compare(
         plant: Plant preset or file; the environment's if left out.
         feedback: encoders or camera.
         camera_noise: Standard deviation of what the camera sees, mm per axis.
-        grid_step: Distance of the error field's goals, m.
+        grid_step: Distance between neighbouring points of the error field, m.
         allow: Use a calibration in spite of this: fitted-frames, do-not-use.
         details: Print medians, 95th percentiles, and the differences fruit by fruit as well.
         out: Run folder: recording, page, figures, every episode.

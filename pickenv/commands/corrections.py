@@ -141,8 +141,8 @@ def verify(
         calibration: Calibration file (.npz).
         files: New poses or positions of the same robot.
         columns: Column description, by name or path; pickenv's own if left out.
-        refit: Fit base, tool or base,tool again first, because the instrument or its target was moved.
-        refit_rows: Number of rows to fit them from; the others judge. 6 if left out.
+        refit: Fit base, tool or base,tool again before judging, because the instrument or its target was moved.
+        refit_rows: Number of new rows to fit base and tool from; the other rows judge. 6 if left out.
         json_file: Write the results to this file.
 
     Examples:
@@ -277,15 +277,15 @@ def twin(
     unit: str | None = None,
     allow: list[str] | None = None,
 ) -> None:
-    """Make a plant from a calibration: its true arm is the calibrated one; further arms are drawn from the posterior.
+    """Make a plant (a simulated true arm) from a calibration; further arms can be drawn from the fit's posterior.
 
-    Environments take it as plant="my_arm.npz"; with arms="per_episode" each episode has another of its arms.
+    Environments take the file as plant="my_arm.npz"; with arms="per_episode" each episode draws another arm.
 
     Args:
         calibration: Calibration file (.npz).
         out: Write the plant (.npz).
         arm: Arm name or arm file; the arm named in the calibration if left out.
-        rows: Poses or positions that it was fitted to, if it has no Gaussian process.
+        rows: Poses or positions that the calibration was fitted to; needed if it has no Gaussian process.
         columns: Column description of --rows; pickenv's own if left out.
         seed: Seed of the random waves that represent the residual.
         json_file: Write the plant's summary and notes to this file.

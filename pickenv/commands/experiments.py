@@ -37,7 +37,7 @@ def experiment(
         quick: The file's own small sizes: minutes.
         seed: Seed of all random numbers; the file's if left out.
         change: Replace a unit, factor or setting: arm=20, method=["raw"]; may be repeated.
-        executor: Where pieces are computed; it does not change the results.
+        executor: serial: in this process; loky: in several processes, with the same results.
         workers: Number of processes; one per core if left out.
         out: Folder for finished work; an interrupted run continues. runs/NAME if left out.
         json_file: Write the numbers to this file.

@@ -31,10 +31,10 @@ SHOWN = 300
 
 
 def guarded(command: Callable[[], Any]) -> int:
-    """Run ``command`` to its end, and return its exit code; a bad end prints one sentence on standard error.
+    """Call ``command``, and return the exit code; catch errors, and print one sentence on each to standard error.
 
     Args:
-        command: Function that does everything, and returns an exit code, or None for 0.
+        command: Function that parses and runs the command line; it returns an exit code, or None for 0.
 
     Returns:
         The exit code.

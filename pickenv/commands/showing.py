@@ -1,10 +1,10 @@
 """What commands share on the screen: help, progress bars, verdicts, tables and the list of files written.
 
-A command's docstring is its help (`CommandOfNames`). In messages the library names its parameters in backticks;
-commands print options in their place (`with_options`). Results are saved first and then printed, so a failing screen
-loses nothing (`deliver`). Progress goes to standard error, so standard output stays clean. A screen has at most 25
-lines of 100 characters: the verdict, the one table that matters, what was written, and what to do next. `--details`
-prints the rest.
+A command's docstring is its help (`CommandOfNames`). Messages of the library name parameters in backticks; commands
+print the names of options in their place (`with_options`). Results are saved first and then printed, so that an error
+in printing loses nothing (`deliver`). Progress goes to standard error, so that standard output has results alone. The
+output of a command has at most 25 lines of 100 characters: the verdict, the one table that matters, what was written,
+and what to do next. `--details` prints the rest.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ MOST = 8
 class CommandOfNames(TyperCommand):
     """A command whose help is its docstring: "Args:" explains the options, "Examples:" and "More:" are at the end.
 
-    In the text, a name in braces such as ``{residual}`` stands for the names of everything registered of that kind.
+    A kind in braces in the docstring, such as ``{residual}``, is replaced by all names registered of this kind.
     """
 
     def __init__(self, *args: Any, help: str | None, params: list[Any], **more: Any) -> None:
@@ -78,14 +78,14 @@ class CommandOfNames(TyperCommand):
         super().__init__(*args, help=text, params=params, **more)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Replace names in braces by registered names, which are looked up only now, and format the help."""
+        """Replace each kind in braces by the names registered of it, and write the help to ``formatter``."""
         for param in self.params:
             if isinstance(param, TyperOption | TyperArgument) and param.help:
                 param.help = re.sub(r"\{(\w+)\}", lambda match: ", ".join(names(match[1])), param.help)
         super().format_help(ctx, formatter)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command; its errors and warnings, and what `with_options` is given meanwhile, name its options."""
+        """Run the command; meanwhile errors, warnings and `with_options` print the command's options for parameters."""
         before = dict(_options)
         _options.clear()
         siblings = {} if ctx.parent is None else getattr(ctx.parent.command, "commands", {})
@@ -118,14 +118,14 @@ PARAMETERS = {
     "plants": "plant",
     "policies": "policy",
 }
-"""Parameters of the library that have another name in commands, each with that name."""
+"""For parameters of the library with another name in commands: the name in commands."""
 
 
 def with_options(text: str) -> str:
-    """Return a text of the library for the command line: parameters in backticks become the command's options.
+    """Return a message of the library with the parameters in backticks replaced by options of the running command.
 
-    ``give `terms` or `test='b.csv'`` `` becomes "give --terms or --test b.csv"; a list repeats its option. A name loses
-    its backticks if neither the running command nor `pickenv calibrate` has such an option.
+    ``give `terms` or `test='b.csv'`` `` becomes "give --terms or --test b.csv". A list becomes one option per value. If
+    neither the running command nor `pickenv calibrate` has such an option, the name stays, without backticks.
     """
     return re.sub(r"`([A-Za-z_]\w*)(?:=([^`]*))?`", _option, text)
 
@@ -156,11 +156,11 @@ WRITTEN = ("json_file", "lens_out", "out", "report", "run")
 
 
 def command_of(command: Callable[..., None], values: Mapping[str, Any]) -> str:
-    """Return the command line with the values of the parameters, for a shell, without what it writes.
+    """Return the command line of a command for a shell, without the options in `WRITTEN`.
 
     Args:
-        command: The function of the command; its annotations name its options.
-        values: Values by parameter.
+        command: The function of the command; its annotations give the names of the options.
+        values: Values by the name of the parameter.
     """
     words, options = ["pickenv", command.__name__.replace("_", "-")], dict[str, Any]()
     parameters = signature(command).parameters
@@ -179,11 +179,13 @@ def command_of(command: Callable[..., None], values: Mapping[str, Any]) -> str:
 
 
 def fields_among(kind: Any, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the fields of a dataclass that a command's parameters set, with their values; others are left out.
+    """Return the values of a command's parameters that set fields of a dataclass, by the name of the field.
+
+    Values that are None or an empty list are left out.
 
     Args:
         kind: The dataclass.
-        values: Values of the command's parameters, by name.
+        values: Values of the command's parameters, by the name of the parameter.
     """
     typed = {field.name: values.get(PARAMETERS.get(field.name, field.name)) for field in fields(kind)}
     return {name: value for name, value in typed.items() if value not in (None, [])}
@@ -201,19 +203,20 @@ def limited(quantity: str) -> Callable[[CallbackParam, Any], Any]:
 
 
 Save: TypeAlias = tuple[Path | None, Callable[[Path], Path | Iterable[Path]] | str | Mapping[str, Any] | list[Any]]
-"""A file or folder, None if it was not asked for; and its text, its content for JSON, or a function that writes it."""
+"""A file or folder to write, or None to write nothing; and its text, its content for JSON, or a function that writes
+it."""
 
 
 def deliver(saves: Iterable[Save], show: Callable[[], object] | str, next_step: str = "", more: str = "") -> None:
-    """Save results, then print them; if saving fails, they are printed all the same before the error is raised.
+    """Save results, then print them; if saving fails, print the results before the error is raised.
 
     Args:
-        saves: The files to write, each with its content, or with a function that writes it and returns the paths
+        saves: The files to write, each with its content, or with a function that writes the file and returns the paths
             written.
-        show: A text to print, whose first line is the verdict, or a function that prints the results. "wrote …"
-            follows.
-        next_step: What the reader can do next, with a command to copy.
-        more: What `--details` prints, if it was not printed.
+        show: A text to print, whose first line is the verdict, or a function that prints the results. The paths of the
+            files follow.
+        next_step: What the reader can do next, with a command to copy; empty to print nothing.
+        more: What `--details` would print; empty if it is printed already.
     """
     lines: list[str] = []
     try:
@@ -291,7 +294,7 @@ def progress_bars(unit: str = "") -> Iterator[Callable[[str, int, int], None]]:
     """Show one progress bar per stage; yield a function that is called with (stage, done, total).
 
     Args:
-        unit: What is counted, if the rate is to be shown.
+        unit: Name of what is counted, such as "arms", to show the number per second; empty to show no rate.
     """
     from rich import progress
     from rich.console import Console

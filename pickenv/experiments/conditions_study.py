@@ -1,11 +1,11 @@
 """Study how a calibration's accuracy changes with payload, temperature and hour of day: the future work of Qiao 2026.
 
-An arm is calibrated in two ways: as usual, at the reference (no payload, cool, in the morning), and over sessions under
-other conditions, which are recorded. The recorded conditions can be inputs of parametric terms (payload: weight;
+Measurements are made in two ways: at the reference (no payload, usual temperature, start of work), and in sessions
+under other conditions, which are recorded. The recorded conditions can be inputs of parametric terms (payload: weight;
 temperature: thermal growth) and of a learnt residual (payload, temperature, hour). All calibrations are judged at poses
-and under conditions that no fit has seen.
+and under conditions that are in no fit.
 
-The arm moves to every pose from another one and is held there for a minute. What is measured thus includes friction and
+The arm moves to every pose from another one and is held there for a minute. The measurements thus include friction and
 backlash.
 """
 
@@ -70,7 +70,7 @@ class ConditionsSettings:
         arms: Number of arms drawn from the tolerance class.
         tolerances: Name of the tolerance class.
         sessions: Number of training sessions, each under conditions of its own.
-        poses: Number of poses of a session. At the reference an arm is measured at as many as in all sessions together.
+        poses: Number of poses of a session. At the reference an arm is measured at ``sessions`` times as many.
         residual: Name of the residual model.
         seed: Seed of all random numbers.
     """
@@ -100,7 +100,7 @@ class State:
 
     @staticmethod
     def same(count: int, **known: float) -> State:
-        """Return the reference conditions at ``count`` poses, with those in ``known`` replaced."""
+        """Return conditions at ``count`` poses: the reference (all 0), except for the attributes given in ``known``."""
         return State(*(np.full(count, known.get(name, 0.0)) for name in ("payload", "weather", "hour")))
 
     @staticmethod
@@ -120,7 +120,10 @@ class State:
 
 
 def warming(plant: Plant) -> Plant:
-    """Return the plant; if it has no thermal growth, with that of the tolerance class "medium"."""
+    """Return a plant (the true arm with its errors) that has thermal growth.
+
+    A plant that has none gets the thermal growth of the tolerance class "medium".
+    """
     if plant.effect("thermal_growth") is not None:
         return plant
     usual = load_tolerances("medium")
@@ -130,13 +133,16 @@ def warming(plant: Plant) -> Plant:
 
 
 def rises(plant: Plant, state: State) -> Array:
-    """Return the temperature of the links above the reference ``(N,)``, K: the day's warm-up plus the weather."""
+    """Return the temperature of a plant's links above the reference ``(N,)``, K: the day's warm-up plus the weather."""
     thermal = plant.effect("thermal_growth")
     return np.asarray(warmed(np, thermal, thermal.initial_rise, 3600.0 * state.hour) + state.weather)
 
 
 def under(plant: Plant, state: State) -> Plant:
-    """Return the plant under the conditions of each pose; parameters that depend on them have one entry per pose."""
+    """Return a plant (the true arm) under the conditions of N poses.
+
+    Parameters that depend on payload, temperature or hour become arrays ``(N,)``, with one entry per pose.
+    """
     rise, tilt = rises(plant, state), plant.effect("base_tilt")
     changed = [replace(plant.effect("thermal_growth"), initial_rise=rise, final_rise=rise)]
     if tilt is not None:  # sunk as far as it is by then, and no further while a pose is measured
@@ -148,9 +154,9 @@ def under(plant: Plant, state: State) -> Plant:
 
 
 def measured_under(plant: Plant, state: State, rng: np.random.Generator) -> Measurements:
-    """Simulate tracker readings of the plant under these conditions, with payload and temperature recorded.
+    """Simulate tracker readings of a plant (the true arm) at random poses, one for each entry of ``state``.
 
-    Poses are random, and the arm moves to each of them from another random pose.
+    The arm moves to each pose from another random pose. The result records payload and temperature.
     """
     nominal, count = plant.arm.nominal, len(state.payload)
     joints, before = random_joints(nominal, count, rng), random_joints(nominal, count, rng)
@@ -171,20 +177,20 @@ def measured_under(plant: Plant, state: State, rng: np.random.Generator) -> Meas
 
 
 Left: TypeAlias = Callable[[Measurements, State], Array]
-"""Function that returns the pose errors ``(N, 6)`` that a calibration leaves in given measurements, m and rad. Its
-arguments are the measurements and their conditions."""
+"""Function of N measurements and their conditions; it returns the pose errors after a calibration ``(N, 6)``, m and
+rad."""
 
 
 def left_by(
     data: Measurements, state: State, *, model: ArmModel, learnt: LearntResidual | None = None, inputs: bool = False
 ) -> Array:
-    """Return the pose errors ``(N, 6)`` that a model and a learnt residual leave in measurements, m and rad.
+    """Return measured minus predicted poses ``(N, 6)``, m and rad, of a model with or without learnt residual.
 
     Args:
         data: The measurements.
-        state: Their conditions.
-        model: Geometry and terms.
-        learnt: The learnt residual, if any.
+        state: Conditions of the measurements.
+        model: Identified geometry and parametric terms.
+        learnt: The learnt residual, or None.
         inputs: Whether the residual takes payload, temperature and hour as inputs.
     """
     missed = data.difference(model)
@@ -192,14 +198,18 @@ def left_by(
 
 
 def told(data: Measurements, state: State) -> Array:
-    """Return payload, temperature and hour as columns ``(N, 3)``, the inputs of a learnt residual; kg, K, h."""
+    """Return the inputs of a learnt residual as columns ``(N, 3)``: payload, kg, temperature, K, and hour, h."""
     inputs = data.conditions.inputs()
     assert inputs is not None
     return np.column_stack([inputs, state.hour])
 
 
 def calibrated(plant: Plant, settings: ConditionsSettings, rng: np.random.Generator) -> dict[str, Left]:
-    """Calibrate the arm in every way, each from as many poses, and return the errors that each leaves, by method."""
+    """Calibrate a true arm by every method, from equal numbers of poses.
+
+    Returns:
+        For each method and for "raw", a function that computes the pose errors after calibration.
+    """
     arm, nominal = plant.arm, plant.arm.nominal
     apart = State.drawn(settings.ranges, settings.sessions, settings.poses, rng)
     varied, usual = measured_under(plant, apart, rng), measured_under(plant, State.same(len(apart.hour)), rng)
@@ -224,7 +234,10 @@ def calibrated(plant: Plant, settings: ConditionsSettings, rng: np.random.Genera
 
 
 def levels_of(ranges: ConditionRanges) -> dict[str, Array]:
-    """Return the values at which each condition is judged, by its name; a condition without a range is left out."""
+    """Return the values of each condition at which calibrations are judged, by the name of the condition.
+
+    A condition whose range is a single value is left out.
+    """
     ends = {"payload": (0.0, ranges.payload), "temperature": (-ranges.weather, ranges.weather)}
     ends["hour"] = (0.0, ranges.hours)
     return {name: np.linspace(low, high, LEVELS) for name, (low, high) in ends.items() if high > low}
@@ -238,13 +251,14 @@ def state_at(condition: str, level: float, count: int) -> State:
 def judged_on(
     plant: Plant, calibrations: Mapping[str, Left], settings: ConditionsSettings, rng: np.random.Generator
 ) -> Rows:
-    """Compute the errors that calibrations leave at new poses under held-out conditions.
+    """Compute the position errors that calibrations leave at new poses, under conditions that are in no fit.
 
-    A sweep varies one condition over its levels while the others stay at the reference. One more sweep, `HELD_OUT`,
-    draws all conditions at random.
+    A sweep sets one condition to each of the values of `levels_of`, with the other conditions at the reference. One
+    more sweep, `HELD_OUT`, draws all conditions at random.
 
     Returns:
-        A row for each sweep, level (its number), method and pose.
+        One row for each sweep, value of its condition, method and pose, with "error_mm". "level" is the number of the
+        value, from 0.
     """
     levels, count = levels_of(settings.ranges), 2 * settings.poses
     states = [(name, k, state_at(name, level, count)) for name in levels for k, level in enumerate(levels[name])]
@@ -263,14 +277,14 @@ def judged_on(
 def judged_arm(
     rng: np.random.Generator, arm: int, plants: Plant, settings: ConditionsSettings, calibration: Calibration | None
 ) -> Rows:
-    """Judge one arm: a drawn arm that is calibrated in every way, or the arm that a given calibration belongs to.
+    """Return the rows of `judged_on` for one arm: with all methods of calibration, or with one given calibration.
 
     Args:
-        rng: Not used; every arm has a random stream from the study's seed and its number.
+        rng: Not used; every arm has a random stream from the study's seed and the arm's number.
         arm: The arm's number.
-        plants: The drawn arms, or the one arm of the calibration.
-        settings: What is measured.
-        calibration: If given, it is judged instead of calibrations made here.
+        plants: The drawn true arms; with ``calibration``, the one true arm that it belongs to.
+        settings: Settings of the study.
+        calibration: If given, only this calibration and the raw arm are judged.
     """
     if calibration is not None:
         both: dict[str, Left] = {"raw": partial(left_by, model=ArmModel.of(plants.arm.nominal))}
@@ -290,14 +304,14 @@ def conditions_study(
     """Compute how accuracy changes with payload, temperature and hour, as numbers for table, figure and page.
 
     Args:
-        plant: The design that arms are drawn from; with ``calibration``, the true arm that it belongs to.
-        settings: What is measured.
-        calibration: If given, it is judged instead of calibrations made here.
+        plant: The plant that arms are drawn from; with ``calibration``, the true arm that the calibration belongs to.
+        settings: Settings of the study.
+        calibration: If given, only this calibration and the raw arm are judged, and no arms are drawn.
         progress: Called with (name of the experiment, arms done, number of arms).
 
     Returns:
-        ``{"plant", "settings", "interval_over", "sweeps": {name: {"levels", "methods": {method: [{"mean_mm",
-        "ci95_mm"}]}}}}``.
+        A mapping for JSON: ``{"plant", "settings", "interval_over", "sweeps": {name: {"levels", "methods": {method:
+        [{"mean_mm", "ci95_mm"}]}}}}`` and further keys. A method has one entry per level of the sweep.
 
     Raises:
         InputError: If the plant has no link masses for a payload to act on, the residual model is unknown, or the

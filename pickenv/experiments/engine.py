@@ -1,13 +1,13 @@
 """Run experiments: measure units at every combination of factors, and keep the resulting rows in a folder.
 
-An experiment measures each unit (an arm, a seed, a fold of a file) at every combination of its factors. One combination
-of units and factors is a piece of work, or piece; it gives any number of rows. The random numbers of a piece depend on
-the seed and on its unit alone. Two levels of a factor are therefore measured with the same arms, fruit and noise, and
-the backend changes no number.
+An experiment measures each unit (an arm, a seed, a part of a file's rows) at every combination of its factors. The
+values of a unit or factor are its levels. One level of each unit and factor make a piece of work, or piece, which gives
+any number of rows. The random numbers of a piece depend on the experiment's seed and on the levels of its units alone.
+Two levels of a factor are therefore measured with the same arms, fruit and noise. Results do not depend on the backend.
 
 In a folder, every piece is a Parquet file with a seal, that is a checksum of its content. The file's name contains a
-hash of everything that the rows depend on: inputs, levels and the code that computes numbers. A piece whose file exists
-is not computed again. `check_experiment` verifies a whole folder.
+hash over everything that the rows depend on: inputs, levels and the code that computes numbers. A piece whose file
+exists is not computed again. `check_experiment` verifies a whole folder.
 """
 
 from __future__ import annotations
@@ -82,14 +82,14 @@ class Rows:
         return self.columns[name]
 
     def where(self, **levels: Any) -> Rows:
-        """Return the rows whose columns have the given levels; a tuple of levels selects the rows at any of them."""
+        """Return the rows in which each named column has the given value, or one of the values of a given tuple."""
         taken = np.ones(len(self), dtype=np.bool_)
         for name, level in levels.items() if self.columns else ():
             taken &= np.isin(self.columns[name], level if isinstance(level, tuple) else (level,))
         return Rows({name: values[taken] for name, values in self.columns.items()})
 
     def levels(self, *names: str) -> list[tuple[Any, ...]]:
-        """Return the distinct combinations of levels of these columns, in order of first appearance."""
+        """Return the distinct combinations of values of these columns, in order of first appearance."""
         columns = [self.columns[name].tolist() for name in names] if self.columns else []
         return list(dict.fromkeys(zip(*columns, strict=True)))
 
@@ -121,7 +121,7 @@ class Rows:
         """Make rows from columns, or from a sequence of mappings, one for each row.
 
         Raises:
-            ValueError: If columns differ in length, or mappings in their names or the order of these.
+            ValueError: If the columns have different lengths, or the mappings different keys or another order of keys.
         """
         if isinstance(rows, Rows):
             return rows
@@ -137,9 +137,9 @@ class Rows:
 
 
 def joined(parts: Sequence[Rows]) -> Rows:
-    """Concatenate tables of rows.
+    """Concatenate tables of rows; NaN, or empty text, fills the rows of a part that lacks a column.
 
-    A column that a part lacks is filled with NaN or empty text there; so is the end of arrays that are shorter there.
+    Where the arrays of a column are shorter in one part than in another, the same values fill their ends.
     """
     filled = [part for part in parts if len(part)]
     names = dict.fromkeys(name for part in filled for name in part.columns)
@@ -190,7 +190,7 @@ class Experiment:
     fits: Callable[..., bool] | None = field(default=None, compare=False)
 
     def pieces(self) -> list[Piece]:
-        """Return the pieces of work that `fits` accepts: the first factor varies slowest, the last unit fastest."""
+        """Return the pieces that `fits` accepts; the first factor varies slowest, the last unit fastest."""
         pieces = []
         for levels in product(*self.factors.values()):
             for places in product(*(range(len(values)) for values in self.units.values())):
@@ -201,7 +201,7 @@ class Experiment:
         return pieces
 
     def measured(self, piece: Piece) -> Rows:
-        """Measure one piece, and return its rows with its levels as the first columns."""
+        """Measure one piece, and return its rows; the levels of the piece are the first columns."""
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=piece.place))
         with single_threaded():
             rows = Rows.of(self.measure(rng=rng, **piece.levels))
@@ -209,26 +209,26 @@ class Experiment:
         return Rows(levels | dict(rows.columns))
 
     def key(self, piece: Piece) -> str:
-        """Return the hash of everything that the rows of a piece depend on."""
+        """Return one hash over everything that the rows of a piece depend on."""
         inputs = self.inputs(**piece.levels) if callable(self.inputs) else self.inputs
         return input_key(self.name, self.seed, inputs, dict(piece.levels), piece.place)
 
 
 def input_key(*inputs: Any) -> str:
-    """Return the hash of these inputs and of the code that computes numbers.
+    """Return one hash over these inputs and the code that computes numbers.
 
-    A result that is kept under this hash is not computed again.
+    Callers store a result under this hash, and compute it only if no result with this hash is stored.
     """
     return content_sha256(*inputs, code_fingerprint())
 
 
 @dataclass(frozen=True)
 class Piece:
-    """One combination of units and factors.
+    """One level of each unit and factor of an experiment.
 
     Attributes:
-        levels: Level of each factor and unit, by its name.
-        place: Index of the level of each unit, from 0; it seeds the piece's random numbers.
+        levels: Levels by the name of the factor or unit.
+        place: For each unit, the index of its level, from 0. With the experiment's seed it seeds the random numbers.
     """
 
     levels: Levels
@@ -249,9 +249,9 @@ def run(
     progress: Progress | None = None,
     refused: Refused | None = None,
 ) -> Rows:
-    """Measure the pieces that are not measured yet, and return the rows of all pieces in order.
+    """Measure the pieces that the folder lacks, and return the rows of all pieces in the order of `Experiment.pieces`.
 
-    A damaged file is computed again, with a warning.
+    A piece whose file is damaged is computed again, with a warning.
 
     Args:
         experiment: The experiment.
@@ -283,10 +283,10 @@ def keep(
     progress: Progress | None = None,
     refused: Refused | None = None,
 ) -> list[Path]:
-    """Measure the pieces that a folder lacks, and return the files of all measured pieces in order.
+    """Measure the pieces that a folder lacks, and return the files of all measured pieces in the order of the pieces.
 
-    The arguments are those of `run`. Rows are written piece by piece, so they need not fit into memory together;
-    pyarrow reads the files as one data set of any size.
+    The arguments are those of `run`. Rows are written piece by piece, so they need not fit into memory together.
+    pyarrow can read the files as one data set.
     """
     folder, pieces = Path(folder), experiment.pieces()
     require("pyarrow")
@@ -363,7 +363,7 @@ def kept_tables(folder: str | Path) -> Iterator[tuple[Path, pa.Table]]:
     Each piece is verified when it is read; only one table is in memory at a time.
 
     Raises:
-        InputError: As `kept_rows`.
+        InputError: If the folder holds no run, the run is incomplete, or a file is damaged or was edited.
     """
     folder = Path(folder)
     record = _read_record(folder / RECORD)
@@ -436,8 +436,8 @@ def check_experiment(folder: str | Path) -> list[tuple[Path, str | None]]:
     """Verify every file in an experiment's folder.
 
     Returns:
-        (path, fault) for the record, every piece that it names and every other file in the folder. The fault is None
-        for a sound file, else the sentence that says why the file is refused.
+        Pairs (path, fault): first the record (`RECORD`), then by name the pieces that the record lists and all other
+        files in the folder. The fault is None for a sound file, else a sentence that says why the file is refused.
     """
     folder = Path(folder)
     record = folder / RECORD
@@ -505,13 +505,13 @@ def write_rows(path: Path, rows: Rows) -> Path:
 def pivot(
     rows: Sequence[Mapping[str, Any]], names: Sequence[str], across: str, cell: Callable[[Mapping[str, Any]], str]
 ) -> tuple[list[str], list[list[str]]]:
-    """Return the heads and the cells of a pivot table, as text.
+    """Return the column heads, and the lines of cells, of a pivot table as text.
 
     Args:
-        rows: One mapping for each cell.
-        names: Keys whose values begin each line; every combination of them has one line.
-        across: Key whose values are the heads of the other columns.
-        cell: Function that returns the text of a row's cell.
+        rows: One mapping for each cell of the pivot table.
+        names: Keys that become the first columns; each combination of their values has one line.
+        across: Key whose values become the heads of the other columns.
+        cell: Function that maps one of ``rows`` to the text of its cell.
     """
     columns = list(dict.fromkeys(row[across] for row in rows))
     lines: dict[tuple[str, ...], dict[Any, str]] = {}

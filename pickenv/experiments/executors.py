@@ -24,7 +24,7 @@ ATTEMPTS = 4
 def spread(
     work: Callable[[int], Any], numbers: Sequence[int], backend: str = "serial", workers: int | None = None
 ) -> Iterator[tuple[int, Any]]:
-    """Call ``work`` with each number, and yield (number, result) in any order.
+    """Call ``work`` with each number, and yield (number, result) as the calls end, in any order.
 
     When a call raises an exception, no other call is started. Calls in progress are finished and their results yielded;
     then the exception is raised. (loky alone would kill the other workers, and its managing thread may then die with a

@@ -80,16 +80,17 @@ class Number:
 
     Attributes:
         title: Title above the table, with the unit.
-        value: Column that the numbers are estimated from; several columns for a function of them.
-        by: Columns that identify a number: each combination of their levels has one number.
+        value: Column that the numbers are estimated from; a list of columns if the statistic needs several.
+        by: Columns that identify a number: each combination of their values has one number.
         over: One or two columns of units; the intervals are over these units.
-        of: Statistic to estimate, as `pickenv.base.intervals.estimate` takes it; a function is given by its name.
-        against: Reference levels of some of ``by``, by column; the numbers compare the other rows with these, pair by
-            pair.
-        where: Levels, by column, of the rows to use; None uses all rows.
+        of: Statistic to estimate: "mean", "share", "ratio", "removed", a probability for that quantile over units, or
+            "file.py:function" for a function of the units' means (`pickenv.base.intervals.estimate`).
+        against: Reference value of one or several columns of ``by``. Each number then compares the other rows with the
+            rows at the reference, pair by pair.
+        where: Values, by column, that select the rows to use; None uses all rows.
         across: Column of ``by`` whose levels become columns of the table; None gives every level its own line.
-        margin: If given, each number has a verdict. A difference whose whole interval lies within plus or minus this
-            margin "carries over".
+        margin: If given, a verdict follows each number. The verdict of a difference whose whole interval lies within
+            plus or minus this margin is "carries over".
         least: Fewest units for an interval of a mean; fewer suffice where units are runs whose means are nearly normal.
         lost: Limit above which a value counts as lost. The mean leaves lost values out; their share is printed beside
             it.
@@ -216,16 +217,17 @@ def _widen(rows: list[dict[str, Any]], measured: Rows, draws: str, asked: tuple[
 def load_experiment(
     path: str | Path, *, quick: bool = False, seed: int | None = None, changes: Mapping[str, Any] | None = None
 ) -> ExperimentFile:
-    """Read an experiment from a file; the code that the file names is imported, and thereby executed.
+    """Read an experiment from a file; the Python code that the file names is executed.
 
     Args:
         path: The file (.toml).
-        quick: Whether the values under the key ``quick`` replace those of units, factors and settings.
-        seed: Seed in place of the file's own; None keeps the file's.
-        changes: Values in place of those of units, factors and settings, by name.
+        quick: Whether to replace units, factors and settings by the values in the file's table ``quick``.
+        seed: Seed in place of the one in the file; None keeps the latter.
+        changes: New values of units, factors and settings, by name; they replace those in the file.
 
     Raises:
-        InputError: If the file is missing or an entry is impossible; the message names file, line and key.
+        InputError: If the file is missing, or a key is unknown or its value refused; the message names file, line and
+            key.
     """
     path = Path(path)
     content, text = toml_of(path)
@@ -329,9 +331,10 @@ MADE = ("estimate", "units", "runs", "lost", "sampled")
 def plain_estimates(tables: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return the tables of `ExperimentFile.estimates` with plain values, for JSON.
 
-    Each row has its levels, "value", its interval "ci95", and "no_interval", which says why there is none. Where they
-    apply it also has "runs" (each run's mean), "lost" and "lost_ci95", and "std" and "range" of the units' means. A row
-    whose "ci95" is over draws of constants has "sampled95" too: the interval over units of the design as shipped.
+    Each row has its levels, "value", the 95 % interval "ci95", and "no_interval", the reason why there is no interval.
+    A row of several runs has "runs", the mean of each. A row of several units has "std" and "range" of their means. If
+    ``lost`` is set, the share of lost values is "lost", and the interval of this share "lost_ci95". If "ci95" is over
+    draws of constants, "sampled95" is the interval over units of the design with its shipped constants.
     """
 
     def plain(row: Mapping[str, Any]) -> dict[str, Any]:
@@ -356,11 +359,11 @@ def _levels_of(row: Mapping[str, Any]) -> tuple[Any, ...]:
 
 
 def number_table(number: Number, rows: Sequence[Mapping[str, Any]]) -> tuple[list[str], list[list[str]]]:
-    """Return the column heads and the cells of one table of numbers; the levels of ``across`` become columns.
+    """Return the column heads and the lines of cells of one table of numbers, as text.
 
     Args:
-        number: The table's definition.
-        rows: Its rows, from `ExperimentFile.estimates`.
+        number: The definition of the table. Each value of its column ``across`` becomes a column of the table.
+        rows: The rows of the table, from `ExperimentFile.estimates`.
     """
     sign = "+" if number.against and number.of != "removed" else ""
     form = f"{sign}.{number.digits}f"

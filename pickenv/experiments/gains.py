@@ -27,7 +27,7 @@ from pickenv.inspect.runs.recorded_episodes import field_grid
 
 NOMINAL, LS, TERMS = "nominal", "LS", "LS + terms"
 LEARNT = {"LS + BPNN": "bpnn", "LS + GP": "gp"}
-"""Name of the residual model that each learnt model adds to least squares."""
+"""For each learnt model, the name of the residual model that it adds to least squares."""
 
 Squares = dict[str, Array]
 """Squared position errors of the held-out rows ``(M,)``, m^2, by model."""
@@ -45,24 +45,25 @@ def left_by_models(
     attitudes: bool = False,
     **choices: Any,
 ) -> tuple[Squares, Result]:
-    """Fit several models, and return their position errors on held-out rows.
+    """Fit several models, and return their squared position errors on held-out rows.
 
-    The models are the nominal arm, least squares, and models added to least squares. No gate rejects a model that does
-    not improve on the one before.
+    The models are the nominal arm, least squares, and least squares with parametric terms or a learnt residual. A model
+    is kept also where it is worse than least squares alone.
 
     Args:
         arm: The arm.
         train: Rows that every model is fitted to.
         test: Held-out rows.
         rng: Random numbers for the learnt models.
-        terms: For each least-squares fit its name, and its parametric terms as `Choices` takes them.
-        learnt: For each learnt model its name, and the residual model that it adds to least squares.
+        terms: Parametric terms of each least-squares fit, by the name of the fit; values as for `Choices`.
+        learnt: Residual model that each learnt model adds to least squares, by the name of the learnt model.
         epochs: Training epochs of the paper's network; None trains the default network of `fit_remainder`.
         attitudes: Whether attitude residuals are learnt too.
         choices: Further fields of `Choices`.
 
     Returns:
-        Squared position errors of the held-out rows by model, and the calibration with the last entry of ``terms``.
+        Squared position errors of the held-out rows, m^2, by model; and the result of the fit with the last entry of
+        ``terms``.
 
     Raises:
         InputError: If the rows cannot be calibrated.
@@ -82,20 +83,23 @@ def left_by_models(
 def random_sets(
     plant: Plant, counts: Sequence[int], rng: np.random.Generator, instrument: str = TRACKER
 ) -> list[Measurements]:
-    """Simulate measurements of a plant at random poses, one set for each number of poses in ``counts``.
+    """Simulate measurements of a plant (the true arm with its errors) at random poses, one set for each of ``counts``.
 
     Args:
-        plant: The true arm.
+        plant: The plant.
         counts: Number of poses of each set.
         rng: Random numbers for poses and instrument.
-        instrument: Instrument that measures, as `simulated_tracker` takes it.
+        instrument: Instrument that measures: a name of `pickenv.arm.load_instrument`, or a path.
     """
     nominal = plant.arm.nominal
     return [simulated_tracker(plant, random_joints(nominal, count, rng), rng, instrument) for count in counts]
 
 
 def as_measured(plant: Plant, rows: Measurements, rng: np.random.Generator) -> Measurements:
-    """Simulate tracker readings of a plant at the joints of ``rows``, with attitudes if ``rows`` has attitudes."""
+    """Simulate tracker readings of a plant (the true arm) at the joints of ``rows``.
+
+    The result has attitudes only if ``rows`` has attitudes.
+    """
     reading = simulated_tracker(plant, rows.joints, rng)
     return replace(rows, position=reading.position, rotation=None if rows.rotation is None else reading.rotation)
 
@@ -113,9 +117,10 @@ FIELD = "field"
 
 
 def grid_joints(nominal: Geometry, rows: int, rng: np.random.Generator) -> Array:
-    """Return joints ``(rows, n)`` of a grid of tool positions, line by line as a measuring run visits it, rad or m.
+    """Return joints ``(rows, n)`` that bring the tool to the points of a grid, rad or m.
 
-    Each revolute joint is offset by up to `WRIST` at random.
+    The points are in the order of a measuring run, line by line. A random angle of at most `WRIST` is added to each
+    revolute joint.
 
     Args:
         nominal: Nominal geometry of the arm.
@@ -135,11 +140,11 @@ def grid_joints(nominal: Geometry, rows: int, rng: np.random.Generator) -> Array
 
 
 def blocks_apart(rows: Measurements, pair: tuple[int, int]) -> tuple[Measurements, Measurements]:
-    """Split rows into rows to fit and held-out rows; two of ten contiguous blocks are held out.
+    """Hold out two contiguous tenths of the rows; return the rows to fit, and the held-out rows.
 
     Args:
-        rows: The rows.
-        pair: Numbers of the two held-out blocks, from 0 to 9.
+        rows: The rows, in the order in which they were measured.
+        pair: Numbers of the two held-out tenths, from 0 to 9.
     """
     judging = np.isin(np.arange(len(rows)) * BLOCKS // len(rows), pair)
     return rows.select(np.flatnonzero(~judging)), rows.select(np.flatnonzero(judging))
@@ -148,13 +153,13 @@ def blocks_apart(rows: Measurements, pair: tuple[int, int]) -> tuple[Measurement
 def left_of_blocks(
     arm: Arm, rows: Measurements, number: int, apart: int, rng: np.random.Generator, **models: Any
 ) -> dict[str, float]:
-    """Return the RMS position error of each model on two held-out blocks of a set of rows, mm, by model.
+    """Return the RMS position error of each model on two contiguous held-out tenths of the rows, mm, by model.
 
     Args:
         arm: The arm.
-        rows: The set.
-        number: Number of the set, which determines the pair of held-out blocks.
-        apart: Distance between the two blocks, in tenths of the set.
+        rows: The rows, in the order in which they were measured.
+        number: Number of this set of rows; modulo 10 it is the first held-out tenth.
+        apart: Distance from the first held-out tenth to the second, in tenths of the rows.
         rng: Random numbers for the learnt models.
         models: Arguments of `left_by_models` that select the models.
     """
@@ -181,15 +186,16 @@ NETWORK: dict[str, Any] = {
 
 @dataclass(frozen=True)
 class BlockedGain:
-    """The error of least squares on rows far from the fitted ones, and the share of it that a model removes.
+    """Error of least squares on held-out contiguous rows, and the share of this error that a further model removes.
 
     Attributes:
-        arm: Name of the design, or of the measured arm.
-        ls_mm: RMS position error of least squares, mm, mean over arms.
-        removed: Share of this error that a model removes, mean over arms, or over all rows of a measured arm.
-        lowest: Smallest share of any drawn arm. For a measured arm, lower end of the 95 % interval over ten blocks;
-            None without an interval.
-        highest: Largest share of any drawn arm, or the upper end of that interval.
+        arm: Name of the plant that arms were drawn from, or of the measured arm.
+        ls_mm: RMS position error of least squares, mm: the mean over drawn arms, or the RMS over all rows of a measured
+            arm.
+        removed: Share of ``ls_mm`` that the model removes: the mean over drawn arms, or of a measured arm.
+        lowest: Smallest share of any drawn arm. For a measured arm, the lower end of the share's 95 % interval over ten
+            contiguous parts of the file; None without an interval.
+        highest: Largest share of any drawn arm. For a measured arm, the upper end of the same interval.
     """
 
     arm: str
@@ -204,10 +210,10 @@ MEASURED = Path(__file__).with_name("measured_gains.json")
 
 
 def measured_gains(model: str = "LS + BPNN") -> tuple[BlockedGain, ...]:
-    """Return the share of each measured arm's error that a model removes.
+    """Return the share of each measured arm's least-squares error that a model removes, as stored in `MEASURED`.
 
-    Each contiguous fifth of an arm's file is held out in turn.
-    UR5 and WAM: Jacobi 2025; UR10: Landgraf et al. 2021. No gate rejects a model that increases the error.
+    Each contiguous fifth of an arm's rows is held out in turn. A model that increases the error is included, with a
+    negative share. Data of UR5 and WAM: Jacobi 2025; of UR10: Landgraf et al. 2021.
 
     Args:
         model: "LS + BPNN", "LS + GP" or "LS + terms".
@@ -222,13 +228,15 @@ def blocked_gains(
     arms: int = ARMS,
     progress: Callable[[str, int, int], None] | None = None,
 ) -> list[BlockedGain]:
-    """Return the share of the error on held-out blocks that a network removes, for arms drawn from each design.
+    """Return the share of the least-squares error that a network removes, for arms drawn from each plant.
+
+    Errors are those at two contiguous tenths of the poses, which are held out.
 
     Args:
-        designs: For each plant its name, and the seed of its arms, noise and networks.
-        joints: Joint commands in the order in which they are measured ``(N, n)``, rad or m, as from `grid_joints`.
-        arms: Number of arms drawn from each design.
-        progress: Called with (name of the experiment, designs done, number of designs).
+        designs: Seed of the arms, noise and networks of each plant, by the name of the plant.
+        joints: Joint commands in the order in which they are measured ``(N, n)``, rad or m, such as `grid_joints`.
+        arms: Number of arms drawn from each plant.
+        progress: Called with (name of the experiment, plants done, number of plants).
     """
     measure = partial(_left_on_design, designs=designs, joints=joints, arms=arms)
     rows = run(Experiment("gains on blocks held out", {"design": list(designs)}, {}, measure), progress=progress)

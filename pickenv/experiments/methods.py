@@ -42,7 +42,7 @@ ORIGIN = "evaluated_arm_sha256"
 
 @dataclass(frozen=True)
 class CalibrationPlan:
-    """How each arm is measured and fitted.
+    """Settings with which each simulated arm is measured and fitted.
 
     Attributes:
         identification_poses: Number of poses for least squares (the paper: 100).
@@ -60,10 +60,10 @@ class CalibrationPlan:
 
 
 def check_method(method: str) -> None:
-    """Raise an error if a method is unknown.
+    """Raise an error if a calibration method is unknown.
 
     Raises:
-        InputError: If it is none of `METHODS` and not "ls+" with a registered residual model.
+        InputError: If the method is neither in `METHODS` nor "ls+" with the name of a registered residual model.
     """
     if method not in METHODS and not (method.startswith("ls+") and method[3:] in names("residual")):
         models = ", ".join(names("residual"))
@@ -76,13 +76,13 @@ def calibrate_arm(plant: Plant, method: str, plan: CalibrationPlan | None = None
     """Measure a simulated arm with a simulated tracker and calibrate it; equal arguments give equal calibrations.
 
     Args:
-        plant: The plant, that is the true arm.
+        plant: The plant, that is the true arm with its errors.
         method: "ls", "ls_bpnn", "best", or "ls+" and the name of a registered residual model, such as "ls+rbf".
-        plan: How the arm is measured and fitted; a default `CalibrationPlan` if left out.
-        number: The arm's number in a population; every arm has its own poses and noise.
+        plan: Settings of measurement and fit; a default `CalibrationPlan` if left out.
+        number: The arm's number in a population; every number has its own poses and noise.
 
     Raises:
-        InputError: If there is no such method, or it is "raw".
+        InputError: If there is no such method, or the method is "raw".
     """
     check_method(method)
     if method == "raw":
@@ -109,7 +109,10 @@ def residual_of(method: str) -> str | None:
 
 
 def sources_of(method: str, plan: CalibrationPlan) -> tuple[Any, ...]:
-    """Return what names do not determine: the source of the method's residual model, and the instrument's numbers."""
+    """Return the origin of a method's residual model (package and version; None without model), and the instrument.
+
+    Results depend on both, and the names of method and instrument do not determine them.
+    """
     residual = residual_of(method)
     return None if residual is None else str(origin("residual", residual)), load_instrument(plan.instrument)
 
@@ -118,13 +121,13 @@ def sources_of(method: str, plan: CalibrationPlan) -> tuple[Any, ...]:
 
 
 def kept_calibration(folder: Path, plant: Plant, method: str, plan: CalibrationPlan, number: int) -> Calibration:
-    """Return the calibration of an arm from a folder; if it is not there, calibrate the arm and keep the result.
+    """Return an arm's calibration from a folder; if the folder lacks it, calibrate the arm and store the result there.
 
-    The arguments after ``folder`` are those of `calibrate_arm`. The file name contains a hash of the arm's parameters,
-    the method, the plan and the fitting code. The file's record contains the same hash.
+    The arguments after ``folder`` are those of `calibrate_arm`. The file name contains one hash over the arm's
+    parameters, the method, the plan, the arm's number and the code. The record in the file contains the same hash.
 
     Raises:
-        InputError: If the kept file is damaged, or its record has another hash than its name.
+        InputError: If the file is damaged, or the hash in its record is not the one in its name.
     """
     key = input_key(plant, method, sources_of(method, plan), plan, number)
     path = folder / f"{re.sub(r'[^A-Za-z0-9_.-]', '_', plant.name)}-{method}-{key[:16]}.npz"
@@ -151,10 +154,10 @@ def compensators(
         plants: A single arm, or a population, that is a plant whose parameters are arrays over arms.
         method: Method as for `calibrate_arm`, or "raw".
         plan: How each arm is measured and fitted.
-        folder: Folder that keeps calibrations, as for `kept_calibration`; None keeps none.
+        folder: Folder in which calibrations are stored, as for `kept_calibration`; None stores none.
 
     Raises:
-        InputError: As `kept_calibration` does, or if there is no such method.
+        InputError: If there is no such method, or a stored calibration is damaged or that of another arm or plan.
     """
     if method == "raw":
         return None
@@ -176,16 +179,17 @@ def reaches_behind(
     seed: int = 0,
     **arguments: Any,
 ) -> dict[str, Reaches]:
-    """Let a policy reach for the same fruit with the arm raw and with the arm calibrated.
+    """Let a policy reach for the same fruit once for each compensation: with the arm raw, or calibrated by a method.
 
     Args:
         act: Function that maps the observations of all episodes, ``(N, ...)`` or a dict of such arrays, to actions
             ``(N, n)``.
-        compensations: Methods as for `calibrate_arm`, and "raw"; each calibrates the arm anew with a simulated tracker.
+        compensations: "raw", and methods as for `calibrate_arm`; each method calibrates the arm from new simulated
+            tracker measurements.
         id: Id of a reach environment that has a vectorised implementation of its own.
-        plant: The true arm: a plant preset or a plant file.
+        plant: Plant preset or plant file, which describes the true arm with its errors.
         episodes: Number of episodes N, each with its own fruit.
-        seed: Seed of fruit and calibrations; two different seeds share neither.
+        seed: Seed of fruit and calibrations; different seeds give different fruit and calibrations.
         arguments: Further arguments of the environment.
 
     Returns:

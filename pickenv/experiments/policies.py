@@ -1,9 +1,9 @@
 """Compare policies: policies × compensations × feedback × plants, on the same arms and fruit, with one row per episode.
 
 Arms are drawn from a population on which no policy was trained. Fruit, arms, pictures and calibrations depend on the
-seed alone, so any two policies on one plant can be compared pair by pair. Two different seeds share none of these.
-`pickenv evaluate` uses one seed, `pickenv bench policies` several. Each arm is calibrated once per method, before the
-episodes.
+seed alone, so any two policies on one plant can be compared pair by pair. Another seed has other fruit, arms, pictures
+and calibrations. `pickenv evaluate` uses one seed, `pickenv bench policies` several. Each arm is calibrated once per
+method, before the episodes.
 """
 
 from __future__ import annotations
@@ -68,7 +68,7 @@ them."""
 
 @dataclass(frozen=True)
 class PolicySettings:
-    """Settings of a comparison of policies.
+    """Settings of a comparison of policies; a plant is a simulated true arm with its errors.
 
     Attributes:
         policies: Names of registered policies or of shipped baselines, policy files, or folders of one training with
@@ -84,7 +84,7 @@ class PolicySettings:
         tolerances: Tolerance class of the arms.
         camera_noise_mm: Standard deviation, per axis, of the vector from tool to fruit as the camera measures it.
         fruit_noise_mm: Standard deviation, per axis, of the fruit's position in the observation.
-        plan: How arms are calibrated; its seed is replaced by the seed of the comparison.
+        plan: How arms are calibrated; each seed in ``seeds`` replaces the seed of the plan.
         canopies: Number of canopies that each picking policy clears with each arm and gripper, one after the other.
         split: Arms of a rung: "test", on which policies are judged, or "train".
     """
@@ -118,18 +118,19 @@ class PolicySettings:
         check_limit("epochs", self.plan.epochs, "epochs")
 
     def world(self, plant: str, seed: int, feedback: str = "encoders", task: str = "Reach") -> dict[str, Any]:
-        """Return the environment's arguments for a plant whose arms the seed draws, or for a rung of the ladder.
+        """Return the arguments of the environment for a plant (the true arms with their errors) or a rung.
 
-        A rung may fix the perception errors. A policy without a camera then has the rung's fruit noise alone.
+        A rung is a difficulty of the ladder; it may fix the noise of camera and fruit. With feedback "encoders" the
+        rung's fruit noise applies, but not its camera noise.
 
         Args:
-            plant: Plant preset, or name of a rung.
+            plant: Plant preset, whose arms are drawn with the seed; or name of a rung.
             seed: Seed of the comparison.
             feedback: "encoders" or "camera".
             task: "Reach" or "Pick".
 
         Raises:
-            InputError: If there is no such rung, or it has fewer arms than all seeds take.
+            InputError: If there is no such rung, or the rung has fewer arms than all seeds together need.
         """
         sight = {"feedback": feedback, "camera_noise_mm": self.camera_noise_mm if feedback == "camera" else 0.0}
         own = {**sight, "fruit_noise_mm": self.fruit_noise_mm} if task == "Reach" else {}
@@ -142,16 +143,21 @@ class PolicySettings:
         return own | arms | (sight if own and feedback == "encoders" else {})
 
     def first_arm(self, plant: str, seed: int) -> int:
-        """Return the index, in its population, of the first arm that a seed takes.
+        """Return the index of the first arm that a seed uses, within the population of arms.
 
-        On a rung all seeds share one population; a plant has a population for each seed.
+        All seeds share the population of a rung, and each uses other arms of it. A plant has a population per seed, so
+        its index is 0.
         """
         return self.levels("seeds").index(seed) * self.arms if plant.startswith(RUNG) else 0
 
     def population(self, plant: str, seed: int) -> Plant:
-        """Return the arms of a plant that a seed takes, as one plant with arrays over arms.
+        """Return the arms on which a seed judges policies, as one plant whose parameters are arrays over arms.
 
-        The arms are drawn as the environments draw them.
+        These are the same arms that the environments draw.
+
+        Args:
+            plant: Plant preset, or name of a rung of the ladder.
+            seed: Seed of the comparison.
         """
         world, first = self.world(plant, seed), self.first_arm(plant, seed)
         draws = np.random.default_rng(world["population_seed"])
@@ -159,7 +165,7 @@ class PolicySettings:
         return plants_on(drawn, lambda values: values[first:])
 
     def levels(self, name: str) -> tuple[Any, ...]:
-        """Return the distinct values of the field ``name``, in order."""
+        """Return the distinct values of the field ``name``, in order of first appearance."""
         return tuple(dict.fromkeys(getattr(self, name)))
 
 
@@ -179,16 +185,16 @@ def run_policies(
     progress: Progress | None = None,
     fits: Callable[..., bool] = lambda **levels: True,
 ) -> Rows:
-    """Run policies on reaching, or on picking, on the same arms and fruit for every compensation; return the rows.
+    """Run policies that reach for fruit, or pick it, and return the rows; arms and fruit are the same for all policies.
 
     Args:
-        settings: What is compared.
-        folder: Folder that keeps rows for later runs, or None.
+        settings: The policies, compensations, plants and sizes of the comparison.
+        folder: Folder in which rows are stored for later runs, or None.
         task: "reaching" runs every policy with every kind of feedback that it can use. "picking" runs each of
-            `PICKERS`, and every learned policy that picks or has a memory, on the canopies of `pickenv/Pick-v0`. All
-            get the same plants and canopies. If a policy has several trainings, each seed's arms meet one of them, in
-            turn.
-        cache: Folder that keeps calibrations for later runs; None for "calibrations" below ``folder``, if given.
+            `PICKERS`, and every learned policy that picks or has a memory, on the canopies of `pickenv/Pick-v0`. Each
+            of these has the same plants and canopies, and runs one of its trainings per seed, in turn.
+        cache: Folder in which calibrations are stored for later runs. None: the folder "calibrations" in ``folder``; if
+            that is None too, no calibration is stored.
         backend: Backend that computes the pieces, as for `pickenv.experiments.run`.
         workers: Number of processes.
         progress: Called with (stage, done, total).
@@ -196,20 +202,21 @@ def run_policies(
             so on by name.
 
     Returns:
-        For reaching, one row per episode. It has plant, compensation, feedback, policy, seed, and training (number of
-        the file, for a policy with several). ``learned`` says whether the policy was learned. ``arm`` is the number of
-        the arm (no two seeds share one), ``episode`` that of the arm's episode. ``error_mm`` and ``attitude_deg`` are
-        the errors at the end. ``way_mm`` is the position error after each step (NaN after the last). ``cycle_steps`` is
-        the number of steps until the tool stays within `CYCLE_MM` (NaN if it never does). ``chance_NAME`` is the
-        probability that gripper NAME takes the fruit. The fields of `pickenv.agents.Reaches` are columns, too.
+        For reaching, one row per episode. It has plant, compensation, feedback, policy, seed, and training (the number
+        of the training, from 0). ``learned`` says whether the policy was learned. ``arm`` is the number of the arm,
+        which differs between seeds, and ``episode`` the number of the episode with this arm. ``error_mm`` and
+        ``attitude_deg`` are the errors at the end. ``way_mm`` is the position error after each step (NaN after the end
+        of the episode). ``cycle_steps`` is the number of steps until the tool stays within `CYCLE_MM` of the fruit (NaN
+        if it never does). ``chance_NAME`` is the probability that gripper NAME takes the fruit. The fields of
+        `pickenv.agents.Reaches` are columns, too.
 
-        For picking, one row per arm, gripper and training, over all canopies. It has the numbers of grasps
-        ``attempted`` and of fruit ``collected`` undamaged, and the time taken (``duration_s``). Two columns are sums
-        over grasps: ``error_sum_mm`` of the distance between fruit and true tool, ``tilt_sum_deg`` of the angle between
-        tool and vertical.
+        For picking, one row per arm, gripper and training, over all canopies. ``attempted`` is the number of grasps,
+        ``collected`` the number of fruit collected undamaged, and ``duration_s`` the time, s. Two columns are sums over
+        grasps: ``error_sum_mm`` of the distance between the fruit and the tool's true position, ``tilt_sum_deg`` of the
+        angle between tool and vertical.
 
     Raises:
-        InputError: If a name is unknown, no policy can be run as asked, or a kept file is damaged.
+        InputError: If a name is unknown, no policy can run with these settings, or a stored file is damaged.
     """
     kept = cache if folder is None or cache is not None else Path(folder) / "calibrations"
     make = _reaching if task == "reaching" else _picking
@@ -376,7 +383,10 @@ def _reaches(
 
 
 def reaches_in(rows: Rows) -> Reaches:
-    """Return how the episodes of one plant ended; joint columns that are not finite in every row are left out."""
+    """Return how the episodes of one plant ended, from the rows of `run_policies` for reaching.
+
+    Joints whose command is not finite in every row are left out.
+    """
     columns: dict[str, Any] = {attribute.name: rows[attribute.name] for attribute in fields(Reaches)}
     commands = rows["joint_command"]
     return Reaches(**columns | {"joint_command": commands[:, np.isfinite(commands).all(axis=0)]})

@@ -57,18 +57,18 @@ STATISTICS: Mapping[str, str | float] = {"mean": "mean", "median arm": 0.5, "95t
 
 
 def estimates(rows: Rows, value: str, of: str | float = "mean", by: Sequence[str] = CELL) -> dict[Any, Estimate]:
-    """Estimate a number for each combination of levels of the columns ``by``.
+    """Estimate a number for each combination of values of the columns ``by``.
 
     The intervals are over arms, and over trainings if there are several.
 
     Args:
-        rows: The rows.
+        rows: The rows, from `run_policies`.
         value: Column that the numbers are estimated from.
-        of: Statistic, as `pickenv.base.intervals.estimate` takes it.
+        of: "mean", "share", or a probability for that quantile over arms (`pickenv.base.intervals.estimate`).
         by: Columns that identify a number.
 
     Returns:
-        The estimates by their levels of ``by``.
+        The estimates, by the tuple of values of ``by``.
     """
     over = ("arm", "training") if "training" in rows.columns else ("arm",)
     lines = estimate(rows.columns, value, by=by, over=over, of=of)
@@ -76,7 +76,7 @@ def estimates(rows: Rows, value: str, of: str | float = "mean", by: Sequence[str
 
 
 def cell_of(rows: Rows, key: Sequence[Any], by: Sequence[str] = CELL) -> Rows:
-    """Return the rows whose columns ``by`` have the levels ``key``."""
+    """Return the rows in which the columns ``by`` have the values ``key``, in the same order."""
     return rows.where(**dict(zip(by, key, strict=True)))
 
 
@@ -130,14 +130,15 @@ def evaluation_rows(settings: PolicySettings, rows: Rows) -> list[dict[str, Any]
 
 
 def compensations_compared(rows: Rows) -> list[dict[str, Any]]:
-    """Compare every compensation with each one before it, pair by pair on the same arms and fruit.
+    """Compare each two compensations, pair by pair on the same arms and fruit.
 
     Args:
         rows: The episodes, from `run_policies`.
 
     Returns:
-        For each policy, feedback and plant, and each pair of compensations "from" and "to": "difference_mm" of the mean
-        error, its "ci95", and whether it is "significant".
+        One row for each policy, feedback, plant and pair of compensations; in the rows of ``rows``, "from" comes before
+        "to". "difference_mm" is the mean error with "to" minus that with "from". "ci95" is the 95 % interval of the
+        difference, and "significant" whether it differs from zero.
     """
     steps, names = [behind for (behind,) in rows.levels("compensation")], ("policy", "feedback", "plant")
     pairs = {}
@@ -171,7 +172,7 @@ def cells_of(row: Mapping[str, Any]) -> list[str]:
 
 
 def nearest_words(rows: Sequence[Mapping[str, Any]], comparisons: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a sentence for each plant: which policy ends nearest to the fruit, and its difference from the raw arm.
+    """Return a sentence for each plant: which policy and compensation end nearest to the fruit, and the gain over raw.
 
     The oracle, which knows the true arm, is left out.
 
@@ -194,12 +195,11 @@ def nearest_words(rows: Sequence[Mapping[str, Any]], comparisons: Sequence[Mappi
 
 
 def pivoted(rows: Sequence[Mapping[str, Any]], shares: bool = False) -> tuple[list[str], list[list[str]]]:
-    """Return heads and cells of a table with a column for each compensation.
+    """Return the column heads and the lines of cells of a table that has a column for each compensation.
 
     Args:
         rows: Rows of `evaluation_rows`.
-        shares: Whether the cells are shares of fruit taken, percent, with a line for each gripper; else mean errors,
-            mm.
+        shares: True: the cells are the percentages of fruit that each gripper takes. False: they are mean errors, mm.
     """
     keys = ["policy", "feedback", "plant", *(["gripper"] if shares else [])]
 
@@ -215,7 +215,7 @@ def _interval(row: Mapping[str, Any], sign: str = "") -> str:
 
 
 def gain_words(line: Mapping[str, Any]) -> tuple[str, str, str]:
-    """Return a comparison's difference, its interval, and whether it is significant, as texts."""
+    """Return the difference, its interval and its significance as texts, from a row of `compensations_compared`."""
     return (
         f"{line['difference_mm']:+.3f}",
         _interval(line, "+"),
@@ -240,10 +240,10 @@ def write_evaluation(settings: PolicySettings, rows: Rows, folder: Path) -> list
 
 
 def read_episodes(run: Run) -> Rows:
-    """Read the episodes of an evaluation, exactly as they were written.
+    """Read and verify the episodes in an evaluation's run folder, one row each.
 
     Raises:
-        InputError: If they were edited or exchanged.
+        InputError: If the file of episodes was edited or replaced by another.
     """
     return Rows.of_arrow(piece_table(unedited(run, EPISODES), run.command))
 
@@ -252,7 +252,7 @@ def read_episodes(run: Run) -> Rows:
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
-    """Return the page of an evaluation: compensations compared, every cell with its interval, and figures.
+    """Return the HTML page of an evaluation: the compensations compared, all numbers with intervals, and figures.
 
     Args:
         run: Run folder of the evaluation.
@@ -327,7 +327,10 @@ def evaluation_drawings(rows: Rows) -> Drawings:
 
 
 def aggregate_figure(rows: Rows) -> Figure:
-    """Draw mean, median and 95th percentile over arms of every cell, with 95 % intervals; a row of panels per plant."""
+    """Draw the position errors of each policy, feedback and compensation, in a row of panels for each plant.
+
+    The panels show the mean, the median and the 95th percentile over arms, with 95 % intervals.
+    """
     panels: dict[str, dict[str, dict[str, dict[str, plot_policies.Estimated]]]] = {}
     for title, of in STATISTICS.items():
         for (policy, compensation, feedback, plant), number in estimates(rows, "error_mm", of).items():
@@ -338,7 +341,7 @@ def aggregate_figure(rows: Rows) -> Figure:
 
 
 def success_curves(rows: Rows, plant: str) -> Figure:
-    """Draw success against lateral error for each gripper, with the scripted policy's place on each curve."""
+    """Draw the success of each gripper against lateral error, and the scripted policy as points on these curves."""
     scripted = rows.where(policy="scripted", plant=plant)
     errors = estimates(scripted, "error_mm")
     grippers = tuple(name.removeprefix("chance_") for name in rows.columns if name.startswith("chance_"))
@@ -351,9 +354,10 @@ def success_curves(rows: Rows, plant: str) -> Figure:
 
 
 def cycle_figure(rows: Rows, plant: str) -> Figure:
-    """Draw accuracy against cycle time: mean error if the pick were made after each step, and the Pareto front of all.
+    """Draw the mean error of each policy on a plant after every step against the time, with the Pareto front of all.
 
-    Policies with a camera are shown on raw arms only, since all compensations look alike with a camera.
+    The error after a step is that of a pick at this time. Policies with a camera are shown on raw arms only, since
+    compensations hardly change their errors.
     """
     curves = {}
     for key in rows.where(plant=plant).levels(*CELL):
@@ -397,16 +401,16 @@ PICK_BEHIND = ("raw", "ls")
 
 
 def rungs(names: Sequence[str]) -> tuple[str, ...]:
-    """Return rungs as `PolicySettings.plants` takes them; "all" gives every rung of the ladder with several arms."""
+    """Return the names of rungs with the prefix `RUNG`; "all" stands for every rung of the leaderboard."""
     return tuple(plant for name in names for plant in (LEADERBOARD.plants if name == "all" else [f"{RUNG}{name}"]))
 
 
 def trained(folder: Path, trainings: int, picking: bool = True, **how: Any) -> tuple[str, ...]:
-    """Train every recipe that the folder does not contain yet, and return the folders of the trainings, one per recipe.
+    """Train the policies of `RECIPES` that the folder lacks, and return one folder per recipe.
 
     Args:
-        folder: Folder that keeps trainings.
-        trainings: Number of trainings of each recipe.
+        folder: Folder in which trainings are stored.
+        trainings: Number of trainings of each recipe, each with another seed.
         picking: Whether recipes of `pickenv/Pick-v0` are trained as well.
         how: Arguments of `pickenv.experiments.run`, such as the backend.
     """
@@ -426,19 +430,22 @@ def _train(folder: Path, *, rng: np.random.Generator, policy: str, training: int
 
 
 def run_leaderboard(settings: PolicySettings, folder: Path, trainings: int = 0, **how: Any) -> dict[str, Any]:
-    """Run the parts of a leaderboard that were not run yet, and return the rows of both tasks.
+    """Run the parts of a leaderboard that the folder lacks, and return the rows of its tables.
 
     Args:
-        settings: What is compared.
-        folder: Folder that keeps trainings, calibrations and rows.
-        trainings: Number of trainings of each of `RECIPES`, whose policies join those of ``settings``; 0 for none.
+        settings: The policies, compensations, plants and sizes of the leaderboard.
+        folder: Folder in which trainings, calibrations and rows are stored.
+        trainings: Number of trainings of each of `RECIPES`, whose policies are judged besides those of ``settings``; 0
+            trains none.
         how: Further arguments of `run_policies`, such as the backend.
 
     Returns:
-        "reach" and "pick": rows of numbers, one per policy and cell.
+        "reach": rows of `evaluation_rows` with some more numbers. "pick": rows of `picking_rows`, empty without
+        canopies.
 
     Raises:
-        InputError: If there are too few seeds, or as `run_policies` does.
+        InputError: If there are fewer than `LEAST_SEEDS` seeds or a seed twice, a policy picks but there are no
+            canopies, a name is unknown, or a stored file is damaged.
     """
     if len(set(settings.seeds)) < max(LEAST_SEEDS, len(settings.seeds)):
         raise InputError(f"seeds are {list(settings.seeds)}; give at least {LEAST_SEEDS}, each once")
@@ -471,10 +478,12 @@ def _worth_judging(compensation: str, feedback: str, **levels: Any) -> bool:
 
 
 def distance_within(cell: Rows, share: float) -> Estimate:
-    """Estimate the distance within which a share of an arm's reaches end, mm, as a mean over arms and trainings.
+    """Estimate the distance from the fruit within which a share of the reaches end, mm.
+
+    The distance is computed for each arm and training, and averaged over them.
 
     Args:
-        cell: Episodes of one policy.
+        cell: Episodes of one policy with one compensation, feedback and plant.
         share: The share, from 0 to 1.
     """
     order, fruit = np.lexsort((cell["training"], cell["arm"])), len(cell) // len(cell.levels("arm", "training"))
@@ -514,9 +523,9 @@ def picking_rows(rows: Rows) -> list[dict[str, Any]]:
 
 
 def leaderboard_tables(board: Mapping[str, Any]) -> dict[str, tuple[list[str], list[list[str]]]]:
-    """Return heads and cells of the leaderboard's tables, by title.
+    """Return the column heads and the lines of cells of each table of the leaderboard, by its title.
 
-    Each plant has a table for each task; policies with several trainings have further tables.
+    Each plant has a table for each task. Two further tables list the single trainings of the policies with several.
 
     Args:
         board: Result of `run_leaderboard`.
@@ -574,7 +583,13 @@ def _percent(share: float, ends: Sequence[float | None] | None) -> str:
 
 
 def leaderboard_summary(board: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
-    """Return heads and cells of a table for a screen: mean errors, mm, raw and with the last compensation, by rung."""
+    """Return the column heads and the lines of cells of a short table: one line per policy, one column per rung.
+
+    A cell has the mean error on raw arms, and after a slash that with the last compensation, mm.
+
+    Args:
+        board: Result of `run_leaderboard`.
+    """
     rows = []
     for plant, group in groupby(board["reach"], lambda row: row["plant"]):
         for mine in _by_policy(list(group)):

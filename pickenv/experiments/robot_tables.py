@@ -29,15 +29,16 @@ NOTE = (
 
 
 def bench_json(bench: Bench) -> dict[str, Any]:
-    """Return every result in one format for JSON; reductions are fractions, None where there is no such number.
+    """Return all results as a mapping for JSON; None stands for a number that does not exist.
 
-    An entry of "rows" has "robot", "split" ("random" or "blocks"), "model", and the number of "rows" judged. Its errors
-    are "nominal_mm" (base and tool fitted) and "held_out_mm"; "statistic" is "rms". "measured_reduction" is relative to
-    the error of the model that "before" names; its interval is "ci95". "predicted_reduction" is that of twins of other
-    rows. "predicted_ci95" is the interval in which one more arm's reduction would lie.
+    "rows" has one entry per data set, split and model. "split" is "random" or "blocks", that is contiguous parts, and
+    "rows" the number of rows, each held out once. Their RMS position error is "held_out_mm" with the model, and
+    "nominal_mm" with the nominal arm, base and tool fitted. "measured_reduction" is the fraction by which "held_out_mm"
+    is below the error of the model that "before" names; "ci95" is its interval. "predicted_reduction" is the mean of
+    this fraction over arms drawn from twins, and "predicted_ci95" the interval in which one more arm's would lie.
 
-    "models" is the table of measured robots, with one entry per number: "value_mm" with its ends "low_mm" and
-    "high_mm", and "used", the models that were used.
+    "models" is the table of measured robots. Each entry has one error "value_mm", the ends of its spread "low_mm" and
+    "high_mm", and in "used" the parts of the best model.
     """
     return {
         "rows": bench.gains,
@@ -49,7 +50,7 @@ def bench_json(bench: Bench) -> dict[str, Any]:
 
 
 def blocked_json(bench: Bench, made: str) -> dict[str, Any]:
-    """Return the shares of errors that models remove on held-out blocks, as the demonstration's `measured_gains.json`.
+    """Return the shares of the error that models remove on held-out contiguous rows, in the format of `measured_gains`.
 
     Args:
         bench: The finished bench.
@@ -88,20 +89,20 @@ def _ends(model: dict[str, Any]) -> list[float | None]:
 
 
 def agreement(gains: Sequence[dict[str, Any]]) -> dict[str, Any]:
-    """Compute how well twins predicted every model's gain on blocks, beside a null prediction from the other robots.
+    """Compute how far the gains that twins predict are from measured gains, beside those of a null prediction.
 
-    The null prediction is the mean measured gain of the other robots. Other series of the same robot are left out of
-    it.
+    Only gains on contiguous held-out rows count. The null prediction is the mean measured gain of all other robots;
+    further data sets of the same robot are left out of this mean.
 
     Args:
         gains: Rows of `Bench.gains`.
 
     Returns:
-        A mapping for JSON. "sets" and "gains" are the numbers of sets and of gains on blocks. "models" has for each
-        model its "robots", and distances between predicted and measured gain in percentage points. "median_points" and
-        "worst_points" are those of the twins. "null_median_points" and "null_worst_points" are those of the null
-        prediction, None if there is only one robot. "learnt_on_blocks" is the number of gains of learnt residuals, and
-        "sign_right" the share of these whose sign is predicted right.
+        A mapping for JSON. "sets" is the number of data sets, "gains" that of gains. "models" has one entry per model:
+        the number of data sets "robots", and distances from the measured gains in percentage points. "median_points"
+        and "worst_points" are those of the twins' predictions. "null_median_points" and "null_worst_points" are those
+        of the null prediction, None if there is only one robot. "learnt_on_blocks" is the number of gains of learnt
+        residuals. "sign_right" is the share of these gains whose sign the twins predict correctly.
     """
     blocks = [gain for gain in gains if gain["split"] != "random"]
     models = []
@@ -134,7 +135,7 @@ def agreement(gains: Sequence[dict[str, Any]]) -> dict[str, Any]:
 
 
 def agreement_words(bench: Bench) -> str:
-    """Return a few sentences on how well gains were predicted; empty if no gains were asked for."""
+    """Return a few sentences on how well gains were predicted; an empty text if no gains were computed."""
     if not bench.gains:
         return ""
     found = agreement(bench.gains)
@@ -151,7 +152,7 @@ def agreement_words(bench: Bench) -> str:
 
 
 def points_words(found: Mapping[str, Any]) -> str:
-    """Return the numbers of `agreement` as sentences; empty if no blocks were held out."""
+    """Return the numbers of `agreement` as sentences; an empty text if there are no gains on contiguous rows."""
     if not found["gains"]:
         return ""
     medians: list[str] = []
@@ -175,7 +176,7 @@ def points_words(found: Mapping[str, Any]) -> str:
 
 
 def gain_cells(bench: Bench) -> list[tuple[str, ...]]:
-    """Return the cells of the table of predicted and measured reductions, line by line."""
+    """Return the cells of the table of predicted and measured error reductions, line by line."""
     cells: list[tuple[str, ...]] = []
     for gain in bench.gains:
         predicted, measured = gain["predicted_reduction"], gain["measured_reduction"]
@@ -199,7 +200,7 @@ def csv_files(bench: Bench) -> dict[str, str]:
 
 
 def spread_cells(models: Rows) -> list[tuple[str, ...]]:
-    """Return the cells of the table of measured robots, line by line, for the rows that were judged."""
+    """Return the cells of the table of measured robots, line by line, from the numbers in `Bench.models`."""
     table: list[tuple[str, ...]] = []
     for (name,) in models.levels("row"):
         nominal, ls, best = models.where(row=name).dicts()

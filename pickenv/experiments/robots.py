@@ -1,9 +1,10 @@
 """Errors that calibrations leave on measured robots, beside the errors that twins (arms fitted to the data) predict.
 
-There are two experiments, each in a folder of its own. "gains" is over folds of a robot's rows. It computes squared
-errors of the held-out rows, as measured and on arms drawn from the twin of the other rows. "models" is over the rows of
-the table of measured robots; each has the error of several models with its spread. Every piece has a random stream of
-its own, so its results do not depend on what else is run. SI units; mm where names say so.
+There are two experiments, each in a folder of its own. "gains" splits a robot's rows into folds, each held out in turn.
+It computes squared errors of the held-out rows, as measured and on arms drawn from a twin of the other rows. "models"
+computes the table of measured robots: the errors of several models for each row of the table, with their spread. Every
+piece of an experiment has a random stream of its own, so its results do not depend on what else is run. SI units; mm
+where names say so.
 """
 
 from __future__ import annotations
@@ -42,11 +43,11 @@ class RealSet:
         robot: Name of the robot in tables.
         arm: Arm name or file; {} stands for the folder of the data sets.
         columns: Column description.
-        files: Files of the rows, as a glob pattern below the folder of the data sets.
-        poses: Files of separate test poses, as such a pattern; empty if there are none.
-        published: Published mean error at the test poses, or at the rows if there are no test poses, mm.
-        twinned: Whether twins are made of the set and residuals learnt, which needs enough poses or positions for five
-            folds.
+        files: Glob pattern of the files of measured rows, below the folder of the data sets.
+        poses: Glob pattern of the files of separate test poses; empty if there are none.
+        published: Mean error that others published, mm: at the test poses, or at the rows if there are no test poses.
+        twinned: Whether twins and learnt residuals are computed from this set. They need poses or positions, and enough
+            for five folds.
     """
 
     robot: str
@@ -72,7 +73,10 @@ class RealSet:
     def load(self, data: Path) -> tuple[Arm, Observations, Observations | None]:
         """Read the arm, the rows and the test poses (None if there are none).
 
-        What a file says about repeated measurements is discarded, since most files say nothing about them.
+        Marks of repeated measurements in a file are discarded, since most files have none.
+
+        Args:
+            data: Folder of the data sets.
 
         Raises:
             InputError: If there are no such files, or they cannot be read.
@@ -105,13 +109,13 @@ BATCHES = 4
 
 @dataclass(frozen=True)
 class BenchSettings:
-    """How much the bench computes.
+    """Sizes of the computations of the bench, and its seed.
 
     Attributes:
-        rows: Largest number of rows of a set for predicted and measured gains, equally spaced in its file.
-        folds: Number of parts of these rows, each held out in turn.
+        rows: Largest number of rows of a data set that gains are computed from, equally spaced in the set.
+        folds: Number of folds, that is parts of these rows, each of which is held out in turn.
         draws: Number of arms drawn from each fold's twin.
-        splits: Number of random splits of a set in the table of measured robots.
+        splits: Number of random splits of a data set in the table of measured robots.
         seed: Seed of all random numbers.
     """
 
@@ -123,7 +127,7 @@ class BenchSettings:
 
     @staticmethod
     def quick() -> BenchSettings:
-        """Return settings with which the UR5 takes about a minute."""
+        """Return settings of a small bench: with the rows of the UR5 it takes about a minute."""
         return BenchSettings(rows=160, folds=2)
 
 
@@ -133,16 +137,17 @@ def fold_errors(
     """Compute squared errors of one fold's held-out rows, for the measured arm and for arms drawn from the fold's twin.
 
     Args:
-        rng: Not used; random numbers depend on the seed, the row and the fold.
-        row: Name of the row in `GAINS`.
+        rng: Not used; random numbers depend on the seed of ``settings``, the row and the fold.
+        row: Name in `GAINS`, which stands for a data set and a way to split it.
         fold: Number of the fold, from 0.
-        settings: How much is computed.
+        settings: Sizes of the computation, and its seed.
         data: Folder of the data sets.
 
     Returns:
-        Columns. "drawn" is 0 for the measured arm, else the number of the drawn arm. "at" is the number of the held-out
-        row. Each model has a column of its squared errors, m^2. The counts are "refused" (drawn arms that could not be
-        calibrated), "rows" and "rows_in_file".
+        Columns with one entry per arm and held-out row. "drawn" is 0 for the measured arm, else the number of the drawn
+        arm, from 1. "at" is the number of the held-out row. Each model has a column of its squared errors, m^2. Three
+        columns have the same number everywhere: "refused" (drawn arms that could not be calibrated), "rows" (rows of
+        all folds) and "rows_in_file".
     """
     name, split = GAINS[row]
     arm, rows, _ = SETS[name].load(data)
@@ -158,10 +163,10 @@ def fold_errors(
 
 
 def learnable(arm: Arm, rows: Observations, most: int) -> Measurements:
-    """Return poses or positions for a comparison of models: at most ``most``, equally spaced, without outliers.
+    """Return at most ``most`` equally spaced rows without outliers, from which residuals and twins can be computed.
 
     Raises:
-        InputError: If the rows are of another kind, from which no residual is learnt and no twin is made.
+        InputError: If the rows are neither poses nor positions.
     """
     if not isinstance(rows, Measurements):
         raise InputError(f"{rows.source} holds {rows.kind}: only of poses and positions a twin is made")
@@ -172,11 +177,11 @@ def learnable(arm: Arm, rows: Observations, most: int) -> Measurements:
 def folds_of(
     poses: RowNumbers, split: str, folds: int, rng: np.random.Generator
 ) -> list[tuple[RowNumbers, RowNumbers]]:
-    """Return the rows to fit and the held-out rows of each fold.
+    """Split rows into folds; return for each fold the numbers of the rows to fit, and of the held-out rows.
 
     Args:
         poses: Number of the pose of each row ``(N,)``; rows of one pose stay in one fold.
-        split: "random" for random parts of a file, else contiguous ones.
+        split: "random": the folds are random poses. "blocks": each fold is a contiguous part of the rows.
         folds: Number of folds.
         rng: Random numbers for the split.
     """
@@ -190,20 +195,20 @@ def judged_fold(
 ) -> tuple[list[Squares], int]:
     """Calibrate the measured arm, and arms drawn from its twin, on the fitted rows; judge them on the held-out rows.
 
-    The twin is made from the fitted rows alone. Its arms are drawn from the posterior of geometry, terms and remainder,
-    with the arm's own scatter. They are measured at the same joints with the instrument's scatter. A mean of the
-    posterior would make every model look too good.
+    The twin is made from the fitted rows alone. Arms are drawn from the posterior of its geometry, parametric terms and
+    remaining errors, with the measured arm's own scatter. They are measured at the same joints with the instrument's
+    scatter. An arm at the posterior mean would make every model look too good.
 
     Args:
         arm: The arm.
-        data: Its rows.
-        rows: Numbers of the fitted rows, and of the held-out rows.
+        data: The measured rows of the arm.
+        rows: Numbers of the fitted rows, and numbers of the held-out rows.
         draws: Number of arms drawn from the twin.
         seed: Seed of all random numbers.
 
     Returns:
-        Squared errors of the measured rows and then of each drawn arm; and the number of drawn arms that were replaced
-        because they could not be calibrated.
+        A list of squared errors of the held-out rows, of the measured arm and then of each drawn arm. And the number of
+        drawn arms that were replaced because they could not be calibrated.
 
     Raises:
         InputError: If the measured rows, or too many of the drawn arms, cannot be calibrated.
@@ -232,13 +237,14 @@ def judged_fold(
 
 @dataclass(frozen=True)
 class SpreadRow:
-    """One row of the table of measured robots.
+    """Definition of one row of the table of measured robots.
 
     Attributes:
-        name: Name of the robot's data set.
-        how: Rows that judge: "random" (random splits), "blocks" (each in turn), or "poses" (separate test poses).
-        terms: Parametric terms, as `Choices` takes them.
-        residual: Residual model, as `Choices` takes it.
+        name: Name of the robot's data set in `SETS`.
+        how: Held-out rows: "random" (of random splits), "blocks" (each contiguous part of the rows in turn), or "poses"
+            (separate test poses).
+        terms: Parametric terms of the best model, with the values of `Choices`.
+        residual: Residual model of the best model, with the values of `Choices`.
         statistic: Statistic of the position errors: "rms" or "mean".
         remark: Remark beside the best model.
     """
@@ -257,7 +263,10 @@ class SpreadRow:
 
     @property
     def published(self) -> float | None:
-        """Published mean error, mm, at the test poses if there are some, else at the rows; None for other rows."""
+        """Published mean error, mm; None if it is for other held-out rows than those of this row of the table.
+
+        It is for the separate test poses if the data set has some, else for random splits of the rows.
+        """
         return self.real.published if self.how == ("poses" if self.real.poses else "random") else None
 
 
@@ -266,12 +275,15 @@ SPREAD = {name: SpreadRow(**entry) for name, entry in TABLES["rows"].items()}
 
 
 def model_errors(rng: np.random.Generator, row: str, settings: BenchSettings, data: Path) -> list[dict[str, Any]]:
-    """Return errors of nominal arm, geometry and best model, mm, with the ends of their spread; missing ends are NaN.
+    """Return the errors of nominal arm, least squares and best model, one mapping each, mm.
+
+    Over random splits, "value_mm" is the mean error, and "low_mm" and "high_mm" are the smallest and the largest.
+    Otherwise "low_mm" and "high_mm" are the ends of the 95 % interval, NaN if there is none.
 
     Args:
-        rng: Not used; random numbers depend on the seed alone.
+        rng: Not used; random numbers depend on the seed of ``settings`` alone.
         row: Name of the row in `SPREAD`.
-        settings: How much is computed.
+        settings: Sizes of the computation, and its seed.
         data: Folder of the data sets.
     """
     spread = SPREAD[row]
@@ -319,9 +331,9 @@ class Bench:
 
     Attributes:
         settings: How much was computed.
-        gains: Predicted beside measured gains, as rows of the JSON file.
-        models: Rows of the table of measured robots: row, model, value and ends of its spread.
-        skipped: Rows that were not computed, each with the reason.
+        gains: Predicted and measured gains, from `gains_of`.
+        models: Numbers of the table of measured robots, from `model_errors`, with the column "row".
+        skipped: Reasons why rows were not computed, by the name of the row.
     """
 
     settings: BenchSettings
@@ -339,11 +351,11 @@ def run_bench(
     workers: int = 1,
     progress: Progress | None = None,
 ) -> Bench:
-    """Compute the given rows; an interrupted run continues.
+    """Compute the given rows of the bench; an interrupted run continues.
 
     Args:
         rows: Names from `ROWS`.
-        settings: How much is computed.
+        settings: Sizes of the computations, and the seed.
         data: Folder of the data sets.
         out: Folder for results.
         workers: Number of processes.
@@ -392,14 +404,14 @@ def _inputs(row: str, settings: BenchSettings, data: Path, **_: int) -> tuple[An
 
 
 def gains_of(folds: Rows) -> list[dict[str, Any]]:
-    """Compute the gain of every model over all folds of one set and split, as rows of the JSON file.
+    """Compute the predicted and the measured gain of every model, as rows of the JSON file (see `bench_json`).
 
-    All intervals are at 95 %. The interval of a measured gain is over rows for random folds. For contiguous folds it is
-    over ten blocks of the file, since neighbouring rows are alike. The interval of a predicted gain is for one more
-    drawn arm.
+    A gain is the share of the RMS error that a model removes. All intervals are at 95 %. The interval of a measured
+    gain is over rows if the folds are random. If they are contiguous, it is over ten contiguous parts of the rows,
+    since neighbouring rows are alike. The interval of a predicted gain is for the gain of one more drawn arm.
 
     Args:
-        folds: Rows of `fold_errors`, of all folds.
+        folds: Rows of `fold_errors` for all folds of one data set, split in one way.
     """
     name, split = GAINS[folds["row"][0]]
     measured, arm_numbers = folds.where(drawn=0), range(1, int(folds["drawn"].max()) + 1)
@@ -436,18 +448,18 @@ def _interval(pairs: Array, split: str) -> Ends | None:
 
 
 def predicted_gain(after: Array, before: Array) -> tuple[float, Ends | None]:
-    """Compute the mean gain of drawn arms, and the interval in which one more arm's gain would lie.
+    """Compute the mean gain of drawn arms, and the 95 % interval in which one more arm's gain would lie.
 
-    The folds have different twins, whose arms are drawn independently. The variance of one arm's gain is therefore the
-    sum of the variances between the arms of each fold's twin (first order in the squares). It has folds * (draws - 1)
-    degrees of freedom.
+    Each fold has a twin of its own, from which arms are drawn independently. To first order in the squared errors, the
+    variance of the gain is therefore a sum over folds: of the variance between the arms of each fold's twin. It has
+    folds * (draws - 1) degrees of freedom.
 
     Args:
         after: Sums of squared errors that the model leaves ``(folds, draws)``, m^2.
         before: Sums of squared errors of the reference model ``(folds, draws)``, m^2.
 
     Returns:
-        The gain, a share from 0 to 1 (below 0 for a loss), and the ends of its interval; None with fewer than two
+        The gain, a share of at most 1 (below 0 for a loss); and the ends of its interval, None with fewer than two
         draws.
     """
     folds, draws = after.shape

@@ -1,13 +1,13 @@
 """Tolerance studies: their settings, read from a TOML file, and the arms that they draw, calibrate and judge.
 
-A study is a list of settings. A setting is a population of arms, the way they are calibrated, and the payload that they
-carry. Files and columns are in mm, deg and kg, and every name says so; inside it is SI.
+A study is a list of settings. A setting is a population of arms, the way to calibrate them, and the payload that they
+carry. Files and columns are in mm, deg and kg, as their names say; the code computes in SI units.
 
-All random numbers follow from the study's seed and the arm's number, never from chunks, workers or settings. Arm 17
-deviates in the same direction in every grade, reaches for the same fruit and is measured at the same poses. No two arms
-share fruit, poses or noise, so arms are independent, and a yield is that of the design over its workspace.
+All random numbers follow from the study's seed and the arm's number, not from chunks, workers or settings. In every
+setting, arm 17 deviates in the same directions, reaches for the same fruit and is measured at the same poses. Different
+arms have different fruit, poses and noise. They are therefore independent samples of the design and its workspace.
 
-Arms are computed one by one with arrays of the same shapes and one thread. Their numbers are thus the same to the bit
+Arms are computed one by one, with arrays of the same shapes and in one thread. The results are thus the same to the bit
 for any number of workers and any size of chunks. Errors are m and rad; the columns of rows are mm and deg.
 """
 
@@ -122,7 +122,7 @@ class Setting:
 
     @property
     def calibration(self) -> Setting:
-        """This setting without number and payload; settings that differ in payload alone have the same calibration."""
+        """This setting with number and payload set to 0, which do not change the calibration of an arm."""
         return replace(self, number=0, payload_kg=0.0)
 
 
@@ -146,14 +146,14 @@ class StudyConfig:
         chunk: Number of arms that are computed and stored together.
         fruit: Number of fruit M that every arm reaches for.
         payload_kg: Masses held at the tool while picking, kg.
-        radius_mm: An arm gets a fruit when its tool ends within this distance of it, mm.
-        share: An arm is within specification when it gets at least this share of its fruit.
+        radius_mm: An arm gets a fruit when its tool ends within this distance of the fruit, mm.
+        share: An arm is within specification when it gets at least this share of its fruit, from 0 to 1.
         tolerances: Tolerance classes, by name or path.
-        it_grades: ISO 286-1 grades, each of which replaces the grade of the classes; None for the classes' own grades.
+        it_grades: ISO 286-1 grades of the lengths, in place of the grade of each class; None keeps the latter.
         methods: Methods of calibration, of `METHODS`.
         poses: Numbers of calibration poses.
-        noise: Standard deviations of the tracker's readings, which include the errors of range and centring.
-        instrument: Instrument that measures the arms, and how long it waits; a name of `pickenv.arm.load_instrument`,
+        noise: Standard deviations of the tracker's readings. They include its errors of range and of centring.
+        instrument: Instrument that measures the arms, with its waiting time; a name of `pickenv.arm.load_instrument`,
             or a path.
         residual_poses: Number of further poses for a learnt residual.
     """
@@ -176,9 +176,10 @@ class StudyConfig:
     instrument: Annotated[str, INSTRUMENT, IN_CALIBRATION] = TRACKER
 
     def settings(self) -> tuple[Setting, ...]:
-        """Return all settings; populations vary slowest, payloads fastest.
+        """Return all settings, numbered in this order: populations vary slowest, then calibrations, payloads fastest.
 
-        An arm without calibration has neither poses nor tracker noise.
+        The method "raw", which does not calibrate, has a single setting per population and payload: with 0 poses and no
+        noise.
         """
         classes = self.load_tolerances().items()
         populations = [
@@ -208,10 +209,11 @@ class StudyConfig:
         return replace(self, arms=min(self.arms, 40), fruit=min(self.fruit, 20), chunk=min(self.chunk, 20))
 
     def load_plant(self) -> Plant:
-        """Load the design that arms are drawn from.
+        """Load the plant that arms are drawn from, that is the nominal arm with its effects.
 
         Raises:
-            InputError: If the plant is unknown or impossible, or has no link masses for the payloads to act on.
+            InputError: If there is no such plant, its file has a refused value, or it has no link masses although a
+                payload is above 0.
         """
         plant = load_plant(self.plant)
         if plant.load is None and any(self.payload_kg):
@@ -224,15 +226,15 @@ class StudyConfig:
         """Load the tolerance classes, by name.
 
         Raises:
-            InputError: If one is unknown or impossible.
+            InputError: If there is no such class, or its file has a refused value.
         """
         return {name: load_tolerances(name) for name in self.tolerances}
 
     def sha256(self) -> str:
-        """Return the hash of all that the rows depend on: configuration, plant, instrument and tolerance classes.
+        """Return one hash over all that the rows depend on: configuration, plant, instrument and tolerance classes.
 
         Raises:
-            InputError: If plant, instrument or tolerance class are unknown or impossible.
+            InputError: If a plant, instrument or tolerance class does not exist, or its file has a refused value.
         """
         parts = self.load_plant(), load_instrument(self.instrument), list(self.load_tolerances().values())
         return content_sha256(VERSION, self, *parts)
@@ -257,7 +259,7 @@ def load_study(path: str | Path) -> StudyConfig:
     """Read a study from a TOML file (`scripts/tolerance_study.toml` shows every key).
 
     Raises:
-        InputError: If the file is missing or an entry is impossible; the message names the file and the key.
+        InputError: If the file is missing, or a key is unknown or its value refused; the message names file and key.
     """
     content, text = toml_of(path)
     for key in ("sha256", "arithmetic"):  # in results folders
@@ -294,9 +296,9 @@ class Circumstances:
 
     Attributes:
         number: The arm's number.
-        fruit: Nominal joints that bring the tool to each of its fruit ``(M, n)``, rad or m.
-        poses: Joints of the calibration poses ``(P, n)``, rad or m, from a Halton sequence; a setting with fewer poses
-            uses the first ones.
+        fruit: Joints with which the nominal arm reaches each of the M fruit ``(M, n)``, rad or m.
+        poses: Joints of the calibration poses ``(P, n)``, rad or m, from a Halton sequence. P is the largest number of
+            poses of any setting; a setting with fewer uses the first ones.
         tracker: Standard normal draws for the tracker's errors at these poses, and for the arm's friction.
     """
 
@@ -318,10 +320,10 @@ class Protocol:
     Attributes:
         config: The study's configuration.
         settings: The settings of the study.
-        design: The plant that arms are drawn from.
+        design: The plant that arms are drawn from, that is the nominal arm with its effects.
         tolerances: Tolerance classes by name.
         model: Error model whose parameters least squares identifies.
-        tracker: Instrument that measures the arms; each setting gives it another noise.
+        tracker: Instrument that measures the arms; `instrument` gives it the noise of a setting.
     """
 
     config: StudyConfig
@@ -337,7 +339,7 @@ class Protocol:
         return self.design.arm.nominal
 
     def populations(self) -> list[list[Setting]]:
-        """Return the settings grouped by population; the settings of one group draw the same arms."""
+        """Return the settings as one list per population, that is per tolerance class and grade."""
         groups = groupby(self.settings, key=lambda setting: (setting.tolerances, setting.it_grade))
         return [list(group) for _, group in groups]
 
@@ -348,10 +350,10 @@ class Protocol:
         return draw_plants(self.design, tolerances, len(arms), np.random.default_rng(parent))
 
     def circumstances(self, arm: int) -> Circumstances:
-        """Return the circumstances of the arm with this number.
+        """Return fruit, calibration poses and tracker errors of the arm with this number.
 
         Raises:
-            InputError: If too few joints are found that hold the tool upright.
+            InputError: If too few random joint vectors hold the tool of the nominal arm upright.
         """
         count = max((setting.poses for setting in self.settings), default=0)
         return Circumstances(
@@ -367,15 +369,21 @@ class Protocol:
         return replace(self.tracker, noise=noise)
 
     def stream(self, purpose: int, arm: int) -> np.random.Generator:
-        """Return the random generator of an arm for a purpose: any ``..._STREAM`` of this module but `ARM_STREAM`."""
+        """Return the random generator of an arm for one purpose.
+
+        Args:
+            purpose: `TRACKER_STREAM`, `FRUIT_STREAM`, `POSES_STREAM` or `RESIDUAL_STREAM`.
+            arm: The arm's number.
+        """
         return np.random.default_rng(np.random.SeedSequence(self.config.seed, spawn_key=(purpose, arm)))
 
 
 def prepared_study(config: StudyConfig) -> Protocol:
-    """Load everything that a study needs, and try its fruit and its numbers of poses on the first arms.
+    """Load everything that a study needs, and check on a few arms that there are fruit, and poses enough to calibrate.
 
     Raises:
-        InputError: If plant or tolerance class are unknown, poses are too few to calibrate with, or no fruit is found.
+        InputError: If a plant, instrument or tolerance class does not exist, or its file has a refused value. Also if
+            the poses are too few for a calibration, or too few random joint vectors hold the tool upright.
     """
     design = config.load_plant()
     model, tracker = link_model(design.arm.nominal), load_instrument(config.instrument)
@@ -390,20 +398,27 @@ def prepared_study(config: StudyConfig) -> Protocol:
 
 
 def measured(protocol: Protocol, arm: Plant, setting: Setting, around: Circumstances) -> Measurements:
-    """Simulate the readings of an arm at its calibration poses by the setting's tracker."""
+    """Simulate the readings of the setting's tracker at an arm's calibration poses.
+
+    Args:
+        protocol: The study.
+        arm: The plant, that is the true arm with its errors.
+        setting: Setting that gives the number of poses and the tracker's noise.
+        around: Calibration poses and tracker errors of the arm.
+    """
     instrument, poses = protocol.instrument(setting), setting.poses
     return tracked(arm, instrument, around.poses[:poses], around.tracker.first(poses))
 
 
 def carrying(plant: Plant, payload_kg: float) -> Plant:
-    """Return the plant with a mass held at its tool; a plant without link masses is returned unchanged."""
+    """Return the plant (a true arm) with a mass held at its tool; unchanged if the plant has no link masses."""
     return plant if plant.load is None else replace(plant, load=replace(plant.load, payload=payload_kg))
 
 
 def spread_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> Array:
     """Return joints ``(count, n)`` that cover their ranges uniformly, from a scrambled Halton sequence, rad or m.
 
-    The first joints of the sequence cover the ranges uniformly, too.
+    Any number of poses from the beginning of the sequence covers the ranges uniformly, too.
     """
     if not count:
         return np.empty((0, nominal.joints))
@@ -452,11 +467,11 @@ Effects with random numbers of their own have columns named after them."""
 
 
 def deviations(design: Plant, arms: Plant) -> dict[str, Array]:
-    """Return the deviations of drawn arms from their design, as columns.
+    """Return the deviations of drawn arms from the plant that they were drawn from, as columns.
 
     Args:
         design: The plant that the arms were drawn from.
-        arms: The N arms, as one plant with arrays over arms.
+        arms: The N arms, as one plant whose parameters are arrays over arms.
 
     Returns:
         Columns ``(N,)`` by name. Parameters that are zero in the design, and so in every arm, have no column.
@@ -508,12 +523,12 @@ class Outcomes:
 
     Attributes:
         setting: The setting.
-        status: For each arm, `OK` or why it could not be judged ``(N,)``.
+        status: For each arm, `OK` or the reason why it could not be judged ``(N,)``.
         iterations: Number of least-squares steps of each arm ``(N,)``.
-        position: Distance between true and wanted tool at each fruit ``(N, M)``, m; arbitrary where the status is not
-            OK.
-        attitude: Angle between true and wanted attitude at each fruit ``(N, M)``, rad; arbitrary where the status is
-            not OK.
+        position: Distance of the tool's true position from the wanted one at each of M fruit ``(N, M)``, m; arbitrary
+            where the status is not `OK`.
+        attitude: Angle between the tool's true attitude and the wanted one at each fruit ``(N, M)``, rad; arbitrary
+            where the status is not `OK`.
     """
 
     setting: Setting
@@ -524,7 +539,7 @@ class Outcomes:
 
 
 def gathered(outcomes: Sequence[Outcomes]) -> Outcomes:
-    """Join outcomes of different arms in one setting into one `Outcomes`."""
+    """Concatenate the outcomes of different arms in one setting."""
     return Outcomes(
         setting=outcomes[0].setting,
         status=[text for part in outcomes for text in part.status],
@@ -553,7 +568,7 @@ def evaluate_chunk(protocol: Protocol, chunk: int, rng: object = None) -> Rows:
 
 
 def judged_chunk(protocol: Protocol, chunk: int, judge: Judge) -> Rows:
-    """Compute the rows of a chunk of arms with the function ``judge``, population by population."""
+    """Draw the arms of a chunk from each population, and return the rows of what ``judge`` computes for them."""
     arms = protocol.config.arms_of(chunk)
     around = [protocol.circumstances(arm) for arm in arms]
     populations = []
@@ -568,9 +583,9 @@ def evaluate_arm(protocol: Protocol, settings: Sequence[Setting], arm: Plant, ar
 
     Args:
         protocol: The study.
-        settings: The settings; the arm need not be of their populations.
-        arm: The true arm.
-        around: Its fruit, its calibration poses and the tracker's errors.
+        settings: The settings. Their tolerances are not used, so the arm may be drawn from any population.
+        arm: The plant, that is the true arm with its errors.
+        around: Fruit, calibration poses and tracker errors of the arm.
 
     Returns:
         For each setting, the outcomes of this one arm.
@@ -587,11 +602,17 @@ def evaluate_arm(protocol: Protocol, settings: Sequence[Setting], arm: Plant, ar
 
 
 def arm_commands(protocol: Protocol, setting: Setting, arm: Plant, around: Circumstances) -> tuple[Array, str, int]:
-    """Calibrate one arm as the setting says, and return its corrected joint commands for the fruit.
+    """Calibrate one true arm as a setting says, and return its corrected joint commands for the fruit.
+
+    Args:
+        protocol: The study.
+        setting: Setting that gives the method, the number of poses and the tracker's noise.
+        arm: The plant, that is the true arm with its errors.
+        around: Fruit, calibration poses and tracker errors of the arm.
 
     Returns:
-        Joint commands ``(M, n)``, rad or m; `OK`, or why the arm could not be calibrated; and the number of
-        least-squares steps.
+        Joint commands for M fruit ``(M, n)``, rad or m; `OK`, or the reason why the arm cannot be calibrated or judged;
+        and the number of least-squares steps.
     """
     if setting.method == RAW:
         return around.fruit, OK, 0
@@ -625,10 +646,10 @@ def _calibrated(protocol: Protocol, setting: Setting, arm: Plant, around: Circum
 
 
 def reach_status(missed: int, config: StudyConfig) -> str:
-    """Return `OK`, or why an arm cannot be judged: by its own calibration, too many fruit are out of its reach.
+    """Return `OK`, or the sentence that too many fruit are out of an arm's reach for the arm to be judged.
 
     Args:
-        missed: Number of fruit from which the corrected commands end too far, as the arm's calibration predicts.
+        missed: Number of fruit that the arm's own calibration predicts to miss by more than the specified radius.
         config: The study's configuration.
     """
     if (config.fruit - missed) / config.fruit >= config.share:
@@ -640,12 +661,12 @@ def reach_status(missed: int, config: StudyConfig) -> str:
 
 
 def figures(position: Array, attitude: Array, radius_mm: float) -> dict[str, Array]:
-    """Compute the error columns ``(N,)`` of arms from their errors at the fruit.
+    """Compute the columns `FIGURES` and "share_within" of N arms ``(N,)`` from their errors at M fruit.
 
     Args:
         position: Position errors ``(N, M)``, m.
         attitude: Attitude errors ``(N, M)``, rad.
-        radius_mm: The specified radius, mm.
+        radius_mm: The specified radius, mm; "share_within" is the share of fruit with position errors up to this.
     """
     position_mm = 1e3 * np.ascontiguousarray(position)
     median, p95 = np.percentile(position_mm, [50, 95], axis=1)
@@ -666,7 +687,8 @@ def chunk_rows(protocol: Protocol, arms: range, populations: Sequence[tuple[Plan
     Args:
         protocol: The study.
         arms: Numbers of the chunk's arms.
-        populations: For each population, its true arms and their outcomes in each of its settings.
+        populations: For each population, the true arms of the chunk, and their outcomes in each setting of this
+            population.
     """
     parts = [
         _columns(arms, outcomes, protocol.config.radius_mm) | columns_of_arms

@@ -1,9 +1,10 @@
 """Calibrate and judge thousands of arms of a study at once, in torch; arms are the last axis of every component.
 
-Physics, least squares and compensation are those of single arms (`pickenv.experiments.study`), so the rows agree. All
-arms start at the nominal geometry. Which parameters are redundant follows from an arm's poses, and is nearly always the
-same. An arm with other redundant parameters, or one for which undamped steps do not suffice, is computed by the code
-for single arms. Components have shapes ``(M, N)`` at M fruit and ``(P, N)`` at P poses, for N arms. SI units.
+Physics, least squares and compensation are those of `pickenv.experiments.study`, so the rows agree. The least squares
+of all arms start at the nominal geometry. The poses of an arm determine which parameters are redundant; these are
+nearly always the same. `pickenv.experiments.study` computes arms with other redundant parameters, and arms for which
+undamped steps do not suffice. Components have shapes ``(M, N)`` at M fruit and ``(P, N)`` at P poses, for N arms. SI
+units.
 """
 
 from __future__ import annotations
@@ -69,13 +70,13 @@ def judge_batch(
     around: Sequence[study.Circumstances],
     device: str = "cpu",
 ) -> list[study.Outcomes]:
-    """Judge a batch of arms, each in its own circumstances, in settings of one population.
+    """Calibrate and judge a batch of arms in settings of one population.
 
     Args:
         protocol: The study.
         settings: The settings.
-        plants: The arms, as one plant with arrays over arms.
-        around: Circumstances of each arm.
+        plants: The true arms, as one plant whose parameters are arrays over arms.
+        around: Fruit, calibration poses and tracker errors of each arm.
         device: "cpu" or "cuda".
 
     Returns:
@@ -93,10 +94,10 @@ def judge_batch(
 
 
 def check_device(device: str) -> None:
-    """Raise an error if this machine lacks a device.
+    """Raise an error if torch cannot compute on a device here.
 
     Raises:
-        InputError: If it is not "cpu" or "cuda", or there is no such GPU.
+        InputError: If the device is neither "cpu" nor "cuda", or it is "cuda" and torch finds no GPU.
     """
     if device not in BLOCKS:
         raise InputError(f"unknown device '{device}'; give one of {', '.join(BLOCKS)}")
@@ -171,7 +172,7 @@ alone."""
 def visited_frames(
     protocol: study.Protocol, plants: Plant, around: Sequence[study.Circumstances], place: Place
 ) -> list[Tensor]:
-    """Return the true tool frames ``(P, N)`` when the tracker reads them, at all calibration poses of the study."""
+    """Return the true tool frames of N arms at all P calibration poses ``(P, N)``, at the times of the readings."""
     visits = np.stack([met.poses for met in around], axis=1)
     stops = np.stack([met.tracker.stops for met in around], axis=-1)
     frame = visited(plants, torch, visits, protocol.tracker, stops, place)
@@ -190,13 +191,14 @@ def identify_batch(
     Args:
         protocol: The study.
         setting: Setting that gives the number of poses and the tracker's noise.
-        read: Frames from `visited_frames`; a setting of fewer poses takes the first ones.
-        around: Circumstances of each arm.
-        place: Function that moves an array to where torch computes.
+        read: Frames from `visited_frames`; a setting with fewer poses takes the first ones.
+        around: Fruit, calibration poses and tracker errors of each arm.
+        place: Function that moves an array to the device on which torch computes.
 
     Returns:
-        The identified geometries, with link parameters ``(N, n)``; the number of least-squares steps ``(N,)``; and for
-        each arm whether the usual parameters and undamped steps led to its minimum ``(N,)``.
+        The identified geometries, with link parameters ``(N, n)``; the number of least-squares steps ``(N,)``; and
+        whether the result of each arm is valid ``(N,)``. It is not if the arm has other redundant parameters than most,
+        or undamped steps do not suffice.
     """
     nominal, count, poses = protocol.nominal, len(around), setting.poses
     design, instrument = protocol.design, protocol.instrument(setting)

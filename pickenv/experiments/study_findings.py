@@ -40,12 +40,12 @@ class Findings:
 
     Attributes:
         protocol: The study, ready to run.
-        rows: Its rows, verified.
+        rows: All rows of the study's folder, verified.
         yields: Rows of `yields_of`.
         quantiles: Rows of `quantiles_of`.
         dense: Quantiles of the mean position error at the probabilities `DENSE`.
-        sensitivities: Rows of `sensitivities_of`, or why there are none, by number of setting. There is one setting for
-            each method; everything else that was varied is at its middle value.
+        sensitivities: By number of setting: rows of `sensitivities_of`, or the reason why there are none. One setting
+            of each method is analysed, with all other varied columns at their middle values.
     """
 
     protocol: study.Protocol
@@ -56,7 +56,7 @@ class Findings:
     sensitivities: dict[int, list[dict[str, Any]] | str]
 
     def label(self, setting: int) -> str:
-        """Return a setting in a few words, with units."""
+        """Return a description of the setting with this number in a few words, with units."""
         return setting_label(self.yields[setting])
 
 
@@ -89,7 +89,10 @@ def _sensitivities(rows: Dataset, setting: int) -> list[dict[str, Any]] | str:
 
 
 def ranked(rows: Dataset, setting: int) -> dict[str, tuple[int, float]]:
-    """Return number and mean position error, mm, of a setting's arms "worst", "median" and "best".
+    """Return the arms of a setting with the largest, median and smallest mean position error.
+
+    Returns:
+        For "worst", "median" and "best" the number of the arm, and its mean position error, mm.
 
     Raises:
         InputError: If no arm of the setting has a result.
@@ -115,7 +118,10 @@ FEW = 200
 
 
 def study_verdict(config: study.StudyConfig, rows: Sequence[Row]) -> PageVerdict:
-    """Return the verdict: the least demanding way to make and calibrate arms that suffices at its hardest payload.
+    """Return the verdict: the way to make and calibrate arms that reaches `REQUIRED_YIELD` with the least effort.
+
+    If no way reaches this yield, the verdict names the way with the highest yield. The yield of a way is its lowest
+    yield over all payloads.
 
     Args:
         config: The study.
@@ -159,17 +165,17 @@ def study_verdict(config: study.StudyConfig, rows: Sequence[Row]) -> PageVerdict
 
 
 def specified(config: study.StudyConfig) -> str:
-    """Return the specification in words: when an arm is good enough."""
+    """Return the specification in words, such as: at least 90 % of the fruit within 5 mm."""
     return f"at least {100 * config.share:g} % of the fruit within {config.radius_mm:g} mm"
 
 
 def method_label(method: str) -> str:
-    """Return a method's name for people: LS for ls, LS+BPNN for ls+bpnn; raw stays."""
+    """Return a method's name as figures and reports show it: in capitals, such as LS+BPNN for ls+bpnn, except raw."""
     return method if method == study.RAW else method.upper()
 
 
 def setting_label(row: Row) -> str:
-    """Return a setting in a few words, with units."""
+    """Return a description of a setting in a few words, with units, from one of its rows."""
     calibration = method_label(row["method"])
     if row["method"] != study.RAW:
         calibration += f", {row['poses']} poses, noise {row['noise_mm']:g} mm"
@@ -235,7 +241,7 @@ LONGEST = 16
 
 
 def study_drawings(findings: Findings) -> Drawings:
-    """Return the figures of a study with captions; for a figure that the study does not allow, the reason."""
+    """Return the figures of a study with captions; a figure that its rows do not allow has the reason instead."""
     rows, specification = findings.yields, specified(findings.protocol.config)
     has_results = any(row["failed"] < row["arms"] for row in rows)
     drawings: list[Drawing] = []
@@ -266,9 +272,9 @@ def study_drawings(findings: Findings) -> Drawings:
 
 
 def varied(rows: Sequence[Row]) -> list[str]:
-    """Return the names of the `AXES` that take several values.
+    """Return the names in `AXES` of the columns that have several values.
 
-    Poses and noise count among calibrated settings, payload and grade among all.
+    For poses and noise only the rows of calibrated settings count, since raw arms have neither.
     """
     calibrated = [row for row in rows if row["method"] != study.RAW]
     return [
@@ -281,9 +287,9 @@ def yield_curves(yields: Sequence[Row], along: str, specification: str) -> Figur
 
     Args:
         yields: Rows of `yields_of`.
-        along: The axis, which the study varied. Colour and line style show other quantities that vary, or these are
-            held at their middle value, which the legend names.
-        specification: When an arm is good enough, in words.
+        along: Column on the x axis, which the study varied. Of the other varied columns, colour and line style show
+            some. The rest are held at their middle values, which the legend names.
+        specification: The text of `specified`: when an arm is within specification.
     """
     keys = ("yield", "yield_low", "yield_high")
     note = f"yield of {_arms(yields)} with 95 % bands; within specification: {specification}"
@@ -295,7 +301,7 @@ def error_curves(quantiles: Sequence[Row], along: str) -> Figure:
 
     Args:
         quantiles: Rows of `quantiles_of`, with probabilities 0.05, 0.5 and 0.95.
-        along: The axis, which the study varied.
+        along: Column on the x axis, which the study varied.
     """
     merged: dict[int, dict[str, Any]] = {}
     for row in _judged(quantiles):
@@ -335,11 +341,13 @@ def distributions(quantiles: Sequence[Row], radius_mm: float) -> Figure:
 
 
 def tornado(sensitivities: Sequence[Row], setting: str) -> Figure:
-    """Draw the share of the variance between arms that each tolerance explains, by parameter and kind, with intervals.
+    """Draw the share of the variance between arms that each parameter, and each kind of parameter, explains.
+
+    Shares have 95 % intervals.
 
     Args:
         sensitivities: Rows of `sensitivities_of`.
-        setting: The setting in words.
+        setting: Description of the setting, from `setting_label`.
     """
     single = [row for row in sensitivities if row["level"] == "parameter"][:LONGEST]
     kinds = [row for row in sensitivities if row["level"] == "kind"]

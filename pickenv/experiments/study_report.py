@@ -1,8 +1,8 @@
 """Outputs in a study's folder: a report in one HTML file that needs no network, figures, and a recording for Rerun.
 
-The page has the verdict first, then yields, errors, what matters, and origin. The recording shows a setting's worst,
-median and best arm side by side. Each is calibrated at its own poses, but all reach for the fruit of the worst one, so
-that they can be compared.
+The page has the verdict first, then yields, errors, the tolerances that matter, and the origin of the numbers. The
+recording shows a setting's worst, median and best arm side by side. Each arm is calibrated at its own poses, but all
+three reach for the fruit of the worst arm, so that they can be compared.
 """
 
 from __future__ import annotations
@@ -56,7 +56,7 @@ def write_outputs(folder: str | Path, sobol_samples: int = 0) -> list[Path]:
 
     Args:
         folder: The study's folder.
-        sobol_samples: Rows of the sample for Sobol indices, a power of two; 0 computes no indices.
+        sobol_samples: Number of rows of the sample for Sobol indices, a power of two; 0 computes no indices.
     """
     folder, written = Path(folder), []
     findings = study_findings.gather(folder)
@@ -95,7 +95,7 @@ def study_page(folder: str | Path, findings: study_findings.Findings) -> str:
 
     Args:
         folder: The study's folder.
-        findings: Its findings, from `pickenv.experiments.gather`.
+        findings: The findings of the study, from `pickenv.experiments.gather`.
 
     Raises:
         InputError: If the study is not finished.
@@ -269,7 +269,10 @@ def record_study(folder: str | Path, setting: int, path: str | Path) -> Path:
 
 
 def arms_compared(folder: str | Path, setting: int) -> Comparison:
-    """Return a comparison of a setting's worst, median and best arm in the place of policies; see `record_study`."""
+    """Return the reaches of a setting's worst, median and best arm, in the format of a comparison of policies.
+
+    `record_study` makes its recording from them.
+    """
     protocol = prepared_study(study_of(folder))
     config, nominal = protocol.config, protocol.nominal
     if not 0 <= setting < len(protocol.settings):

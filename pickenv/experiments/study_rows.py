@@ -1,9 +1,9 @@
 """Run or continue a tolerance study, and read its folder: yields and quantiles per setting.
 
-A folder contains `study.toml`, that is the configuration with its hash, and `rows`. These are an experiment whose units
-are chunks of arms, with one row for each arm and setting. When the study is complete, there is `summary.json` too. Each
-part is checked against the others when it is read. The files of the experiment have the hash of their study in their
-names, and the summary contains the hashes of study and rows.
+A study's folder contains `study.toml`, that is the configuration with its hash, and the folder `rows`. This is the
+folder of an experiment whose units are chunks of arms, with one row for each arm and setting. A complete study has
+`summary.json` too. Each part is checked against the others when it is read. The files in `rows` have the hash of the
+study in their names, and the summary contains the hashes of study and rows.
 """
 
 from __future__ import annotations
@@ -57,12 +57,12 @@ def run_study(
     device: str = "cpu",
     progress: Callable[[int, int], None] | None = None,
 ) -> dict[str, Any]:
-    """Compute the missing chunks of a study, and summarise it.
+    """Compute the chunks of arms that a study's folder lacks, and write and return the summary of the study.
 
     Args:
         config: The study.
-        folder: Folder for results. Chunks that are there are kept; damaged ones are computed again, with a warning.
-        executor: A name of `EXECUTORS`.
+        folder: Folder for results. It keeps the chunks that it has; damaged chunks are computed again, with a warning.
+        executor: A name of `EXECUTORS`: "serial", "joblib" or "batched".
         workers: Number of processes; None for one per core, or for a single one with "batched".
         device: Device of "batched": "cpu" or "cuda".
         progress: Called with (arms done, total number of arms).
@@ -174,10 +174,10 @@ def _claim(folder: Path, config: study.StudyConfig, arithmetic: str) -> None:
 
 
 def study_of(folder: str | Path) -> study.StudyConfig:
-    """Return the configuration of a study's folder, after its hash is verified.
+    """Return the configuration of a study's folder, after the hash in `study.toml` is verified.
 
     Raises:
-        InputError: If the folder holds no study, or another one than its hash says.
+        InputError: If the folder holds no study, or the hash is that of another configuration.
     """
     path = Path(folder) / "study.toml"
     config, (content, _) = study.load_study(path), toml_of(path)
@@ -215,13 +215,13 @@ def read_rows(folder: str | Path) -> ds.Dataset:
 
 
 def table_sha256(folder: str | Path) -> str:
-    """Return the hash of all rows, sorted by arm and setting; it does not depend on the size of chunks.
+    """Return one hash over all rows of a study, sorted by arm and setting; it does not depend on the size of chunks.
 
-    Each column is hashed on its own, numbers as little-endian bytes and texts as UTF-8 lines. Then the names and hashes
-    of all columns are hashed together.
+    Each column is hashed on its own, numbers as little-endian bytes and texts as UTF-8 lines. The result is one hash
+    over the names of all columns and these hashes.
 
     Raises:
-        InputError: As `read_rows`.
+        InputError: If the folder holds no rows, or a chunk is missing, damaged or of another study.
     """
     hashes: dict[str, Any] = {}
     for _, table in _chunks(folder):
@@ -247,12 +247,12 @@ def write_record(path: Path, content: Row) -> dict[str, Any]:
 
 
 def read_record(path: Path, sha256: str, again: str) -> dict[str, Any]:
-    """Read a record that `write_record` wrote about a study; its "config_sha256" is the study's hash.
+    """Read a record that `write_record` wrote about a study, and verify it.
 
     Args:
         path: The file.
-        sha256: Hash of the study that the record must be about.
-        again: What the user can do about a refused file, as the end of a sentence.
+        sha256: Hash of the study; the record must have the same hash as "config_sha256".
+        again: What the user can do about a refused file, as the end of the error's sentence.
 
     Raises:
         InputError: If the file is missing, damaged, edited, or about another study.
@@ -267,7 +267,7 @@ def read_summary(folder: str | Path) -> dict[str, Any]:
     """Read and verify the summary of a finished study.
 
     Raises:
-        InputError: If it is missing, damaged, edited, or of another study or other rows.
+        InputError: If the summary is missing, damaged, edited, or of another study or other rows.
     """
     path, command = Path(folder) / SUMMARY, command_line("pickenv", "study", "CONFIG", out=folder)
     again = f"run `{command}` again to go on"
@@ -284,10 +284,11 @@ def write_sobol(folder: str | Path, settings: Sequence[int], samples: int) -> Pa
     Args:
         folder: The study's folder.
         settings: Numbers of the settings.
-        samples: Rows of the sample, a power of two.
+        samples: Number of rows of the sample, a power of two.
 
     Raises:
-        InputError: As `pickenv.experiments.study_variance.sobol_of`.
+        InputError: If a setting has a method other than raw or least squares, an arm cannot be judged, or ``samples``
+            is no power of two or too few.
     """
     from pickenv.experiments.study_variance import sobol_of
 
@@ -317,9 +318,9 @@ def check_folder(folder: str | Path) -> list[tuple[Path, str | None]]:
     Report, figures and recording are not checked.
 
     Returns:
-        (path, fault) for the configuration, the record and every other file among the rows, missing chunks, the
-        summary, and Sobol indices if there are any. The fault is None for a sound file, else the sentence that says why
-        the file is refused.
+        Pairs (path, fault) for the configuration, every file in the folder of rows, every missing chunk, the summary,
+        and the Sobol indices if there are any. The fault is None for a sound file, else a sentence that says why the
+        file is refused.
     """
     folder = Path(folder)
     described, rows = folder / "study.toml", check_experiment(folder / ROWS)
@@ -338,9 +339,9 @@ PROBABILITIES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
 def held(rows: Sequence[Row], shown: Sequence[str]) -> list[Row]:
-    """Return the rows in which every varied column but ``shown`` is at its middle value.
+    """Return the rows in which every varied column, except those in ``shown``, is at its middle value.
 
-    Raw arms have neither poses nor noise, so these are not compared for them.
+    Rows of raw arms, which have neither poses nor noise, need not be at the middle value of these two columns.
     """
     calibrated = [row for row in rows if row["method"] != study.RAW] or rows
     middle = {}
@@ -359,7 +360,7 @@ def yields_of(rows: ds.Dataset, required_share: float) -> pa.Table:
     """Compute the yield of every setting, that is the share of arms within specification, with Wilson's interval.
 
     An arm is within specification if the share of its fruit inside the specified radius reaches the required share. An
-    arm whose calibration failed is not. Shares are numbers from 0 to 1.
+    arm without a result is never within specification. Shares are numbers from 0 to 1.
 
     Args:
         rows: Any number of a study's rows.
@@ -381,15 +382,15 @@ def yields_of(rows: ds.Dataset, required_share: float) -> pa.Table:
 def quantiles_of(
     rows: ds.Dataset, columns: Sequence[str] = study.FIGURES, probabilities: Sequence[float] = PROBABILITIES
 ) -> pa.Table:
-    """Compute quantiles of the arms' errors in every setting, without failed arms; mm and degrees.
+    """Compute quantiles of the arms' errors in every setting, mm and degrees; arms without a result are left out.
 
     The i-th of N sorted values has probability (i - 1/2) / N (Hazen's definition). The 95 % band, from order
-    statistics, needs no assumption about the distribution. An end of the band is open where too few arms bound the
-    quantile: below 5 % and above 95 % with fewer than 72 arms.
+    statistics, needs no assumption about the distribution. With few arms the band of an extreme quantile has an open
+    end: with fewer than 72 arms, those below 5 % and above 95 %.
 
     Args:
         rows: Any number of a study's rows.
-        columns: The error columns.
+        columns: The columns of errors.
         probabilities: Probabilities of the quantiles.
 
     Returns:

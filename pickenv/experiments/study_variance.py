@@ -1,21 +1,22 @@
 """Causes of differences between arms' errors: by drawing each cause anew, by Sobol indices, and by regression on rows.
 
-Components: the arm, its fruit, its poses or the tracker's errors are drawn again while the others are held, on arms
-beyond the study's own. The quantity is the radius that holds the required share of an arm's fruit; it decides whether
-the arm is within specification. Its logarithm is taken: a share is then one of relative errors, and a few bad arms do
-not decide alone.
+Components (`components_of`) are shares of four causes: the arm, its fruit, its poses and the tracker's errors. One
+cause is drawn again while the other three are held, on further arms that are not in the study. The quantity is the
+logarithm of the radius that contains the required share of an arm's fruit. This radius decides whether the arm is
+within specification. With the logarithm, the shares are those of relative errors, and a few bad arms do not dominate.
 
-Sobol indices (Saltelli 2010) divide the variance of the squared RMS error, mm^2, among groups of tolerances. They
-include interactions and need no model, but need arms of their own. The tracker has no errors here. Each row of the
-sample has fruit and poses of its own, the same for all arms that are compared in it. The indices are thus averages over
+Sobol indices (`sobol_of`, Saltelli 2010) divide the variance of the squared RMS error, mm^2, among groups of
+tolerances. They include interactions and assume no model, but need further arms. The tracker has no errors here. Each
+row of the sample has fruit and poses of its own, and all arms of a row share them. The indices are thus averages over
 fruit and poses.
 
-Sensitivities: the squared error of an arm is a quadratic form of its deviations. The squared RMS error of an arm over
-its own fruit, mm^2, is therefore regressed on each standardised deviation x and on x^2. For independent deviations the
-variance of b x + c x^2 is the parameter's first-order share. What R^2 leaves is interaction, the arm's own fruit and
-poses, the tracker, and deviations without a column. A regression finds a share where there is none. What scatter alone
-would give is subtracted, so a tolerance without effect has a share of zero on average. Intervals come from the
-jackknife over groups of arms (`_interval`).
+Sensitivities (`sensitivities_of`) come from a regression on a study's rows. The squared error of an arm is a quadratic
+form of its deviations. The squared RMS error of an arm over its own fruit, mm^2, is therefore regressed on each
+standardised deviation x and on x^2. For independent deviations the variance of b x + c x^2 is the parameter's
+first-order share. The rest, 1 - R^2, is due to interactions, fruit and poses, the tracker, and deviations without a
+column. A regression gives a positive share to a tolerance without effect. The share that scatter alone would give is
+subtracted, so that the share of such a tolerance is zero on average. Intervals come from the jackknife over groups of
+arms (`_interval`).
 """
 
 from __future__ import annotations
@@ -46,20 +47,23 @@ from pickenv.experiments.study import LS, OK, RAW, Circumstances, Protocol, Sett
 
 
 def variance_indices(first: Array, second: Array, mixed: Array, names: Sequence[str]) -> list[dict[str, Any]]:
-    """Compute the indices of causes from R independent blocks of n rows.
+    """Compute the first-order and total share of each cause in the variance of a quantity, from samples A and B.
+
+    Each sample consists of R independent parts of n draws.
 
     Args:
         first: Values of the quantity with all causes from sample A ``(R, n)``.
         second: Values with all causes from sample B ``(R, n)``.
-        mixed: For each of G causes, values with this cause from B and all others from A ``(G, R, n)``.
+        mixed: For each of G causes, values with this cause from B and the other causes from A ``(G, R, n)``.
         names: Names of the causes.
 
     Returns:
-        For each cause its name ``group``, ``first_order`` (its share alone), and ``total`` (with all its interactions,
-        never less). The 95 % intervals are ``first_order_low`` and so on; None where there are too few blocks.
+        One row per cause. ``group`` is its name, ``first_order`` its share alone, and ``total`` its share with all its
+        interactions, which is never smaller. The ends of the 95 % intervals, over the R parts, are ``first_order_low``,
+        ``first_order_high``, ``total_low`` and ``total_high``. They are None if R is too small.
 
     Raises:
-        InputError: If nothing varies.
+        InputError: If all values of ``first`` and ``second`` are equal.
     """
     variance = 0.5 * np.mean((first - second) ** 2, axis=1)
     if not variance.any():
@@ -90,24 +94,24 @@ def _ends(part: Array, whole: Array, value: float) -> tuple[float | None, float 
 # Components.
 
 MOST_ARMS, LEAST_ARMS = 256, 30
-"""Largest and smallest number of arms of the design. With 20 arms, 95 % intervals of totals would contain the true
-value in 92 % of cases only."""
+"""Largest and smallest number of arms for `components_of`. With 20 arms, 95 % intervals of total shares would contain
+the true value in 92 % of cases only."""
 
 
 def components_of(protocol: Protocol, setting: Setting) -> list[dict[str, Any]]:
-    """Compute the shares of causes in the variance of the arms' logarithmic errors in one setting.
+    """Compute the shares of arms, fruit, poses and tracker in the variance of the arms' logarithmic errors.
 
     Args:
-        protocol: The study. As many arms are drawn as it has, from `LEAST_ARMS` to `MOST_ARMS`; each is judged six
-            times.
-        setting: One of its settings, raw or least squares.
+        protocol: The study. The number of arms computed is that of the study, at most `MOST_ARMS`. Each is judged once
+            per cause, and twice more.
+        setting: A setting of the study with the method raw or least squares.
 
     Returns:
-        Rows as from `variance_indices`, for the groups arms and fruit, and with least squares poses and tracker; each
-        with the number of ``arms``.
+        One row per cause, with first-order and total share as in the rows of `variance_indices`, and the number of
+        ``arms``. The causes are "arms" and "fruit", and with least squares also "poses" and "tracker".
 
     Raises:
-        InputError: If the setting has another method, or too few arms can be judged.
+        InputError: If the setting has another method, or fewer than `LEAST_ARMS` arms exist or can be judged.
     """
     if setting.method not in (RAW, LS):
         raise InputError(f"components of variance of method '{setting.method}' would take too long")
@@ -172,9 +176,9 @@ SAMPLES = 2048
 
 
 def tolerance_groups(design: Plant) -> dict[str, list[int]]:
-    """Return the columns of an arm's uniform random numbers that belong to each group, by group.
+    """Return the indices of the uniform random numbers that determine each group of tolerances, by group.
 
-    Groups of effects that the design lacks are left out.
+    A group whose effect the design lacks is left out.
     """
     columns, n = random_columns(design), design.arm.nominal.joints
     alpha, a, theta, d = (list(columns["geometry"][k * n : (k + 1) * n]) for k in range(4))
@@ -188,18 +192,21 @@ def tolerance_groups(design: Plant) -> dict[str, list[int]]:
 
 
 def sobol_of(protocol: Protocol, setting: Setting, samples: int) -> list[dict[str, Any]]:
-    """Compute the Sobol indices of groups of tolerances in one setting.
+    """Compute the Sobol indices of groups of tolerances in one setting: shares in the variance of the squared error.
 
     Args:
         protocol: The study.
-        setting: One of its settings, raw or least squares.
-        samples: Rows of the sample, a power of two; (groups + 2) times as many arms are computed.
+        setting: A setting of the study with the method raw or least squares.
+        samples: Number of rows of the sample, a power of two. Each row needs one arm per group of tolerances, and two
+            more.
 
     Returns:
-        Rows as from `sobol_indices`, with the number of arms.
+        One row per group, with first-order and total share as in the rows of `variance_indices`, and the number of
+        ``arms``.
 
     Raises:
-        InputError: If the setting has another method, or an arm cannot be judged.
+        InputError: If the setting has another method, an arm cannot be judged, or ``samples`` is no power of two or too
+            few.
     """
     from pickenv.experiments.study_batched import judge_batch
 
@@ -245,15 +252,17 @@ def sobol_indices(
         model: Function that returns one finite number for each of N rows ``(N,)``. Its arguments are uniform random
             numbers ``(N, d)`` in 0..1, and the numbers of the rows in the sample ``(N,)``. The indices are averages
             over whatever else depends on a row's number.
-        groups: For each group, the inputs that belong to it; together they name every input once.
-        samples: Rows of the sample, a power of two; the model is evaluated (number of groups + 2) times as often.
-        rng: Random numbers for the scrambled Sobol sequences, `SCRAMBLES` of them.
+        groups: For each group, the indices of its inputs among the d columns; each input belongs to one group.
+        samples: Number of rows of the sample, a power of two. The model is evaluated at each row once per group, and
+            twice more.
+        rng: Random numbers for the `SCRAMBLES` scrambled Sobol sequences.
 
     Returns:
-        Rows as from `variance_indices`. Total minus first order is interaction.
+        One row per group, with first-order and total share as in the rows of `variance_indices`. The total minus the
+        first-order share is due to interactions.
 
     Raises:
-        InputError: If ``samples`` is no power of two or too few.
+        InputError: If ``samples`` is no power of two or below `LEAST_SAMPLES`, or the model's values are all equal.
     """
     d = sum(map(len, groups.values()))
     if samples < LEAST_SAMPLES or samples & (samples - 1):
@@ -291,13 +300,13 @@ def sensitivities_of(rows: Dataset, setting: int = 0) -> pa.Table:
         setting: Number of the setting; failed arms are left out.
 
     Returns:
-        One row per parameter and per kind, largest share first. ``level`` is parameter or kind, ``parameter`` its name,
-        and ``kind`` the kind that it belongs to. ``share`` is the share of the variance, which may be estimated below
-        zero if there is none; its 95 % interval is ``share_low``, ``share_high``. ``r2``, ``r2_adjusted`` and ``arms``
-        are those of the whole regression.
+        One row per parameter and one per kind, sorted by share, largest first. ``level`` is "parameter" or "kind",
+        ``parameter`` the name of the parameter or kind, and ``kind`` the kind. ``share`` is the share of the variance;
+        an estimate of a share near zero may be negative. The ends of its 95 % interval are ``share_low`` and
+        ``share_high``. ``r2``, ``r2_adjusted`` and the number of ``arms`` are those of the whole regression.
 
     Raises:
-        InputError: If nothing varies, or there are too few arms for the number of deviations.
+        InputError: If no parameter varies between the arms, or there are too few arms for the number of deviations.
     """
     names, sums = _moments(rows, setting)
     arms, terms = int(sums[:, 0, 0].sum()), 2 * len(names) + 1
@@ -342,12 +351,15 @@ def sensitivities_of(rows: Dataset, setting: int = 0) -> pa.Table:
 
 
 def parameter_of(column: str) -> str:
-    """Return the parameter of a column: the column itself, or "size_x" for "sine_x" and "cosine_x" of an error x."""
+    """Return the parameter that a column of deviations belongs to.
+
+    It is named like the column, but "size_x" for the columns "sine_x" and "cosine_x" of a periodic error x.
+    """
     return re.sub(r"^(sine|cosine)_", "size_", column)
 
 
 def tolerance_kind(column: str) -> str:
-    """Return the kind of tolerance of a deviation's column: angles, lengths, or the effect whose size the column is."""
+    """Return the kind of a column of deviations: "angles", "lengths", or what deviates, such as "joint stiffness"."""
     if column.startswith("delta_"):
         return "angles" if column.endswith("_deg") else "lengths"
     if column == "rise_K":

@@ -1,4 +1,4 @@
-"""PPO on the flat environments; tuned on the ideal picking arm, the parameters suit all its plants and feedbacks.
+"""PPO on the flat environments: parameters tuned on the ideal picking arm, for all its plants and kinds of feedback.
 
 The gap between tool and fruit (position and attitude) is scaled (`pickenv.wrappers.GapScaling`). Without that wrapper
 no network of this size resolves millimetres. `pickenv/ReachScaled-v0` and `pickenv/ReachTool-v0` scale it themselves;

@@ -1,6 +1,6 @@
 """RecurrentPPO (sb3-contrib) on many fruit of one arm: it observes the last pick and remembers the earlier ones.
 
-In training, which is simulated, rewards use the true tool position. The trained policy is judged without them.
+In training, which is simulated, rewards use the tool's true position. The trained policy runs without rewards.
 """
 
 SAME_ARM = {

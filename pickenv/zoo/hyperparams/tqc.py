@@ -1,4 +1,4 @@
-"""TQC (sb3-contrib): the parameters of SAC, with the number of quantiles and of those that TQC drops."""
+"""TQC (sb3-contrib): the parameters of SAC, and how many quantiles TQC has and drops."""
 
 from pickenv.zoo.hyperparams.sac import hyperparams as _sac
 
