@@ -74,8 +74,8 @@ class Moment(NamedTuple):
     Attributes:
         reward: Reward of the step; 0 after the reset.
         info: The environment's info.
-        target: Joint values ``(n,)`` at which the controller believes the arm to be, rad or m; None if the environment
-            does not report them.
+        target: Joint values ``(n,)``, rad or m, to which the controller has sent the arm; it takes the arm to be there.
+            None if the environment does not report them.
     """
 
     reward: float

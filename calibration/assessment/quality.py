@@ -437,8 +437,8 @@ def no_gain(
         before: Errors of the nominal arm ``(M, k)``, m or rad; None if there is no nominal arm. If k is larger than 3,
             the first three columns count.
         after: Errors of the calibrated arm ``(M, k)``, m or rad.
-        blocks: Number of the block of rows (or of the single row) that each error belongs to ``(M,)``. It is needed if
-            errors of one block or row are correlated.
+        blocks: For each error, the index of its block of rows, or of its row ``(M,)``. Errors with one index count as
+            correlated. None if all errors are independent.
         unit: The unit in which errors are shown, "mm" or "deg".
         count: Number of held-out rows.
         called: Word for these rows in sentences, in the plural, such as "views".

@@ -40,9 +40,9 @@ class Order:
 
     Attributes:
         out: The file to write.
-        onto: The robot's own file, in which only what the calibration corrects is changed; None for a new file.
+        onto: The robot's own file, of which a corrected copy is written: other entries stay. None for a new file.
         tip: Name of the link at the tip, if the caller gave it as in "robot.urdf#link"; else None.
-        arm: The arm, if it was given.
+        arm: The nominal arm, if the caller gave it; else None.
         counts_per_turn: Encoder counts per turn, for tables of offsets.
         sample: Number of arms that are drawn from the calibration's posterior and written beside a new MJCF.
         seed: Seed of these draws.

@@ -54,8 +54,8 @@ def toml_document(calibration: Calibration, order: document.Order) -> document.D
     written as a joint table with ``follows`` and ``ratio``.
 
     Raises:
-        InputError: If a revolute joint moves only prismatic links, or a prismatic joint only revolute links (a rack
-            and its pinion). Also if joints are in another order than their links. Only a URDF can hold such arms.
+        InputError: If a joint that turns moves only links that slide, or the other way round (a rack and its pinion).
+            Also if joints are in another order than their links. Only a URDF can hold such arms.
     """
     arm, geometry = order.arm_of(calibration), calibration.identified
     leaders = _leading_tables(geometry)

@@ -483,7 +483,7 @@ class ReflectorObservations(Observations):
         return int(np.argmax(self.seen.sum(axis=0)))
 
     def rough_poses(self, prismatic: tuple[bool, ...]) -> Measurements:
-        """Return the measured positions of the reflector that is seen most often, as `Measurements`."""
+        """Return the positions of the one reflector that most rows saw, as `Measurements`; they start the fit."""
         rows = self.seen[:, self.clearest]
         seen = self.joints[rows], self.points[rows, self.clearest], None, prismatic
         return Measurements(*seen, source=self.source, conditions=self.conditions.select(rows))

@@ -36,7 +36,7 @@ def write_whole(path: str | Path, write: Callable[[Path], Any]) -> Path:
 
     File and folder are flushed to the disk, so that a power cut leaves either the old file or the new one. If ``path``
     is a symbolic link, its target is replaced. Devices, pipes and the standard streams are written into directly.
-    Temporary files that killed processes of this machine left in the folder are removed.
+    If an earlier process of this machine was killed while it wrote, its temporary file in the folder is removed.
 
     Args:
         path: Path of the finished file. Missing folders are made.

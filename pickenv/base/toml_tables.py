@@ -35,9 +35,9 @@ def fault(wanted: str, kind: str = "wanted", **said: Any) -> Exception:
     """Return the exception that a check of a value raises.
 
     Args:
-        wanted: What the user should give; the message ends with "give" and this text.
+        wanted: What the user should give: "a positive number" makes a message that ends "give a positive number".
         kind: Type of the error, as pydantic names it.
-        said: Further details for the message, by name.
+        said: Further values of the error, by name, for whoever words the message.
     """
     from pydantic_core import PydanticCustomError
 
@@ -101,7 +101,7 @@ class Unit:
 
     @property
     def not_negative(self) -> Unit:
-        """This unit, for numbers of at least zero only."""
+        """This unit with a further check: it refuses negative numbers."""
         return replace(self, least=0.0)
 
     def at_least(self, least: float) -> Unit:
@@ -403,7 +403,7 @@ def file_named(kind: str, name: str | Path, folder: Path, endings: str = ".toml"
         kind: What the file describes, for messages: "arm".
         name: Name of a shipped file without its suffix, or a path ending in .toml.
         folder: Folder of the shipped files.
-        endings: Endings of files that may be given instead, for messages.
+        endings: Endings of the files that a path may name, as the error message lists them: ".toml, .npz".
 
     Raises:
         InputError: If there is no such file.

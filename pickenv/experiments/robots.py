@@ -138,7 +138,7 @@ def fold_errors(
 
     Args:
         rng: Not used; random numbers depend on the seed of ``settings``, the row and the fold.
-        row: Name in `GAINS`, which stands for a data set and a way to split it.
+        row: Key of `GAINS`, which selects a data set and a way to split it.
         fold: Number of the fold, from 0.
         settings: Sizes of the computation, and its seed.
         data: Folder of the data sets.

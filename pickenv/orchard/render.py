@@ -61,9 +61,9 @@ class Leaves:
 
     Attributes:
         places: Centres, m, shape (m, 3).
-        shapes: For each leaf, the matrix that maps its ellipse in the image plane to the unit disc, shape (m, 2, 2).
-            The unit of length is half the larger of the leaf's length and width.
-        colours: Red, green and blue of each leaf, shape (m, 3).
+        shapes: For each leaf, a matrix for its attitude and proportions, shape (m, 2, 2). It maps the leaf's ellipse in
+            the image to the unit disc, after lengths are divided by the ellipse's longer half axis.
+        colours: Red, green and blue of each leaf, 0 to 255, shape (m, 3).
     """
 
     places: Array

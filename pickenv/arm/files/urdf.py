@@ -174,7 +174,7 @@ def urdf_row(path: Path, tip: str | None = None) -> JointRow:
 
     Args:
         path: The file.
-        tip: Name of the last link; the flange by default.
+        tip: Name of the last link. By default it is the flange, as `joint_chain.flange` finds it in the tree of links.
 
     Raises:
         InputError: If the file, a link or a joint is unusable; the message names it.

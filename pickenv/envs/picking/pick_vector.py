@@ -93,7 +93,7 @@ class PickVectorEnv(NativeVectorEnv):
         return {key: np.array(value) for key, value in (arrays | self.batch.state_arrays()).items()}
 
     def take_state_arrays(self, state: dict[str, NDArray[Any]]) -> None:
-        """Restore the arrays that `state_arrays` of an environment with the same arguments returned."""
+        """Restore a state that `state_arrays` returned, of an environment that was made with the same arguments."""
         self._rngs = [np.random.Generator(np.random.PCG64(0)) for _ in range(self.num_envs)]
         for rng, words in zip(self._rngs, state["rngs"], strict=True):
             rng.bit_generator.state = state_of_words(words)

@@ -226,10 +226,10 @@ def shades(names: Iterable[str]) -> dict[str, tuple[float, float, float]]:
 
 
 def coloured(series: Mapping[str, Array]) -> list[tuple[str, Array, tuple[float, float, float]]]:
-    """Return label in words, values and colour (RGB in 0..1) of each series.
+    """Return, for each series, its label for people, its values, and its colour (RGB, 0 to 1).
 
     Args:
-        series: Values of each policy or method, by the key or label that determines its colour.
+        series: Maps a policy's or method's key, or its label, to its values. The key or label selects the colour.
     """
     return [(in_words(label), series[label], colour) for label, colour in shades(series).items()]
 
