@@ -76,7 +76,7 @@ class Term(Protocol):
 
 
 class JointTerm(Term, Protocol):
-    """A term of the error model that displaces joints: each coefficient moves one joint, and the tool to first order."""
+    """A term of the error model that displaces joints, one for each coefficient; the tool moves to first order."""
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
         """Return each coefficient's joint ``(k,)``, and that joint's motion per unit of it ``(N, k)``, rad or m."""

@@ -429,8 +429,8 @@ class SceneTable:
     """Section [scene]: names of the sensor and of its target, and the links of a whole robot that carry them.
 
     Files that name the same sensor share one sensor pose. Files that name the same target share one target pose. A
-    sensor or target without a name belongs to this file alone. One without a link is fixed in the world. An inclinometer has no
-    target.
+    sensor or target without a name belongs to this file alone. One without a link is fixed in the world. An
+    inclinometer has no target.
     """
 
     sensor: str = ""

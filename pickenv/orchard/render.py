@@ -62,7 +62,7 @@ class Leaves:
     Attributes:
         places: Centres, m, shape (m, 3).
         shapes: For each leaf, a matrix for its attitude and proportions, shape (m, 2, 2). It maps the leaf's ellipse in
-            the image to the unit disc, after lengths are divided by the ellipse's longer half axis.
+            the image to the unit disc, after lengths are divided by half the larger of a leaf's length and width.
         colours: Red, green and blue of each leaf, 0 to 255, shape (m, 3).
     """
 

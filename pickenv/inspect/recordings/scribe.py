@@ -84,7 +84,7 @@ class Scribe:
         self.stream.send_columns(entity, [], columns, strict=True)
 
     def along(self, entity: str, *columns: Iterable[rr.ComponentColumn]) -> None:
-        """Send columns of data to the path ``entity``; each has one row for each time of this recording's time columns."""
+        """Send columns of data to the path ``entity``, with one row for each time of this recording's time columns."""
         if self.times:
             self.stream.send_columns(entity, self.times, [c for several in columns for c in several], strict=True)
 
