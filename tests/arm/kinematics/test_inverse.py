@@ -125,6 +125,17 @@ def test_limits_hold_from_any_start(qiao, draw):
     assert within_limits(qiao.nominal, inverse(qiao.nominal, target, start, restarts=0, max_iterations=3).joints)
 
 
+@pytest.mark.parametrize("name", ["qiao2026", "ur5e", "so101", "positioner"])
+def test_a_few_targets_get_the_joints_that_they_get_among_many(name, draw):
+    """Within 1e-12: the last bits of linear algebra may depend on how many matrices there are."""
+    geometry = load_arm(name).nominal
+    targets = forward(geometry, draw(geometry, 30))
+    many = inverse(geometry, targets, restarts=0)
+    for rows in (slice(0, 1), slice(1, 4), slice(4, 12), slice(12, 21)):
+        few = inverse(geometry, Pose(targets.position[rows], targets.rotation[rows]), restarts=0)
+        np.testing.assert_allclose(few.joints, many.joints[rows], rtol=0, atol=1e-12)
+
+
 @pytest.mark.parametrize("shape", [(), (0,), (2, 3)])
 def test_the_answer_has_the_shape_of_the_question(qiao, draw, shape):
     solution = inverse(qiao.nominal, forward(qiao.nominal, draw(qiao.nominal, *shape)))
