@@ -117,7 +117,7 @@ def pose_and_jacobian(geometry: Geometry, q: Array) -> tuple[Pose, Array]:
         links = frames(ONE, chain, joints)
         tools.append(attach(chain.hand(links), chain.tool))
         jacobian[row] = jacobian_columns(geometry, links, tools[-1])
-    parts = np.array(tools).reshape(-1, 12)
+    parts: Array = np.array(tools).reshape(-1, 12)
     return Pose(parts[:, 9:], parts[:, :9].reshape(-1, 3, 3).swapaxes(-1, -2)), jacobian.swapaxes(-1, -2)
 
 
