@@ -63,8 +63,7 @@ from pickenv.envs.shared.task import GOAL_MARGIN
 from pickenv.experiments.engine import Rows
 
 VERSION = 3
-"""Version of the rows. It is raised when a configuration gives other rows, so that old and new results are never
-mixed."""
+"""Version of the rows, raised when a configuration gives other rows: old and new results never mix."""
 
 RAW, LS = "raw", "ls"
 METHODS = (RAW, LS, *(f"{LS}+{kind}" for kind in names("residual")))
@@ -283,8 +282,7 @@ DRAWS = 1000
 """Number of random joint vectors for every fruit after which an arm counts as unable to hold its tool upright."""
 
 AT_ONCE = 4
-"""Number of random joint vectors drawn for every fruit at a time; with shipped arms two in five or more hold the tool
-upright."""
+"""Number of random joint vectors drawn per fruit at a time; of shipped arms' two in five hold the tool upright."""
 
 TRIED = 5
 """Number of arms on which the numbers of poses are tried before a study begins."""
@@ -398,14 +396,7 @@ def prepared_study(config: StudyConfig) -> Protocol:
 
 
 def measured(protocol: Protocol, arm: Plant, setting: Setting, around: Circumstances) -> Measurements:
-    """Simulate the readings of the setting's tracker at an arm's calibration poses.
-
-    Args:
-        protocol: The study.
-        arm: The plant, that is the true arm with its errors.
-        setting: Setting that gives the number of poses and the tracker's noise.
-        around: Calibration poses and tracker errors of the arm.
-    """
+    """Simulate the readings of the setting's tracker at the calibration poses of the true arm ``arm``."""
     instrument, poses = protocol.instrument(setting), setting.poses
     return tracked(arm, instrument, around.poses[:poses], around.tracker.first(poses))
 
@@ -416,10 +407,7 @@ def carrying(plant: Plant, payload_kg: float) -> Plant:
 
 
 def spread_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> Array:
-    """Return joints ``(count, n)`` that cover their ranges uniformly, from a scrambled Halton sequence, rad or m.
-
-    Any number of poses from the beginning of the sequence covers the ranges uniformly, too.
-    """
+    """Return joints ``(count, n)`` that cover their ranges uniformly, from a scrambled Halton sequence, rad or m."""
     if not count:
         return np.empty((0, nominal.joints))
     return np.asarray(qmc.scale(qmc.Halton(nominal.joints, rng=rng).random(count), nominal.lower, nominal.upper))
@@ -462,8 +450,7 @@ SIZES: Mapping[str, tuple[str, Callable[[Any], tuple[Any, ...]]]] = {
     "creep": ("base_tilt", lambda effect: (effect.creep,)),
     "settlement": ("base_tilt", lambda effect: (effect.settlement,)),
 }
-"""For each column, the effect that it belongs to, and a function that returns the column's parameters of that effect.
-Effects with random numbers of their own have columns named after them."""
+"""For each column, its effect and a function that returns its parameters; random effects have columns of their name."""
 
 
 def deviations(design: Plant, arms: Plant) -> dict[str, Array]:
@@ -602,13 +589,7 @@ def evaluate_arm(protocol: Protocol, settings: Sequence[Setting], arm: Plant, ar
 
 
 def arm_commands(protocol: Protocol, setting: Setting, arm: Plant, around: Circumstances) -> tuple[Array, str, int]:
-    """Calibrate one true arm as a setting says, and return its corrected joint commands for the fruit.
-
-    Args:
-        protocol: The study.
-        setting: Setting that gives the method, the number of poses and the tracker's noise.
-        arm: The plant, that is the true arm with its errors.
-        around: Fruit, calibration poses and tracker errors of the arm.
+    """Calibrate the true arm ``arm`` as a setting says, and return its corrected joint commands for the fruit.
 
     Returns:
         Joint commands for M fruit ``(M, n)``, rad or m; `OK`, or the reason why the arm cannot be calibrated or judged;
