@@ -2,6 +2,8 @@
 # installs Chromium and a graphics driver with apt where they are missing.
 #   make demo                 calibrate the arm, pick with it, look at the error: runs/demo
 #   make test                 style, types, tests
+#   make test-slow            what takes more than a few seconds: the journeys, every page's lines
+#   make test-thorough         long forms of checks that also run short: hundreds of arms, thousands of draws; weekly
 #   make test-browser         a demo run seen through a viewer and a browser: runs/browser (Debian or Ubuntu)
 #   make test-lowest          arms and calibration with the lowest versions that pyproject.toml promises: .venv-lowest
 #   make test-referees        patched files of UR5 and Panda against Pinocchio, which are large packages
@@ -44,13 +46,16 @@ BROWSER_PACKAGES := chromium mesa-vulkan-drivers libegl1 libgl1-mesa-dri libatom
 TEST_ENVIRONMENT := PYTHONDONTWRITEBYTECODE= OMP_NUM_THREADS=1 MKL_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MPLBACKEND=Agg
 PYTEST := $(TEST_ENVIRONMENT) $(BIN)/python -m pytest
 
-.PHONY: demo claims docs links package licences test test-slow test-lowest test-referees test-lerobot test-browser coverage-of-intervals lint format benchmark mutants clean
+.PHONY: demo claims docs links package licences test test-slow test-thorough test-lowest test-referees test-lerobot test-browser coverage-of-intervals lint format benchmark mutants clean
 
 demo: $(RUNTIME)
 	$(BIN)/pickenv demo --out runs/demo $(ARGS)
 
 test: lint
 	$(PYTEST) -n 2 --dist worksteal $(ARGS)
+
+test-thorough: $(DEVELOPMENT)
+	$(PYTEST) -m thorough -n 2 --dist worksteal $(ARGS)
 
 test-slow: $(DEVELOPMENT)
 	$(PYTEST) -m "slow and not coverage" -n 2 --dist worksteal $(ARGS)
@@ -72,7 +77,7 @@ test-lowest:
 
 test-browser: $(BROWSER)
 	$(BIN)/pickenv demo --out runs/browser
-	$(PYTEST) -m browser tests/browser tests/inspect --durations=5 $(ARGS)
+	$(PYTEST) -m browser -n 2 --dist loadfile tests/browser tests/inspect --durations=5 $(ARGS)
 
 claims: $(RUNTIME)
 	$(TEST_ENVIRONMENT) $(BIN)/python scripts/claims.py check $(ARGS)

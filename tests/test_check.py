@@ -83,7 +83,7 @@ def test_archives_are_known_by_their_content(folder: Path, tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("name", [*NAMES, "run.json"])
-@pytest.mark.parametrize("count", [3, pytest.param(50, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [3, pytest.param(50, marks=pytest.mark.thorough)])
 def test_one_flipped_bit_anywhere_in_a_run_is_refused_by_file(folder: Path, name: str, count: int) -> None:
     whole = (folder / name).read_bytes()
     for number in range(count):
@@ -96,7 +96,7 @@ def test_one_flipped_bit_anywhere_in_a_run_is_refused_by_file(folder: Path, name
         assert [name in line for line in lines if line.startswith("REFUSED")] == [True]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("name", ["calibration.npz", "calibration_trace.npz", "policy.npz"])
 def test_one_flipped_bit_anywhere_in_a_file_is_refused_200_times(folder: Path, name: str) -> None:
     path = folder / name
@@ -239,7 +239,7 @@ def test_an_edited_study_is_refused(study: Path) -> None:
     assert "study.toml" in refused_lines(study)
 
 
-@pytest.mark.parametrize("count", [5, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [5, pytest.param(200, marks=pytest.mark.thorough)])
 def test_one_flipped_bit_anywhere_in_a_chunk_is_refused(study: Path, count: int) -> None:
     chunk = min((study / "rows").glob("*.parquet"))
     whole = chunk.read_bytes()

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from pickenv.agents.evaluation.reaches import episode_seeds
 from pickenv.agents.policies.policy import Policy, attitude_after, read_observation
@@ -52,27 +52,6 @@ class Rollout:
         """Number of steps ``(R,)`` until the error stays within ``tolerance_mm`` to the end; NaN if it never does."""
         inside = np.flip(np.logical_and.accumulate(np.flip(self.error_mm <= tolerance_mm, axis=0), axis=0), axis=0)
         return np.where(inside.any(axis=0), inside.argmax(axis=0) + 1.0, np.nan)
-
-
-def per_arm(compensators: Sequence[Compensate], arm: ArrayLike) -> Compensate:
-    """Return a compensator that corrects each environment of a vector by the compensator of its own arm.
-
-    Args:
-        compensators: One compensator per arm.
-        arm: Index into ``compensators`` for each environment ``(R,)``.
-    """
-    rows = np.asarray(arm)
-
-    def corrected(joints: Array) -> Array:
-        joints = np.asarray(joints, dtype=float)
-        if len(joints) != len(rows):
-            raise InputError(f"{len(joints)} rows of joints were given to compensators of {len(rows)} rows")
-        command = np.empty_like(joints)
-        for number in np.unique(rows):
-            command[rows == number] = compensators[number](joints[rows == number])
-        return command
-
-    return corrected
 
 
 def roll_out(
@@ -123,7 +102,7 @@ def roll_out(
             envs: Callable[..., ReachVectorEnv] = getattr(make, "envs", ReachVectorEnv)
             env = envs(len(rows), max_episode_steps=None, autoreset_mode="Disabled", **arguments)
             if compensators is not None:
-                env.compensator = per_arm(compensators, rows)
+                env.compensator = [compensators[row] for row in rows.tolist()]
             policy = make(env, seed_words(stream(seed, "policy", begin), 1)[0])
         assert policy is not None
         parts.append(_run(env, policy, rows, block.ravel(), steps, first))

@@ -433,22 +433,22 @@ def _picks(
 ) -> Columns:  # fmt: skip
     """Results of one picker with each arm of a seed, over all its canopies.
 
-    Raw arms stand side by side, and each may learn from canopy to canopy. Behind its compensator an arm's canopies do.
+    A policy that learns from the fruit in its gripper meets an arm's canopies one after the other. Any other meets all
+    canopies of all arms side by side.
     """
     first, arms = settings.first_arm(plant, seed), np.arange(settings.arms)
     world = settings.world(plant, seed, task="Pick") | {"arms": "per_episode", "population": first + settings.arms}
     population, plan = settings.population(plant, seed), replace(settings.plan, seed=seed)
     correct = methods.compensators(population, compensation, plan, kept)
-    fruit = np.array([seed_words(stream(seed, "picks", arm), settings.canopies) for arm in arms.tolist()])
-    rounds = fruit.T if correct is None else fruit
     make, feedback = _picker(policy, kinds, training)
-    envs = PickVectorEnv(rounds.shape[1], gripper=gripper, feedback=feedback, **world)
-    picker, parts = make(envs), []
-    for number, seeds in enumerate(rounds):
-        envs.compensator = None if correct is None else correct[number]
-        where = {"arm": first + (arms if correct is None else number)}
-        parts.append(pick_canopies(picker, envs, seeds.tolist(), where))
+    fruit = np.array([seed_words(stream(seed, "picks", arm), settings.canopies) for arm in arms.tolist()]).T
+    rounds = fruit if feedback == "gripper" else fruit.reshape(1, -1)
+    rows = np.tile(arms, rounds.shape[1] // len(arms))
+    envs = PickVectorEnv(len(rows), gripper=gripper, feedback=feedback, **world)
+    envs.compensator = None if correct is None else [correct[row] for row in rows.tolist()]
+    picker = make(envs)
+    parts = [pick_canopies(picker, envs, seeds.tolist(), {"arm": first + rows}) for seeds in rounds]
     sums = ("attempted", "collected", "duration_s", "error_sum_mm", "tilt_sum_deg")
-    of_arms = {name: np.sum([part[name] for part in parts], axis=0 if correct is None else 1) for name in sums}
+    of_arms = {name: np.stack([part[name] for part in parts]).reshape(-1, len(arms)).sum(axis=0) for name in sums}
     arms += settings.levels("seeds").index(seed) * settings.arms
     return {"policy": np.full(len(arms), policy_name(policy)), "arm": arms, **of_arms}

@@ -152,6 +152,11 @@ def _seams(env: VectorEnv[Any, Any, Any]) -> list[Any]:
 
 
 def _install(seams: Sequence[Any], compensator: Compensate, allow: Collection[str]) -> None:
+    if not callable(compensator):
+        raise InputError(
+            f"the compensator is a {type(compensator).__name__}; give one for all environments, or set the attribute "
+            "compensator of the environments to a list with one for each"
+        )
     obey(getattr(compensator, "reservations", {}), allow)
     if (caution := getattr(compensator, "caution", None)) is not None:
         gym.logger.warn("%s", caution)  # a "%" in it is no format

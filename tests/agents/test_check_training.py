@@ -24,7 +24,7 @@ def test_a_training_s_checkpoint_and_policy_are_sound(trained: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["checkpoint.pt", "policy.npz"])
-@pytest.mark.parametrize("count", [5, pytest.param(200, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [5, pytest.param(200, marks=pytest.mark.thorough)])
 def test_one_flipped_bit_anywhere_is_refused(trained: Path, tmp_path: Path, name: str, count: int) -> None:
     path = Path(shutil.copy(trained / name, tmp_path))
     whole = path.read_bytes()

@@ -21,7 +21,7 @@ from pickenv.agents import (
     roll_out,
     run_reaches,
 )
-from pickenv.agents.evaluation.rollout import MOST_ROWS, per_arm
+from pickenv.agents.evaluation.rollout import MOST_ROWS
 from pickenv.arm import InverseSolution, forward, inverse, joint_jacobian, load_arm
 from pickenv.base import InputError
 from pickenv.calibration import link_model, random_joints
@@ -100,13 +100,6 @@ def test_a_batch_acts_like_its_single_rows():
         together = policy(envs).act(observations)
         for i in range(3):
             np.testing.assert_allclose(policy(envs).act(observations[i]), together[i], atol=1e-5)
-
-
-def test_rows_go_to_the_compensators_of_their_arms():
-    corrected = per_arm((lambda joints: joints + 1.0, lambda joints: joints + 2.0), (1, 0, 1))
-    assert corrected(np.zeros((3, 6)))[:, 0].tolist() == [2.0, 1.0, 2.0]
-    with pytest.raises(InputError, match="2 rows of joints were given to compensators of 3 rows"):
-        corrected(np.zeros((2, 6)))
 
 
 # Policies and what becomes of their episodes, number by number: filters, scalings, captures and counted steps.

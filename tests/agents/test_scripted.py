@@ -79,7 +79,7 @@ def test_it_finds_joints_for_every_goal_that_an_environment_draws(arm):
     assert missed(arm, 100, seed=0) == 0
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("arm", shipped_arms())
 def test_it_finds_joints_for_thousands_of_goals(arm):
     assert missed(arm, 4000, seed=1) == 0

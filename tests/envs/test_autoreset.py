@@ -63,7 +63,16 @@ def assert_information(infos, i, info):
         np.testing.assert_array_equal(infos[key][i], value, err_msg=key)
 
 
-@pytest.mark.parametrize("count", [1, 3, *(pytest.param(many, marks=pytest.mark.slow) for many in (2, 7, 64))])
+@pytest.mark.parametrize(
+    "count",
+    [
+        1,
+        3,
+        pytest.param(7, marks=pytest.mark.slow),
+        pytest.param(2, marks=pytest.mark.thorough),
+        pytest.param(64, marks=pytest.mark.thorough),
+    ],
+)
 @pytest.mark.parametrize("mode", list(AutoresetMode), ids=str)
 @pytest.mark.parametrize("name", IDS)
 def test_a_vector_is_its_environments_alone(name, mode, count):

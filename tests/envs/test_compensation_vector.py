@@ -78,6 +78,32 @@ def test_torch_is_compensated_too(compensator):
     np.testing.assert_allclose(one[-1][4]["pose_error"], other[-1][4]["pose_error"].numpy(), rtol=0, atol=1e-9)
 
 
+@pytest.mark.parametrize(
+    ("name", "executor"), [("Reach", "numpy"), ("Reach", "compiled"), ("Reach", "torch"), ("Pick", "numpy")]
+)
+def test_each_environment_may_have_a_compensator_of_its_own(compensator, name, executor):
+    """Each goes as it would among environments that all have its compensator, from start to start."""
+    options = {"max_episode_steps": 3}
+    if name == "Reach":
+        pytest.importorskip({"compiled": "llvmlite"}.get(executor, executor))
+        options |= {"executor": executor, "autoreset_mode": "SameStep"}
+        options |= {"compiled": False} if executor == "torch" else {}
+    turned = dataclasses.replace(compensator, identified=compensator.nominal)
+    pair = (compensator, turned)
+
+    def run(compensators):
+        envs = gym.make_vec(f"pickenv/{name}-v0", num_envs=4, **options).unwrapped
+        envs.compensator = compensators
+        return [np.asarray(step[4]["joint_command"]) for step in taken(envs, 5)]
+
+    own = run([pair[row] for row in (1, 0, 0, 1)])
+    for number, together in enumerate(map(run, pair)):
+        rows = [row for row in range(4) if (1, 0, 0, 1)[row] == number]
+        for one, other in zip(own, together, strict=True):
+            np.testing.assert_allclose(one[rows], other[rows], rtol=0, atol=1e-12)
+    assert not np.allclose(own[-1][0], run(compensator)[-1][0], atol=1e-9)
+
+
 def test_it_is_installed_once_and_removed_on_closing(compensator):
     envs = native()
     wrapped = CompensationVectorWrapper(envs, compensator)
@@ -87,6 +113,8 @@ def test_it_is_installed_once_and_removed_on_closing(compensator):
     assert envs.unwrapped.compensator is None
     with pytest.raises(InputError, match="no compensation seam"):
         CompensationVectorWrapper(gym.make_vec("CartPole-v1", num_envs=1), compensator)
+    with pytest.raises(InputError, match="set the attribute compensator of the environments"):
+        CompensationVectorWrapper(native(), [compensator] * 6)
 
 
 class Sure:

@@ -10,7 +10,7 @@ from pickenv.cli import app
 ROOT = Path(__file__).parents[2]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_the_spread_of_the_ledger_is_what_the_study_finds(tmp_path: Path) -> None:
     """Ten calibrations, some minutes."""
     words = [

@@ -119,7 +119,7 @@ def test_an_arm_whose_poses_show_other_parameters_is_handed_over(study_file):
     np.testing.assert_allclose(together.position, np.concatenate([part.position for part in alone]), rtol=AGREEMENT)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("plant", ["qiao2026", "orchard"])
 def test_hundreds_of_batched_arms_agree_in_many_settings(study_file, plant):
     config = load_study(
@@ -186,7 +186,7 @@ def test_batches_in_several_processes_give_the_same_table(study_file, tmp_path):
     assert shared["table_sha256"] == alone["table_sha256"]
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_memory_does_not_grow_with_the_number_of_arms(study_file, tmp_path):
     peaks = [peak_memory(study_file, tmp_path / f"{arms}", arms) for arms in (20_000, 80_000)]
     assert abs(peaks[1] - peaks[0]) < 100.0, peaks

@@ -190,7 +190,7 @@ def test_impossible_requests_are_refused(true):
         harvest(true, li(true), MODEL, [], [np.random.default_rng(0)], load_grid(), EYES)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_500_trees_are_picked_without_a_collision(true):
     done = trees(true, best(true), 500, workers=2)
     assert len(done) == 500

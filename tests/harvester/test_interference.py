@@ -88,7 +88,7 @@ def test_no_collision_in_a_hundred_zones(machine, method, guard):
         assert closest_approach(machine, work, times) >= machine.body.clearance - 0.012
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize(("arms", "spacing"), [(3, 0.35), (6, 0.3)])
 def test_no_collision_in_a_thousand_zones(arms, spacing):
     machine, rng, nearest = load_machine(slaves=arms, spacing=spacing), np.random.default_rng(5), np.inf

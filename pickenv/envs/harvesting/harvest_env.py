@@ -184,6 +184,7 @@ class HarvestVectorEnv(NativeVectorEnv):
     """
 
     options = batch.OPTIONS
+    compensator: Compensate | None  # of all harvesters: each has several arms
 
     def __init__(
         self,

@@ -20,7 +20,7 @@ from pickenv.envs.shared.backends import Flags, Rows, Scalar, state_of_words, wo
 from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.native_vector import NativeVectorEnv
 from pickenv.envs.shared.simulation import ArmState, begin
-from pickenv.envs.shared.task import Compensate, Task
+from pickenv.envs.shared.task import Compensators, Task
 from pickenv.pictures.stage import Stage
 
 
@@ -195,7 +195,7 @@ class PickBatch(NumpyArms):
         rows: Rows,
         starts: Sequence[pick_scene.PickStart],
         joints: Array | None,
-        compensate: Compensate | None,
+        compensate: Compensators | None,
         hours: Array | None,
     ) -> None:
         """Begin an episode in the environments ``rows``.
@@ -218,14 +218,14 @@ class PickBatch(NumpyArms):
             some = rows[a:b]
             targets = self.starts(keys[a:b], None if joints is None else joints[a:b])
             plant = self.plant_of(some)
-            command, on = self.commands(compensate, targets), None if hours is None else hours[a:b]
+            command, on = self.commands(compensate, targets, some), None if hours is None else hours[a:b]
             state = begin(x, task, plant, keys[a:b], targets, (), command, gripper=1, hours=on)
             self._look(some, state, plant, compensate, 0.0)
         for row, scene in zip(rows.tolist(), scenes, strict=True):
             canopies.adopt(row, scene)
             canopies.choose(row)
 
-    def advance(self, actions: Array, going: Flags, compensate: Compensate | None) -> Array:
+    def advance(self, actions: Array, going: Flags, compensate: Compensators | None) -> Array:
         """Act in all environments, and return the rewards.
 
         Args:
@@ -252,8 +252,8 @@ class PickBatch(NumpyArms):
         super().take_state_arrays(state)
         self.canopies.take_state_arrays(state)
 
-    def _look(self, where: Any, state: ArmState, plant: Plant, compensate: Compensate | None, dt: Scalar) -> None:
-        command, moments = self.commands(compensate, list(state.target)), self.canopies.moments[where]
+    def _look(self, where: Any, state: ArmState, plant: Plant, compensate: Compensators | None, dt: Scalar) -> None:
+        command, moments = self.commands(compensate, list(state.target), where), self.canopies.moments[where]
         state, sight = look_at_arm(self.x, self.task, plant, state, command, self.keys[where], moments, dt)
         self.write(self.columns, where, state.columns)
         self.write(list(self.canopies.sight), where, [*sight, *command])

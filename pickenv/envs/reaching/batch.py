@@ -17,7 +17,7 @@ from pickenv.arm import Array, Plant, leaves
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_batch import ArmBatch, Columns, NumpyArms, Words
 from pickenv.envs.shared.backends import GOAL, Rows, Scalar, episode_key, stream_key
-from pickenv.envs.shared.task import GOAL_ATTEMPTS, Compensate, Task
+from pickenv.envs.shared.task import GOAL_ATTEMPTS, Compensators, Task
 
 
 class Views(NamedTuple):
@@ -52,11 +52,11 @@ class Batch(ArmBatch, ABC):
         self.goal_dict, self.poses = goal_dict, poses
 
     @abstractmethod
-    def show(self, rows: Rows, compensate: Compensate | None) -> Views:
+    def show(self, rows: Rows, compensate: Compensators | None) -> Views:
         """Return the views of the environments ``rows`` at the beginning of their episodes."""
 
     @abstractmethod
-    def advance(self, actions: Scalar, moments: Words, compensate: Compensate | None) -> Views:
+    def advance(self, actions: Scalar, moments: Words, compensate: Compensators | None) -> Views:
         """Act in all environments, and return their views after one period.
 
         Args:
@@ -70,7 +70,7 @@ class Batch(ArmBatch, ABC):
         rows: Rows,
         seeds: Words,
         episodes: Words,
-        compensate: Compensate | None,
+        compensate: Compensators | None,
         start: Array | None = None,
         goal: Array | None = None,
         frames: Array | None = None,
@@ -104,15 +104,15 @@ class Batch(ArmBatch, ABC):
             else:
                 wanted = tuple(self.numbers(frames[a:b].T))
             state = simulation.begin(
-                x, task, self.plant_of(some), key, target, wanted, self.commands(compensate, target)
+                x, task, self.plant_of(some), key, target, wanted, self.commands(compensate, target, some)
             )
             self.write(self.columns, some, state.columns)
 
-    def scene(self, row: int, compensate: Compensate | None) -> simulation.View:
+    def scene(self, row: int, compensate: Compensators | None) -> simulation.View:
         """Return the present view of environment ``row`` as Python floats; no time passes."""
         place = self.indices(np.array([row]))
         state = self.state_of([column[place] for column in self.columns])
-        command, key = self.commands(compensate, list(state.target)), self.keys[place]
+        command, key = self.commands(compensate, list(state.target), place), self.keys[place]
         _, scene = simulation.look(self.x, self.task, self.plant_of(place), state, command, key, key * 0, 0.0)
         plain = (tuple(map(self._float, part)) if isinstance(part, tuple) else self._float(part) for part in scene)
         return simulation.View(*plain)  # type: ignore[arg-type]
@@ -161,7 +161,7 @@ class NumpyBatch(NumpyArms, Batch):
         self.make_plants()
         self.make_room(12, 3)
 
-    def advance(self, actions: Array, moments: Words, compensate: Compensate | None) -> Views:
+    def advance(self, actions: Array, moments: Words, compensate: Compensators | None) -> Views:
         """Act in all environments; see `Batch.advance`."""
         out = self._empty(self.count)
         for block, plant in zip(self._blocks, self._plants, strict=True):
@@ -171,7 +171,7 @@ class NumpyBatch(NumpyArms, Batch):
             self._show(out, block, block, state, plant, compensate, moments[block], period)
         return out
 
-    def show(self, rows: Rows, compensate: Compensate | None) -> Views:
+    def show(self, rows: Rows, compensate: Compensators | None) -> Views:
         """Return the views of the environments ``rows`` at the beginning of their episodes."""
         out = self._empty(len(rows))
         for a, b in self.blocks(len(rows)):
@@ -187,13 +187,13 @@ class NumpyBatch(NumpyArms, Batch):
         where: Any,
         state: simulation.ArmState,
         plant: Plant,
-        compensate: Compensate | None,
+        compensate: Compensators | None,
         moments: Words,
         dt: Scalar,
     ) -> None:
         """Simulate ``dt`` seconds for the environments ``where``, and write their views into ``out`` at ``place``."""
         x, task = self.x, self.task
-        command = self.commands(compensate, list(state.target))
+        command = self.commands(compensate, list(state.target), where)
         state, scene = simulation.look(x, task, plant, state, command, self.keys[where], moments, dt)
         parts = simulation.goal_observation(scene) if self.goal_dict else (simulation.flat_observation(scene),)
         for array, part in zip(out.observation, parts, strict=True):

@@ -18,7 +18,7 @@ from pickenv.envs.reaching.batch import NumpyBatch, Views
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_batch import Words, naming_effects
 from pickenv.envs.shared.compiled_look import TRACER, LatestCompiled, with_numbers
-from pickenv.envs.shared.task import Compensate, Task
+from pickenv.envs.shared.task import Compensators, Task, corrected
 
 
 class CompiledBatch(NumpyBatch):
@@ -40,7 +40,7 @@ class CompiledBatch(NumpyBatch):
         self._code: dict[str, Compiled] = {}
         self._fast = LatestCompiled(self.count)
 
-    def advance(self, actions: Array, moments: Words, compensate: Compensate | None) -> Views:
+    def advance(self, actions: Array, moments: Words, compensate: Compensators | None) -> Views:
         """Act in all environments; see `pickenv.envs.reaching.batch.Batch.advance`."""
         out = self._empty(self.count)
         arrays: dict[str, NDArray[Any]] = {
@@ -53,7 +53,8 @@ class CompiledBatch(NumpyBatch):
             return out
         self._run("act", arrays)
         targets = self._table[: self.task.joints].T
-        arrays["commands"] = np.ascontiguousarray(np.asarray(self._fast(compensate)(targets), dtype=float).T)
+        fast = self._fast(compensate) if callable(compensate) else compensate
+        arrays["commands"] = np.ascontiguousarray(corrected(fast, targets).T, dtype=float)
         self._run("look", arrays)
         return out
 

@@ -20,7 +20,7 @@ from pickenv.envs.reaching.batch import Batch, Views
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_batch import Columns, Words, naming_effects
 from pickenv.envs.shared.backends import Flags, Rows, Scalar, torch_executor
-from pickenv.envs.shared.task import Compensate, Task, as_numbers, check_choice
+from pickenv.envs.shared.task import Compensators, Task, as_numbers, check_choice
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
 BLOCK = 32768
@@ -127,7 +127,7 @@ class TorchBatch(Batch):
         low, high = torch.aminmax(actions) if self.device.type == "cpu" else (0.0, 0.0)
         return actions.T.to(self.dtype, copy=True).contiguous(), float(low), float(high)
 
-    def advance(self, actions: Tensor, moments: Words, compensate: Compensate | None) -> Views:
+    def advance(self, actions: Tensor, moments: Words, compensate: Compensators | None) -> Views:
         """Act in all environments; see `Batch.advance`."""
         n, fixed, situation = self.task.joints, self.fixed, self.task.situation
         dt: Scalar = situation.period.low
@@ -146,11 +146,11 @@ class TorchBatch(Batch):
         self.columns = [*out[:n], *self.columns[n:fixed], *out[n : n + memory]]
         return self._outcome(out[n + memory :], self.columns[n + 9 : n + 12])
 
-    def show(self, rows: Rows, compensate: Compensate | None) -> Views:
+    def show(self, rows: Rows, compensate: Compensators | None) -> Views:
         """Return the views of the environments ``rows`` at the beginning of their episodes."""
         n, places = self.task.joints, self.indices(rows)
         columns, keys = [column[places] for column in self.columns], self.keys[places]
-        commands, still = self.commands(compensate, columns[:n]), torch.zeros_like(keys)
+        commands, still = self.commands(compensate, columns[:n], places), torch.zeros_like(keys)
         out = self._shown(columns, commands, keys, still, 0.0, self.plant_of(places))
         memory = len(columns) - self.fixed
         self.write(self.columns[self.fixed :], places, out[:memory])

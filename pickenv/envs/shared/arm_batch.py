@@ -14,7 +14,7 @@ from pickenv.base import InputError
 from pickenv.envs.shared.backends import NUMPY, Executor, Flags, Rows, Scalar
 from pickenv.envs.shared.simulation import ArmState
 from pickenv.envs.shared.situation import drawn_start
-from pickenv.envs.shared.task import Compensate, Task, as_numbers, bounds_of, exact_plant
+from pickenv.envs.shared.task import Compensators, Task, as_numbers, bounds_of, corrected, exact_plant
 
 Words = NDArray[np.uint64]
 Columns = list[Scalar]
@@ -190,12 +190,16 @@ class ArmBatch:
             return drawn_start(self.x, task.situation, keys, *task.box)
         return list(self.numbers((np.repeat([task.middle], len(keys), axis=0) if joints is None else joints).T))
 
-    def commands(self, compensate: Compensate | None, targets: Columns) -> Columns:
-        """Compute joint commands from joint targets; a compensator gets and returns NumPy arrays ``(..., n)``."""
+    def commands(self, compensate: Compensators | None, targets: Columns, where: Any = slice(None)) -> Columns:
+        """Compute the joint commands of the environments ``where`` from their joint targets.
+
+        Compensators get and return NumPy arrays ``(..., n)``.
+        """
         if compensate is None:
             return targets
         joints = np.stack([self.host(target) for target in targets], axis=-1, dtype=np.float64, casting="same_kind")
-        return list(self.numbers(np.asarray(compensate(joints)).T))
+        rows = where if isinstance(where, slice) else self.host(where)
+        return list(self.numbers(corrected(compensate, joints, rows).T))
 
     def write(self, columns: Columns, where: Any, values: Sequence[Scalar]) -> None:
         """Write ``values`` into columns, for the environments ``where``.

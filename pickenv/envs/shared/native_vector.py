@@ -18,7 +18,7 @@ from pickenv.base import InputError
 from pickenv.envs.shared.arm_env import Information, checked_render_mode, drawn
 from pickenv.envs.shared.backends import Flags, Rows
 from pickenv.envs.shared.spaces import PlainSpec, given_options
-from pickenv.envs.shared.task import Compensate, check_choice, check_count
+from pickenv.envs.shared.task import Compensators, check_choice, check_count
 from pickenv.pictures.stage import Stage
 
 
@@ -29,7 +29,8 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         task: The task that all environments simulate.
         options: Names of the options that `reset` takes in addition to "reset_mask".
         max_episode_steps: Steps after which an episode is truncated, or None for never.
-        compensator: Turns joint targets into joint commands, or None.
+        compensator: Turns joint targets into joint commands. Or a sequence with a compensator for each environment, or
+            None.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -52,7 +53,7 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         self.render_mode = checked_render_mode(render_mode, ("rgb_array",))
         self.autoreset_mode = AutoresetMode(mode)
         self.metadata = type(self).metadata | {"autoreset_mode": self.autoreset_mode}
-        self.compensator: Compensate | None = None
+        self.compensator: Compensators | None = None
         self._rngs: list[np.random.Generator] = [np.random.default_rng(0)] * self.num_envs
         self._begun = False
         self._over = np.zeros(self.num_envs, dtype=np.bool_)

@@ -113,6 +113,28 @@ UPRIGHT, TILTED_POSES = 0.01, 2**10
 Compensate = Callable[[Array], Array]
 """A function that maps joint targets ``(..., n)`` to joint commands ``(..., n)``, rad or m."""
 
+Compensators = Compensate | Sequence[Compensate]
+"""A compensator for all environments of a vector, or one for each of them."""
+
+
+def corrected(compensate: Compensators, joints: Array, where: Any = slice(None)) -> Array:
+    """Return the joint commands ``(N, n)`` for the joint targets ``(N, n)`` of N environments, rad or m.
+
+    Args:
+        compensate: One compensator, or a sequence with one for each environment of the vector. Environments with the
+            same compensator are corrected together.
+        joints: The joint targets.
+        where: Index or slice that selects the N environments.
+    """
+    if callable(compensate):
+        return np.asarray(compensate(joints))
+    own = [compensate[i] for i in np.arange(len(compensate))[where].tolist()]
+    names, command = np.array([id(each) for each in own]), np.empty_like(joints)
+    for first in np.unique(names, return_index=True)[1].tolist():
+        rows = names == names[first]
+        command[rows] = own[first](joints[rows])
+    return command
+
 
 @dataclass(frozen=True, eq=False)
 class Task:

@@ -82,7 +82,7 @@ def test_any_row_with_any_fault_is_named(tracker, row, fault, column):
     assume(check(tracker, row, fault, column) is not None)
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @settings(max_examples=30, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 @given(**FAULTS)
 def test_any_row_with_any_fault_is_named_at_length(tracker, row, fault, column):

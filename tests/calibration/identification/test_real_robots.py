@@ -152,7 +152,7 @@ HARMONIC = {
 """Arm, columns, file, and what a plain linear fit with harmonics chosen by hand left over blocks, mm."""
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("series", HARMONIC)
 def test_harmonics_chosen_without_each_block_leave_less_than_a_plain_fit_with_them_did(data_folder, series):
     """Of 0.119 mm (UR5) and 0.44 to 0.49 mm (UR10) that geometry leaves."""

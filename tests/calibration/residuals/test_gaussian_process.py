@@ -158,7 +158,7 @@ def test_the_same_rows_and_generator_give_the_same_process(dynamic: Plant) -> No
         np.testing.assert_array_equal(values, second[name])
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 @pytest.mark.parametrize("seed", range(20))
 def test_scikit_learn_as_referee_on_twenty_arms(dynamic: Plant, seed: int) -> None:
     """Error within 2 % of scikit-learn's, which restarts its own search twice, and a likelihood no worse."""

@@ -121,7 +121,7 @@ def test_the_exact_arm_takes_what_it_tries_and_the_reward_counts_it():
     assert rewards.sum() == pytest.approx(last["collected"] - 0.25 * last["damaged"] - 0.002 * len(rewards))
 
 
-@pytest.mark.slow
+@pytest.mark.thorough
 def test_haste_costs_fruit_waiting_pays_and_so_does_calibration(calibrated):
     """Sixty canopies, each met by all with the same fruit, camera and luck; seeds that nothing was tuned on."""
     seeds = range(7000, 7060)
