@@ -116,6 +116,9 @@ class PolicySettings:
         check_limit("arms", self.arms, "compared arms")
         check_limit("episodes", self.episodes, "episodes")
         check_limit("epochs", self.plan.epochs, "epochs")
+        check_choice("split", self.split, ("test", "train"))
+        if self.split != "test" and not any(plant.startswith(RUNG) for plant in self.plants):
+            raise InputError(f"`split={self.split!r}` chooses among a rung's arms; name a rung, or leave `split` out")
 
     def world(self, plant: str, seed: int, feedback: str = "encoders", task: str = "Reach") -> dict[str, Any]:
         """Return the arguments of the environment for a plant (the true arms with their errors) or a rung.

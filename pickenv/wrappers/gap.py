@@ -82,7 +82,8 @@ class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
     ) -> tuple[Any, dict[str, Any]]:
         """Begin episodes, and return the rescaled observations and the infos."""
         self.raw, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
-        self._idle[:] = False
+        begun = (options or {}).get("reset_mask")
+        self._idle[slice(None) if begun is None else begun] = False
         return self.scaling.shown(self.raw), infos
 
     def step(self, actions: Any) -> tuple[Any, Any, Any, Any, dict[str, Any]]:

@@ -235,6 +235,9 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
             raise InputError("SameArmVector works on native pickenv/Reach-v0 environments; make them with make_vec")
         task: Task = inner.task
         self.run = _Run(task, self.num_envs, **how)
+        most = inner.max_episode_steps
+        if most is not None and looks >= most:
+            raise InputError(f"looks is {looks}, but episodes end after {most} steps; give a larger max_episode_steps")
         self.metadata = {**env.metadata, "autoreset_mode": AutoresetMode.SAME_STEP}
         self.single_observation_space = self.run.memory.space()
         self.observation_space = batch_space(self.single_observation_space, self.num_envs)

@@ -33,7 +33,9 @@ def make_sb3_vec(id: str, num_envs: int, *, compensator: Compensate | None = Non
         >>> from stable_baselines3 import PPO
         >>> model = PPO("MlpPolicy", make_sb3_vec("pickenv/ReachScaled-v0", 64), n_steps=60, batch_size=960, gamma=0.9)
     """
-    arguments.setdefault("autoreset_mode", AutoresetMode.SAME_STEP)
+    mode = {"autoreset_mode": arguments.pop("autoreset_mode", AutoresetMode.SAME_STEP)}
+    native = gym.spec(id).vector_entry_point is not None
+    arguments |= mode if native else {"vectorization_mode": "sync", "vector_kwargs": mode}
     envs: VectorEnv[Any, Any, Any] = gym.make_vec(id, num_envs=num_envs, **arguments)
     if compensator is not None:
         envs = CompensationVectorWrapper(envs, compensator)

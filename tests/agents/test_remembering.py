@@ -110,6 +110,9 @@ def test_impossible_runs_end_with_one_sentence() -> None:
         SameArmVector(gym.make_vec("pickenv/Reach-v0", num_envs=1, vectorization_mode="sync"))
     with pytest.raises(InputError, match="native"):
         SameArmVector(gym.make_vec("pickenv/ReachScaled-v0", num_envs=1, feedback="camera"))
+    short = gym.make_vec("pickenv/Reach-v0", num_envs=2, max_episode_steps=10, feedback="camera")
+    with pytest.raises(InputError, match="looks is 10, but episodes end after 10 steps"):
+        SameArmVector(short, looks=10)
     envs = vector(2)
     envs.reset(seed=0)
     with pytest.raises(InputError, match="give 2 times 3 finite numbers"):

@@ -104,6 +104,17 @@ def test_each_environment_may_have_a_compensator_of_its_own(compensator, name, e
     assert not np.allclose(own[-1][0], run(compensator)[-1][0], atol=1e-9)
 
 
+@pytest.mark.parametrize("count", [2, 5])
+def test_as_many_compensators_as_environments_or_one(count):
+    with pytest.raises(InputError, match=f"{count} compensators for 3 environments; give one, or one for each"):
+        native(3).unwrapped.compensator = [lambda joints: joints] * count
+    harvesters = gym.make_vec("pickenv/Harvest-v0", num_envs=2)
+    harvesters.unwrapped.compensator = [lambda joints: joints] * 2
+    harvesters.reset(seed=0)
+    with pytest.raises(InputError, match="each harvester has several arms; give one compensator for all"):
+        harvesters.step(harvesters.action_space.sample())
+
+
 def test_it_is_installed_once_and_removed_on_closing(compensator):
     envs = native()
     wrapped = CompensationVectorWrapper(envs, compensator)

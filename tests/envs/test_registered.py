@@ -342,3 +342,11 @@ MODULES = [pickenv.envs.reaching.reach, pickenv.envs.reaching.scaled, pickenv.wr
 def test_examples_in_docstrings_run(module):
     result = doctest.testmod(module)
     assert result.attempted > 0 and result.failed == 0
+
+
+@pytest.mark.parametrize("make", [gym.make, gym.make_vec])
+@pytest.mark.parametrize("given", [{"plant": "qiao2026"}, {"arms": "per_episode"}], ids=str)
+def test_the_ideal_task_takes_no_arm_with_errors(make, given):
+    with pytest.raises(InputError, match="have errors; take pickenv/Reach-v0"):
+        make("pickenv/ReachIdeal-v0", **given)
+    make("pickenv/ReachIdeal-v0", plant="ideal:ur5e").close()

@@ -264,3 +264,12 @@ def test_a_compensator_is_put_between(compensator):
 def test_next_step_mode_is_refused():
     with pytest.raises(InputError, match="SameStep"):
         Sb3Vec(gym.make_vec("pickenv/Reach-v0", num_envs=2))
+
+
+@pytest.mark.parametrize("mode", ["SameStep", "Disabled"])
+def test_an_environment_without_a_native_vector_works_too(mode):
+    pytest.importorskip("mujoco")
+    envs = make_sb3_vec("pickenv/PickScene-v0", 2, autoreset_mode=mode, max_episode_steps=1)
+    envs.reset()
+    *_, dones, infos = envs.step(np.zeros((2, 7)))
+    assert dones.all() and infos[0]["terminal_observation"].shape == (20,)

@@ -184,7 +184,6 @@ class HarvestVectorEnv(NativeVectorEnv):
     """
 
     options = batch.OPTIONS
-    compensator: Compensate | None  # of all harvesters: each has several arms
 
     def __init__(
         self,
@@ -216,7 +215,7 @@ class HarvestVectorEnv(NativeVectorEnv):
         rewards, rows = np.zeros(self.num_envs), np.flatnonzero(live)
         if rows.size:
             some: batch.HarvestState = tree_map(lambda values: values[rows], self.state)
-            rewards[rows] = batch.step(self.task, some, actions[rows], [self._rngs[i] for i in rows], self.compensator)
+            rewards[rows] = batch.step(self.task, some, actions[rows], [self._rngs[i] for i in rows], self._one())
             self.state.put(rows, some)
         return rewards
 
@@ -230,7 +229,13 @@ class HarvestVectorEnv(NativeVectorEnv):
         return dict(batch.information(self.state))
 
     def _stage(self, row: int) -> Stage:
-        return draw_harvest(self.task, self.state, self.compensator, row=row)
+        return draw_harvest(self.task, self.state, self._one(), row=row)
+
+    def _one(self) -> Compensate | None:
+        """The compensator of all harvesters."""
+        if self.compensator is None or callable(self.compensator):
+            return self.compensator
+        raise InputError("each harvester has several arms; give one compensator for all of them")
 
 
 # A harvester before its zone as a stage to draw: column, boom, slave arms with cups, fruit, trees, cameras. What

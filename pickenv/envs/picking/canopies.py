@@ -72,6 +72,17 @@ class Canopies:
         self.still, self.moments = np.full(count, pick_scene.STILL), np.zeros(count, dtype=np.uint64)
         self.time, self.handling = np.zeros(count), np.zeros(count)
 
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Restore a copy or a pickle; its scenes work on its own array again."""
+        vars(self).update(state)
+        self._share()
+
+    def _share(self) -> None:
+        """Let each scene work on its part of `fruit`."""
+        for scene, fruit, present in zip(self.scenes, self.fruit, self.present, strict=True):
+            if scene is not None:
+                scene.fruit = fruit[:present]
+
     def adopt(self, row: int, scene: pick_scene.PickScene) -> None:
         """Put the canopy of ``scene`` before arm ``row``, and copy its fruit into the array."""
         n = len(scene.rest)
@@ -79,9 +90,7 @@ class Canopies:
             before, self.fruit = self.fruit, np.full((self.count, n), ABSENT)
             self.fruit[:, : before.shape[1]] = before
             self.omega = trees.natural_frequencies(self.orchard.branch, self.fruit["masses"])
-            for other, there in enumerate(self.scenes):
-                if there is not None:
-                    there.fruit = self.fruit[other, : self.present[other]]
+            self._share()
         self.fruit[row] = ABSENT
         self.fruit[row, :n] = scene.fruit
         self.omega[row] = trees.natural_frequencies(self.orchard.branch, self.fruit[row]["masses"])

@@ -171,7 +171,7 @@ def _each(options: Information, name: str, count: int, rank: int) -> list[Any]:
         return [values] * count
     if len(values) != count:
         raise InputError(f"option {name} was given {len(values)} times; give it once, or {count} times")
-    return list(values) if rank > 1 else [int(value) for value in values]
+    return list(values) if rank > 1 else np.asarray(values).tolist()
 
 
 # Many picking arms before their canopies, side by side on NumPy. Units: m, rad, s.

@@ -374,7 +374,7 @@ class ReachIdealEnv(ReachEnv):
 
     ```
 
-    Those of `pickenv/Reach-v0`, except for `plant` and `without`.
+    Those of `pickenv/Reach-v0`. `plant` may only be "ideal:ARM", and there are no populations.
 
     ## Version History
 
@@ -384,6 +384,14 @@ class ReachIdealEnv(ReachEnv):
     def __init__(self, **arguments: Any) -> None:
         """See the class for the arguments; raises `InputError` for values that are not allowed."""
         super().__init__(**{"plant": IDEAL, **arguments})
+        check_ideal(self.task)
+
+
+def check_ideal(task: Task) -> None:
+    """Raise an `InputError` unless the true arm of ``task`` equals the nominal arm."""
+    plant = task.plant
+    if task.arms != "fixed" or plant.effects or plant.load or plant.geometry is not plant.arm.nominal:
+        raise InputError(f"the arms of '{plant.name}' have errors; take pickenv/Reach-v0, or the plant 'ideal:ARM'")
 
 
 GOAL_KEYS = ("observation", "achieved_goal", "desired_goal")

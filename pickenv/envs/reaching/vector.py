@@ -14,7 +14,7 @@ from pickenv.arm import IDEAL, Plant, chosen
 from pickenv.base import InputError, is_there, register, require
 from pickenv.base.registry import get, names
 from pickenv.envs.reaching.batch import Batch, NumpyBatch, Views
-from pickenv.envs.reaching.reach import GOAL_KEYS, draw_reach, rewards_of_goals
+from pickenv.envs.reaching.reach import GOAL_KEYS, check_ideal, draw_reach, rewards_of_goals
 from pickenv.envs.shared.backends import Flags, Rows, fresh_seed, seed_word
 from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.native_vector import NativeVectorEnv
@@ -243,3 +243,4 @@ class ReachIdealVectorEnv(ReachVectorEnv):
 
     def __init__(self, num_envs: int = 1, **arguments: Any) -> None:
         super().__init__(num_envs, **{"plant": IDEAL, **arguments})
+        check_ideal(self.task)

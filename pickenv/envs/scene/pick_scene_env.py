@@ -27,6 +27,9 @@ from pickenv.orchard.gripper import misalignment
 from pickenv.pictures.stage import SIZE, Pixels, fitted_eye
 
 OBSERVATIONS = ("state", "pixels", "pixels_agent_pos", "pixels_environment_state_agent_pos")
+WITHOUT_USE = ("reward", "tolerance_mm", "angle_tolerance_deg", "end_on_success")
+"""Arguments of `pickenv/Reach-v0` that are refused, since they would have no effect."""
+
 USUAL_PLANT = "ideal:ur5e"
 PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25
 """Default of `control_period_s`, the cost of each step, and the reward for detaching a fruit from its stem."""
@@ -121,7 +124,8 @@ class PickSceneEnv(ReachEnv):
 
     ```
 
-    Those of `pickenv/Reach-v0` except `executor`, which is always "floats", and
+    Those of `pickenv/Reach-v0`. But `executor` is always "floats", and success is a picked fruit. So there is no
+    `reward`, `tolerance_mm`, `angle_tolerance_deg` or `end_on_success`. Further arguments:
 
     - `plant` (default "ideal:ur5e"), `control_period_s` (default 0.04).
     - `error_mm` (default None): mean error of the tool over the joints' ranges. The errors of the true arm's parts are
@@ -174,6 +178,8 @@ class PickSceneEnv(ReachEnv):
         **arguments: Any,
     ) -> None:
         """See the class for the arguments; raises `InputError` for values that are not allowed."""
+        if useless := [name for name in WITHOUT_USE if name in arguments]:
+            raise InputError(f"{useless[0]} has no effect where success is a picked fruit; leave it out")
         check_choice("obs_type", obs_type, OBSERVATIONS)
         for name, count, least in (("fruit", fruit, 1), ("leaves", leaves, 0), ("pixels", pixels, SMALLEST)):
             check_count(name, count, least)

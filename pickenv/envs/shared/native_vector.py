@@ -29,8 +29,6 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         task: The task that all environments simulate.
         options: Names of the options that `reset` takes in addition to "reset_mask".
         max_episode_steps: Steps after which an episode is truncated, or None for never.
-        compensator: Turns joint targets into joint commands. Or a sequence with a compensator for each environment, or
-            None.
     """
 
     metadata: dict[str, Any] = {  # noqa: RUF012
@@ -53,11 +51,22 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         self.render_mode = checked_render_mode(render_mode, ("rgb_array",))
         self.autoreset_mode = AutoresetMode(mode)
         self.metadata = type(self).metadata | {"autoreset_mode": self.autoreset_mode}
-        self.compensator: Compensators | None = None
+        self._compensator: Compensators | None = None
         self._rngs: list[np.random.Generator] = [np.random.default_rng(0)] * self.num_envs
         self._begun = False
         self._over = np.zeros(self.num_envs, dtype=np.bool_)
         self._elapsed = np.zeros(self.num_envs, dtype=np.uint64)
+
+    @property
+    def compensator(self) -> Compensators | None:
+        """Turns joint targets into joint commands: one for all environments, a sequence with one for each, or None."""
+        return self._compensator
+
+    @compensator.setter
+    def compensator(self, given: Compensators | None) -> None:
+        if given is not None and not callable(given) and len(given) != self.num_envs:
+            raise InputError(f"{len(given)} compensators for {self.num_envs} environments; give one, or one for each")
+        self._compensator = given
 
     @property
     def increment(self) -> Array:
@@ -216,12 +225,14 @@ def checked_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[i
     """
     if seed is None:
         return [None] * count
-    seeds: list[int | None] = list(seed) if isinstance(seed, Sequence) else [int(seed) + i for i in range(count)]
+    seeds: list[Any] = np.array(seed, dtype=object).ravel().tolist()
+    if isinstance(seed, int | np.integer):
+        seeds = [int(seed) + i for i in range(count)]
     if len(seeds) != count:
         raise InputError(f"{len(seeds)} seeds were given for {count} environments; give one for each")
     for value in seeds:
-        if value is not None and value < 0:
-            raise InputError(f"seed {value} is negative; give a whole number not below zero")
+        if value is not None and (not isinstance(value, int | np.integer) or value < 0):
+            raise InputError(f"seed is {value!r}; give a whole number not below zero")
     return seeds
 
 

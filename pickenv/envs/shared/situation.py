@@ -113,7 +113,7 @@ def make_situation(
             this range.
     """
     noise = _span("joint_noise", joint_noise, 0.0, 100.0)
-    if isinstance(start_spread, Sequence):
+    if isinstance(start_spread, Sequence | np.ndarray):
         raise InputError(f"start_spread is {shown(start_spread)}; give one number from 0 to 1")
     return Situation(
         period=_span("control_period_s", control_period_s, 1e-3, 10.0),

@@ -1,7 +1,9 @@
 """Pick-v0: fruit goes down the funnel, haste and an arm that is not exact cost fruit, and bad input is explained."""
 
+import copy
 import doctest
 import math
+import pickle
 import warnings
 
 import gymnasium as gym
@@ -132,6 +134,21 @@ def test_haste_costs_fruit_waiting_pays_and_so_does_calibration(calibrated):
     assert fruit[0] > 0 and reward[0] > 0
     fruit, reward = (interval(a, b) for a, b in zip(patient, harvests(seeds), strict=True))
     assert fruit[0] > 0 and reward[0] > 0
+
+
+@pytest.mark.parametrize("again", [copy.deepcopy, lambda env: pickle.loads(pickle.dumps(env))], ids=["copy", "pickle"])
+def test_a_copy_picks_on_as_the_original_does(again):
+    env = gym.make("pickenv/Pick-v0", fruit_map="v_trellis", fruit=25)
+    policy, (seen, _) = ScriptedPick(env), env.reset(seed=4)
+    for _ in range(20):
+        seen, *_ = env.step(policy.act(seen))
+    twin = again(env)
+    for _ in range(120):
+        action = policy.act(seen)
+        seen, reward, *_, info = env.step(action)
+        _, same, *_, its = twin.step(action)
+        assert (reward, info["position_error_mm"], info["damaged"]) == (same, its["position_error_mm"], its["damaged"])
+    assert info["attached"]
 
 
 @pytest.mark.parametrize(("speed", "bruised"), [(0.9, False), (1.1, True)])

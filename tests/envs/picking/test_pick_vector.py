@@ -213,3 +213,18 @@ def test_the_tool_wrapper_keeps_the_rules_and_says_what_it_cannot_wrap():
         env.reset(seed=0)
         with pytest.raises(InputError, match="finite numbers"):
             env.step(np.array(action))
+
+
+def test_a_masked_reset_shapes_no_step_that_only_begins_an_episode():
+    made = gym.make_vec("pickenv/Pick-v0", 2, plant="ideal", camera="perfect", max_episode_steps=2)
+    envs = ToolSteppingVector(made, shaping=1.0)
+    envs.reset(seed=0)
+    envs.step(np.zeros((2, 3)))
+    envs.step(np.zeros((2, 3)))
+    envs.reset(options={"reset_mask": np.array([True, False])})
+    assert envs.step(np.zeros((2, 3)))[1][1] == 0.0
+
+
+def test_the_number_of_an_arm_is_whole():
+    with pytest.raises(InputError, match=r"arm is 0\.9"):
+        PickVectorEnv(2, arms="per_episode", population=8).reset(seed=0, options={"arm": [0.9, 1.9]})

@@ -175,7 +175,7 @@ def test_goals_that_cannot_be_are_refused(options, said):
         *(("action_delay", wrong) for wrong in (-1, 0.5, "late")),
         *(("joint_noise", wrong) for wrong in (-1, 1e9, [1, None])),
         *(("hours_on", wrong) for wrong in (-1, np.inf)),
-        *(("start_spread", wrong) for wrong in (-0.1, 1.1, [0, 1])),
+        *(("start_spread", wrong) for wrong in (-0.1, 1.1, [0, 1], np.array([0.1, 0.5]))),
         *(("goal_region", wrong) for wrong in (3, [[0, 0, 0]], [[1, 1, 1], [0, 0, 0]], [["a"] * 3] * 2)),
     ],
     ids=str,

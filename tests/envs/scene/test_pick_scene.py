@@ -339,3 +339,9 @@ def test_a_place_that_the_arm_does_not_reach_is_refused():
     env = gym.make("pickenv/PickScene-v0", within_mm=20_000.0)
     with pytest.raises(InputError, match="within_mm is 20000; the arm reaches too little of that, give less"):
         env.reset(seed=0)
+
+
+@pytest.mark.parametrize("given", [{"reward": "sparse"}, {"tolerance_mm": 9.0}, {"end_on_success": True}], ids=str)
+def test_what_would_have_no_effect_is_refused(given):
+    with pytest.raises(InputError, match=f"^{next(iter(given))} has no effect"):
+        made(**given)
