@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pickenv.arm import Array
-from pickenv.base import Ends, mean_interval, statistic_interval
+from pickenv.base import LEAST, Ends, mean_interval, statistic_interval
 
 LEAST_ROWS = 20
 """Smallest number of single errors for a 95 % interval of their mean; with ten, it covers the mean in only 92 %."""
@@ -104,6 +104,8 @@ def block_interval(values: ArrayLike, blocks: ArrayLike, *, rms: bool = False) -
     which = np.unique(np.asarray(blocks), return_inverse=True)[1]
     summed = np.asarray(values, dtype=float) ** (2 if rms else 1)
     sums = np.stack([np.bincount(which, summed), np.bincount(which)], axis=1)
+    if len(sums) < LEAST:
+        return None
     if not rms:
         return statistic_interval(sums, lambda rows: rows[:, 0].sum() / rows[:, 1].sum(), ordered=True)
     if not (sums[:, 0] > 0.0).all() or np.std(0.5 * np.log(sums[:, 0] / sums[:, 1]), ddof=1) > MOST_APART:

@@ -155,6 +155,8 @@ class Board:
             raise InputError("marker_mm of [board] must be given, and smaller than square_mm")
         if self.kind == "apriltags" and self.gap is None:
             raise InputError("gap_mm of [board] is missing; give the space between two tags")
+        if self.kind != "apriltags" and self.gap is not None:
+            raise InputError(f"gap_mm of [board] is for apriltags, and a {self.kind} has no gaps; leave it out")
         if self.kind != "apriltags" and min(self.columns, self.rows) < 3:
             raise InputError(f"[board] has {self.columns} x {self.rows} squares; give at least 3 x 3")
         if self.kind == "chessboard" and (self.columns + self.rows) % 2 == 0:

@@ -54,8 +54,12 @@ class Conditions:
 
     def inputs(self) -> Array | None:
         """Return payload and temperature ``(N, k)``, inputs of a learnt residual; None if neither is known."""
-        columns = [part for part in (self.payload, self.temperature) if part is not None]
+        columns = [getattr(self, name) for name in self.input_names()]
         return np.stack(columns, -1) if columns else None
+
+    def input_names(self) -> tuple[str, ...]:
+        """Names of the columns of `inputs`."""
+        return tuple(name for name in ("payload", "temperature") if getattr(self, name) is not None)
 
 
 class Term(Protocol):

@@ -105,7 +105,7 @@ class CorrectedCommands:
             f"  with the corrected commands {after[0]:.4f} mm and {after[1]:.4f} deg remain, of which "
             f"{never[1]:.4f} deg is a rotation that no joint motion removes",
         ]
-        sure, within = self.uncertainty[0], self.within95[0]
+        sure, within = (None if size is None else size[rows] for size in (self.uncertainty[0], self.within95[0]))
         if sure is None:
             lines.append("  uncertainty unknown: this calibration file holds none; calibrate again to have it")
         else:

@@ -492,6 +492,8 @@ class Calibration:
         if self.arm.tree is not None:
             raise InputError("a whole robot has no one tool to compensate; export its calibration onto its URDF")
         learnt = self.learnt if with_residual else None
+        if learnt is not None and conditions is not None:
+            self._refuse_other_inputs(conditions)
         if learnt is not None and fast:
             learnt = learnt.faster()
         anything = self.model.terms or learnt is not None
@@ -567,6 +569,7 @@ class Calibration:
         """
         errors = data.difference(self.model)
         if self.learnt is not None:
+            self._refuse_other_inputs(data.conditions)
             inputs = data.conditions.inputs() if self.learnt.inputs.conditions else None
             learnt = self.learnt.predict(data.joints, inputs)
             if turn is not None:
@@ -574,6 +577,15 @@ class Calibration:
             width = min(learnt.shape[1], errors.shape[1])
             errors[:, :width] -= learnt[:, :width]
         return errors
+
+    def _refuse_other_inputs(self, conditions: Conditions) -> None:
+        """Refuse conditions other than those of training: a temperature is no payload, though either is one number."""
+        entry = self.record.get("residual")
+        wanted = entry.get("conditions") if isinstance(entry, Mapping) else None
+        given = conditions.input_names()
+        if wanted and given and list(given) != list(wanted):
+            learnt = f"the learnt residual depends on {' and '.join(wanted)}"
+            raise InputError(f"{learnt}, but {' and '.join(given)} is given; give what it was learnt with")
 
     def without_residual(self) -> Calibration:
         """Return a copy of this calibration without its learnt residual."""

@@ -179,6 +179,7 @@ def fit_remainder(
         "kind": kind,
         "data_fingerprint": data.fingerprint(),
         "poses": len(data),
+        "conditions": list(data.conditions.input_names()),
         "settings": None if settings is None else asdict(settings),
         # The generator's state as it stands, in plain numbers: what reproduces the network to the bit.
         "generator": json.loads(json.dumps(rng.bit_generator.state, default=lambda value: value.tolist())),
@@ -232,6 +233,8 @@ class HeldOut:
         used: Name of the model that judged the rows; if rows were held out block by block, one name per block.
         blocks: Number of the block of rows that each error belongs to ``(M,)``; None if rows were held out once.
         pixels: For pictures, the geometry's errors in px, one array per view; empty for other kinds.
+        row: Number of the row that each error belongs to ``(M,)``, if rows held out once have several, as with
+            several reflectors or a board's corners; else None.
     """
 
     errors: dict[str, Array]
@@ -239,6 +242,17 @@ class HeldOut:
     used: tuple[str, ...]
     blocks: Rows | None = None
     pixels: tuple[Array, ...] = ()
+    row: Rows | None = None
+
+    @property
+    def together(self) -> Rows | None:
+        """Number of the block, or of the row, whose errors count as correlated; None if each error is its own row's.
+
+        Rows that are fewer than `LEAST_ROWS` are one group, which has no interval.
+        """
+        if self.blocks is not None or self.row is None or self._values >= LEAST_ROWS:
+            return self.row if self.blocks is None else self.blocks
+        return np.zeros_like(self.row)
 
     def text(self, rows: int, fitted: int) -> str:
         """Return a sentence that says how the rows were held out.
@@ -271,8 +285,9 @@ class HeldOut:
 
     @property
     def _values(self) -> int:
-        """Number of independent values that an interval rests on: errors, or blocks of them."""
-        return len(self.parametric) if self.blocks is None else len(np.unique(self.blocks))
+        """Number of independent values that an interval rests on: rows, or blocks of them."""
+        numbers = self.row if self.blocks is None else self.blocks
+        return len(self.parametric) if numbers is None else len(np.unique(numbers))
 
     def _reason(self) -> str:
         return f" ({self.no_interval})" if self.no_interval else ""
@@ -298,7 +313,9 @@ def held_out_of(fits: Mapping[str, Fit], test: Observations) -> HeldOut:
         pixels = tuple(view.pixel_errors(solution.arm_model, unknowns_of(solution, view)) for view in views)
     steps = zip((GEOMETRIC, *list(fits)[1:]), fits.values(), strict=True)
     errors = {NOMINAL: before} | {name: what_is_left(fit, test) for name, fit in steps}
-    return HeldOut(errors, what_is_left(without_residual(best), test), (used,), pixels=pixels)
+    rows = test.rows_of_misses
+    row = rows if len(np.unique(rows)) < len(rows) else None
+    return HeldOut(errors, what_is_left(without_residual(best), test), (used,), pixels=pixels, row=row)
 
 
 def by_station(held_out: HeldOut, train: Observations, folds: Sequence[tuple[Rows, Rows]]) -> HeldOut:

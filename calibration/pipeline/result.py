@@ -90,7 +90,7 @@ class Result:
     @property
     def known_frames(self) -> bool:
         """Whether base and tool were known."""
-        return self.base_frame is None
+        return self.geometric.aligned is None
 
     @property
     def has_nominal(self) -> bool:
@@ -124,7 +124,7 @@ class Result:
     @cached_property
     def position(self) -> dict[str, ErrorStatistics]:
         """Statistics of held-out position errors by model, in `miss_unit`."""
-        blocks = self.held_out.blocks
+        blocks = self.held_out.together
         scale = MISS_UNITS[self.miss_unit]
         return {name: error_statistics(values[:, :3] * scale, blocks) for name, values in self.errors.items()}
 
@@ -132,7 +132,7 @@ class Result:
     def attitude(self) -> dict[str, ErrorStatistics]:
         """Statistics of held-out attitude errors by model, deg; empty if no attitude was measured."""
         wide = {name: values for name, values in self.errors.items() if values.shape[1] == 6}
-        blocks = self.held_out.blocks
+        blocks = self.held_out.together
         return {name: error_statistics(np.degrees(values[:, 3:]), blocks) for name, values in wide.items()}
 
     @cached_property

@@ -392,6 +392,12 @@ def calibrate(
     arm = given_arm(arm, columns)
     if split not in SPLITS:
         raise InputError(f"split is '{split}'; give {' or '.join(SPLITS)}")
+    if test is not None and (split != "random" or test_rows is not None):
+        option = f"`split='{split}'`" if split != "random" else f"`test_rows={test_rows}`"
+        raise InputError(f"{option} holds rows of the data out, but `test` gives other rows to judge by; leave one out")
+    if choices.fit == "full" and (choices.tolerances is not None or choices.prior_scale is not None):
+        option = "prior_scale" if choices.tolerances is None else "tolerances"
+        raise InputError(f"`fit='full'` expects nothing of the parts, so `{option}` says nothing; leave one out")
     known_frames = choices.frames == "known"
     train = given_rows(arm, data, columns, stations, known=known_frames)
     if (between := train.parts[0].conditions.between) is not None:

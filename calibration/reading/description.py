@@ -285,7 +285,7 @@ class LensTable:
         numbers = (self.fx, self.fy, self.cx, self.cy, self.width, self.height)
         if self.file is None and any(number is None for number in numbers):
             raise InputError("[camera] needs file, or fx, fy, cx, cy, width and height")
-        if self.file is not None and any(number is not None for number in numbers):
+        if self.file is not None and (any(number is not None for number in numbers) or self.distortion):
             raise InputError("[camera] has a file and numbers as well; give one of them")
         if len(self.distortion) not in (0, 4, 5):
             raise InputError(f"distortion of [camera] has {len(self.distortion)} numbers; give k1, k2, p1, p2 and k3")

@@ -21,7 +21,7 @@ from pickenv.base import LIMITS, TO_SI, InputError, check_limit, listed, read_te
 from pickenv.calibration.camera.boards import Board, Corners, Grey, corners_at, find_corners, opencv, read_lens
 from pickenv.calibration.model import kinds
 from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_poses
-from pickenv.calibration.model.observations import Observations, Origins, Rows
+from pickenv.calibration.model.observations import SAME_POSE, Observations, Origins, Rows
 from pickenv.calibration.model.pixels import LENS_NAMES, Lens, PixelObservations
 from pickenv.calibration.reading import description
 from pickenv.calibration.reading.csv_table import Table, read_table, rotations, table_of_entries
@@ -433,11 +433,15 @@ def read_views(
         views, remarks = _found_in_pictures(table, file.board, pictures, camera)
         rows = list(range(len(table.lines)))
     if (poses := file.poses) is None:
-        joints = read_joints(table, file, where, geometry)[rows]
+        every = read_joints(table, file, where, geometry)
+        joints = every[rows]
         refuse_repeated_joints(file, where, joints, geometry)
     else:
         turned = rotations(poses.convention, table.values(poses.rotation_columns) * TO_SI[poses.rotation_unit])
-        joints = joints_of_finished_poses(Pose(table.values(poses.columns) * TO_SI[poses.unit], turned))[rows]
+        every = joints_of_finished_poses(Pose(table.values(poses.columns) * TO_SI[poses.unit], turned))
+        joints = every[rows]
+    if file.pixels.view is not None and file.pixels.columns:
+        _refuse_moved(table, table.texts(file.pixels.view), every)
     corners, visible, std = map(np.stack, zip(*views, strict=True))
     lines = np.array(table.lines, dtype=np.int64)[rows]
     std = std if file.pixels.std is None else np.full_like(std, file.pixels.std)
@@ -547,6 +551,18 @@ def _found_in_table(
         rows.append(int(mine[0]))
         corners.append(corners_at(len(known), numbers[mine], places[mine], DEFAULT_STD))
     return rows, corners
+
+
+def _refuse_moved(table: Table, views: Sequence[str], joints: Array) -> None:
+    """Refuse corners of one view at different joints (or finished poses): they are of several pictures."""
+    first: dict[str, int] = {}
+    for row, name in enumerate(views):
+        begin = first.setdefault(name, row)
+        if np.abs(joints[row] - joints[begin]).max() > SAME_POSE:
+            raise InputError(
+                f"{table.where}: rows {table.lines[begin]} and {table.lines[row]} are of view '{name}', but the arm "
+                "stands otherwise in them; give each picture a name of its own"
+            )
 
 
 def _lens(given: description.LensTable, home: Path) -> Lens:

@@ -202,6 +202,13 @@ def _poses(files: Files, _section: Any) -> Measurements:
     for table, layout in files.pairs():
         kind_readers.refuse_unseen(table, layout)
     rotation, attitudes = None, first.rotation
+    for table, layout in files.pairs():
+        if (layout.rotation is None) != (attitudes is None):
+            without, with_ = (files.tables[0], table) if attitudes is None else (table, files.tables[0])
+            raise InputError(
+                f"{without.where} holds positions alone, {with_.where} attitudes too; give each a description of its "
+                "own (`columns`), or remove the attitudes"
+            )
     if attitudes is not None:
         values = np.concatenate([_attitudes(table, layout.rotation) for table, layout in files.pairs()])
         if attitudes.convention is None:

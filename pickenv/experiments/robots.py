@@ -297,7 +297,7 @@ def model_errors(rng: np.random.Generator, row: str, settings: BenchSettings, da
         used = [result.best_model for result in results]
     else:
         judges = poses if spread.how == "poses" else None
-        result = calibrate(arm, rows, test=judges, split="blocked", choices=choices)
+        result = calibrate(arm, rows, test=judges, split="random" if judges is not None else "blocked", choices=choices)
         table, used = _stated(spread.statistic, result), list(result.held_out.used)
     models = "; ".join(
         name.removeprefix("geometry").replace("+", ", ").strip(", ") or "nothing added" for name in dict.fromkeys(used)

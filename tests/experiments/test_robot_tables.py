@@ -151,5 +151,5 @@ def test_a_row_states_each_model_with_its_interval_or_over_splits_with_its_range
         assert [c.seed for c in choices] == np.random.SeedSequence(9).generate_state(4).tolist()
         assert model["used"] == "1; 2; 3; 4"
     else:
-        assert [each[:2] for each in asked] == [("poses" if how == "poses" else None, "blocked")]
+        assert [each[:2] for each in asked] == [("poses", "random") if how == "poses" else (None, "blocked")]
         assert model["used"] == "nothing added"

@@ -161,6 +161,7 @@ def test_pages_keep_the_scale(tmp_path: Path) -> None:
         ({"kind": "chessboard", "columns": 2, "rows": 5, "square_mm": 30}, "at least 3 x 3"),
         ({"kind": "circles", "columns": 2, "rows": 5, "square_mm": 30}, "charuco, chessboard, apriltags"),
         ({"kind": "chessboard", "columns": 8, "rows": 5, "square": 30}, "square_mm"),
+        ({"kind": "chessboard", "columns": 8, "rows": 5, "square_mm": 30, "gap_mm": 9}, "a chessboard has no gaps"),
     ],
 )
 def test_bad_boards_are_refused(table: dict[str, Any], words: str) -> None:

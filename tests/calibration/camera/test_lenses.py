@@ -12,6 +12,7 @@ import yaml
 from pickenv.base import InputError
 from pickenv.calibration import Lens, projected, read_lens, write_lens
 from pickenv.calibration.model.pixels import LENS_NAMES, by_point, by_values, undistorted
+from pickenv.calibration.reading.description import LensTable
 
 POINTS = np.random.default_rng(0).normal(size=(50, 3)) * (0.3, 0.3, 0.1) + (0.0, 0.0, 1.2)
 
@@ -89,3 +90,8 @@ def test_what_is_no_camera_file(text: str, words: str, tmp_path: Path) -> None:
         read_lens(tmp_path / "a.yaml")
     with pytest.raises(InputError, match="does not exist"):
         read_lens(tmp_path / "b.yaml")
+
+
+def test_a_lens_from_a_file_has_its_own_distortion() -> None:
+    with pytest.raises(InputError, match="a file and numbers as well"):
+        LensTable(file="camera.yaml", distortion=(0.1, 0.0, 0.0, 0.0))

@@ -6,9 +6,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pickenv.arm import Array, rotation_matrix
+from pickenv.arm import Array, load_arm, rotation_matrix
 from pickenv.base import InputError
-from pickenv.calibration import Lens, PixelObservations, load_description, projected
+from pickenv.calibration import Lens, PixelObservations, load_description, projected, read_observations
 from tests.calibration.whole_robots import DODECAHEDRON
 
 LENS = Lens(np.array([900.0, 900.0, 640.0, 480.0, -0.05, 0.01, 0.0, 0.0, 0.0]), (1280, 960))
@@ -99,3 +99,32 @@ def test_points_have_the_numbers_that_they_are_given(tmp_path: Path) -> None:
     points, numbers = load_description(path).target_points
     assert numbers == (7, 5, 9, 11)
     np.testing.assert_allclose(points[2], [0.0, 0.05, 0.0])
+
+
+def test_corners_of_one_view_are_seen_at_the_same_joints(tmp_path: Path) -> None:
+    (tmp_path / "v.toml").write_text(
+        """[joints]
+columns = ["a1", "a2", "a3", "a4", "a5", "a6"]
+unit = "deg"
+[pixels]
+mount = "world"
+columns = ["u", "v"]
+view = "view"
+corner = "c"
+[target]
+points_mm = [50, 50, 50, -50, -50, 50, -50, 50, -50, 50, -50, -50]
+[camera]
+fx = 900.0
+fy = 900.0
+cx = 640.0
+cy = 480.0
+width = 1280
+height = 960
+""",
+        encoding="utf-8",
+    )
+    rows = ["view,c,u,v,a1,a2,a3,a4,a5,a6", "A,0,600,400,0,0,0,0,0,0", "A,1,620,410,0,0,0,0,0,0"]
+    rows += ["A,2,640,420,90,-45,30,10,20,30", "A,3,660,430,90,-45,30,10,20,30"]
+    (tmp_path / "v.csv").write_text("\n".join(rows), encoding="utf-8")
+    with pytest.raises(InputError, match=r"v\.csv: rows 2 and 4 are of view 'A', but the arm stands otherwise in them"):
+        read_observations([tmp_path / "v.csv"], load_arm("ur5").nominal, tmp_path / "v.toml")

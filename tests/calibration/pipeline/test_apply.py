@@ -161,7 +161,7 @@ def test_the_report_speaks_of_the_targets_that_are_reached_or_of_all_where_none_
         assert lines[0] == f"{found.reached.sum()} of 300 targets can be reached"
         assert f"would miss by {mm[0]:.3f} mm and {deg[0]:.4f} deg" in lines[1]
         assert f"{mm[1]:.4f} mm and {deg[1]:.4f} deg remain, of which {lost:.4f} deg" in lines[2]
-        sure, within = 1e3 * found.uncertainty[0], 1e3 * found.within95[0]
+        sure, within = 1e3 * found.uncertainty[0][shown], 1e3 * found.within95[0][shown]
         assert f"reached: {np.median(sure):.3f} mm (median), {sure.max():.3f} mm at most" in lines[3]
         assert f"within {np.median(within):.3f} mm (median of targets; {within.max():.3f} mm at most)" in lines[4]
 

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from pickenv.arm import Plant, Pose, draw_plants, load_arm, load_tolerances, plant_at, rotation_matrix
+from pickenv.arm import Plant, Pose, draw_plants, load_arm, load_plant, load_tolerances, plant_at, rotation_matrix
+from pickenv.base import InputError
 from pickenv.calibration import Choices, calibrate, random_joints, simulated_tracker
 
 PLAIN = Choices(terms="none", residual="none")
@@ -72,3 +73,14 @@ def test_a_region_that_behaves_otherwise_is_named():
     high = rows.joints[:, 1] > np.quantile(rows.joints[:, 1], 0.67)
     found = calibrate("ur5", replace(rows, position=rows.position - np.outer(high, [0, 0, 8e-3])), choices=PLAIN)
     assert found.quality.grade != "good" and "J2 shoulder is above" in causes(found)
+
+
+def test_other_rows_to_judge_by_leave_nothing_to_split() -> None:
+    plant, rng = load_plant("qiao2026"), np.random.default_rng(0)
+    train, test = (simulated_tracker(plant, random_joints(plant.arm.nominal, count, rng), rng) for count in (20, 10))
+    for more in ({"split": "blocked"}, {"test_rows": 5}):
+        with pytest.raises(InputError, match=f"`{next(iter(more))}=.*` holds rows of the data out, but `test` gives"):
+            calibrate(plant.arm, train, test=test, **more)
+    for more in ({"tolerances": "no_such_class"}, {"prior_scale": 0.1}):
+        with pytest.raises(InputError, match=f"so `{next(iter(more))}` says nothing"):
+            calibrate(plant.arm, train, test=test, choices=Choices(fit="full", **more))

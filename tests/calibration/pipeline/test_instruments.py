@@ -7,12 +7,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, rotation_matrix
+from pickenv.arm import Arm, Geometry, Pose, forward, load_arm, load_plant, rotation_matrix
 from pickenv.base import InputError
 from pickenv.calibration import (
     ArmModel,
     Choices,
     DistanceObservations,
+    ReflectorObservations,
     Result,
     SocketObservations,
     TiltObservations,
@@ -22,6 +23,7 @@ from pickenv.calibration import (
     given_rows,
     identify,
     random_joints,
+    simulated_tracker,
 )
 from pickenv.calibration.assessment.instrument import said_of_instruments, with_zeros_fitted
 from pickenv.calibration.identification.robust import rough_start, stations_of
@@ -338,3 +340,25 @@ def test_the_simulated_wire_sees_what_it_is_said_to_see(arm: Arm) -> None:
     assert {name for name in found.identifiability.kept_names if name in arm.nominal.parameter_names} == set(
         SEEN_BY_A_WIRE
     )
+
+
+@pytest.mark.parametrize("held_out", [7, 20])
+def test_reflectors_of_one_row_are_not_rows(held_out: int) -> None:
+    plant = load_plant("qiao2026")
+
+    def seen(count: int, seed: int) -> ReflectorObservations:
+        rng = np.random.default_rng(seed)
+        data = simulated_tracker(plant, random_joints(plant.arm.nominal, count, rng), rng)
+        points = data.position[:, None] + np.einsum("nij,kj->nki", data.rotation, np.eye(3) * 0.05)
+        return ReflectorObservations(data.joints, points, np.ones((count, 3), dtype=bool), 2e-5)
+
+    choices = Choices(terms="none", residual="none")
+    result = calibrate(plant.arm, seen(60, 0), test=seen(held_out, 1), choices=choices)
+    assert result.best.count == 3 * held_out
+    if held_out == 7:
+        assert result.best.mean_ci95 is None
+        assert result.held_out.no_interval == "no interval: 7 rows are fewer than 20"
+    else:  # the three errors of a row are alike, so the interval is that of 20 means
+        alone = 1e3 * np.linalg.norm(list(result.errors.values())[-1], axis=1)
+        low, high = result.best.mean_ci95
+        assert high - low > 2 * 1.96 * 0.9 * alone.reshape(20, 3).mean(axis=1).std(ddof=1) / np.sqrt(20)

@@ -66,6 +66,7 @@ def test_two_arms_on_one_torso_are_one_fit(tmp_path: Path) -> None:
     assert nominal > 0.5
     assert left < 1.25 * 0.03 * np.sqrt(3.0)
     assert str(result).startswith("verdict: GOOD")
+    assert result.as_dict()["frames"] == result.calibration.record["frames"] == "fitted"
     names = result.fit.identification.unknowns
     assert [name for name in names if name.startswith("base")] == []  # one tracker, one base
     assert sum(name.startswith("tool2_") for name in names) == 6

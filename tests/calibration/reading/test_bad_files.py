@@ -5,8 +5,9 @@ import csv
 import numpy as np
 import pytest
 
+from pickenv.arm import load_plant
 from pickenv.base import InputError
-from pickenv.calibration import fit, random_joints, read_measurements, simulated_tracker
+from pickenv.calibration import fit, random_joints, read_measurements, read_observations, simulated_tracker
 
 COLUMNS = [
     "q1_deg",
@@ -150,3 +151,12 @@ def test_the_good_table_is_good(tmp_path, qiao, table):
     for known_frames in (False, True):
         found = fit(qiao, read_measurements(path, qiao.nominal), known_frames=known_frames)
         assert found.identification.converged
+
+
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_files_of_poses_and_of_positions_are_not_one_data_set(tmp_path, qiao, order):
+    rng = np.random.default_rng(0)
+    some = [simulated_tracker(load_plant("qiao2026"), random_joints(qiao.nominal, 5, rng), rng) for _ in range(2)]
+    paths = [some[0].write_csv(tmp_path / "poses.csv"), some[1].positions_only().write_csv(tmp_path / "points.csv")]
+    with pytest.raises(InputError, match=r"points\.csv holds positions alone, .*poses\.csv attitudes too"):
+        read_observations([paths[i] for i in order], qiao.nominal)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,16 @@ from typer.testing import CliRunner
 
 from pickenv.arm import Arm, Plant
 from pickenv.base import InputError
-from pickenv.calibration import Choices, calibrate, random_joints, read_measurements, simulated_tracker
+from pickenv.calibration import (
+    Calibration,
+    Choices,
+    Conditions,
+    calibrate,
+    fit,
+    random_joints,
+    read_measurements,
+    simulated_tracker,
+)
 from pickenv.cli import app
 
 PLAIN = Choices(terms="none", residual="none")
@@ -101,3 +111,18 @@ def test_absurd_conditions_are_not_applied(option: str, value: str, limits: str,
     ended = CliRunner().invoke(app, words)
     assert isinstance(ended.exception, InputError)
     assert str(ended.exception).startswith(f"{option} is ") and f"; give {limits}: " in str(ended.exception)
+
+
+def test_a_temperature_is_no_payload(dynamic: Plant, tmp_path: Path) -> None:
+    """Of a residual that was learnt with payloads, from a file."""
+    rng = np.random.default_rng(0)
+    load = rng.uniform(0.0, 3.0, 90)
+    data = simulated_tracker(dynamic, random_joints(dynamic.arm.nominal, 90, rng), rng)
+    data = replace(data, conditions=Conditions(payload=load))
+    found = fit(dynamic.arm, data.select(np.arange(50)), data, known_frames=True, residual="rbf", rng=rng).calibration
+    found = Calibration.load(found.save(tmp_path / "loaded"))
+    found.predict(data.joints[:2], Conditions(payload=np.array(2.0)))
+    with pytest.raises(InputError, match="depends on payload, but temperature is given"):
+        found.predict(data.joints[:2], Conditions(temperature=np.array(2.0)))
+    with pytest.raises(InputError, match="depends on payload, but temperature is given"):
+        found.errors(replace(data, conditions=Conditions(temperature=load)))
