@@ -211,6 +211,8 @@ class JointsTable:
     def __post_init__(self) -> None:
         if self.units is None and self.unit is None:
             raise InputError(f"unit of [joints] is missing; give {JOINT_UNIT.wanted}")
+        if self.units is not None and self.unit is not None:
+            raise InputError("[joints] has unit and units; give one of them")
         n, units = len(self.columns), len(self.each)
         if units != n:
             raise InputError(f"[joints] has {n} columns but {units} units; give one per joint")
@@ -367,6 +369,10 @@ class TorquesTable:
     columns: Annotated[tuple[str, ...], COLUMNS]
     unit: Annotated[str, one_of(TORQUES)] | None = None
     units: Annotated[tuple[Annotated[str, one_of(TORQUES)], ...], COLUMNS] | None = None
+
+    def __post_init__(self) -> None:
+        if self.units and self.unit is not None:
+            raise InputError("[conditions.torques] has unit and units; give one of them")
 
     @property
     def each(self) -> tuple[str, ...] | None:

@@ -94,6 +94,8 @@ def plan_poses(
     robot = pickenv.load_arm(arm)
     if columns is not None and pool is None and like is None:
         raise InputError("--columns describes the file of --like or --from; give that too")
+    if fit == "full" and (tolerances is not None or prior_scale != 1.0):
+        raise InputError("--fit full expects nothing of the parts; leave out --tolerances and --prior-scale")
     test_joints = None if at is None else joints_of(pickenv.calibration.read_targets(at, robot.nominal), robot.nominal)
     rng = np.random.default_rng(seed)
     prior = prior_model(
@@ -133,7 +135,8 @@ def verify(
 ) -> None:
     """Judge an old calibration on new rows: is it better than nominal, as good as promised, and used within its data?
 
-    Verdicts: still good, worse than nominal, drifted, outside what was measured, another station, another arm.
+    Verdicts: still good, no better than nominal, worse than nominal, drifted, outside what was measured, another
+    station, another arm.
 
     The verdict comes first; unless it is "still good" the exit code is 3.
 
@@ -293,7 +296,7 @@ def twin(
         allow: Use the calibration in spite of this reservation: do-not-use.
 
     Examples:
-        pickenv twin my_arm.npz --out twin.toml
+        pickenv twin my_arm.npz --out twin.npz
 
     More: twin.md
     """
