@@ -147,7 +147,8 @@ def compare(
         "period": period,
     }
     options: dict[str, Any] = {"env": env, "episodes": episodes, "seed": seed, "gripper": gripper}
-    options |= {"compensate": compensate, "grid_step": None if grid_step == GRID_STEP else grid_step}
+    options |= {"compensate": compensate, "allow": sorted(allow)}
+    options |= {"grid_step": None if grid_step == GRID_STEP else grid_step}
     command = _command(policies, options, labels, arguments)
     if plant is None or "pose_error" not in runs[-1][0][0].info:
         return PolicyComparison(RecordedEpisodes(policies=tuple(recorded), **facts), command)

@@ -232,10 +232,13 @@ def contenders_of(
             f"there are {len(pairs)} policies and {len(calibrations)} calibrations; give one for each ({NONE} for a "
             "raw arm), one for all, or one policy"
         )
-    stages = [
-        _calibrated(built_in or calibration, arm, allow)
-        for (_, built_in), calibration in zip(pairs, calibrations or [None] * len(pairs), strict=True)
-    ]
+    stages = []
+    for (policy, built_in), calibration in zip(pairs, calibrations or [None] * len(pairs), strict=True):
+        if built_in is not None and calibration is not None:
+            raise InputError(f"'{built_in}' is a calibration already; give `compensate` {NONE} for it")
+        stages.append(_calibrated(built_in or calibration, arm, allow))
+        if stages[-1][1] is not None and isinstance(policy, str | Path) and kind_of(str(policy)).raw_only:
+            raise InputError(f"policy '{policy}' corrects the arm itself; give `compensate` {NONE} for it")
     names = list(labels) or _labels([_name(policy) for policy, _ in pairs], [stage for stage, _ in stages])
     if len(names) != len(pairs):
         raise InputError(f"there are {len(pairs)} policies and {len(names)} labels; give each one label")

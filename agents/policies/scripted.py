@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.agents.policies import policy
 from pickenv.arm import Array, Plant, Pose, forward, inverse, joint_jacobian, plants_on, pose_error, truncated_inverse
 from pickenv.base import InputError, register
-from pickenv.envs import CONTROL_PERIOD
 from pickenv.harvester import Work, assign, zone_work
 from pickenv.orchard import fruit_regions, load_stereo_camera
 
@@ -412,6 +411,7 @@ class ScriptedPick(policy.ReachController):
                 joints farther from mid-range.
         """
         super().__init__(env)
+        self.period: float = env.unwrapped.task.situation.period.high  # the increments are those of this period
         gentle = GENTLE * env.unwrapped.orchard.station.bruise_speed
         self.settle, self.approach, self.aim = (np.asarray(value, dtype=float) for value in (settle, approach, aim))
         self.tool_speed = np.asarray(gentle if tool_speed is None else tool_speed, dtype=float)
@@ -453,7 +453,7 @@ class ScriptedPick(policy.ReachController):
         # Standing still is asked of the command: corrections smaller than the encoders' counts would never end.
         arrived = seeking & (self._place == AT) & (self._away(joints, goals) < self.arrived)
         stays = hanging | arrived | np.isnan(goals[:, 0])
-        late = seeking & (self._spent * CONTROL_PERIOD >= self.patience)
+        late = seeking & (self._spent * self.period >= self.patience)
         closes = hanging | late | (arrived & (still >= self.settle - 1e-3))
         self._spent += 1.0
         away = np.where(stays[:, None], 0.0, goals - joints)
@@ -492,7 +492,7 @@ class ScriptedPick(policy.ReachController):
         step = self.gain[..., None] * away
         share = step / self.increment
         way = np.linalg.norm((joint_jacobian(self.geometry, joints)[..., :3, :] @ step[..., None])[..., 0], axis=-1)
-        most = np.maximum(np.abs(share).max(axis=-1), way / (self.tool_speed * CONTROL_PERIOD))
+        most = np.maximum(np.abs(share).max(axis=-1), way / (self.tool_speed * self.period))
         return np.asarray(share / np.maximum(1.0, most)[..., None])
 
 

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 from typer import Argument, Option
 
 import pickenv
-from pickenv.base import command_line, screen_width, separate, write_json
+from pickenv.base import InputError, command_line, screen_width, separate, write_json
 from pickenv.commands.showing import MOST, CommandOfNames, deliver, print_table, print_verdict, progress_bars
 
 SEVERAL = ("--compensate", "--label")
@@ -24,10 +24,16 @@ class SeveralValues(CommandOfNames):
         """Repeat each option of `SEVERAL` before each of its values, then parse the arguments."""
         spread: list[str] = []
         option = ""
-        for word in args:
-            if word.startswith("--"):
+        for word, after in zip(args, [*args[1:], "--"], strict=True):
+            name, given, value = word.partition("=")
+            if name in SEVERAL:
+                if not given and after.startswith("--"):
+                    raise InputError(f"{name} has no value; give one or more, or leave it out")
+                option = name
+                spread += [name, value] if given else []
+            elif word.startswith("--"):
                 option = word
-                spread += [] if word in SEVERAL else [word]
+                spread.append(word)
             else:
                 spread += [option, word] if option in SEVERAL else [word]
         return super().parse_args(ctx, spread)

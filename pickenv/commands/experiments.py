@@ -14,6 +14,9 @@ import pickenv
 from pickenv.base import InputError, locked, require, screen_width, separate, unseen_share
 from pickenv.commands import showing
 
+SAMPLES = 2048
+"""Default number of rows of a Sobol sample."""
+
 TERMINAL = 80
 """Number of characters in a line of the usual terminal."""
 
@@ -124,7 +127,7 @@ def study(
     json_file: Annotated[Path | None, Option("--json")] = None,
     report: Annotated[bool, Option("--report/--no-report")] = True,
     sobol: Annotated[bool, Option("--sobol")] = False,
-    samples: Annotated[int, Option(min=0, callback=showing.limited("samples"))] = 2048,
+    samples: Annotated[int, Option(min=0, callback=showing.limited("samples"))] = SAMPLES,
     details: Annotated[bool, Option("--details")] = False,
 ) -> None:
     """Estimate the share of arms within specification: draw a population, calibrate every arm, and send it to fruit.
@@ -149,7 +152,10 @@ def study(
     More: tolerance-studies.md
     """
     require("pyarrow", "joblib")
-
+    if sobol and not report:
+        raise InputError("--sobol is of the report; leave --no-report out")
+    if samples != SAMPLES and not sobol:
+        raise InputError("--samples is of the Sobol indices; give --sobol with it")
     full_study = pickenv.experiments.load_study(config)
     separate(
         {"CONFIG": [config, full_study.plant, *full_study.tolerances]},

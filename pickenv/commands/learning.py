@@ -64,7 +64,7 @@ def train(
     """
     typed = dict(locals())
     from pickenv.agents.training.training import resumed
-    from pickenv.agents.training.training_setup import words_of
+    from pickenv.agents.training.training_setup import arguments_of, words_of
 
     written = [out / name for name in ("policy.npz", "checkpoint.pt", "evaluations.json")]
     separate({"--compensate": compensate, "--plant": plant}, {"--out": written})
@@ -72,14 +72,12 @@ def train(
         training = resumed(out)
         _refuse_changes(context, training, out)
     else:
-        if _was_given(context, "camera_noise") and feedback != "camera":
-            raise InputError(NO_CAMERA)
         if (out / "checkpoint.pt").exists():
             raise InputError(f"{out} holds a training already; go on with --resume, or give another --out")
         arguments: dict[str, Any] = {
             "plant": plant[0] if plant and len(plant) == 1 else plant or None,
-            "feedback": None if feedback == "encoders" else feedback,
-            "camera_noise_mm": camera_noise or None,
+            "feedback": feedback if _was_given(context, "feedback") else None,  # else the algorithm's own
+            "camera_noise_mm": camera_noise if _was_given(context, "camera_noise") else None,
             "fruit_noise_mm": fruit_noise if camera_noise or fruit_noise else None,
             "arms": None if randomise is None else "per_episode",
             "tolerances": randomise,
@@ -87,6 +85,8 @@ def train(
         given: dict[str, Any] = {name: value for name, value in arguments.items() if value is not None}
         behind = {} if compensate is None else {"compensate": str(compensate)}
         training = pickenv.agents.Training(**fields_among(pickenv.agents.Training, typed) | behind, arguments=given)
+        if _was_given(context, "camera_noise") and arguments_of(training)[0].get("feedback") != "camera":
+            raise InputError(NO_CAMERA)
     try:
         done = pickenv.agents.train(training, out, resume=resume, progress=sys.stderr.isatty())
     except KeyboardInterrupt:
@@ -103,7 +103,7 @@ def train(
 def _refuse_changes(context: typer.Context, begun: pickenv.agents.Training, out: Path) -> None:
     """Refuse options on the command line that say something else than the training that is to go on."""
     usual = {"plant": None, "feedback": "encoders", "camera_noise_mm": 0.0, "fruit_noise_mm": 0.0, "tolerances": None}
-    said = usual | vars(begun) | begun.arguments | {"steps": begun.total}
+    said = usual | begun.chosen.get("env_kwargs", {}) | vars(begun) | begun.arguments | {"steps": begun.total}
     said = {PARAMETERS.get(name, name): value for name, value in said.items()} | {"randomise": said["tolerances"]}
     if isinstance(said["plant"], str):
         said["plant"] = [said["plant"]]

@@ -117,7 +117,7 @@ class PolicySettings:
         check_limit("episodes", self.episodes, "episodes")
         check_limit("epochs", self.plan.epochs, "epochs")
         check_choice("split", self.split, ("test", "train"))
-        if self.split != "test" and not any(plant.startswith(RUNG) for plant in self.plants):
+        if self.split != "test" and self.plants and not any(plant.startswith(RUNG) for plant in self.plants):
             raise InputError(f"`split={self.split!r}` chooses among a rung's arms; name a rung, or leave `split` out")
 
     def world(self, plant: str, seed: int, feedback: str = "encoders", task: str = "Reach") -> dict[str, Any]:

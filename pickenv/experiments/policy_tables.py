@@ -28,7 +28,7 @@ from pickenv.envs.shared.difficulty import LADDER
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.experiments.engine import Experiment, Rows, piece_table, pivot, run, write_piece
 from pickenv.experiments.methods import CalibrationPlan
-from pickenv.experiments.policies import RUNG, PolicySettings, population_seed, run_policies
+from pickenv.experiments.policies import RUNG, PolicySettings, run_policies
 from pickenv.inspect import Run
 from pickenv.inspect.colours import policy_label
 from pickenv.inspect.figures import plot_policies
@@ -103,6 +103,7 @@ def evaluation_rows(settings: PolicySettings, rows: Rows) -> list[dict[str, Any]
         steps = cell["cycle_steps"][np.isfinite(cell["cycle_steps"])]
         learned, trainings = bool(cell["learned"][0]), len(cell.levels("training"))
         of_trainings = "arms, of this one training" if trainings == 1 else f"arms and {trainings} trainings"
+        world = settings.world(key[3], settings.seeds[0], key[2])  # a rung fixes its own arms and noise
         of_cell = {
             "no_interval": mean.missing,
             "interval_over": of_trainings if learned else "arms",
@@ -112,10 +113,7 @@ def evaluation_rows(settings: PolicySettings, rows: Rows) -> list[dict[str, Any]
             "arms": len(cell.levels("arm")),
             "trainings": trainings if learned else None,
             "seeds": list(settings.seeds),
-            "population_seed": population_seed(settings.seeds[0]),
-            "tolerances": settings.tolerances,
-            "camera_noise_mm": settings.camera_noise_mm if "camera" in key else 0.0,
-            "fruit_noise_mm": settings.fruit_noise_mm,
+            **{name: world[name] for name in ("population_seed", "tolerances", "camera_noise_mm", "fruit_noise_mm")},
         }
         table += [
             dict(zip(KEYS, (*key, name), strict=True))

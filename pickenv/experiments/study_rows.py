@@ -75,6 +75,8 @@ def run_study(
     """
     if executor not in EXECUTORS:
         raise InputError(f"unknown executor '{executor}'; give one of {', '.join(EXECUTORS)}")
+    if device != "cpu" and executor != BATCHED:
+        raise InputError(f"`device='{device}'` is for one executor; give `executor='{BATCHED}'` with it")
     protocol, backend, arithmetic = study.prepared_study(config), EXECUTORS[executor], "arm by arm"
     measure: Callable[..., Any] = partial(study.evaluate_chunk, protocol)
     if executor == BATCHED:

@@ -12,12 +12,14 @@ import torch
 from typer import Typer
 from typer.testing import CliRunner
 
+import pickenv.agents
 from pickenv.agents import Training, make_model, resumed, train
 from pickenv.agents.training.checkpoints import read_checkpoint, save_checkpoint
-from pickenv.agents.training.training_setup import check_inputs, inputs_of
+from pickenv.agents.training.training_setup import arguments_of, check_inputs, inputs_of
 from pickenv.arm import PLANTS, load_plant
 from pickenv.base import InputError, read_container, write_container
 from pickenv.calibration import fit, random_joints, simulated_tracker
+from pickenv.cli import app
 from pickenv.commands import learning as commands
 
 
@@ -305,3 +307,24 @@ def test_what_cannot_be_compared_is_said_before_anything_is_run(tmp_path, line, 
     with pytest.raises(InputError, match=said):
         raise ran.exception
     assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(
+    ("words", "wanted"),
+    [
+        ("--feedback encoders", {"feedback": "encoders"}),
+        ("--camera-noise 0", {"feedback": "camera", "camera_noise_mm": 0.0}),
+        ("--camera-noise 2", {"feedback": "camera", "camera_noise_mm": 2.0}),
+    ],
+)
+def test_what_is_typed_counts_before_what_an_algorithm_usually_has(words, wanted, tmp_path, monkeypatch):
+    found = {}
+
+    def told(training, out, **_):
+        found.update(arguments_of(training)[0])
+        raise InputError("enough")
+
+    monkeypatch.setattr(pickenv.agents, "train", told)
+    ran = CliRunner().invoke(app, ["train", "--algo", "ppo_lstm", *words.split(), "--out", str(tmp_path)])
+    assert "enough" in str(ran.exception) + ran.output
+    assert wanted.items() <= found.items()

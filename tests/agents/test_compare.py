@@ -13,13 +13,16 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium import spaces
+from typer.testing import CliRunner
 
 import pickenv
+from pickenv import compare
 from pickenv.agents import PolicyComparison, foreign_policy
 from pickenv.agents.evaluation.compare import write_comparison
 from pickenv.arm import forward, load_plant, nominal_points, pose_error, true_points
 from pickenv.base import InputError, mean_interval, paired_share_interval, share_interval
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
+from pickenv.cli import app
 from pickenv.inspect import Comparison, RecordedEpisodes, load_part, read_run
 from pickenv.inspect.colours import as_sentence, in_words, lane, policy_colours, policy_rank
 from pickenv.inspect.runs import comparison_summary
@@ -349,3 +352,17 @@ def test_a_colour_is_a_names_own_and_no_two_of_a_set_share_one() -> None:
     assert sorted(["ppo", "LS+BPNN", "raw", "LS"], key=policy_rank) == ["raw", "LS", "LS+BPNN", "ppo"]
     keys = ["raw", "ls", "ls_bpnn", "ppo"]
     assert sorted(map(lane, keys)) == [lane(key) for key in keys]
+
+
+@pytest.mark.parametrize("words", ["scripted --compensate --episodes 2", "scripted --compensate"])
+def test_an_option_of_several_values_needs_one(words):
+    ran = CliRunner().invoke(app, ["compare", *words.split()])
+    assert "--compensate has no value; give one or more" in str(ran.exception) + ran.output
+
+
+def test_the_command_of_a_comparison_allows_what_the_call_allowed(tmp_path):
+    plant, rng = load_plant("qiao2026"), np.random.default_rng(0)
+    rows = simulated_tracker(plant, random_joints(plant.arm.nominal, 60, rng), rng)
+    file = fit(plant.arm, rows, known_frames=False).calibration.save(tmp_path / "fitted")
+    found = compare(["scripted"], compensate=[file], allow=["fitted-frames"], episodes=1, grid_step=0.6)
+    assert "--allow fitted-frames" in found.command

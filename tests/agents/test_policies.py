@@ -15,6 +15,7 @@ from pickenv.agents import (
     OracleReach,
     RandomReach,
     Rollout,
+    ScriptedPick,
     ScriptedReach,
     ServoReach,
     read_observation,
@@ -412,3 +413,20 @@ def test_each_arm_has_its_own_compensator_and_what_was_wanted_is_the_goals_attit
 def test_impossible_rollouts_are_refused(arms, episodes, said):
     with pytest.raises(InputError, match=said):
         roll_out(lambda env, seed: Still(env, seed, []), arms, episodes, 0)
+
+
+@pytest.mark.parametrize("period", [0.05, 0.2])
+def test_a_picking_script_keeps_its_speed_whatever_the_period(period):
+    env = gym.make("pickenv/Pick-v0", control_period_s=period)
+    script = ScriptedPick(env, tool_speed=0.2)
+    geometry, (seen, _) = script.geometry, env.reset(seed=3)
+
+    def tool(seen):
+        share = (seen[: geometry.joints].astype(float) + 1) / 2
+        return forward(geometry, geometry.lower + share * (geometry.upper - geometry.lower)).position
+
+    tools = [tool(seen)]
+    for _ in range(12):
+        seen, *_ = env.step(script.act(seen))
+        tools.append(tool(seen))
+    assert np.linalg.norm(np.diff(tools, axis=0), axis=1).max() / period == pytest.approx(0.2, rel=0.05)

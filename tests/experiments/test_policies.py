@@ -453,3 +453,9 @@ def test_a_rung_without_error_or_with_fewer_arms_is_refused() -> None:
         run_policies(replace(RUNGS, plants=("rung:ideal",)))
     with pytest.raises(InputError, match="difficulty is 'hard'; give one of ideal, fine"):
         run_policies(replace(RUNGS, plants=("rung:hard",)))
+
+
+def test_arms_to_tune_on_are_other_arms() -> None:
+    few = {"policies": ("scripted",), "compensations": ("raw",), "feedback": ("encoders",), "arms": 2, "episodes": 1}
+    found = [run_policies(PolicySettings(plants=("rung:orchard",), split=split, **few)) for split in ("train", "test")]
+    assert not np.isclose(*(rows["error_mm"] for rows in found)).any()

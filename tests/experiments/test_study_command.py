@@ -7,6 +7,9 @@ import sys
 from pathlib import Path
 
 import pytest
+from typer.testing import CliRunner
+
+from pickenv.cli import app
 
 ROOT = Path(__file__).parents[2]
 
@@ -63,3 +66,13 @@ def test_bad_input_ends_with_one_sentence(study_file, tmp_path, arguments, sente
     (said,) = [line for line in ran.stderr.splitlines() if line.strip()]
     assert said.startswith("error: ") and re.search(sentence, said)
     assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [("--sobol --no-report", "--no-report"), ("--samples 512", "--sobol"), ("--device cuda", "batched")],
+)
+def test_what_would_have_no_effect_on_a_study_is_refused(words, said, tmp_path):
+    study = Path(__file__).parents[2] / "scripts/tolerance_study.toml"
+    ran = CliRunner().invoke(app, ["study", str(study), *words.split(), "--quick", "--out", str(tmp_path / "out")])
+    assert ran.exit_code and said in str(ran.exception) + ran.output

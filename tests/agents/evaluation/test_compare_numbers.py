@@ -321,3 +321,18 @@ def test_what_matters_is_said_at_its_very_limits() -> None:
     )
     assert "would change none" in said(("a", 2.0, 0.2, 0.8), ("a", 0.0, 0.0, 0.004))
     assert "Were the fruit" not in said(("a", 2.0, 0.2, 0.8), ("a", 0.0, 0.0, 0.05))
+
+
+@pytest.fixture(scope="module")
+def known(tmp_path_factory):
+    plant, rng = load_plant("qiao2026"), np.random.default_rng(0)
+    rows = simulated_tracker(plant, random_joints(plant.arm.nominal, 60, rng), rng)
+    return fit(plant.arm, rows, known_frames=True).calibration.save(tmp_path_factory.mktemp("known") / "known.npz")
+
+
+def test_no_contender_is_corrected_twice(known):
+    with pytest.raises(InputError, match="is a calibration already"):
+        contenders_of([known], [known])
+    with pytest.raises(InputError, match="policy 'oracle' corrects the arm itself"):
+        contenders_of(["scripted", "oracle"], [known])
+    assert len(contenders_of(["scripted", "oracle"], [known, "none"])) == 2
