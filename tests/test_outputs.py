@@ -48,6 +48,8 @@ OVERWRITING = {
     "study, its plant": "study study.toml --json plant.toml",
     "study --out": "study study.toml --out new --json new/summary.json",
     "report": "report run --out run/iso9283.json",
+    "check": "check cal.npz --json cal.npz",
+    "check, a run": "check run --json run/iso9283.json",
 }
 
 

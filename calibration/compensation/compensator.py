@@ -264,7 +264,7 @@ class Compensator:
         """
         joints = self.checked(joints)
         if joints.ndim == 1:
-            return np.array(self._corrected(math, joints.tolist()))
+            return np.array(self._within_limits(math, self._corrected(math, joints.tolist())))
         rows = joints.reshape(-1, self.nominal.joints)
         blocks = [self._block(rows[a : a + BLOCK]) for a in range(0, len(rows), BLOCK)]
         return np.concatenate(blocks).reshape(joints.shape) if blocks else joints.copy()
@@ -294,9 +294,9 @@ class Compensator:
             return self
         from pickenv.arm.kinematics.machine_code import FLAG, SYMBOLS, Compiled, Trace
 
-        trace, limits = Trace(), zip(self.nominal.lower.tolist(), self.nominal.upper.tolist(), strict=True)
+        trace = Trace()
         corrections = self._corrected(SYMBOLS, trace.inputs("targets", self.nominal.joints))
-        outputs = [clipped(SYMBOLS, q, *limit) for q, limit in zip(corrections, limits, strict=True)]
+        outputs = self._within_limits(SYMBOLS, corrections)
         doubt = reduce(or_, trace.exceptions, False)
         code = Compiled(trace, trace.outputs("commands", outputs) + trace.outputs("doubts", [doubt], FLAG), count)
 
@@ -328,6 +328,11 @@ class Compensator:
         target = np.ascontiguousarray(rows.T, dtype=np.float32 if self.single_precision else np.float64)
         correction = np.stack(self._corrected(np, list(target)), axis=1) - target.T
         return np.asarray(np.clip(rows + correction, self.nominal.lower, self.nominal.upper))
+
+    def _within_limits(self, m: ModuleType, joints: Sequence[Scalar]) -> list[Scalar]:
+        """Clip joints to their limits: a target beyond them may be the best of all candidates."""
+        limits = zip(self.nominal.lower.tolist(), self.nominal.upper.tolist(), strict=True)
+        return [clipped(m, q, *limit) for q, limit in zip(joints, limits, strict=True)]
 
     def _corrected(self, m: ModuleType, target: Sequence[Scalar]) -> Sequence[Scalar]:
         """Compute commands, one item per joint: floats with ``m`` = math, arrays ``(N,)`` with ``m`` = numpy."""

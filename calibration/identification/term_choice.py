@@ -428,10 +428,12 @@ def terms_of(names: str, arm: Arm, bare: Identification, observations: Observati
         observations: Training rows.
 
     Raises:
-        InputError: If a name is unknown, or compliance is named and no torques were measured.
+        InputError: If a name is unknown or given twice, or compliance is named and no torques were measured.
     """
     requested = [name for name in names.split("+") if name != "none"]
     for name in requested:
+        if requested.count(name) > 1:
+            raise InputError(f"terms '{names}' name {name} more than once; name each term once")
         if name not in NAMES:
             raise InputError(f"unknown terms '{name}'; give auto, none, or some of {', '.join(NAMES)} joined by +")
         if name == "compliance" and observations.conditions.torque is None:
@@ -522,13 +524,12 @@ class _Trial:
 
     def terms(self, names: tuple[str, ...]) -> tuple[Term, ...]:
         """The terms of these names, with the orders of the harmonics refined."""
-        every = self.equations.arm.terms
-        terms = {name: every[self.names.index(name)] for name in names}
+        terms = {name: self.equations.arm.terms[self.names.index(name)] for name in names}
         if "periodic" in names:
             wave = terms.pop("periodic")
             assert isinstance(wave, PeriodicTerm)
-            others, first = tuple(terms.values()), self.equations.coefficients_of(self.names.index("periodic"))[0]
-            wave = wave.some((np.setdiff1d(self.places(names)[1], np.arange(first))[::2] - first) // 2)
+            others, every = tuple(terms.values()), self.equations.coefficients_of(self.names.index("periodic"))
+            wave = wave.some((np.intersect1d(self.places(names)[1], every)[::2] - every[0]) // 2)
             if wave.orders:
                 near = nearby(wave)
                 fine = Linearised.of(self.bare, (*others, near), self.equations.blocks)

@@ -241,7 +241,8 @@ class SocketObservations(Observations):
 
     @cached_property
     def _names(self) -> tuple[str, ...]:
-        return self.places or tuple(f"socket{i + 1}" for i in range(int(self.socket.max()) + 1))
+        last = max(self.socket.max(initial=-1), self.pairs.max(initial=-1))  # a pair may be of a socket without rows
+        return self.places or tuple(f"socket{i + 1}" for i in range(int(last) + 1))
 
     @cached_property
     def numbers(self) -> Stated:

@@ -25,6 +25,10 @@ from pickenv.base import InputError, register, write_whole
 from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, Conditions
 from pickenv.calibration.model.observations import Observations, Origins, Rows, hash_of, origins_of, worked_out
 
+OWN_CONDITIONS = ("temperature_degC", "payload_kg")
+"""Columns of our own CSV format besides those of joints and poses."""
+ROOM_TEMPERATURE = 20.0
+"""Temperature that counts as the reference where none is given, degC."""
 POSITION_STD = 15e-6
 """Standard uncertainty of a position when a file states none, m: a laser tracker at a few metres."""
 
@@ -149,12 +153,21 @@ class Measurements(Observations):
         return hash_of(self.joints, self.position, *([] if self.rotation is None else [self.rotation]))
 
     def table(self) -> tuple[list[str], Array]:
-        """Column names with units, and the values in those units, one row per pose."""
+        """Column names with units, and the values in those units, one row per pose.
+
+        Payload and temperature are among them where they are known. Torques are not: our format has no columns for
+        them.
+        """
         names = [*joint_columns(self.prismatic), "x_mm", "y_mm", "z_mm"]
         columns = [self.joints * screen_units(self.prismatic), self.position * 1e3]
         if self.rotation is not None:
             names += ["rx_deg", "ry_deg", "rz_deg"]
             columns.append(np.degrees(rotation_vector(self.rotation)))
+        recorded = (self.conditions.temperature, self.conditions.payload)
+        for name, values, reference in zip(OWN_CONDITIONS, recorded, (ROOM_TEMPERATURE, 0.0), strict=True):
+            if values is not None:
+                names.append(name)
+                columns.append(values[:, None] + reference)
         return names, np.concatenate(columns, axis=1)
 
     def write_csv(self, path: str | Path) -> Path:

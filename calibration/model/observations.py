@@ -564,6 +564,7 @@ def choose(observations: Observations, test_rows: int | None, rng: np.random.Gen
     count = len(observations.joints)
     most = max(1, count // 5) if test_rows is None else test_rows
     poses = same_poses(observations.joints)
+    _check(poses, most)
     if not observations.groups.any():
         return random_split(poses, most, rng)
     home = home_groups(observations.groups, poses)

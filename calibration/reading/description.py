@@ -20,7 +20,13 @@ from pickenv.arm import Array, Geometry
 from pickenv.base import DEG, MM, NUMBER, WHOLE, Check, InputError, Key, Then, Unit, shortened, toml_table, toml_tables
 from pickenv.base.registry import load_all, names
 from pickenv.calibration.camera.boards import Board, one_of
-from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, joint_columns
+from pickenv.calibration.model.measurements import (
+    ATTITUDE_STD,
+    OWN_CONDITIONS,
+    POSITION_STD,
+    ROOM_TEMPERATURE,
+    joint_columns,
+)
 from pickenv.calibration.model.pixels import Mount
 from pickenv.calibration.reading.csv_table import CONVENTIONS, columns_of, expression_tree
 
@@ -402,7 +408,7 @@ class ConditionsTable:
         """
         recorded: dict[str, Recorded] = {}
         if (warmth := self.temperature) is not None:
-            usual = 20.0 if warmth.unit == "degC" else 0.0
+            usual = ROOM_TEMPERATURE if warmth.unit == "degC" else 0.0
             recorded["temperature"] = (warmth.column,), (1.0,), usual if warmth.reference is None else warmth.reference
         if (mass := self.payload) is not None:
             recorded["payload"] = (mass.column,), (MASSES[mass.unit],), mass.reference
@@ -634,10 +640,6 @@ def _refuse_repeats(description: DescriptionFile, path: Path) -> None:
                 f"{path}: '{shortened(text)}' is given for {roles_of[plain]} and for {role}; name each column once"
             )
         roles_of[plain] = role
-
-
-OWN_CONDITIONS = ("temperature_degC", "payload_kg")
-"""Columns of our own CSV format besides those of joints and poses."""
 
 
 def own_description(geometry: Geometry, header: list[str], where: str) -> DescriptionFile:

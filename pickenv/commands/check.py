@@ -76,7 +76,8 @@ def check(
 
     More: figures-and-reports.md
     """
-    separate({}, {"--json": json_file})
+    inside = [file for path in paths if path.is_dir() for file in path.rglob("*") if file.is_file()]
+    separate({"PATHS": [*paths, *inside]}, {"--json": json_file})
     findings: list[Finding] = []
     for path in paths:
         for finding in findings_of(path):
@@ -180,7 +181,9 @@ def _kind_of(path: Path) -> tuple[str, int | None]:
 
         return "checkpoint", FORMAT  # it may be far larger than other files, and is read once
     if path.suffix == ".npz":
-        container = read_container(path, None, remake=REMAKE)
+        from pickenv.inspect.runs.saved import LARGEST
+
+        container = read_container(path, None, remake=REMAKE, limit=LARGEST)
         return container.kind, container.version
     raise InputError(f"{path} carries no seal; files that do end in {', '.join(SEALED)}")
 

@@ -8,7 +8,7 @@ from typing import Annotated
 from typer import Option
 
 import pickenv
-from pickenv.base import InputError, separate, write_text
+from pickenv.base import InputError, file_sha256, separate, write_text
 
 MADE_FROM_NUMBERS = (".html", ".svg", ".png", ".pdf")
 """Suffixes of pages and pictures, which can be made again from a run's numbers."""
@@ -63,14 +63,21 @@ def recordings_of(run: Path, policy: str | None = None) -> list[Path]:
     Raises:
         InputError: If there is no such run, or nothing in it that can be recorded.
     """
-    from pickenv.inspect.runs.run_folder import added_to
+    from pickenv.inspect.runs.run_folder import RECORD, added_to
 
     if run.is_file() or run.suffix == ".rrd":
+        if policy is not None:
+            raise InputError(f"{run} is one recording, so it has no --policy {policy}; leave --policy out")
         return [run]
     recordings = sorted(run.glob("*.rrd"))
-    if recordings and policy is None:
+    if recordings and policy is None and not (run / RECORD).is_file():
         return recordings
     record = pickenv.inspect.read_run(run)
+    own = [path for path in recordings if (record.files or {}).get(path.name) == file_sha256(path)]
+    if record.kind == "evaluation":  # a recording per policy
+        own = [path for path in own if path == _path_of(record, policy)]
+    if own and (policy is None or record.kind == "evaluation"):
+        return own
     with added_to(record):
         return [_record(record, policy)]
 
@@ -97,21 +104,33 @@ def _record_evaluation(run: pickenv.inspect.Run, policy: str | None) -> Path:
     """One policy's compensations side by side, on the first plant and with the first feedback."""
     from pickenv.experiments.policies import reaches_in
     from pickenv.experiments.policy_tables import read_episodes
-    from pickenv.inspect.colours import policy_key
 
-    rows = read_episodes(run)
-    names = [name for (name,) in rows.levels("policy")]
-    name = names[0] if policy is None else policy
-    if name not in names:
-        raise InputError(f"{run.folder} holds no policy '{name}'; it holds {', '.join(names)}")
+    rows, name = read_episodes(run), _shown_policy(run, policy)
     plant, feedback = rows.where(policy=name).levels("plant", "feedback")[0]
     cells = rows.where(policy=name, plant=plant, feedback=feedback, training=0)
     return pickenv.inspect.inspect_evaluation(
         {behind: reaches_in(cells.where(compensation=behind)) for (behind,) in cells.levels("compensation")},
         pickenv.load_plant(plant),
-        run.folder / f"{policy_key(name)}.rrd",
+        _path_of(run, policy),
         seed=int(rows["seed"][0]),
     )
+
+
+def _shown_policy(run: pickenv.inspect.Run, policy: str | None) -> str:
+    """The policy of an evaluation to show: the one asked for, or the first."""
+    from pickenv.experiments.policy_tables import read_episodes
+
+    names = [name for (name,) in read_episodes(run).levels("policy")]
+    if policy is not None and policy not in names:
+        raise InputError(f"{run.folder} holds no policy '{policy}'; it holds {', '.join(names)}")
+    return policy or names[0]
+
+
+def _path_of(run: pickenv.inspect.Run, policy: str | None) -> Path:
+    """The recording of one policy of an evaluation."""
+    from pickenv.inspect.colours import policy_key
+
+    return run.folder / f"{policy_key(_shown_policy(run, policy))}.rrd"
 
 
 def figures(run: Path, out: Path | None = None, formats: Annotated[str, Option("--format")] = "svg,png") -> None:

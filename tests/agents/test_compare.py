@@ -6,6 +6,7 @@ import html
 import json
 import re
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium import spaces
+from rerun.chunk import RrdReader
 from typer.testing import CliRunner
 
 import pickenv
@@ -25,6 +27,7 @@ from pickenv.calibration import Calibration, fit, random_joints, simulated_track
 from pickenv.cli import app
 from pickenv.inspect import Comparison, RecordedEpisodes, load_part, read_run
 from pickenv.inspect.colours import as_sentence, in_words, lane, policy_colours, policy_rank
+from pickenv.inspect.recordings.policy_recording import record_policies
 from pickenv.inspect.runs import comparison_summary
 from pickenv.inspect.runs.matters import pick_share
 from pickenv.inspect.runs.recorded_episodes import missing_positions
@@ -366,3 +369,15 @@ def test_the_command_of_a_comparison_allows_what_the_call_allowed(tmp_path):
     file = fit(plant.arm, rows, known_frames=False).calibration.save(tmp_path / "fitted")
     found = compare(["scripted"], compensate=[file], allow=["fitted-frames"], episodes=1, grid_step=0.6)
     assert "--allow fitted-frames" in found.command
+
+
+def test_no_two_policies_of_a_recording_share_a_colour(found: PolicyComparison, tmp_path: Path) -> None:
+    (policy, *_) = found.episodes.policies
+    both = tuple(replace(policy, key=key, label=key) for key in ("scripted_raw", "servo_raw"))
+    seen: dict[str, list[int]] = {}
+    for chunk in RrdReader(record_policies(replace(found.episodes, policies=both), tmp_path / "c.rrd")).stream():
+        batch = chunk.to_record_batch()
+        for name in batch.schema.names:
+            if name.endswith(("SeriesLines:colors", "Points3D:colors")):
+                seen.setdefault(chunk.entity_path, batch.column(name).to_pylist()[0])
+    assert seen["/distance/4_servo_raw"] == seen["/ends/servo_raw"] != seen["/distance/4_scripted_raw"]

@@ -25,6 +25,7 @@ from pickenv.inspect import (
 )
 from pickenv.inspect.runs import saved
 from pickenv.inspect.runs.run_folder import added_to, faults_of, load_result
+from pickenv.inspect.runs.saved import load_numbers, save_numbers
 
 
 def assert_same(one, other):
@@ -286,3 +287,9 @@ def test_a_page_that_was_written_with_its_run_is_shown_as_it_was_written(tmp_pat
         pass
     with pytest.raises(InputError, match=r"report\.html does not exist: measurements of this kind have no report page"):
         page_of(read_run(tmp_path / "bare"))
+
+
+def test_many_episodes_are_read_back(comparison: Comparison, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = save_numbers(tmp_path / "many.npz", comparison)
+    monkeypatch.setattr(read_container, "__kwdefaults__", read_container.__kwdefaults__ | {"limit": 1000})
+    assert load_numbers(path, Comparison, "x").seed == comparison.seed

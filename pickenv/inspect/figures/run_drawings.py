@@ -21,6 +21,9 @@ from pickenv.inspect.runs.calibration_trace import CalibrationTrace, ViewErrors
 from pickenv.inspect.runs.matters import gripped, gripper_curves
 from pickenv.inspect.runs.recorded_episodes import Comparison
 
+OF_LENGTHS = ("error_", "least_squares_convergence")
+"""How the names of figures begin that are of errors in mm."""
+ANGLES = "the rows tell angles, not positions; the report has their errors in degrees"
 CONDITIONS = {"payload": "kg", "temperature": "K above the reference"}
 
 
@@ -140,7 +143,7 @@ def trace_drawings(trace: CalibrationTrace) -> Drawings:
     attitude = None if trace.attitude_rms is None else np.degrees(trace.attitude_rms)
     diagonal: dict[str, Any] = {"names": trace.names, "threshold": threshold}
     every = np.ones(len(trace.singular_values), dtype=bool)
-    return [
+    drawings = [
         captioned("error_per_test_pose", plot_errors.error_per_pose, mm),
         captioned("error_by_stage", plot_errors.error_by_method, mm),
         captioned("error_histogram", plot_errors.error_histogram, mm),
@@ -158,6 +161,9 @@ def trace_drawings(trace: CalibrationTrace) -> Drawings:
         captioned("joint_coverage", plot_calibration.joint_coverage, trace.nominal, trace.sets),
         *view_drawings(trace.views),
     ]
+    if trace.miss_unit == "mm":
+        return drawings
+    return [Drawing(d.name, ANGLES) if d.name.startswith(OF_LENGTHS) else d for d in drawings]
 
 
 def view_drawings(views: Sequence[ViewErrors]) -> list[Drawing]:

@@ -122,8 +122,9 @@ class Scene:
         nominal: Geometry of the nominal arm; None for environments without one.
         period: Time between steps, s.
         tolerance_mm: Radius of the gripper's capture region, mm; None if there is none.
-        policy: Key of the policy, which gives the colour.
+        policy: Key of the policy.
         label: Name of the policy for readers.
+        colour: Colour of the policy, where others stand beside it; that of its key alone when None.
     """
 
     nominal: Geometry | None
@@ -131,6 +132,7 @@ class Scene:
     tolerance_mm: float | None
     policy: str
     label: str
+    colour: Rgb | None = None
 
     @cached_property
     def parts(self) -> list[int]:
@@ -244,7 +246,7 @@ def send_steps(
         rr.TimeColumn("episode_time", duration=[scene.period * row.within for row in new]),
     ]
     scribe = Scribe(stream, times)
-    (colour,) = policy_colours([scene.policy])
+    colour = scene.colour or policy_colours([scene.policy])[0]
     if has_arm(scene, info):
         nominal, true = _arms(scene, new)
         exaggerated = nominal + GAIN * (true - nominal)

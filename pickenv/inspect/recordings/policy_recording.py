@@ -79,7 +79,9 @@ def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> No
     low, high, step = _box(episodes)
     for number, (policy, colour) in enumerate(zip(episodes.policies, episodes.colours, strict=True)):
         rows = rows_of(policy, arm=episodes.nominal is not None)
-        scene = entities.Scene(episodes.nominal, episodes.period, episodes.tolerance_mm, policy.key, policy.label)
+        scene = entities.Scene(
+            episodes.nominal, episodes.period, episodes.tolerance_mm, policy.key, policy.label, colour
+        )
         root = f"side/{lane(policy.key)}"
         scribe.still(root, rr.Transform3D(translation=number * step))
         above = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, high[2] + 0.1 * (high[2] - low[2])]

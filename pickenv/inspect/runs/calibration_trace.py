@@ -59,6 +59,7 @@ class CalibrationTrace:
         singular_values: Singular values of the scaled stacked Jacobian of the kept parameters.
         fingerprints: Hash of each data set, by the set's name.
         views: Held-out views with their reprojection errors; empty where no pictures were taken.
+        miss_unit: Unit in which the errors are shown: "mm" for lengths, "deg" for the angles of an inclinometer.
     """
 
     nominal: Geometry
@@ -75,6 +76,7 @@ class CalibrationTrace:
     singular_values: Array
     fingerprints: Mapping[str, str]
     views: tuple[ViewErrors, ...] = ()
+    miss_unit: str = "mm"
 
     @property
     def extension(self) -> Array:
@@ -117,6 +119,7 @@ def trace_of(
         singular_values=identifiability.singular_values,
         fingerprints={name: data.fingerprint() for name, data in sets.items()},
         views=views,
+        miss_unit=train.miss_unit,
     )
 
 

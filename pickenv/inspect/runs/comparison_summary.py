@@ -154,19 +154,37 @@ def _best(episodes: RecordedEpisodes) -> tuple[dict[str, Any] | None, str, dict[
     return best, line["from"] if line["to"] == best["policy"] else line["to"], line
 
 
+def _leads(episodes: RecordedEpisodes, name: str) -> dict[str, dict[str, Any]]:
+    """By how much every other policy that closed the gripper for the same fruit misses by more, mm, by its label."""
+    leads = {}
+    for line in policy_differences(episodes):
+        if name in (line["from"], line["to"]) and line["difference_mm"] is not None:
+            other, sign = (line["to"], 1.0) if line["from"] == name else (line["from"], -1.0)
+            leads[other] = {"lead_mm": sign * line["difference_mm"], "significant": line["significant"]}
+    return leads
+
+
 def outcome_sentence(episodes: RecordedEpisodes) -> str:
     """Return the verdict in a few words: which policy is best, and its mean miss."""
     best, _, line = _best(episodes)
     if best is None:
         return "No policy closed the gripper"
     name, mean = best["policy"], f"{best['mean_mm']:.3f} mm"
-    if line is None:
+    if line is None or line["difference_mm"] is None:
         return f"{name} ends {mean} from the fruit"
-    if line["significant"] is None:
+    leads = _leads(episodes, name)
+    farther = [other for other, lead in leads.items() if lead["significant"] and lead["lead_mm"] > 0.0]
+    if len(farther) == len(leads):
+        return f"{name} ends nearest to the fruit: {mean}"
+    nearer = [other for other, lead in leads.items() if lead["significant"] and lead["lead_mm"] < 0.0]
+    if nearer:  # it closed the gripper for other fruit too, or for fewer
+        return f"{name} has the least mean miss, {mean}, but {' and '.join(nearer)} ends nearer to the same fruit"
+    if all(lead["significant"] is None for lead in leads.values()):
         return f"{name} ends nearest in these few episodes, {mean}"
-    if not line["significant"]:
+    if not farther:
         return f"No policy is told apart from {name} with {mean}"
-    return f"{name} ends nearest to the fruit: {mean}"
+    alike = " and ".join(other for other in leads if other not in farther)
+    return f"{name} ends nearest with {mean}, not told apart from {alike}"
 
 
 def explanation(episodes: RecordedEpisodes) -> str:
@@ -184,7 +202,8 @@ def explanation(episodes: RecordedEpisodes) -> str:
     if ends is not None and line["difference_mm"] < 0.0:
         ends = [-ends[1], -ends[0]]
     by = said(abs(line["difference_mm"]), ends, 3)
-    first = f"{name} misses by {by} mm less than {rival} for the same {line['pairs']} fruit"
+    less = "less" if _leads(episodes, name)[rival]["lead_mm"] >= 0.0 else "more"
+    first = f"{name} misses by {by} mm {less} than {rival} for the same {line['pairs']} fruit"
     changes = _changes(episodes, rival, name)
     worth = matters(episodes.plant_name or episodes.env_id, changes, (f"with {rival}", f"with {name}"))
     return f"{first}. {worth} {_picking(episodes)}."

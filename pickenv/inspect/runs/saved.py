@@ -85,6 +85,8 @@ def cut_away(comparison: Comparison) -> NDArray[np.bool_]:
     return np.asarray(np.all(offset * np.sign(eye_direction(comparison)) > 0.0, axis=-1))
 
 
+LARGEST = 1 << 34
+"""Largest size of such a file, and of its unpacked content, bytes: episodes are many."""
 FORMAT, FORMATS = 3, {"Comparison": 4, "RecordedEpisodes": 4, "HarvestTrace": 4}
 """Format version of the files of most classes, and the format versions of the other classes by name."""
 
@@ -124,7 +126,7 @@ def load_numbers(path: str | Path, kind: type[Saved], made_by: str) -> Saved:
     """
     remake = f"`{made_by}` makes it anew"
     version = FORMATS.get(kind.__name__, FORMAT)
-    container = read_container(path, kind.__name__, remake=remake, version=version)
+    container = read_container(path, kind.__name__, remake=remake, version=version, limit=LARGEST)
     effects = [registry.get("effect", name) for name in shipped_effects()]
     try:
         others = {key: registry.get(*key.split(" "), **by) for key, by in container.header.get("others", {}).items()}

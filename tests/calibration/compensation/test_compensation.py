@@ -316,3 +316,12 @@ def test_an_arm_of_five_joints_is_brought_to_the_position_and_gives_up_attitude(
     assert far > 2e-3 and near < 0.05 * far
     turns = [np.median(np.linalg.norm(error[:, 3:], axis=1)) for error in (left, raw)]
     assert turns[0] < 2 * turns[1]  # it is not given away for nothing
+
+
+def test_a_target_beyond_a_limit_is_held_at_it_alone_as_among_many(qiao):
+    """Where the target itself would be the nearest of all candidates."""
+    compensator, middle = Compensator(qiao.nominal, qiao.true), (qiao.nominal.lower + qiao.nominal.upper) / 2
+    for joint in range(6):
+        target = np.where(np.arange(6) == joint, qiao.nominal.upper + 0.05, middle)
+        assert (compensator(target) <= qiao.nominal.upper).all()
+        np.testing.assert_allclose(compensator(target), compensator(target[None])[0], rtol=0, atol=1e-12)

@@ -40,7 +40,7 @@ from pickenv.calibration.identification.term_choice import (
     solved,
     terms_of,
 )
-from pickenv.calibration.model.arm_model import OrderTerm, kind_of_term
+from pickenv.calibration.model.arm_model import OrderTerm, ThermalTerm, kind_of_term
 
 ARM = load_arm("ur5")
 NOISE = 2e-5
@@ -264,6 +264,8 @@ def test_candidates_are_scored_on_blocks_as_by_a_fit_to_the_other_rows():
 def test_unknown_terms_are_refused(planted):
     with pytest.raises(InputError, match="unknown terms 'magic'; give auto, none, or some of compliance, gravity"):
         terms_of("gravity+magic", ARM, planted[1], planted[0])
+    with pytest.raises(InputError, match=r"terms 'periodic\+periodic' name periodic more than once; name each"):
+        terms_of("periodic+periodic", ARM, planted[1], planted[0])
 
 
 def test_weight_and_harmonics_are_named_together(planted):
@@ -361,3 +363,22 @@ def test_orders_are_refined_to_their_optimum_but_not_beyond_their_place_on_the_g
         assert abs(solution[place] * linear.scale[place]) < 0.02 * found.order_std[0]
     variance = np.linalg.inv(rows.T @ rows)[place, place] * (remains @ remains) / (len(remains) - rows.shape[1])
     assert found.order_std[0] == pytest.approx(np.sqrt(variance) * linear.scale[place], rel=0.02)
+
+
+@pytest.mark.parametrize("other", ["gravity", "thermal"])
+def test_terms_are_the_same_in_whatever_order_they_are_named(planted, other):
+    """Automatic choice too tries thermal expansion after the harmonics."""
+    warm = replace(planted[0], conditions=Conditions(temperature=np.linspace(0.0, 20.0, len(planted[0]))))
+    first, second = (terms_of(names, ARM, planted[1], warm) for names in (f"{other}+periodic", f"periodic+{other}"))
+    assert [kind_of_term(term) for term in second] == ["periodic", other]
+    assert second[0].joints == first[1].joints
+    np.testing.assert_allclose(second[0].orders, first[1].orders, atol=1e-6)
+
+
+def test_harmonics_and_expansion_are_chosen_together(planted):
+    rng, rows = np.random.default_rng(1), planted[0]
+    rows = replace(rows, conditions=Conditions(temperature=rng.uniform(0.0, 20.0, len(rows))))
+    grown = ArmModel(planted[1].geometry, (ThermalTerm(),), np.array([3e-5]))
+    rows = replace(rows, position=rows.position + grown.displacement(rows.joints, rows.conditions)[:, :3])
+    name, _, terms = choose_terms(ARM, bare_of(rows), rows)
+    assert name == "periodic+thermal" and [kind_of_term(term) for term in terms] == ["periodic", "thermal"]

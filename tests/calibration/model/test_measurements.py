@@ -1,13 +1,14 @@
 """Our own CSV files: what is written is read back."""
 
 import csv
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from pickenv.arm import load_arm, load_instrument, load_plant, rotation_vector
 from pickenv.base import InputError
-from pickenv.calibration import Measurements, random_joints, read_measurements, simulated_tracker
+from pickenv.calibration import Conditions, Measurements, random_joints, read_measurements, simulated_tracker
 
 ULP = 4e-16  # degrees are written, radians kept: one rounding each way
 
@@ -114,3 +115,11 @@ def test_an_empty_file_is_no_instrument(dynamic, tmp_path):
     (tmp_path / "empty.toml").write_text("")
     with pytest.raises(InputError, match="stand_mm"):
         simulated_tracker(dynamic, np.zeros((1, 6)), np.random.default_rng(0), str(tmp_path / "empty.toml"))
+
+
+def test_what_was_recorded_beside_the_poses_goes_into_the_file_and_back(tmp_path, noisy, dynamic):
+    known = Conditions(payload=np.linspace(0.0, 3.0, 50), temperature=np.linspace(-5.0, 15.0, 50))
+    path = replace(noisy, conditions=known).write_csv(tmp_path / "tracker.csv")
+    back = read_measurements(path, dynamic.arm.nominal).conditions
+    np.testing.assert_allclose(back.payload, known.payload, atol=1e-12)
+    np.testing.assert_allclose(back.temperature, known.temperature, atol=1e-12)

@@ -233,3 +233,11 @@ def test_a_triad_of_known_shape_is_a_pose_sensor(qiao):
     aligned = align(qiao.nominal, measured, frames_model(qiao.nominal))
     found = identify(complete_model(qiao.nominal), aligned.geometry, measured)
     assert found.converged and found.identifiability.rank == 24
+
+
+def test_a_block_without_the_last_socket_of_a_pair_is_still_of_the_same_sockets():
+    data = sockets(load_arm("ur5").nominal, per_socket=2)
+    block = data.select(data.socket < 3)
+    model = ArmModel.of(load_arm("ur5").nominal)
+    assert block.unknowns() == data.unknowns()
+    assert np.isfinite(block.residual(model, data.start(model))).all()

@@ -141,3 +141,11 @@ def test_some_rows_of_every_socket_are_held_out() -> None:
     train, test = choose(data, 8, np.random.default_rng(0))
     assert set(socket[train]) == set(socket[test]) == {0, 1, 2, 3}
     assert sorted([*train, *test]) == list(range(30))
+
+
+@pytest.mark.parametrize("test_rows", [0, -3, 30, 31])
+def test_a_split_by_sockets_that_leaves_nothing_is_refused(test_rows: int) -> None:
+    joints = np.random.default_rng(1).uniform(-1.0, 1.0, (30, 6))
+    data = SocketObservations(joints, np.arange(30) % 4, np.zeros((0, 2), dtype=np.int64), np.zeros(0))
+    with pytest.raises(InputError, match="leave nothing to train on or to test"):
+        choose(data, test_rows, np.random.default_rng(0))

@@ -27,6 +27,8 @@ from pickenv.calibration import (
 )
 from pickenv.calibration.assessment.instrument import said_of_instruments, with_zeros_fitted
 from pickenv.calibration.identification.robust import rough_start, stations_of
+from pickenv.commands.calibrate import write_run
+from pickenv.inspect import drawings_of, read_run
 from tests.calibration.simulated_instruments import (
     ANGLE_STD,
     HERE,
@@ -89,6 +91,9 @@ def test_an_inclinometer_says_nothing_of_positions(arm: Arm, tmp_path: Path) -> 
     assert result.uncertainty.attitude_repeat == pytest.approx(np.sqrt(np.mean(result.errors["geometric"] ** 2)))
     page = result.write_page(tmp_path / "tilt.html").read_text(encoding="utf-8")
     assert "mean angular error" in page and "mean position error" not in page
+    write_run(tmp_path / "run", "pickenv calibrate tilt.csv", 0, result, {})
+    drawn = {drawing.name for drawing in drawings_of(read_run(tmp_path / "run")) if drawing.draw is not None}
+    assert "joint_coverage" in drawn and not any(name.startswith(("error_", "least_squares")) for name in drawn)
 
 
 def test_a_row_far_from_what_was_touched_is_left_out_by_name(arm: Arm) -> None:

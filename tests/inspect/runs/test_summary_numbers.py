@@ -2,6 +2,7 @@
 
 import re
 from dataclasses import replace
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -9,12 +10,15 @@ import pytest
 from pickenv.arm import forward
 from pickenv.calibration import assess, fit, random_joints, simulated_tracker
 from pickenv.calibration.assessment.screen import figure
-from pickenv.inspect import calibration_page, gripped, gripper_curves
+from pickenv.inspect import RecordedEpisodes, RecordedPolicy, calibration_page, gripped, gripper_curves
+from pickenv.inspect.colours import policy_key
 from pickenv.inspect.runs.comparison_summary import (
     cell_means,
     colour_scale_mm,
     error_spread,
+    explanation,
     histogram_edges_mm,
+    outcome_sentence,
     round_step,
     scale_end,
     summary_markdown,
@@ -191,3 +195,38 @@ def test_the_tiles_and_the_verdict_of_a_calibration_are_of_the_calibrated_arm(ju
     assert f"{found.spent:.1f} of {len(found.identifiability.names)}" in text
     ratio = np.sqrt(judged.fit.identification.chi_square / judged.fit.identification.degrees_of_freedom)
     assert f"{ratio:.2g} ×" in text
+
+
+def ended(label, misses):
+    """A policy of one step an episode, which misses by ``misses`` (mm), NaN where it did not close the gripper."""
+    misses = np.asarray(misses, dtype=float)
+    n, still = len(misses), np.zeros((len(misses), 1, 3))
+    return RecordedPolicy(
+        label, policy_key(label), np.ones(n, dtype=int), np.zeros((n, 1, 0)), np.zeros((n, 1, 0)), still,
+        np.full((n, 1, 3, 3), np.nan), still, np.nan_to_num(misses)[:, None], np.full((n, 1), np.nan),
+        np.zeros((n, 1), dtype=bool), np.zeros((n, 1), dtype=int), misses[:, None], np.zeros((n, 1)),
+    )  # fmt: skip
+
+
+def compared(*policies):
+    n = len(policies[0].moments)
+    how = {"plant": None, "tolerance_mm": 5.0, "seed": 0, "env_id": "E", "gripper": "g", "period": 0.1}
+    return RecordedEpisodes(policies=policies, seeds=tuple(range(n)), **how)
+
+
+def test_the_verdict_asks_the_same_fruit():
+    rng = np.random.default_rng(0)
+    easy = rng.uniform(1.8, 2.2, 20)
+    bold = ended("bold", np.r_[easy - rng.uniform(0.5, 1.5, 20), rng.uniform(9.0, 11.0, 20)])
+    found = compared(ended("careful", np.r_[easy, np.full(20, np.nan)]), bold)
+    assert "bold ends nearer to the same fruit" in outcome_sentence(found)
+    assert "mm more than bold" in explanation(found)
+
+
+@pytest.mark.parametrize("order", list(permutations(range(3))))
+def test_the_verdict_asks_every_policy_in_whatever_order_they_stand(order):
+    rng = np.random.default_rng(0)
+    one = rng.uniform(0.9, 1.1, 20)
+    misses = {"one": one, "two": one + rng.normal(0.0, 0.05, 20), "far": one + rng.uniform(4.0, 6.0, 20)}
+    found = outcome_sentence(compared(*(ended(*list(misses.items())[i]) for i in order)))
+    assert re.search("^(one ends nearest .* not told apart from two|two ends .* not told apart from one)$", found)
