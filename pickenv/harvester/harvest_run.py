@@ -121,7 +121,7 @@ class Harvest:
         phases: Time spent in each phase ("move", "image", "pick", "unload"), s.
         repicks: Number of attempts at fruit that an earlier attempt had missed.
         misled: Number of attempts at false detections.
-        chances: Random numbers of the last picture, (n, 5), see `pickenv.orchard.draw_chances`; None unless the vision
+        chances: Random numbers of the first picture, (n, 5), see `pickenv.orchard.draw_chances`; None unless the vision
             is "measured_errors".
     """
 

@@ -16,7 +16,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Arm, Array, Geometry, load_arm
+from pickenv.arm import Arm, Array, Geometry, behind, forward, load_arm
 from pickenv.base import DEG, MM, SECONDS, WHOLE, Check, InputError, Key, Unit, read_toml, toml_table
 
 SHIPPED = Path(__file__).parent / "li2016.toml"
@@ -368,7 +368,27 @@ def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spaci
         point = [round(value * 1e3, 6) for value in head.master_start]
         raise InputError(f"{path}: master_start_mm of [machine] is {point}; give a point that the master reaches")
     refuse_touching_arms(machine)
+    refuse_other_tables(machine, path)
     return replace(machine, master_start=start)
+
+
+def refuse_other_tables(machine: Machine, path: str | Path) -> None:
+    """Raise an error if the closed forms of eqs (2) and (4) do not describe the tables of the machine's arms.
+
+    Raises:
+        InputError: If master or slave has another number of joints, or another table than Li's but for d1, a2, a3, a4.
+    """
+    share = np.array([0.2, 0.5, 0.8])
+    master, slave = machine.master.nominal, machine.slaves[0].nominal
+    if master.joints == slave.joints == 3:
+        q, s = (arm.lower + share * (arm.upper - arm.lower) for arm in (master, slave))
+        base = forward(master, q)
+        cup = behind(base, forward(slave, s)).position
+        near = np.allclose(base.position, machine.frame3(q), rtol=0.0, atol=1e-6)
+        if near and np.allclose(cup, machine.tips(q, np.tile(s, (machine.arms, 1)))[0], rtol=0.0, atol=1e-6):
+            return
+    what = "master or slave is no arm of eqs (2) and (4)"
+    raise InputError(f"{path}: {what}; only d1, a2, a3, a4, limits and speeds may differ")
 
 
 def refuse_touching_arms(machine: Machine) -> None:

@@ -6,7 +6,6 @@ remains. Units: m, kg, s.
 
 from __future__ import annotations
 
-from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -55,7 +54,6 @@ class Picking:
     lasting: Annotated[float, SHARE]
 
 
-@lru_cache(maxsize=4)
 def load_picking(path: str | Path = SHIPPED) -> Picking:
     """Read the picking model from a picking file.
 

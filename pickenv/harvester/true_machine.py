@@ -202,13 +202,15 @@ def load_true_machine(machine: Machine, path: str | Path = SHIPPED) -> TrueMachi
         path: The file; Li's machine by default.
 
     Raises:
-        InputError: If the table [true] is missing, a number is outside its limits, or the master's plant is of another
-            arm.
+        InputError: If the table [true] is missing, a number is outside its limits, or a plant is of another arm than
+            the machine's.
     """
     table = read_toml(TrueTable, path, section="true")
     master, slave = load_plant(table.master), load_plant(table.slave)
     if master.arm.fingerprint() != machine.master.fingerprint():
         raise InputError(f"{path}: plant '{master.name}' is not one of arm '{machine.master.name}'")
+    if shifted(slave.arm.nominal, float(machine.offsets[0])).fingerprint() != machine.slave.fingerprint():
+        raise InputError(f"{path}: plant '{slave.name}' is not one of arm '{machine.slaves[0].name}'")
     seats = zip(machine.offsets.tolist(), table.seat_right, table.seat_ahead, table.seat_up, strict=False)
     return TrueMachine(machine, master, tuple(_seated(slave, *seat) for seat in seats), table.repeatability)
 

@@ -106,7 +106,7 @@ class CompliantHand(checks.Preset):
     name: str
     source: str
     intercept: Annotated[float, NUMBER]
-    lateral: Annotated[float, Unit("per_10mm", 100.0).not_negative]
+    lateral: Annotated[float, Unit("per_10mm", 100.0).positive]
     axial: Annotated[float, Unit("per_10mm", 100.0).not_negative]
     angle: Annotated[float, Unit("per_10deg", 18.0 / math.pi).not_negative]
     kind: Annotated[Literal["hand"], KIND, REQUIRED] = "hand"

@@ -2,14 +2,16 @@
 
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+import pickenv.harvester
 from papers.li2016.comparison import tip_errors
 from papers.li2016.lab import sample_image
-from pickenv.arm import forward, load_plant
+from pickenv.arm import ARMS, forward, load_plant
 from pickenv.base import InputError
 from pickenv.calibration import fit, random_joints, simulated_tracker
 from pickenv.harvester import Controller, load_machine, load_true_machine, pick_point
@@ -143,3 +145,21 @@ def test_errors_are_those_of_frame_3_and_then_of_each_cup(machine, true):
     frame = true.frame3(masters).position - machine.frame3(masters)
     np.testing.assert_allclose(found, np.concatenate([frame[:, None], true.tips(masters, slaves)
                                - machine.tips(masters, slaves)], axis=1), atol=1e-12)  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("a_mm = 52.0", "a_mm = 152.0", "plant 'li2016_slave' is not one of arm"),
+        ("d_mm = 0.0\ntrue_alpha_deg = -90.05", "d_mm = 50.0\ntrue_alpha_deg = -90.05", "is no arm of eqs"),
+    ],
+)
+def test_a_slave_that_the_machine_or_its_plants_do_not_describe_is_refused(old, new, said, tmp_path):
+    text = (ARMS / "li2016_slave.toml").read_text(encoding="utf-8")
+    assert text.count(old) >= 1
+    (tmp_path / "slave.toml").write_text(text.replace(old, new), encoding="utf-8")
+    mine = (Path(pickenv.harvester.__file__).parent / "li2016.toml").read_text(encoding="utf-8")
+    mine = mine.replace('slave = "li2016_slave"\nslaves', f'slave = "{tmp_path}/slave.toml"\nslaves')
+    (tmp_path / "machine.toml").write_text(mine, encoding="utf-8")
+    with pytest.raises(InputError, match=said):
+        load_true_machine(load_machine(tmp_path / "machine.toml"), tmp_path / "machine.toml")

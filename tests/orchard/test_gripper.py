@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings, strategies as st
 
+from pickenv.base import InputError
 from pickenv.orchard import CompliantHand, Cup, capture_probability, load_gripper, misalignment
 
 quick = settings(deadline=None, derandomize=True)
@@ -97,3 +98,13 @@ def test_the_angle_is_that_between_the_axes_small_ones_too() -> None:
     for angle in (0.0, 1e-9, 0.3, np.pi / 2, np.pi):
         *_, found = misalignment(np.zeros(3), [0, np.sin(angle), np.cos(angle)], [0, 0, 2.0])
         assert found == pytest.approx(angle, rel=1e-6, abs=1e-15)
+
+
+def test_a_hand_that_forgives_any_lateral_miss_is_refused(tmp_path: Path) -> None:
+    path, values = (
+        tmp_path / "hand.toml",
+        "intercept=2.0\nlateral_per_10mm=0.0\naxial_per_10mm=0.3\nangle_per_10deg=0.0",
+    )
+    path.write_text(f'name="h"\nkind="hand"\nsource="x"\n{values}\n', encoding="utf-8")
+    with pytest.raises(InputError, match="lateral"):
+        load_gripper(path)

@@ -51,6 +51,14 @@ class Boom(Effect, place=BEND):
         length = at.joints[self.joint] + self.length
         return lambda i, frame: self.bent(at, frame, length) if i == self.joint else frame
 
+    def fault(self, arm: Arm) -> str:
+        """Return an error message if the boom of ``arm`` can have a free length below zero, else an empty string."""
+        short = -arm.nominal.lower[self.joint]
+        if self.length >= short - 1e-9:
+            return ""
+        length = f"length_mm of [{self.name}] is {self.length * 1e3:g}"
+        return f"{length}; give at least the {short * 1e3:g} mm that joint {self.joint + 1} runs in"
+
     def bent(self, at: Passage, frame: Frame, length: Scalar) -> Frame:
         """Return the frame of the boom's tip after bending.
 
@@ -114,10 +122,10 @@ class RollerPlay(Boom, place=BEND + 0.8, spreads={"clearance": "roller_clearance
         return lowered_tip(frame, angle * length, angle)
 
     def fault(self, arm: Arm) -> str:
-        """Return an error message if the boom of ``arm`` can extend beyond its overlap, else an empty string."""
+        """Return an error message if the boom of ``arm`` can extend beyond its overlap, or its length is wrong."""
         limit = arm.nominal.upper[self.joint]
         if self.overlap > limit:
-            return ""
+            return super().fault(arm)
         overlap = f"overlap_mm of [roller_play] is {self.overlap * 1e3:g}"
         return f"{overlap}; give more than the {limit * 1e3:g} mm that joint {self.joint + 1} runs out"
 

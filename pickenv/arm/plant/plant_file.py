@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Mapping
-from dataclasses import make_dataclass, replace
+from dataclasses import fields, is_dataclass, make_dataclass, replace
 from functools import cache
 from pathlib import Path
 from typing import Annotated, Any
@@ -103,6 +103,8 @@ def read_plant(name: str | Path) -> Plant:
         InputError: If the plant is unknown or a number is outside its limits; the message names the file and the key.
     """
     if (draw := NUMBERED.fullmatch(str(name))) and not is_file(str(name)):
+        if NUMBERED.fullmatch(draw[1]) and not is_file(draw[1]):
+            raise InputError(f"plant '{shortened(name)}' names two draws of its constants; give one number after #")
         return with_drawn_constants(read_plant(draw[1]), int(draw[2]))
     if Path(name).suffix == ".npz":
         return read_twin(name)
@@ -119,6 +121,9 @@ def read_plant(name: str | Path) -> Plant:
         if fault := effect.fault(arm):
             raise InputError(f"{path}: {fault}")
     plant = Plant(called, arm, arm.nominal if arm.true is None else arm.true, load, effects, unmeasured=unmeasured)
+    for what in ([group.name for group in unmeasured], [name for group in unmeasured for name in group.constants]):
+        if twice := [name for i, name in enumerate(what) if name in what[:i]]:
+            raise InputError(f"{path}: [[unmeasured]] has '{shortened(twice[0])}' twice; give it once")
     try:
         plant_times(plant, {group.name: 1.0 for group in unmeasured})
     except AttributeError as error:
@@ -162,8 +167,12 @@ def _multiplied(thing: Any, path: str, factor: float) -> Any:
     if isinstance(thing, tuple):
         return tuple(_multiplied(part, path, factor) for part in thing)
     if not path:
+        if not isinstance(thing, float | np.ndarray):
+            raise AttributeError(f"{thing!r} is no size that a factor could multiply")
         return factor * thing
     name, _, rest = path.partition(".")
+    if not is_dataclass(thing) or isinstance(thing, type) or name not in (field.name for field in fields(thing)):
+        raise AttributeError(f"'{type(thing).__name__}' has no number '{name}'")
     return replace(thing, **{name: _multiplied(getattr(thing, name), rest, factor)})
 
 
@@ -210,7 +219,7 @@ def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
 
     Args:
         name: A preset's name, a path to a plant file (.toml) or to a twin of a calibrated arm (.npz), "ideal:ARM", or
-            "CLASS:ARM". ARM is an arm or plant and CLASS a tolerance class, each by name or path. "CLASS:ARM" is the
+            "CLASS:ARM". ARM is an arm, beside a class also a plant; CLASS is a tolerance class; each by name or path. "CLASS:ARM" is the
             design from which `draw_arms` draws arms. A plant's name may end in "#" and a number, such as "#3": then its
             unmeasured constants are those of this random draw (`with_drawn_constants`).
         without: Names of effects to switch off.
@@ -221,7 +230,7 @@ def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
     """
     kind, arm_name = _split(name)
     if kind == IDEAL:
-        arm = load_arm(arm_name)
+        arm = one_link_per_joint(load_arm(arm_name))
         plant = Plant(name=IDEAL, arm=arm, geometry=arm.nominal)
     else:
         plant = replace(_design(arm_name, load_tolerances(kind)), name=str(name)) if kind else read_plant(name)

@@ -186,3 +186,16 @@ def test_names_that_mean_nothing_get_one_sentence() -> None:
     for name, said in cases:
         with pytest.raises(InputError, match=said):
             load_plant(name)
+
+
+def test_an_ideal_arm_moves_one_link_per_joint_as_every_other_plant(tmp_path):
+    path = tmp_path / "lift.toml"
+    joints = [
+        f'[[joints]]\nnumber = {i}\ntype = "P"\nalpha_deg = 0.0\na_mm = 0.0\ntheta_deg = 0.0\nd_mm = 0.0\n{rest}\n'
+        for i, rest in enumerate(
+            ("lower_mm = 0.0\nupper_mm = 400.0\nspeed_mm_per_s = 10.0", "follows = 1\nratio = 0.5"), 1
+        )
+    ]
+    path.write_text('name = "lift"\njoint_count = 2\n' + "".join(joints), encoding="utf-8")
+    with pytest.raises(InputError, match="moves several links"):
+        load_plant(f"ideal:{path}")

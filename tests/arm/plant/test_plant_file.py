@@ -155,3 +155,52 @@ def test_sizes_of_a_joint_are_in_the_unit_of_its_kind_from_the_first_joint_to_th
         else:
             with pytest.raises(InputError, match=f"forward_{unit}"):
                 load_plant(path)
+
+
+LIFT = """
+name = "lift"
+joint_count = 2
+[[joints]]
+number = 1
+type = "R"
+alpha_deg = -90.0
+a_mm = 0.0
+theta_deg = 0.0
+d_mm = 0.0
+lower_deg = -90.0
+upper_deg = 90.0
+speed_deg_per_s = 10.0
+[[joints]]
+number = 2
+type = "P"
+alpha_deg = 0.0
+a_mm = 0.0
+theta_deg = 0.0
+d_mm = 500.0
+lower_mm = -400.0
+upper_mm = 400.0
+speed_mm_per_s = 10.0
+"""
+SAGGING = """
+name = "sagging"
+arm = "lift.toml"
+source = "a test"
+[load]
+mass_kg = [1.0, 1.0]
+centre_mm = [[0, 0, 0], [0, 0, 0]]
+payload_kg = 5.0
+[boom_bending]
+joint = 2
+length_mm = 0.0
+flexural_rigidity_N_m2 = 1.0e3
+end_mass_kg = 2.0
+mass_per_length_kg_per_m = 1.0
+"""
+
+
+def test_a_boom_shorter_than_nothing_is_refused(tmp_path):
+    (tmp_path / "lift.toml").write_text(LIFT, encoding="utf-8")
+    path = tmp_path / "plant.toml"
+    path.write_text(SAGGING.replace("lift.toml", f"{tmp_path}/lift.toml"), encoding="utf-8")
+    with pytest.raises(InputError, match=r"length_mm of \[boom_bending\] is 0; give at least the 400 mm that joint 2"):
+        load_plant(path)

@@ -49,7 +49,7 @@ def test_multiples_are_of_the_group_that_is_named() -> None:
         plant_times(plant, {"springs": 2.0})
 
 
-@pytest.mark.parametrize("name", ["so101#1", "ideal:qiao2026#1", "orchard#", "orchard#-1", "nowhere#2"])
+@pytest.mark.parametrize("name", ["so101#1", "ideal:qiao2026#1", "orchard#", "orchard#-1", "nowhere#2", "orchard#3#4"])
 def test_what_has_nothing_to_draw_refuses(name: str) -> None:
     with pytest.raises(InputError):
         load_plant(name)
@@ -71,4 +71,24 @@ def test_a_slip_in_a_file_is_told_with_the_file(slip: str, tmp_path: Path) -> No
     path = tmp_path / "mine.toml"
     path.write_text(text.replace(right, slip + "\n", 1), encoding="utf-8")
     with pytest.raises(InputError, match=f"mine.toml.*({SLIPS[slip]})"):
+        load_plant(path)
+
+
+NUMBER = '"transmission_error.harmonics.amplitude"'
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('name = "waves of the drives"', 'name = "stiffness of joints, slides and boom"'),
+        (NUMBER, '"joint_compliance.stiffness"'),
+        (NUMBER, '"boom_bending.joint"'),
+        (NUMBER, '"joint_compliance.place"'),
+        (NUMBER, '"transmission_error.harmonics"'),
+    ],
+)
+def test_what_is_given_twice_or_is_no_size_is_refused(old: str, new: str, tmp_path: Path) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text((PLANTS / "qiao2026.toml").read_text(encoding="utf-8").replace(old, new), encoding="utf-8")
+    with pytest.raises(InputError, match=r"mine.toml.*unmeasured"):
         load_plant(path)
