@@ -219,9 +219,9 @@ def load_plant(name: str | Path, *, without: Iterable[str] = ()) -> Plant:
 
     Args:
         name: A preset's name, a path to a plant file (.toml) or to a twin of a calibrated arm (.npz), "ideal:ARM", or
-            "CLASS:ARM". ARM is an arm, beside a class also a plant; CLASS is a tolerance class; each by name or path. "CLASS:ARM" is the
-            design from which `draw_arms` draws arms. A plant's name may end in "#" and a number, such as "#3": then its
-            unmeasured constants are those of this random draw (`with_drawn_constants`).
+            "CLASS:ARM". CLASS is a tolerance class, and ARM an arm, beside a class also a plant, each by name or path.
+            "CLASS:ARM" is the design from which `draw_arms` draws arms. A plant's name may end in "#" and a number,
+            such as "#3": then its unmeasured constants are those of this random draw (`with_drawn_constants`).
         without: Names of effects to switch off.
 
     Raises:
