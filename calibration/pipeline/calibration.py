@@ -581,11 +581,11 @@ class Calibration:
     def _refuse_other_inputs(self, conditions: Conditions) -> None:
         """Refuse conditions other than those of training: a temperature is no payload, though either is one number."""
         entry = self.record.get("residual")
-        wanted = entry.get("conditions") if isinstance(entry, Mapping) else None
-        given = conditions.input_names()
-        if wanted and given and list(given) != list(wanted):
-            learnt = f"the learnt residual depends on {' and '.join(wanted)}"
-            raise InputError(f"{learnt}, but {' and '.join(given)} is given; give what it was learnt with")
+        trained = entry.get("conditions") if isinstance(entry, Mapping) else None
+        names = conditions.input_names()
+        if trained and names and list(names) != list(trained):
+            learnt = f"the learnt residual depends on {' and '.join(trained)}"
+            raise InputError(f"{learnt}, but {' and '.join(names)} is given; give what it was learnt with")
 
     def without_residual(self) -> Calibration:
         """Return a copy of this calibration without its learnt residual."""

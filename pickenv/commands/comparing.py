@@ -25,12 +25,12 @@ class SeveralValues(CommandOfNames):
         spread: list[str] = []
         option = ""
         for word, after in zip(args, [*args[1:], "--"], strict=True):
-            name, given, value = word.partition("=")
+            name, equals, value = word.partition("=")
             if name in SEVERAL:
-                if not given and after.startswith("--"):
+                if not equals and after.startswith("--"):
                     raise InputError(f"{name} has no value; give one or more, or leave it out")
                 option = name
-                spread += [name, value] if given else []
+                spread += [name, value] if equals else []
             elif word.startswith("--"):
                 option = word
                 spread.append(word)

@@ -73,11 +73,11 @@ def recordings_of(run: Path, policy: str | None = None) -> list[Path]:
     if recordings and policy is None and not (run / RECORD).is_file():
         return recordings
     record = pickenv.inspect.read_run(run)
-    own = [path for path in recordings if (record.files or {}).get(path.name) == file_sha256(path)]
+    current = [path for path in recordings if (record.files or {}).get(path.name) == file_sha256(path)]
     if record.kind == "evaluation":  # a recording per policy
-        own = [path for path in own if path == _path_of(record, policy)]
-    if own and (policy is None or record.kind == "evaluation"):
-        return own
+        current = [path for path in current if path == _path_of(record, policy)]
+    if current and (policy is None or record.kind == "evaluation"):
+        return current
     with added_to(record):
         return [_record(record, policy)]
 

@@ -387,8 +387,8 @@ def refuse_other_tables(machine: Machine, path: str | Path) -> None:
         near = np.allclose(base.position, machine.frame3(q), rtol=0.0, atol=1e-6)
         if near and np.allclose(cup, machine.tips(q, np.tile(s, (machine.arms, 1)))[0], rtol=0.0, atol=1e-6):
             return
-    what = "master or slave is no arm of eqs (2) and (4)"
-    raise InputError(f"{path}: {what}; only d1, a2, a3, a4, limits and speeds may differ")
+    fault = "master or slave is no arm of eqs (2) and (4)"
+    raise InputError(f"{path}: {fault}; only d1, a2, a3, a4, limits and speeds may differ")
 
 
 def refuse_touching_arms(machine: Machine) -> None:

@@ -20,8 +20,6 @@ from pickenv.experiments import (
     policy_tables as tables,
     run_policies,
 )
-from pickenv.experiments.policy_tables import evaluation_rows
-from tests.experiments.synthetic import rows_of
 
 STILL = """
 import numpy as np
@@ -260,13 +258,3 @@ def test_the_published_tables_are_those_of_the_published_file():
     assert len(parts) == 2 * len(policy_tables.LEADERBOARD.plants) + 2
     for part in parts:
         assert part.strip() in page, part.splitlines()[0]
-
-
-def test_a_rungs_rows_say_the_arms_and_noise_of_the_rung() -> None:
-    settings = PolicySettings(plants=("rung:own_eyes",), grippers=("compliant_hand",), arms=1)
-    rows = rows_of(np.ones((1, 1, 2)))
-    rows = Rows(dict(rows.columns) | {"plant": np.full(2, "rung:own_eyes"), "feedback": np.full(2, "camera")})
-    (row,) = evaluation_rows(settings, rows)
-    world = settings.world("rung:own_eyes", 0, "camera")
-    for name in ("tolerances", "camera_noise_mm", "fruit_noise_mm", "population_seed"):
-        assert row[name] == world[name], name

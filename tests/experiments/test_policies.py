@@ -28,6 +28,7 @@ from pickenv.envs import CONTROL_PERIOD
 from pickenv.experiments import (
     CalibrationPlan,
     PolicySettings,
+    Rows,
     calibrate_arm,
     compensations_compared,
     compensators,
@@ -459,3 +460,13 @@ def test_arms_to_tune_on_are_other_arms() -> None:
     few = {"policies": ("scripted",), "compensations": ("raw",), "feedback": ("encoders",), "arms": 2, "episodes": 1}
     found = [run_policies(PolicySettings(plants=("rung:orchard",), split=split, **few)) for split in ("train", "test")]
     assert not np.isclose(*(rows["error_mm"] for rows in found)).any()
+
+
+def test_a_rungs_rows_say_the_arms_and_noise_of_the_rung() -> None:
+    settings = PolicySettings(plants=("rung:own_eyes",), grippers=("compliant_hand",), arms=1)
+    rows = rows_of(np.ones((1, 1, 2)))
+    rows = Rows(dict(rows.columns) | {"plant": np.full(2, "rung:own_eyes"), "feedback": np.full(2, "camera")})
+    (row,) = evaluation_rows(settings, rows)
+    world = settings.world("rung:own_eyes", 0, "camera")
+    for name in ("tolerances", "camera_noise_mm", "fruit_noise_mm", "population_seed"):
+        assert row[name] == world[name], name

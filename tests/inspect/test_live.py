@@ -18,8 +18,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from rerun.chunk import RrdReader
+from typer.testing import CliRunner
 
 from pickenv.base import InputError
+from pickenv.cli import app
 from pickenv.commands.inspection import inspect, recordings_of
 from pickenv.experiments import PolicySettings, run_policies
 from pickenv.experiments.policy_tables import write_evaluation
@@ -306,3 +309,16 @@ def test_connect_sends_everything_to_a_viewer_that_runs(
 def test_connect_to_nobody_is_one_sentence(recording: Path) -> None:
     with pytest.raises(InputError, match="no viewer answers"):
         inspect(recording, connect=f"rerun+http://127.0.0.1:{free_port()}/proxy")
+
+
+def test_a_recording_of_another_run_is_not_shown(tmp_path: Path) -> None:
+    few = ["--compensation", "raw", "--feedback", "encoders", "--plant", "qiao2026", "--arms", 1, "--episodes", 3]
+    few += ["--policy", "scripted", "--policy", "random", "--workers", 1, "--out", tmp_path]
+    assert CliRunner().invoke(app, ["evaluate", *map(str, few)]).exit_code == 0
+    assert [path.name for path in recordings_of(tmp_path, "random")] == ["random.rrd"]
+    assert [path.name for path in recordings_of(tmp_path)] == ["scripted.rrd"]
+    assert CliRunner().invoke(app, ["evaluate", *map(str, few), "--seed", "7"]).exit_code == 0
+    (path,) = recordings_of(tmp_path)
+    assert RrdReader(path).recordings()[0].recording_id == "qiao2026:seed7"
+    with pytest.raises(InputError, match="leave --policy out"):
+        recordings_of(path, "random")

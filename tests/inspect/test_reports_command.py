@@ -13,14 +13,12 @@ from typing import Any
 import numpy as np
 import pytest
 import typer
-from rerun.chunk import RrdReader
 from typer.testing import CliRunner
 
 from pickenv.arm import load_plant
 from pickenv.base import InputError, registry
 from pickenv.calibration import random_joints, simulated_tracker
 from pickenv.cli import app
-from pickenv.commands.inspection import recordings_of
 from pickenv.harvester import Measure
 from pickenv.inspect import (
     Comparison,
@@ -250,16 +248,3 @@ def test_bad_folders_are_refused_in_one_sentence_and_nothing_is_written(
     with pytest.raises(InputError, match=r"'docx' is no picture format; give one of .*png"):
         call("figures", iso.folder, "--format", "svg,docx")
     assert not (iso.folder / "figures").exists()
-
-
-def test_a_recording_of_another_run_is_not_shown(tmp_path: Path) -> None:
-    few = ["--compensation", "raw", "--feedback", "encoders", "--plant", "qiao2026", "--arms", 1, "--episodes", 3]
-    few += ["--policy", "scripted", "--policy", "random", "--workers", 1, "--out", tmp_path]
-    call("evaluate", *few)
-    assert [path.name for path in recordings_of(tmp_path, "random")] == ["random.rrd"]
-    assert [path.name for path in recordings_of(tmp_path)] == ["scripted.rrd"]
-    call("evaluate", *few, "--seed", 7)
-    (path,) = recordings_of(tmp_path)
-    assert RrdReader(path).recordings()[0].recording_id == "qiao2026:seed7"
-    with pytest.raises(InputError, match="leave --policy out"):
-        recordings_of(path, "random")

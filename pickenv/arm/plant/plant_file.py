@@ -121,8 +121,8 @@ def read_plant(name: str | Path) -> Plant:
         if fault := effect.fault(arm):
             raise InputError(f"{path}: {fault}")
     plant = Plant(called, arm, arm.nominal if arm.true is None else arm.true, load, effects, unmeasured=unmeasured)
-    for what in ([group.name for group in unmeasured], [name for group in unmeasured for name in group.constants]):
-        if twice := [name for i, name in enumerate(what) if name in what[:i]]:
+    for names in ([group.name for group in unmeasured], [name for group in unmeasured for name in group.constants]):
+        if twice := [name for i, name in enumerate(names) if name in names[:i]]:
             raise InputError(f"{path}: [[unmeasured]] has '{shortened(twice[0])}' twice; give it once")
     try:
         plant_times(plant, {group.name: 1.0 for group in unmeasured})

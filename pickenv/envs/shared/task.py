@@ -128,11 +128,11 @@ def corrected(compensate: Compensators, joints: Array, where: Any = slice(None))
     """
     if callable(compensate):
         return np.asarray(compensate(joints))
-    own = [compensate[i] for i in np.arange(len(compensate))[where].tolist()]
-    names, command = np.array([id(each) for each in own]), np.empty_like(joints)
+    some = [compensate[i] for i in np.arange(len(compensate))[where].tolist()]
+    names, command = np.array([id(compensator) for compensator in some]), np.empty_like(joints)
     for first in np.unique(names, return_index=True)[1].tolist():
         rows = names == names[first]
-        command[rows] = own[first](joints[rows])
+        command[rows] = some[first](joints[rows])
     return command
 
 

@@ -159,8 +159,8 @@ def _leads(episodes: RecordedEpisodes, name: str) -> dict[str, dict[str, Any]]:
     leads = {}
     for line in policy_differences(episodes):
         if name in (line["from"], line["to"]) and line["difference_mm"] is not None:
-            other, sign = (line["to"], 1.0) if line["from"] == name else (line["from"], -1.0)
-            leads[other] = {"lead_mm": sign * line["difference_mm"], "significant": line["significant"]}
+            rival, sign = (line["to"], 1.0) if line["from"] == name else (line["from"], -1.0)
+            leads[rival] = {"lead_mm": sign * line["difference_mm"], "significant": line["significant"]}
     return leads
 
 
@@ -173,17 +173,17 @@ def outcome_sentence(episodes: RecordedEpisodes) -> str:
     if line is None or line["difference_mm"] is None:
         return f"{name} ends {mean} from the fruit"
     leads = _leads(episodes, name)
-    farther = [other for other, lead in leads.items() if lead["significant"] and lead["lead_mm"] > 0.0]
+    farther = [rival for rival, lead in leads.items() if lead["significant"] and lead["lead_mm"] > 0.0]
     if len(farther) == len(leads):
         return f"{name} ends nearest to the fruit: {mean}"
-    nearer = [other for other, lead in leads.items() if lead["significant"] and lead["lead_mm"] < 0.0]
+    nearer = [rival for rival, lead in leads.items() if lead["significant"] and lead["lead_mm"] < 0.0]
     if nearer:  # it closed the gripper for other fruit too, or for fewer
         return f"{name} has the least mean miss, {mean}, but {' and '.join(nearer)} ends nearer to the same fruit"
     if all(lead["significant"] is None for lead in leads.values()):
         return f"{name} ends nearest in these few episodes, {mean}"
     if not farther:
         return f"No policy is told apart from {name} with {mean}"
-    alike = " and ".join(other for other in leads if other not in farther)
+    alike = " and ".join(rival for rival in leads if rival not in farther)
     return f"{name} ends nearest with {mean}, not told apart from {alike}"
 
 
