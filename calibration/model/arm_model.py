@@ -61,6 +61,19 @@ class Conditions:
         """Names of the columns of `inputs`."""
         return tuple(name for name in ("payload", "temperature") if getattr(self, name) is not None)
 
+    def refuse_other_inputs(self, record: Mapping[str, Any]) -> None:
+        """Refuse a temperature where a residual was learnt with payloads, and the other way round.
+
+        Args:
+            record: Record of the calibration that has the residual.
+        """
+        residual = record.get("residual")
+        trained = residual.get("conditions") if isinstance(residual, Mapping) else None
+        names = self.input_names()
+        if trained and names and list(names) != list(trained):
+            learnt = f"the learnt residual depends on {' and '.join(trained)}"
+            raise InputError(f"{learnt}, but {' and '.join(names)} is given; give what it was learnt with")
+
 
 class Term(Protocol):
     """A physical effect beyond geometry, whose pose displacement is linear in the effect's k coefficients."""

@@ -119,8 +119,7 @@ class PoseUncertainty:
             variance: Variances of the six pose coordinates ``(..., 6)``, m^2 and rad^2.
 
         Returns:
-            Uncertainties of position ``(...)``, m, and of attitude ``(...)``, rad; the latter is None if only positions
-            were measured.
+            Uncertainties of position ``(...)``, m, and of attitude ``(...)``, rad, None without attitudes.
         """
         position, attitude = np.sqrt(variance[..., :3].sum(-1)), np.sqrt(variance[..., 3:].sum(-1))
         return position, None if self.attitude_repeat is None else attitude
@@ -492,10 +491,9 @@ class Calibration:
         if self.arm.tree is not None:
             raise InputError("a whole robot has no one tool to compensate; export its calibration onto its URDF")
         learnt = self.learnt if with_residual else None
-        if learnt is not None and conditions is not None:
-            self._refuse_other_inputs(conditions)
-        if learnt is not None and fast:
-            learnt = learnt.faster()
+        if learnt is not None:
+            (conditions or Conditions()).refuse_other_inputs(self.record)
+            learnt = learnt.faster() if fast else learnt
         anything = self.model.terms or learnt is not None
         residual = partial(remainder, self.model, learnt, conditions or Conditions()) if anything else None
         sure, reservations = uncertainty_from(self.record), self.reservations()
@@ -569,7 +567,7 @@ class Calibration:
         """
         errors = data.difference(self.model)
         if self.learnt is not None:
-            self._refuse_other_inputs(data.conditions)
+            data.conditions.refuse_other_inputs(self.record)
             inputs = data.conditions.inputs() if self.learnt.inputs.conditions else None
             learnt = self.learnt.predict(data.joints, inputs)
             if turn is not None:
@@ -577,15 +575,6 @@ class Calibration:
             width = min(learnt.shape[1], errors.shape[1])
             errors[:, :width] -= learnt[:, :width]
         return errors
-
-    def _refuse_other_inputs(self, conditions: Conditions) -> None:
-        """Refuse conditions other than those of training: a temperature is no payload, though either is one number."""
-        entry = self.record.get("residual")
-        trained = entry.get("conditions") if isinstance(entry, Mapping) else None
-        names = conditions.input_names()
-        if trained and names and list(names) != list(trained):
-            learnt = f"the learnt residual depends on {' and '.join(trained)}"
-            raise InputError(f"{learnt}, but {' and '.join(names)} is given; give what it was learnt with")
 
     def without_residual(self) -> Calibration:
         """Return a copy of this calibration without its learnt residual."""

@@ -18,7 +18,7 @@ from pickenv.envs.reaching.batch import NumpyBatch, Views
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_batch import Words, naming_effects
 from pickenv.envs.shared.compiled_look import TRACER, LatestCompiled, with_numbers
-from pickenv.envs.shared.task import Compensators, Task, corrected
+from pickenv.envs.shared.task import Compensators, Task, commanded
 
 
 class CompiledBatch(NumpyBatch):
@@ -54,7 +54,7 @@ class CompiledBatch(NumpyBatch):
         self._run("act", arrays)
         targets = self._table[: self.task.joints].T
         fast = self._fast(compensate) if callable(compensate) else compensate
-        arrays["commands"] = np.ascontiguousarray(corrected(fast, targets).T, dtype=float)
+        arrays["commands"] = np.ascontiguousarray(commanded(fast, targets).T, dtype=float)
         self._run("look", arrays)
         return out
 

@@ -14,7 +14,7 @@ from pickenv.base import InputError
 from pickenv.envs.shared.backends import NUMPY, Executor, Flags, Rows, Scalar
 from pickenv.envs.shared.simulation import ArmState
 from pickenv.envs.shared.situation import drawn_start
-from pickenv.envs.shared.task import Compensators, Task, as_numbers, bounds_of, corrected, exact_plant
+from pickenv.envs.shared.task import Compensators, Task, as_numbers, bounds_of, commanded, exact_plant
 
 Words = NDArray[np.uint64]
 Columns = list[Scalar]
@@ -199,7 +199,7 @@ class ArmBatch:
             return targets
         joints = np.stack([self.host(target) for target in targets], axis=-1, dtype=np.float64, casting="same_kind")
         rows = where if isinstance(where, slice) else self.host(where)
-        return list(self.numbers(corrected(compensate, joints, rows).T))
+        return list(self.numbers(commanded(compensate, joints, rows).T))
 
     def write(self, columns: Columns, where: Any, values: Sequence[Scalar]) -> None:
         """Write ``values`` into columns, for the environments ``where``.

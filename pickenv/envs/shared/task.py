@@ -117,7 +117,7 @@ Compensators = Compensate | Sequence[Compensate]
 """A compensator for all environments of a vector, or one for each of them."""
 
 
-def corrected(compensate: Compensators, joints: Array, where: Any = slice(None)) -> Array:
+def commanded(compensate: Compensators, joints: Array, where: Any = slice(None)) -> Array:
     """Return the joint commands ``(N, n)`` for the joint targets ``(N, n)`` of N environments, rad or m.
 
     Args:
