@@ -406,12 +406,22 @@ def verify(
     measured = None if inside is None else float(inside.mean())
     region_known = measured is None or measured >= 0.5  # elsewhere errors grow with the region, and not with the day
     count, rms = len(others), float(np.sqrt(expected.mean())) * 1e3
-    since = _since(poses, others, errors, expected) if region_known else None
+    late = _since(others, errors, expected) if region_known else None
+    since = None
+    if late is not None:
+        file, line = origins_of(poses).place(int(others[late]))
+        since = f"from {file}, row {line}, on"
     gain = next(no_gain(before, errors, np.arange(count), "mm", count, "rows"), None)
     verification = Verification(
         "still good", "", mine, theirs, rms, count, len(used), moves, since, left_out, gain, measured
     )
-    status, reason = _verdict(verification, lambda: _cause(there, judging, errors, expected, inside, refit))
+    far = np.arange(late or 0, count)  # rows before the change say nothing of its cause
+    places = inside if late is None else None
+
+    def cause() -> Cause:
+        return _cause(there, judging.select(far), errors[far], expected[far], places, refit)
+
+    status, reason = _verdict(verification, cause)
     return replace(verification, status=status, reason=reason)
 
 
@@ -424,8 +434,8 @@ def promised(calibration: Calibration, data: Measurements) -> Array:
     return np.asarray(np.maximum(squares, expected_square(data)))
 
 
-def _since(data: Measurements, rest: Rows, errors: Array, expected: Array) -> str | None:
-    """Return text that names the row from which on all blocks have too large errors; None if there is no such row."""
+def _since(rest: Rows, errors: Array, expected: Array) -> int | None:
+    """Return the place in ``rest`` from which on all blocks have too large errors; None if there is no such place."""
     if len(rest) < 4 * BLOCKS:
         return None
     parts = np.array_split(np.arange(len(rest)), BLOCKS)
@@ -433,8 +443,7 @@ def _since(data: Measurements, rest: Rows, errors: Array, expected: Array) -> st
     if not large[-1] or large.all():
         return None
     first = int(np.flatnonzero(~large)[-1]) + 1
-    file, line = origins_of(data).place(int(rest[parts[first][0]]))
-    return f"from {file}, row {line}, on"
+    return int(parts[first][0])
 
 
 Cause = Literal["frames", "elsewhere", "joints", "unknown"]
@@ -450,8 +459,8 @@ def _cause(
 ) -> Cause:
     """Find the cause of errors larger than promised: moved frames, a region not measured, or changed joint zeros."""
     most, size = GROWN * float(np.sqrt(expected.mean())), position_rms(errors)
-    far = size > ELSEWHERE * most / GROWN
-    if far and not refit and _left(there, data, own_frames_model(there.identified, OWN)) < size / MOSTLY:
+    far, all_found = size > ELSEWHERE * most / GROWN, set(refit) == set(OWN)
+    if far and not all_found and _left(there, data, own_frames_model(there.identified, OWN)) < size / MOSTLY:
         return "frames"
     if inside is not None and not inside.all() and not far:
         as_promised = inside.any() and position_rms(errors[inside]) ** 2 <= GROWN**2 * np.mean(expected[inside])
@@ -461,7 +470,7 @@ def _cause(
     inner = ErrorModel(zeros.columns[1:-1], zeros.names[1:-1], zeros.tolerance[1:-1])  # base and tool turn the others
     if _left(there, data, inner.joined(own_frames_model(there.identified, refit))) <= most:
         return "joints"
-    if not refit and _left(there, data, own_frames_model(there.identified, OWN)) <= most:
+    if not all_found and _left(there, data, own_frames_model(there.identified, OWN)) <= most:
         return "frames"
     return "unknown"
 
@@ -496,9 +505,12 @@ def _verdict(found: Verification, cause: Callable[[], Cause]) -> tuple[Status, s
             return "worse than nominal" if mine >= theirs else "no better than nominal", f"{sizes}, but {found.no_gain}"
         place = "" if found.measured is None or found.measured >= 0.5 else "; it was not measured here before"
         return "still good", f"{sizes}, and {figure(theirs)} mm with the nominal arm{place}"
-    why = "unknown" if since is not None else cause()
+    why = cause()
     if why == "frames":
-        return "another station", f"{sizes}, and base and tool elsewhere explain it; give `refit='base,tool'`"
+        elsewhere = "base and tool elsewhere explain it; give"
+        if since is not None:
+            return "another station", f"{sizes}, and {since} {elsewhere} those rows alone, and `refit='base,tool'`"
+        return "another station", f"{sizes}, and {elsewhere} `refit='base,tool'`"
     if why == "elsewhere":
         worse = f", worse than the nominal arm's {figure(theirs)} mm" if found.no_gain is not None else ""
         return "outside what was measured", (

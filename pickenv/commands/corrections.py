@@ -162,7 +162,8 @@ def verify(
     good, arm = verdict.status == "still good", old.arm_name if old.arm_name in pickenv.arm.shipped_arms() else "ARM"
     step = next_step(arm, calibration, not good)
     if verdict.status == "another station":
-        again = command_line("pickenv", "verify", calibration, *files, columns=columns, refit="base,tool")
+        rows: list[Any] = files if verdict.since is None else ["THOSE_ROWS"]
+        again = command_line("pickenv", "verify", calibration, *rows, columns=columns, refit="base,tool")
         step = f"find base and tool anew: {again}"
     deliver([(json_file, verdict.as_dict())], verdict.text(), step)
     if not good:

@@ -142,6 +142,8 @@ def iso9283(
     if rows is not None:
         deliver_measured(rows, arm, columns, frames, details, json_file)
         return
+    if allow and calibration is None:
+        raise InputError("`allow` goes with `calibration` only; leave it out, or give that too")
     import numpy as np
 
     from pickenv.arm.plant.campaign import Pace
@@ -288,11 +290,12 @@ def conditions(
 
     Args:
         subject: Plant preset or plant file (.toml), or fitted calibration (.npz).
-        plant: The simulated arm that a calibration is judged on.
+        plant: The simulated arm that a calibration is judged on; it goes with a calibration only.
         payload: Largest payload, kg.
         weather: Largest deviation of a day's temperature from the usual one, K.
         hours: Length of a working day, h.
-        arms: Number of drawn arms; fewer than 10 have no intervals.
+        arms: Number of drawn arms; fewer than 10 have no intervals. --arms, --tolerances and --residual go with a
+            plant only.
         tolerances: Tolerance class that arms are drawn from.
         sessions: Number of training sessions, each under other conditions.
         poses: Number of poses of a session.
@@ -313,6 +316,11 @@ def conditions(
     from pickenv.inspect.runs.run_folder import CONDITIONS, RECORD, REPORT, recorded_run
 
     is_calibration = subject.endswith(".npz")
+    usual = {name: parameter.default for name, parameter in signature(conditions).parameters.items()}
+    of_other = ("arms", "tolerances", "residual") if is_calibration else ("plant", "allow")
+    if stray := [name for name in of_other if typed[name] not in (usual[name], [])]:
+        other = "a plant" if is_calibration else "a calibration (.npz)"
+        raise InputError(f"`{stray[0]}` goes with {other} as SUBJECT only; leave it out")
     folder = [] if out is None else [out / RECORD, out / CONDITIONS]
     separate({"SUBJECT": subject, "--plant": plant}, {"--out": folder, "--json": json_file})
     machine = pickenv.load_plant(plant if is_calibration else subject)

@@ -294,6 +294,11 @@ def test_an_interval_is_that_of_the_arms_means() -> None:
         (["qiao2026", "--weather", "1e9"], "--weather is 1000000000.0; give 0 to 60"),
         (["qiao2026", "--payload", "inf"], "--payload is inf; give 0 to 300"),
         (["nowhere.npz"], r"nowhere\.npz"),
+        (["orchard", "--plant", "qiao2026"], r"--plant goes with a calibration \(\.npz\) as SUBJECT only"),
+        (["orchard", "--allow", "do-not-use"], r"--allow goes with a calibration \(\.npz\) as SUBJECT only"),
+        (["nowhere.npz", "--arms", "20"], "--arms goes with a plant as SUBJECT only"),
+        (["nowhere.npz", "--tolerances", "fine"], "--tolerances goes with a plant as SUBJECT only"),
+        (["nowhere.npz", "--residual", "gp"], "--residual goes with a plant as SUBJECT only"),
     ],
 )
 def test_what_cannot_be_done_is_said_in_a_sentence(words: list[str], complaint: str) -> None:

@@ -11,6 +11,7 @@ A `Geometry` is in metres and radians. MJCF has no joint speeds; 1 rad/s and 1 m
 from __future__ import annotations
 
 import math
+import re
 import xml.etree.ElementTree as ElementTree
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -65,7 +66,7 @@ def mjcf_text(geometry: Geometry, name: str, comment: str = "") -> str:
         raise InputError(f"joint '{title}' moves no link as it moves itself; write URDF instead")
     root = Element("mujoco", model=one_line(name))
     if comment:
-        root.append(ElementTree.Comment(one_line(comment.replace("--", "- -"))))
+        root.append(ElementTree.Comment(one_line(re.sub("-(?=-)", "- ", comment))))
     ElementTree.SubElement(root, "compiler", angle="radian", autolimits="true")
     body = ElementTree.SubElement(root, "worldbody")
     drives, couplings = Element("actuator"), Element("equality")
@@ -183,8 +184,12 @@ class MjcfValues:
         """Return the pose of a body, frame or site in its parent from its attributes."""
         return Pose(xml_numbers(attributes.get("pos", "0 0 0"), "pos", M.most), self._rotation(attributes))
 
-    def motion(self, joint: _Joint) -> tuple[Drive, float, bool]:
+    def motion(self, joint: _Joint, follows: bool = False) -> tuple[Drive, float, bool]:
         """Read a joint's motion.
+
+        Args:
+            joint: The joint.
+            follows: Whether the joint follows another joint or is held, so that it needs no range of its own.
 
         Returns:
             The joint as a `Drive`; its reference position (MJCF's ``ref``), rad or m; and whether the file limits it.
@@ -203,7 +208,7 @@ class MjcfValues:
         ranged = "range" in attributes and word != "false"
         low, high = xml_numbers(attributes["range"], "range", most, 2).tolist() if ranged else (0.0, 0.0)
         limited = ranged and (word == "true" or (self.autolimits and low < high))
-        if slides and not limited:
+        if slides and not limited and not follows:
             raise InputError(f"slide joint '{name}' has no range; give its lower and upper end in m")
         if limited and low >= high:
             raise InputError(f"joint '{name}' has a range whose lower end is not below its upper end; correct it")
@@ -414,7 +419,7 @@ def _joints(
         for joint in bodies[key].joints:
             driver, ratio, offset = driver_of(joint.name, ties.get)
             ratio = 0.0 if driver == WORLD else ratio
-            motion, ref, limited = values.motion(joint)
+            motion, ref, limited = values.motion(joint, follows=driver != joint.name)
             anchor = xml_numbers(joint.attributes.get("pos", "0 0 0"), "pos", M.most)
             axis = xml_numbers(joint.attributes.get("axis", "0 0 1"), "axis", M.most)
             axis = joint.within.rotation @ unit_vector(axis, f"axis of joint '{shortened(joint.name)}'")

@@ -196,6 +196,18 @@ def test_a_joint_tied_to_the_world_does_not_move(tmp_path: Path) -> None:
     np.testing.assert_allclose(pose_error(forward(free, all_three), forward(arm, q)), 0, atol=1e-12)
 
 
+def test_a_slide_that_follows_needs_no_range(tmp_path: Path) -> None:
+    stages = ARM.replace('name="b" axis="0 1 0"', 'name="b" type="slide" axis="0 1 0"')
+    stages = stages.replace('name="c" axis="0 0 1"', 'name="c" type="slide" axis="0 0 1"')
+    stages = stages.replace('"radian"', '"radian" boundmass="1" boundinertia="1"')
+    for leader in (' joint2="b"', ""):  # the latter is tied to the world
+        tie = f'<equality><joint joint1="c"{leader} polycoef="0.1 0.5"/></equality></mujoco>'
+        path = written(tmp_path, stages.replace("</mujoco>", tie))
+        assert load_arm(f"{path}#three").nominal.joint_names == ("a", "b")
+        if leader:
+            moves_as_in_mujoco(path, "three", {"c": ("b", 0.1, 0.5)})
+
+
 BAD = {
     "a loop": (with_equality('<weld body1="three" body2="stand"/>'), "a weld constraint closes a loop through body"),
     "a loop to the world": (with_equality('<connect body1="two" anchor="0 0 0"/>'), "a connect constraint closes"),

@@ -55,6 +55,12 @@ def test_any_chain_of_both_types_and_every_beta(general_chain, draw):
         np.testing.assert_allclose(posed(model, data, general_chain, q).xpos, pose.position, rtol=0, atol=1e-8)
 
 
+def test_a_comment_of_many_hyphens_is_xml(tmp_path):
+    geometry = load_arm("ur5").nominal
+    (tmp_path / "arm.xml").write_text(mjcf_text(geometry, "ur5", "a ---- b"), encoding="utf-8")
+    assert load_arm(f"{tmp_path / 'arm.xml'}#tool").nominal.joints == 6
+
+
 def test_links_that_follow_a_joint_are_tied_to_it(draw):
     six = load_arm("ur5").nominal
     tied = Coupling((0, 1, 2, 3, 4, 4), (1.0, 1.0, 1.0, 1.0, 1.0, -0.5), six.prismatic)

@@ -52,6 +52,11 @@ def test_iso9283_prints_and_writes_the_raw_and_the_calibrated_arm(calibration, t
     assert json.loads((tmp_path / "other.json").read_text())["raw"] != found["raw"]
 
 
+def test_a_reservation_of_no_calibration_is_refused():
+    with pytest.raises(InputError, match="`allow` goes with `calibration` only"):
+        call("iso9283", "--allow", "do-not-use")
+
+
 def test_arms_lists_every_shipped_arm(tmp_path):
     file = tmp_path / "arms.json"
     said = call("arms", "--json", file)

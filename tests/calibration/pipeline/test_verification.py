@@ -150,6 +150,18 @@ def test_one_frame_alone_is_found_and_the_other_stays(
     assert verify(result.calibration, seen(true, 3, base, tool), (wrong,), 6).status != "still good"
 
 
+@pytest.mark.parametrize("own", FRAMES)
+@pytest.mark.parametrize("shift", [6e-4, 0.05], ids=["by little", "by much"])
+def test_a_frame_that_was_not_found_anew_may_have_moved_too(
+    result: Result, true: Geometry, own: str, shift: float
+) -> None:
+    base, tool = (Pose(frame.position + np.array([shift, 0.0, shift]), frame.rotation) for frame in (HERE, TARGET))
+    base, tool = (THERE, tool) if own == "base" else (base, OTHER_TARGET)
+    found = verify(result.calibration, seen(true, 12, base, tool), (own,))
+    assert found.status == "another station" and "`refit='base,tool'`" in found.reason
+    assert verify(result.calibration, seen(true, 12, base, tool), FRAMES).status == "still good"
+
+
 def test_expected_errors_are_those_found_whatever_the_rows(result: Result, true: Geometry) -> None:
     """Six rows, or ten: over stations the mean square found is the one expected, within a quarter."""
     ratio = []
@@ -185,6 +197,22 @@ def test_the_row_from_which_on_it_drifted_is_named(result: Result, true: Geometr
     joints, position = (np.concatenate([a, b]) for a, b in ((good.joints, bad.joints), (good.position, bad.position)))
     found = verify(result.calibration, replace(good, joints=joints, position=position))
     assert found.status == "drifted" and found.since == "from day5.csv, row 61, on" and found.since in found.reason
+
+
+@pytest.mark.parametrize("shift", [0.003, 0.05])
+def test_an_instrument_that_was_moved_within_the_file_is_no_change_of_the_arm(
+    result: Result, true: Geometry, shift: float, tmp_path: Path
+) -> None:
+    moved = Pose(HERE.position + np.array([shift, 0.0, 0.0]), HERE.rotation)
+    good, bad = seen(true, 5, rows=60), seen(true, 6, moved, rows=60)
+    joints, position = (np.concatenate([a, b]) for a, b in ((good.joints, bad.joints), (good.position, bad.position)))
+    both = replace(good, joints=joints, position=position)
+    found = verify(result.calibration, both)
+    assert found.status == "another station" and found.since == "from day5.csv, row 61, on"
+    assert found.since in found.reason and verify(result.calibration, bad, FRAMES).status == "still good"
+    saved, file = result.save(tmp_path / "arm.npz"), both.write_csv(tmp_path / "day.csv")
+    said = CliRunner().invoke(app, ["verify", str(saved), str(file)])
+    assert said.exit_code == 3 and "THOSE_ROWS --refit base,tool" in " ".join(said.output.split())
 
 
 @pytest.mark.parametrize("rows", [40, 39])
