@@ -49,6 +49,10 @@ def read_lens(path: str | Path) -> Lens:
     if distortion.size < 4 or np.any(distortion[COEFFICIENTS:]):
         raise InputError(f"{path}: distortion has {distortion.size} coefficients; give k1, k2, p1, p2 and, if any, k3")
     matrix = matrix.reshape(3, 3)
+    if np.any(matrix[[0, 1, 2, 2], [1, 0, 0, 1]]):
+        raise InputError(
+            f"{path}: the camera matrix has a skew or is written column by column; give fx 0 cx, 0 fy cy, 0 0 1"
+        )
     if not (matrix[0, 0] > 0 and matrix[1, 1] > 0 and matrix[2, 2] == 1.0):
         raise InputError(f"{path}: the camera matrix is none: focal lengths must be above zero, and its last number 1")
     values = np.array([*matrix[[0, 1, 0, 1], [0, 1, 2, 2]], *np.resize(np.append(distortion, 0.0), COEFFICIENTS)])
@@ -157,6 +161,11 @@ class Board:
             raise InputError("gap_mm of [board] is missing; give the space between two tags")
         if self.kind != "apriltags" and self.gap is not None:
             raise InputError(f"gap_mm of [board] is for apriltags, and a {self.kind} has no gaps; leave it out")
+        if self.kind != "charuco" and self.marker is not None:
+            side = "square_mm is the side of its tags" if self.kind == "apriltags" else "it has no markers"
+            raise InputError(
+                f"marker_mm of [board] is for charuco; of a board of kind {self.kind} {side}; leave it out"
+            )
         if self.kind != "apriltags" and min(self.columns, self.rows) < 3:
             raise InputError(f"[board] has {self.columns} x {self.rows} squares; give at least 3 x 3")
         if self.kind == "chessboard" and (self.columns + self.rows) % 2 == 0:

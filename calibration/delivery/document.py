@@ -198,7 +198,12 @@ def attribute_edits(data: bytes, tag: StartTag, values: Mapping[str, str]) -> li
 
 
 def inserted_first(data: bytes, tag: StartTag, element: str) -> Edit:
-    """Return the edit that inserts an element after a start tag, with the line break and indent that follow the tag."""
+    """Return the edit that inserts an element after a start tag, with the line break and indent that follow the tag.
+
+    A tag that closes itself is opened, and an end tag follows the element.
+    """
+    if data[: tag.end].endswith(b"/>"):
+        return tag.end - 2, tag.end, f">{element}</{tag.name}>".encode()
     after = data[tag.end :]
     return tag.end, tag.end, after[: len(after) - len(after.lstrip())] + element.encode()
 

@@ -234,6 +234,7 @@ def plan_like(
             f"from; give a first measurement of more varied poses, or plan {len(joints) // LEAST_CANDIDATES} poses"
         )
     design = _design(arm.nominal, first, joints, prior)
+    least = 1
     if prior is None:  # fewer equations than parameters, and one more, are left
         parameters = len(design.names) + len(design.model.names)
         missing = parameters + 1 - int((rows.equations()[0] >= 0).sum())
@@ -249,7 +250,7 @@ def plan_like(
         criterion=criterion,
         goal=plan.error_weight(model.geometry, design, joints if test_joints is None else test_joints),
         where="at the candidates" if test_joints is None else "at the test poses",
-        sizes=plan.plan_sizes(count, 1, len(joints)) if curve else (),
+        sizes=plan.plan_sizes(count, least, len(joints)) if curve else (),
     )
     return replace(
         pose_plan,

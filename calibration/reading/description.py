@@ -311,8 +311,10 @@ class RotationTable:
     convention: Annotated[str, one_of(CONVENTIONS)] | None = None
     std: Annotated[float, DEG.positive] = ATTITUDE_STD
 
-    def checked_unit(self) -> str:
+    def checked_unit(self, section: str = "rotation", key: str = "unit") -> str:
         """Return the unit of the angles; for a quaternion it is "rad", which leaves its numbers as they are.
+
+        Messages name the section that has these columns, and its key for the unit.
 
         Raises:
             InputError: If there are not 3 or 4 columns, or not those of the convention, or if the unit of angles is
@@ -320,15 +322,15 @@ class RotationTable:
         """
         count = len(self.columns)
         if self.convention is None and count not in (3, 4):
-            raise InputError(f"[rotation] has {count} columns; give three angles or four of a quaternion")
+            raise InputError(f"[{section}] has {count} columns; give three angles or four of a quaternion")
         wanted = count if self.convention is None else columns_of(self.convention)
         if count != wanted:
-            raise InputError(f"convention '{self.convention}' needs {wanted} columns")
+            raise InputError(f"convention '{self.convention}' needs {wanted} columns, but [{section}] has {count}")
         if wanted == 4:
             return "rad"
         if self.unit not in ANGLES:
             unit = "missing" if self.unit is None else shortened(repr(self.unit))
-            raise InputError(f"unit of [rotation] is {unit}; give {one_of(ANGLES).wanted}")
+            raise InputError(f"{key} of [{section}] is {unit}; give {one_of(ANGLES).wanted}")
         return str(self.unit)
 
 
@@ -340,8 +342,18 @@ class PosesTable:
     columns: Annotated[tuple[str, ...], COLUMNS]
     unit: Annotated[str, one_of(LENGTHS)]
     rotation_columns: Annotated[tuple[str, ...], COLUMNS]
-    rotation_unit: Annotated[str, one_of(ANGLES)] = "rad"
+    rotation_unit: Annotated[str, one_of(ANGLES)] | None = None
     convention: Annotated[str, one_of(CONVENTIONS)]
+
+    def __post_init__(self) -> None:
+        if len(self.columns) != 3:
+            raise InputError(f"[poses] has {len(self.columns)} columns; give three, x, y and z")
+        self.attitudes.checked_unit("poses", "rotation_unit")
+
+    @property
+    def attitudes(self) -> RotationTable:
+        """The columns of the attitude as a section of their own; for a quaternion, the unit is of no account."""
+        return RotationTable(self.rotation_columns, self.rotation_unit, self.convention)
 
 
 @toml_table
@@ -625,6 +637,8 @@ def _refuse_repeats(description: DescriptionFile, path: Path) -> None:
     sections = {description.kind: description.columns}
     if description.rotation is not None:
         sections["rotation"] = description.rotation.columns
+    if (poses := description.poses) is not None:
+        sections["poses"] = (*poses.columns, *poses.rotation_columns)
     for name, (columns, *_) in description.conditions.recorded(description.joint_units).items():
         sections[f"conditions.{name}"] = columns
     for section, columns in sections.items():

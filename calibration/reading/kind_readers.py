@@ -197,6 +197,32 @@ def refuse_implausible_conditions(table: Table, name: str, values: Array, column
         check_limit(place, float(values[row, column]), QUANTITIES[name])
 
 
+def read_attitudes(table: Table, described: description.RotationTable | None) -> Array:
+    """Read and check the values ``(N, 3 or 4)`` of a file's attitude columns: angles in rad, or quaternions.
+
+    Args:
+        table: The file.
+        described: The columns, with a checked unit.
+
+    Raises:
+        InputError: If a quaternion is not of unit length, or an angle is larger than any rotation needs.
+    """
+    assert described is not None
+    columns = described.columns
+    values = table.values(columns) * (1.0 if len(columns) == 4 else TO_SI[described.unit])
+    if len(columns) == 4:
+        excess = np.abs(np.linalg.norm(values, axis=1) - 1.0)
+        if excess.max() > 0.01:
+            line = table.lines[int(np.argmax(excess))]
+            raise InputError(f"{table.where}: row {line} holds a quaternion that is not of unit length")
+    elif np.abs(values).max() > 4 * np.pi:
+        bad, column = divmod(int(np.argmax(np.abs(values))), 3)
+        hint = "its unit is probably deg" if described.unit == "rad" else "correct or remove the row"
+        size = f"{np.abs(values[bad, column]):.0f} rad, which no rotation needs"
+        raise InputError(f"{table.cell(bad, columns[column])} is {size}; {hint}")
+    return values
+
+
 TURNED = float(np.radians(1.0))
 """Range of each joint over several rows, rad or m, below which these rows count as one pose."""
 
@@ -437,7 +463,7 @@ def read_views(
         joints = every[rows]
         refuse_repeated_joints(file, where, joints, geometry)
     else:
-        turned = rotations(poses.convention, table.values(poses.rotation_columns) * TO_SI[poses.rotation_unit])
+        turned = rotations(poses.convention, read_attitudes(table, poses.attitudes))
         every = joints_of_finished_poses(Pose(table.values(poses.columns) * TO_SI[poses.unit], turned))
         joints = every[rows]
     if file.pixels.view is not None and file.pixels.columns:

@@ -210,7 +210,9 @@ def _poses(files: Files, _section: Any) -> Measurements:
                 "own (`columns`), or remove the attitudes"
             )
     if attitudes is not None:
-        values = np.concatenate([_attitudes(table, layout.rotation) for table, layout in files.pairs()])
+        values = np.concatenate(
+            [kind_readers.read_attitudes(table, layout.rotation) for table, layout in files.pairs()]
+        )
         if attitudes.convention is None:
             fits = csv_table.convention_table(files.geometry, files.joints, position, values, files.source)
             raise InputError(
@@ -223,24 +225,6 @@ def _poses(files: Files, _section: Any) -> Measurements:
         files.joints, position, rotation, files.geometry.prismatic, first.std, std_stated=first.measured.std is not None
     )
     return rows if attitudes is None else replace(rows, attitude_std=attitudes.std)
-
-
-def _attitudes(table: csv_table.Table, described: description.RotationTable | None) -> Array:
-    """Read and check the values ``(N, 3 or 4)`` of a file's attitude columns: angles in rad, or quaternions."""
-    assert described is not None
-    columns, unit = described.columns, described.checked_unit()
-    values = table.values(columns) * TO_SI[unit]
-    if len(columns) == 4:
-        excess = np.abs(np.linalg.norm(values, axis=1) - 1.0)
-        if excess.max() > 0.01:
-            line = table.lines[int(np.argmax(excess))]
-            raise InputError(f"{table.where}: row {line} holds a quaternion that is not of unit length")
-    elif np.abs(values).max() > 4 * np.pi:
-        bad, column = divmod(int(np.argmax(np.abs(values))), 3)
-        hint = "its unit is probably deg" if unit == "rad" else "correct or remove the row"
-        size = f"{np.abs(values[bad, column]):.0f} rad, which no rotation needs"
-        raise InputError(f"{table.cell(bad, columns[column])} is {size}; {hint}")
-    return values
 
 
 def _repeat(tables: list[csv_table.Table], layouts: list[description.DescriptionFile]) -> float | None:

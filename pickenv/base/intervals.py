@@ -322,7 +322,7 @@ def clustered_share_interval(successes: ArrayLike, trials: ArrayLike, least: int
     return _wilson(share, float(np.clip(counted, min(fewest, total), total)))
 
 
-def crossed_interval(values: ArrayLike) -> Ends | None:
+def crossed_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
     """95 % interval of the mean of values ``(A, B)`` over two crossed random factors: A arms and B training seeds.
 
     The variance of the mean, (MS_A + MS_B - MS_AB) / (A B), is from the two-way analysis of variance. The degrees of
@@ -330,13 +330,14 @@ def crossed_interval(values: ArrayLike) -> Ends | None:
 
     Args:
         values: One value for each arm with each training seed ``(A, B)``.
+        least: Smallest number of arms for which there is an interval.
 
     Returns:
-        Lower and upper end, or None if A is below `LEAST`, B is below `LEAST_RUNS`, or all values are equal.
+        Lower and upper end, or None if A is below ``least``, B is below `LEAST_RUNS`, or all values are equal.
     """
     x = np.asarray(values, dtype=float)
     a, b = x.shape
-    if a < LEAST or b < LEAST_RUNS or _equal(x):
+    if a < least or b < LEAST_RUNS or _equal(x):
         return None
     mean, arms, seeds = float(x.mean()), x.mean(axis=1), x.mean(axis=0)
     squares = (b * arms.var(ddof=1), a * seeds.var(ddof=1))
@@ -486,7 +487,8 @@ def estimate(
         value: The column to estimate; several columns for a statistic of them.
         by: Grouping columns. Each combination of their values has one estimate, in the order of the rows.
         over: One or two columns of random units (such as arms, and training seeds) that the intervals are over. Within
-            a combination, rows of the same units are averaged.
+            a combination, rows of the same units are averaged. Over two columns only means, and shares of one column,
+            have intervals.
         of: The statistic, which is one of the following. "mean". "share": the share of successes, from one column of
             successes or their probabilities, or from two columns, successes and trials. "ratio": the ratio of the sums
             of two columns. "removed": the relative reduction of the mean, from the rows at ``against``, or from the
@@ -604,9 +606,13 @@ def _estimated(
         if of in ("share", "ratio"):  # a share of what was tried, with other numbers tried of each unit
             ends = clustered_share_interval(*cube.sum(axis=(2, 3))) if of == "share" else ratio_interval(*table.T)
             over, under = table.sum(axis=0)
-            return _with_reason(float(over / max(under, 1e-12)), ends, table)
-        function = of if callable(of) else _removed
-        return _with_reason(float(function(table)), statistic_interval(table, function), table)
+            value = float(over / max(under, 1e-12))
+        else:
+            function = of if callable(of) else _removed
+            value, ends = float(function(table)), statistic_interval(table, function)
+        if cube.shape[2] > 1:
+            return Estimate(value, None, "no interval of this statistic counts trainings")
+        return _with_reason(value, ends, table[:, :1])
     (values,) = cube
     if of == "share":
         return share_estimate(values)
@@ -622,7 +628,7 @@ def _removed(table: NDArray[np.float64]) -> float:
 def mean_estimate(values: NDArray[np.float64], least: int = LEAST) -> Estimate:
     """Estimate the mean of values ``(arms, trainings, fruit)``; with fewer arms than ``least`` there is no interval."""
     means = values.mean(axis=2)
-    ends = mean_interval(means[:, 0], least) if means.shape[1] == 1 else crossed_interval(means)
+    ends = mean_interval(means[:, 0], least) if means.shape[1] == 1 else crossed_interval(means, least)
     return _with_reason(float(means.mean()), ends, means, least)
 
 

@@ -244,6 +244,11 @@ def load_experiment(
     if twice := [name for name in parts["units"] if name in parts["factors"] or name in parts["settings"]]:
         raise InputError(f"{path}: '{twice[0]}' is a unit and something else as well; give one of them another name")
     for number in keys.estimate:
+        if taken_names := [name for name in number.by if name in RESERVED]:
+            name = taken_names[0]
+            raise InputError(
+                f"{path}: '{name}' in by of '{number.title}' is what results are called; rename the column"
+            )
         for key in ("across", "x", "panels"):
             if getattr(number, key) not in (None, *number.by):
                 column, names = getattr(number, key), listed(number.by)
@@ -326,6 +331,9 @@ def _origin(function: Callable[..., Any]) -> str:
 
 MADE = ("estimate", "units", "runs", "lost", "sampled")
 """Keys of a row of estimates that are not names of levels."""
+
+RESERVED = (*MADE, "value", "ci95", "no_interval", "lost_ci95", "sampled95", "std", "range")
+"""Names that no column of ``by`` may have: those of the numbers beside the levels, here and in JSON."""
 
 
 def plain_estimates(tables: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:

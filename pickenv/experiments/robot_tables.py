@@ -178,9 +178,11 @@ def points_words(found: Mapping[str, Any]) -> str:
 def gain_cells(bench: Bench) -> list[tuple[str, ...]]:
     """Return the cells of the table of predicted and measured error reductions, line by line."""
     cells: list[tuple[str, ...]] = []
+    folds = bench.settings.folds
+    held_out = HELD if folds == 5 else HELD | {"random": f"{folds} random parts"}
     for gain in bench.gains:
         predicted, measured = gain["predicted_reduction"], gain["measured_reduction"]
-        names = (gain["robot"], HELD[gain["split"]], gain["model"])
+        names = (gain["robot"], held_out[gain["split"]], gain["model"])
         sizes = (f"{gain['before_mm']:.3f}", f"{gain['held_out_mm']:.3f}")
         pairs = ((predicted, gain["predicted_ci95"]), (measured, gain["ci95"]))
         shares = (said(share, ends, 1, 100.0, unit=" %") for share, ends in pairs)

@@ -343,19 +343,27 @@ PROBABILITIES = (0.05, 0.25, 0.5, 0.75, 0.95)
 def held(rows: Sequence[Row], shown: Sequence[str]) -> list[Row]:
     """Return the rows in which every varied column, except those in ``shown``, is at its middle value.
 
-    Rows of raw arms, which have neither poses nor noise, need not be at the middle value of these two columns.
+    The middle grade is one of the middle tolerance class, and the middle noise of attitudes one of the noise of
+    positions. Rows of raw arms, which have neither poses nor noise, need not be at the middle value of these.
     """
-    calibrated = [row for row in rows if row["method"] != study.RAW] or rows
-    middle = {}
     for name in ("tolerances", *VARIED):
-        values = list(dict.fromkeys(row[name] for row in calibrated))
-        middle[name] = values[(len(values) - 1) // 2]
+        if name not in shown:
+            middle = _middle(rows, name)
+            free = name in ("poses", "noise_mm")
+            rows = [row for row in rows if row[name] == middle or (free and row["method"] == study.RAW)]
+    by_position: dict[float, list[Row]] = {}
+    for row in rows:
+        by_position.setdefault(row["noise_mm"], []).append(row)
+    attitude = {noise: _middle(some, "noise_deg") for noise, some in by_position.items()}
+    return [row for row in rows if row["noise_deg"] == attitude[row["noise_mm"]] or row["method"] == study.RAW]
 
-    def fits(row: Row) -> bool:
-        free = ("poses", "noise_mm") if row["method"] == study.RAW else ()
-        return all(row[name] == value for name, value in middle.items() if name not in (*shown, *free))
 
-    return [row for row in rows if fits(row)]
+def _middle(rows: Sequence[Row], name: str) -> Any:
+    """The middle value of a column of calibrated arms, if there are any: of classes in their order, else by size."""
+    calibrated = [row for row in rows if row["method"] != study.RAW] or rows
+    values = list(dict.fromkeys(row[name] for row in calibrated))
+    values = values if name == "tolerances" else sorted(values)
+    return values[(len(values) - 1) // 2] if values else None
 
 
 def yields_of(rows: ds.Dataset, required_share: float) -> pa.Table:

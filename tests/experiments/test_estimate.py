@@ -55,6 +55,39 @@ def test_trainings_and_arms_are_two_crossed_factors():
     assert first["estimate"].ci95 == pytest.approx(crossed_interval(raw.mean(axis=2)))
 
 
+@pytest.mark.parametrize(
+    ("value", "of"),
+    [
+        (("error_mm", "half_mm"), "removed"),
+        (("half_mm", "error_mm"), "ratio"),
+        (("taken", "tried"), "share"),
+        ("error_mm", lambda means: means.mean()),
+    ],
+)
+def test_no_interval_over_arms_alone_is_given_where_trainings_were_asked_for_too(value, of):
+    columns, _ = errors(trainings=6)
+    columns |= {"half_mm": columns["error_mm"] / 2 + 0.1 * columns["training"], "tried": np.ones(len(columns["arm"]))}
+    for row in estimate(columns, value, by=("method",), over=("arm", "training"), of=of):
+        assert row["estimate"].ci95 is None and "counts trainings" in row["estimate"].missing
+    (row, _) = estimate(columns, value, by=("method",), of=of)
+    assert row["estimate"].ci95 is not None
+
+
+@pytest.mark.parametrize("of", ["ratio", "removed"])
+def test_a_statistic_of_two_columns_has_no_interval_for_arms_that_are_equal_not_for_trainings(of):
+    columns = {"arm": np.arange(12), "before": np.full(12, 4.0), "after": np.full(12, 2.0)}
+    (row,) = estimate(columns, ("before", "after"), of=of)
+    assert row["estimate"].ci95 is None and row["estimate"].missing == "all arms are equal"
+
+
+@pytest.mark.parametrize(("arms", "least", "missing"), [(12, 13, "needs 13 arms"), (12, 12, ""), (6, 5, "")])
+def test_the_fewest_arms_are_those_asked_for_beside_trainings_too(arms, least, missing):
+    columns, _ = errors(trainings=6)
+    some = {name: values[columns["arm"] < arms] for name, values in columns.items()}
+    for row in estimate(some, "error_mm", by=("method",), over=("arm", "training"), least=least):
+        assert row["estimate"].missing == missing and (row["estimate"].ci95 is None) == bool(missing)
+
+
 def test_differences_are_paired_by_arm():
     columns, raw = errors()
     (change,) = estimate(columns, "error_mm", by=("method",), against={"method": "raw"})

@@ -195,6 +195,8 @@ SLIPS = {
     ('against = { method = "raw" }', "against = { arm = 3 }"): "against names arm",
     ('against = { method = "raw" }', 'where = { methods = "raw" }'): "no column 'methods' for 'Change",
     ('of = "share"', 'of = "mean"'): "'mean' is of one column",
+    ('by = ["method"]', 'by = ["method", "runs"]'): "'runs' in by of 'Mean error (mm)' is what results are called",
+    ('by = ["method"]', 'by = ["method", "range"]'): "'range' in by of 'Mean error (mm)' is what results are called",
 }
 
 

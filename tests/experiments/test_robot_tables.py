@@ -1,6 +1,7 @@
 """Every cell of the benchmark's tables and every key of its JSON, recomputed from figures that are made up here."""
 
 import re
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -62,7 +63,7 @@ def test_a_gains_row_holds_what_blocks_remove_for_the_demonstration(found):
 
 
 def test_every_cell_is_its_figure(found):
-    split = {"random": "random fifths", "blocks": "blocks"}
+    split = {"random": "3 random parts", "blocks": "blocks"}
     for row, gain in zip(robot_tables.gain_cells(found), found.gains, strict=True):
         assert list(row[:3]) == [gain["robot"], split[gain["split"]], gain["model"]]
         assert list(row[3:5]) == [f"{gain['before_mm']:.3f}", f"{gain['held_out_mm']:.3f}"]
@@ -72,6 +73,12 @@ def test_every_cell_is_its_figure(found):
             assert shown == pytest.approx([100 * value, *(100 * end for end in ends or ())], abs=0.0501)
             assert re.fullmatch(r"\S+ %( \(\S+ to \S+\))?", cell)
         assert float(row[7]) == pytest.approx(100 * (predicted - measured), abs=0.0501) and row[7][0] in "+-"
+
+
+@pytest.mark.parametrize(("folds", "words"), [(2, "2 random parts"), (5, "random fifths")])
+def test_the_table_of_gains_says_into_how_many_parts_the_rows_were_split(found, folds, words):
+    bench = replace(found, settings=replace(found.settings, folds=folds))
+    assert {cells[1] for cells in robot_tables.gain_cells(bench)} == {words, "blocks"}
 
 
 def test_the_sentence_under_the_gains_counts_them(found):

@@ -162,6 +162,12 @@ def test_pages_keep_the_scale(tmp_path: Path) -> None:
         ({"kind": "circles", "columns": 2, "rows": 5, "square_mm": 30}, "charuco, chessboard, apriltags"),
         ({"kind": "chessboard", "columns": 8, "rows": 5, "square": 30}, "square_mm"),
         ({"kind": "chessboard", "columns": 8, "rows": 5, "square_mm": 30, "gap_mm": 9}, "a chessboard has no gaps"),
+        (
+            {"kind": "apriltags", "columns": 5, "rows": 7, "square_mm": 40, "marker_mm": 30, "gap_mm": 10}
+            | {"dictionary": "apriltag_36h11"},
+            "square_mm is the side of its tags",
+        ),
+        ({"kind": "chessboard", "columns": 8, "rows": 5, "square_mm": 30, "marker_mm": 9}, "it has no markers"),
     ],
 )
 def test_bad_boards_are_refused(table: dict[str, Any], words: str) -> None:

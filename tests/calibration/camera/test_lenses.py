@@ -69,6 +69,7 @@ def test_camera_info_is_ross(webcam: Lens, tmp_path: Path) -> None:
         ({"camera_matrix": None}, "'camera_matrix' is missing or holds no numbers"),
         ({"camera_matrix": {"data": [1, 2]}}, "has 2 numbers; it needs 9"),
         ({"camera_matrix": {"data": [0, 0, 1, 0, 1, 1, 0, 0, 1]}}, "focal lengths must be above zero"),
+        ({"camera_matrix": {"data": [600, 0, 0, 0, 600, 0, 320, 240, 1]}}, "is written column by column"),
         ({"distortion_coefficients": {"data": [1, 2]}}, "distortion has 2 coefficients"),
         ({"distortion_coefficients": {"data": [0, 0, 0, 0, 0, 0.3, 0, 0]}}, "distortion has 8 coefficients"),
         ({"distortion_coefficients": {"data": ["x"] * 5}}, "'distortion_coefficients' is missing or holds no numbers"),

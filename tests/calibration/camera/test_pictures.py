@@ -161,6 +161,62 @@ def test_a_table_of_corners_is_the_pictures(ical: Path, tmp_path: Path) -> None:
         read_observations(table, pose_carrier().nominal, layout)
 
 
+FINISHED = """
+[pixels]
+mount = "hand"
+columns = ["u", "v"]
+view = "view"
+corner = "corner"
+[poses]
+columns = ["x", "y", "z"]
+unit = "mm"
+rotation_columns = ["a", "b", "c"]
+rotation_unit = "deg"
+convention = "kuka_abc"
+[board]
+kind = "chessboard"
+columns = 4
+rows = 3
+square_mm = 30
+[camera]
+fx = 600.0
+fy = 600.0
+cx = 320.0
+cy = 240.0
+width = 640
+height = 480
+"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ('rotation_unit = "deg"\n', "", r"rotation_unit of \[poses\] is missing; give one of deg, rad"),
+        ('"deg"', '"rad"', r"row 2, column 'a' is 40 rad, which no rotation needs; its unit is probably deg"),
+        ('["x", "y", "z"]', '["x", "y"]', r"\[poses\] has 2 columns; give three"),
+        ('["x", "y", "z"]', '["x", "y", "y"]', r"'y' is given for column 2 of \[poses\] and for column 3"),
+        ('["a", "b", "c"]', '["a", "b"]', r"convention 'kuka_abc' needs 3 columns, but \[poses\] has 2"),
+        ("kuka_abc", "abb_quaternion", r"convention 'abb_quaternion' needs 4 columns, but \[poses\] has 3"),
+        (
+            '"c"]\nrotation_unit = "deg"\nconvention = "kuka_abc"',
+            '"c", "x"]\nconvention = "abb_quaternion"',
+            "'x' is given",
+        ),
+        (
+            '"c"]\nrotation_unit = "deg"\nconvention = "kuka_abc"',
+            '"c", "w"]\nconvention = "abb_quaternion"',
+            "not of unit",
+        ),
+    ],
+)
+def test_finished_poses_are_checked_as_measured_ones_are(old: str, new: str, words: str, tmp_path: Path) -> None:
+    (tmp_path / "views.csv").write_text("view,corner,u,v,x,y,z,a,b,c,w\n0,0,1,2,300,400,500,40,-20,30,1\n")
+    assert old in FINISHED
+    (tmp_path / "mine.toml").write_text(FINISHED.replace(old, new))
+    with pytest.raises(InputError, match=words):
+        read_observations([tmp_path / "views.csv"], pose_carrier().nominal, tmp_path / "mine.toml")
+
+
 def _pose(path: Path) -> list[float]:
     pairs = dict(line.split(": ") for line in path.read_text().split("\n") if line.strip())
     return [float(pairs[name]) for name in ("x", "y", "z", "qx", "qy", "qz", "qw")]

@@ -232,6 +232,16 @@ def test_ros2_control_reports_where_the_arm_stands(tmp_path, onto):
         assert kept == re.sub(r'\s*<param name="offset">[^<]*</param>', "", CONTROL)
 
 
+def test_a_joint_whose_tag_closes_itself_gets_its_offset_too(tmp_path):
+    own, out = tmp_path / "robot.urdf", tmp_path / "out.urdf"
+    own.write_text(
+        CONTROL.replace('<joint name="elbow_flex"><param name="id">3</param></joint>', '<joint name="elbow_flex" />')
+    )
+    export(zeros_off("so101", np.full(5, 0.02)), out, kind="ros2-control", onto=own)
+    assert ros2_offsets_in(out)["elbow_flex"] == pytest.approx(-0.02)
+    assert all(part.find("param") is None for part in ElementTree.parse(out).getroot().iter("ros2_control"))
+
+
 def test_a_description_without_the_joint_is_refused(tmp_path):
     own = tmp_path / "robot.urdf"
     own.write_text(CONTROL.replace('"wrist_flex"', '"wrist"'))

@@ -268,6 +268,15 @@ def test_faults_of_a_first_measurement_are_named(ur5: Arm) -> None:
             plan_like(ur5, data, given.pop("count"), np.random.default_rng(0), **given)
 
 
+def test_the_curve_begins_with_poses_that_are_enough(ur5: Arm) -> None:
+    """Half of the planned poses would leave the parameters open, with no number for their error."""
+    geometry, read, first = instrument("wire", ur5)
+    data = read(geometry, first, np.random.default_rng(1))
+    plan = plan_like(ur5, data, 12, np.random.default_rng(2), candidates=100, curve=True)
+    assert plan.curve[0][0] == 12  # 12 and the 14 first lengths are one more than the 25 unknowns
+    assert np.isfinite(plan.curve).all()
+
+
 DESCRIPTION = """
 description = "A wire"
 
