@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import json
+from copy import deepcopy
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from pkgutil import resolve_name
@@ -15,8 +17,15 @@ from pickenv.agents.evaluation.reaches import FRUIT, pick_canopies
 from pickenv.agents.policies.learned import LearnedPolicy
 from pickenv.agents.policies.remembering import LSTM, RememberingPolicy
 from pickenv.arm.files.arm import content_sha256
-from pickenv.base import InputError, check_limit, file_sha256, is_there, npz_path, seed_words, stream, versions
-from pickenv.envs import PickVectorEnv, ReachGoalVectorEnv, ReachIdealVectorEnv, ReachToolVectorEnv, ReachVectorEnv
+from pickenv.base import InputError, check_limit, file_sha256, is_there, npz_path, seed_words, shown, stream, versions
+from pickenv.envs import (
+    PickVectorEnv,
+    ReachGoalVectorEnv,
+    ReachIdealVectorEnv,
+    ReachToolVectorEnv,
+    ReachVectorEnv,
+    check_count,
+)
 from pickenv.wrappers import GapScalingVector, SameArmMixture, SameArmVector, Scaling, ToolSteppingVector, tool_steps_of
 
 Native = ReachVectorEnv | PickVectorEnv
@@ -33,7 +42,7 @@ HELD_OUT = 2**62
 
 @dataclass(frozen=True)
 class Training:
-    """Settings of a training.
+    """Settings of a training, in the form that its checkpoints give back: paths are text, and sequences are lists.
 
     Attributes:
         algorithm: One of `pickenv.agents.training.training_setup.ALGORITHMS`; "ppo_lstm" and "ppo_history" learn on
@@ -69,13 +78,17 @@ class Training:
         if self.env_id not in ENVIRONMENTS:
             raise InputError(f"unknown environment '{self.env_id}'; give one of {', '.join(ENVIRONMENTS)}")
         check_limit("seed", self.seed, "seed of training")
-        if self.steps is not None and self.steps < 1:
-            raise InputError(f"steps is {self.steps}; give at least 1")
+        for name, least in (("seed", 0), ("steps", 1), ("checkpoint_every", 1), ("evaluate_every", 1)):
+            if name != "steps" or self.steps is not None:
+                check_count(name, getattr(self, name), least)
+                object.__setattr__(self, name, int(getattr(self, name)))
+        for name in ("compensate", "allow", "arguments", "parameters"):
+            object.__setattr__(self, name, _stored(name, getattr(self, name)))
 
     @property
     def chosen(self) -> dict[str, Any]:
         """Tuned hyperparameters, overridden by the attribute ``parameters``."""
-        return tuned(self.algorithm, self.env_id) | self.parameters
+        return tuned(self.algorithm, self.env_id) | deepcopy(self.parameters)  # stable-baselines3 adds to them
 
     @property
     def wrapper(self) -> tuple[str | None, dict[str, Any]]:
@@ -97,6 +110,23 @@ class Training:
     def total(self) -> int:
         """Total number of environment steps."""
         return self.steps or int(self.chosen["n_timesteps"])
+
+
+def _stored(name: str, value: Any) -> Any:
+    """Return a setting as a checkpoint gives it back.
+
+    Raises:
+        InputError: If a checkpoint cannot hold it.
+    """
+
+    def plain(part: Any) -> Any:
+        if isinstance(part, np.generic | np.ndarray):
+            return part.tolist()
+        if isinstance(part, Path):
+            return str(part)
+        raise InputError(f"{name} of a training holds {shown(part)}; give text, numbers, lists and dictionaries")
+
+    return json.loads(json.dumps(value, default=plain))
 
 
 Inputs = dict[str, str | None]
@@ -220,7 +250,8 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
         The Stable-Baselines3 model and its environments.
 
     Raises:
-        InputError: If the algorithm is "ppo" and the observations are goal observations.
+        InputError: If the algorithm is "ppo" and the observations are goal observations, or a memory has several
+            layers, of which a policy file would hold the first alone.
     """
     from sb3_contrib import TQC, RecurrentPPO
     from stable_baselines3 import PPO, SAC, HerReplayBuffer
@@ -230,6 +261,8 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
     parameters, remembering, settings = training.chosen, training.remembering, training.wrapper[1]
     for key in ("n_timesteps", "env_kwargs", "env_wrapper"):
         parameters.pop(key, None)
+    if (layers := parameters["policy_kwargs"].get("n_lstm_layers", 1)) != 1:
+        raise InputError(f"n_lstm_layers is {layers}; give 1, as a policy's file holds one layer of its memory")
     count, make = int(parameters.pop("n_envs")), make_environment if remembering is None else make_runs
     inner: Any = make(training, count, "SameStep")
     logs = str(out / "logs") if out is not None and is_there("tensorboard") else None
@@ -301,9 +334,9 @@ def judge(policy: LearnedPolicy | RememberingPolicy, training: Training) -> dict
 
     Returns:
         For reaching: "mean_mm" and "p95_mm", mean and 95th percentile of the final position error, and "success_rate".
-        They are taken over 256 episodes, or over all picks of 256 arms for a policy with a memory. For picking: mean
-        numbers of fruit per canopy, over 16 canopies, under the names "collected", "damaged", "attempted" and
-        "reachable".
+        They are taken over 256 episodes (of 60 steps if the environment's have no limit), or over all picks of 256 arms
+        for a policy with a memory. For picking: mean numbers of fruit per canopy, over 16 canopies, under the names
+        "collected", "damaged", "attempted" and "reachable".
     """
     if training.env_id == "pickenv/Pick-v0" and isinstance(policy, LearnedPolicy):
         envs: Any = make_environment(training, 16, "NextStep")
@@ -313,11 +346,14 @@ def judge(policy: LearnedPolicy | RememberingPolicy, training: Training) -> dict
         outcome = _picked(policy, make_runs(training, 256, "Disabled"))
         error, success = outcome["position_error_mm"], outcome["is_success"]
     else:
-        env: Any = make_environment(training, 256, "Disabled")
+        env: Any = make_environment(training, 256, "NextStep")
         observation, infos = env.reset(seed=HELD_OUT)
-        for _ in range(60):
-            observation, _, _, _, infos = env.step(policy.act(observation))
-        error, success = infos["position_error_mm"], infos["is_success"]
+        error, success, over = np.zeros(256), np.zeros(256), np.zeros(256, dtype=np.bool_)
+        for _ in range(env.max_episode_steps or 60):
+            observation, _, terminated, truncated, infos = env.step(policy.act(observation))
+            error = np.where(over, error, infos["position_error_mm"])
+            success = np.where(over, success, infos["is_success"])
+            over |= terminated | truncated
     numbers = {"mean_mm": error.mean(), "p95_mm": np.percentile(error, 95), "success_rate": success.mean()}
     return {name: float(number) for name, number in numbers.items()}
 

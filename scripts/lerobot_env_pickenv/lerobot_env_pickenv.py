@@ -150,11 +150,13 @@ class PickenvEnv(EnvConfig):
         return {**chosen, **timing, "render_mode": "rgb_array", **self.arguments}
 
     def make_one(self) -> gymnasium.Env[Any, Any]:
-        """One environment, with the calibration in between."""
+        """One environment, with the calibration in between; raises `InputError` if that is of another arm."""
         env = gymnasium.make(self.gym_id, disable_env_checker=self.disable_env_checker, **self.gym_kwargs)
         if self.calibration is None:
             return env
-        return CompensationWrapper(env, pickenv.Calibration.load(self.calibration).compensator(), self.allow)
+        inner: Any = env.unwrapped
+        calibration = pickenv.Calibration.load(self.calibration, inner.plant.arm)
+        return CompensationWrapper(env, calibration.compensator(), self.allow)
 
     def create_envs(self, n_envs: int, use_async_envs: bool = False) -> dict[str, dict[int, Any]]:
         """The vector of ``n_envs`` environments, as LeRobot wants it: each begins anew in the step that ends it."""

@@ -37,6 +37,12 @@ def small(algorithm: str, **changes) -> Training:
     return Training(algorithm, seed=1, parameters=FEW, arguments={"population": 6}, **changes)
 
 
+def test_a_memory_of_several_layers_is_refused_as_a_file_holds_one() -> None:
+    kwargs = {"n_lstm_layers": 2, "shared_lstm": True, "enable_critic_lstm": False}
+    with pytest.raises(InputError, match="n_lstm_layers is 2; give 1"):
+        make_model(Training("ppo_lstm", parameters=FEW | {"policy_kwargs": kwargs}))
+
+
 @pytest.mark.parametrize("window", [1, 3])
 def test_a_run_is_the_same_alone_and_beside_others(window: int) -> None:
     envs, rng = vector(3, picks=4, window=window, looks=2), np.random.default_rng(0)

@@ -1,6 +1,7 @@
 """Training: one seed gives one set of weights, interrupted or not; bad input ends with one sentence."""
 
 import dataclasses
+import json
 import os
 import signal
 import subprocess
@@ -11,7 +12,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from pickenv.agents import Training, load_policy, make_model, read_checkpoint, resumed, train, tuned
+from pickenv.agents import Training, actor_of, load_policy, make_model, read_checkpoint, resumed, train, tuned
+from pickenv.agents.training.training_setup import judge
 from pickenv.arm import load_plant
 from pickenv.base import InputError
 from pickenv.calibration import Calibration, fit, random_joints, simulated_tracker
@@ -170,7 +172,10 @@ def refusals(short, tmp_path):
     (tmp_path / "text" / "checkpoint.pt").write_text("not a checkpoint")
     yield (lambda: Training("dqn"), "unknown algorithm 'dqn'; give one of ppo, sac, tqc")
     yield (lambda: Training("ppo", "CartPole-v1"), "unknown environment 'CartPole-v1'; give one of")
-    yield (lambda: Training("ppo", steps=0), "steps is 0; give at least 1")
+    yield (lambda: Training("ppo", steps=0), "steps is 0; give a whole number of at least 1")
+    yield (lambda: Training("ppo", steps=1e5), "steps is 100000.0; give a whole number")
+    yield (lambda: Training("ppo", evaluate_every=0), "evaluate_every is 0; give a whole number of at least 1")
+    yield (lambda: Training("ppo", parameters={"learning_rate": abs}), "parameters of a training holds <built-in")
     yield (lambda: train(short(), tmp_path / "none", resume=True), "no checkpoint .* without `resume`")
     yield (lambda: train(short(), tmp_path / "half", resume=True), "checkpoint .* is (damaged|not a checkpoint)")
     yield (lambda: train(short(), tmp_path / "text", resume=True), "checkpoint")
@@ -183,6 +188,35 @@ def test_bad_input_ends_with_one_sentence(short, tmp_path):
         with pytest.raises(InputError, match=message) as caught:
             attempt()
         assert "\n" not in str(caught.value)
+
+
+def test_a_training_is_what_its_checkpoint_gives_back():
+    given = {"joint_noise": (0.0, 0.1), "latency": np.int64(1), "without": ()}
+    kwargs = {"net_arch": (8,)}
+    training = Training(
+        "sac",
+        "pickenv/ReachGoal-v0",
+        np.int64(9),
+        compensate=Path("arm.npz"),
+        arguments=given,
+        parameters={"policy_kwargs": kwargs},
+    )
+    before = dataclasses.asdict(training)
+    assert before == json.loads(json.dumps(before)) and before["compensate"] == "arm.npz"
+    make_model(dataclasses.replace(training, compensate=None))
+    assert dataclasses.asdict(training) == before and kwargs == {"net_arch": (8,)}
+
+
+@pytest.mark.parametrize(
+    "limits", [{"max_episode_steps": 3}, {"end_on_success": True, "tolerance_mm": 1e4, "angle_tolerance_deg": 180.0}]
+)
+def test_a_policy_is_judged_where_its_episodes_end(short, limits):
+    training = short(arguments={"plant": "ideal"} | limits)
+    model, env = make_model(training)
+    found = judge(actor_of(model, training, env), training)
+    whole = judge(actor_of(model, training, env), short(arguments={"plant": "ideal"}))
+    assert found["mean_mm"] != whole["mean_mm"]
+    assert found["success_rate"] == float("end_on_success" in limits)
 
 
 def test_a_cut_checkpoint_is_refused(short, tmp_path):

@@ -296,6 +296,7 @@ def test_mistakes_are_told_in_a_sentence(calibration: Path, tmp_path: Path) -> N
         "the unit is 'range'; give one of deg, rad": lambda: plugin.CompensationStep(str(calibration), unit="range"),
         "is of 5 joints, not 2": lambda: plugin.CompensationStep(str(calibration), joints=["pan", "lift"]),
         "do not use (too few rows)": lambda: plugin.CompensationStep(str(tmp_path / "bad.npz")),
+        "belongs to arm 'so101'": plugin.PickenvEnv(plant="ideal:ur5e", calibration=str(calibration)).make_one,
         "none.npz does not exist": lambda: plugin.CompensationStep(str(tmp_path / "none.npz")),
         "obs_type is 'state'; LeRobot takes one of pixels_agent_pos, pixels": lambda: plugin.PickenvEnv(
             obs_type="state"

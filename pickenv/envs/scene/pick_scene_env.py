@@ -180,6 +180,7 @@ class PickSceneEnv(ReachEnv):
         """See the class for the arguments; raises `InputError` for values that are not allowed."""
         if useless := [name for name in WITHOUT_USE if name in arguments]:
             raise InputError(f"{useless[0]} has no effect where success is a picked fruit; leave it out")
+        check_choice("executor", arguments.pop("executor", "floats"), ("floats",))
         check_choice("obs_type", obs_type, OBSERVATIONS)
         for name, count, least in (("fruit", fruit, 1), ("leaves", leaves, 0), ("pixels", pixels, SMALLEST)):
             check_count(name, count, least)

@@ -345,3 +345,9 @@ def test_a_place_that_the_arm_does_not_reach_is_refused():
 def test_what_would_have_no_effect_is_refused(given):
     with pytest.raises(InputError, match=f"^{next(iter(given))} has no effect"):
         made(**given)
+
+
+def test_another_executor_is_refused_in_one_sentence():
+    assert made(executor="floats").action_space.shape == (7,)
+    with pytest.raises(InputError, match="executor is 'numpy'; give one of floats"):
+        made(executor="numpy")
