@@ -120,7 +120,7 @@ def datasets(
     if episodes is not None:
         check_count("episodes", episodes)
         check_limit("episodes", episodes, "episodes")
-    require("minari")
+    require("minari", "h5py")
     out, report = Path(out), progress or (lambda name, done, total: None)
     with locked(out):
         return [_kept_or_made(out, task, quality, episodes, seed, report) for task in tasks for quality in qualities]

@@ -24,7 +24,7 @@ EXTRAS: Mapping[str, tuple[str, ...]] = {
     "study": ("pyarrow", "joblib", "pandas"),
     "harvest": ("skimage", "ortools", "pettingzoo"),
     "export": ("onnx",),
-    "data": ("minari",),
+    "data": ("minari", "h5py"),
     "compiled": ("llvmlite",),
 }
 """The modules that each extra brings, by the extra's name."""

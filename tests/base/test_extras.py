@@ -117,6 +117,7 @@ def test_a_missing_package_is_one_sentence_with_the_command_that_installs_it(
         pytest.param(("rerun",), ("inspect", "errors.rrd"), marks=pytest.mark.slow),
         pytest.param(("matplotlib",), ("board", "charuco_a4", "--out", "board.pdf"), marks=pytest.mark.slow),
         (("minari",), ("datasets", "--out", "sets")),
+        (("h5py",), ("datasets", "--out", "sets")),
     ],
 )
 def test_a_command_says_so_and_ends_as_after_bad_input(
