@@ -10,7 +10,6 @@ import pytest
 from pickenv.arm import PLANTS, TOLERANCES
 from pickenv.base import InputError
 from pickenv.experiments import load_study
-from pickenv.experiments.study_rows import held
 
 ROOT = Path(__file__).parents[2]
 
@@ -38,34 +37,6 @@ def test_settings_are_the_product_and_an_arm_without_calibration_has_no_poses(st
 def test_without_grades_the_class_has_its_own(study_file):
     settings = load_study(study_file(("it_grades = [8, 14]\n", ""))).settings()
     assert {setting.it_grade for setting in settings} == {12}
-
-
-TRACKERS = ", ".join(f"{{ position_mm = 0.015, attitude_deg = {deg} }}" for deg in (0.01, 0.02, 0.03))
-
-
-@pytest.mark.parametrize(
-    ("changes", "middle"),
-    [
-        # Cobots and coarse arms share a grade, so that the middle grade is not that of the middle class.
-        ([('"medium"', '"cobot", "medium", "coarse"'), ("it_grades = [8, 14]\n", "")], ("medium", 12, 12, 0.012)),
-        ([("poses = [12, 20]", "poses = [60, 15, 30]")], ("medium", 8, 30, 0.012)),
-        ([("{ position_mm = 0.015, attitude_deg = 0.012 }", TRACKERS)], ("medium", 8, 12, 0.02)),
-    ],
-)
-def test_one_setting_of_each_method_has_the_middle_values(study_file, changes, middle):
-    settings = [setting.columns() for setting in load_study(study_file(*changes)).settings()]
-    raw, ls = held(settings, ("method",))
-    assert (raw["method"], ls["method"]) == ("raw", "ls")
-    assert tuple(ls[name] for name in ("tolerances", "it_grade", "poses", "noise_deg")) == middle
-    assert tuple(raw[name] for name in ("tolerances", "it_grade")) == middle[:2]
-
-
-def test_lines_along_the_trackers_noise_have_one_setting_at_each_noise(study_file):
-    trackers = TRACKERS + ", { position_mm = 0.1, attitude_deg = 0.05 }"
-    config = load_study(study_file(("{ position_mm = 0.015, attitude_deg = 0.012 }", trackers)))
-    shown = held([setting.columns() for setting in config.settings()], ("method", "noise_mm"))
-    calibrated = [(row["noise_mm"], row["noise_deg"]) for row in shown if row["method"] == "ls"]
-    assert calibrated == [(0.015, 0.02), (0.1, 0.05)]
 
 
 @pytest.mark.parametrize(("arms", "chunk"), [(12, 5), (12, 12), (12, 50), (1, 1), (13, 4)])

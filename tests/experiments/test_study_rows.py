@@ -20,6 +20,7 @@ from pickenv.experiments.study import (
     figures,
     reach_status,
 )
+from pickenv.experiments.study_rows import held
 
 
 def rows(config):
@@ -297,3 +298,31 @@ def test_an_arm_may_miss_as_many_fruit_as_the_required_share_leaves(config):
     assert (config.fruit, config.share) == (8, 0.75)
     assert reach_status(2, config) == OK
     assert reach_status(3, config).startswith("3 of 8 fruit are out of this arm's reach")
+
+
+TRACKERS = ", ".join(f"{{ position_mm = 0.015, attitude_deg = {deg} }}" for deg in (0.01, 0.02, 0.03))
+
+
+@pytest.mark.parametrize(
+    ("changes", "middle"),
+    [
+        # Cobots and coarse arms share a grade, so that the middle grade is not that of the middle class.
+        ([('"medium"', '"cobot", "medium", "coarse"'), ("it_grades = [8, 14]\n", "")], ("medium", 12, 12, 0.012)),
+        ([("poses = [12, 20]", "poses = [60, 15, 30]")], ("medium", 8, 30, 0.012)),
+        ([("{ position_mm = 0.015, attitude_deg = 0.012 }", TRACKERS)], ("medium", 8, 12, 0.02)),
+    ],
+)
+def test_one_setting_of_each_method_has_the_middle_values(study_file, changes, middle):
+    settings = [setting.columns() for setting in load_study(study_file(*changes)).settings()]
+    raw, ls = held(settings, ("method",))
+    assert (raw["method"], ls["method"]) == ("raw", "ls")
+    assert tuple(ls[name] for name in ("tolerances", "it_grade", "poses", "noise_deg")) == middle
+    assert tuple(raw[name] for name in ("tolerances", "it_grade")) == middle[:2]
+
+
+def test_lines_along_the_trackers_noise_have_one_setting_at_each_noise(study_file):
+    trackers = TRACKERS + ", { position_mm = 0.1, attitude_deg = 0.05 }"
+    config = load_study(study_file(("{ position_mm = 0.015, attitude_deg = 0.012 }", trackers)))
+    shown = held([setting.columns() for setting in config.settings()], ("method", "noise_mm"))
+    calibrated = [(row["noise_mm"], row["noise_deg"]) for row in shown if row["method"] == "ls"]
+    assert calibrated == [(0.015, 0.02), (0.1, 0.05)]
