@@ -45,6 +45,7 @@ from .model.arm_model import (
     frames_model as frames_model,
     link_model as link_model,
     pose_carrier as pose_carrier,
+    weight_of as weight_of,
     with_terms as with_terms,
 )
 from .model.kinds import (
@@ -78,6 +79,7 @@ from .pipeline.fitting import (
     fit as fit,
     fit_remainder as fit_remainder,
     lens_of as lens_of,
+    missed_by as missed_by,
 )
 from .pipeline.measured_cycles import measured_iso9283 as measured_iso9283
 from .pipeline.result import Result as Result, assess as assess, workspace_joints as workspace_joints

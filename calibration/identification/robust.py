@@ -17,11 +17,17 @@ from scipy.special import gammaincinv
 from pickenv.arm import Arm, Array, Geometry, Pose, identity_pose, rotation_matrix, rotation_vector
 from pickenv.base import InputError, single_threaded
 from pickenv.calibration.identification.least_squares import Identification, identify, unknowns_of
-from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, fitted_model, frames_model
+from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, fitted_model, frames_model, weight_of, with_terms
 from pickenv.calibration.model.kinds import ReflectorObservations
 from pickenv.calibration.model.measurements import OWN, InstrumentStation, Measurements, Stacked, rows_together
 from pickenv.calibration.model.noise import counted
-from pickenv.calibration.model.observations import Observations, equally_spaced, nearest_rotation, origins_of
+from pickenv.calibration.model.observations import (
+    Observations,
+    equally_spaced,
+    nearest_rotation,
+    origins_of,
+    pose_count,
+)
 
 # Base and tool pose from anywhere: closed-form starts, then least squares, and the refusal of what is no such arm.
 # Positions p = t + R (o + Q u), with the chain's own o and Q, are linear in R^T, R^T t and the tool offset u once
@@ -367,6 +373,9 @@ within one set-up."""
 ROBUST_ROWS = 2000
 """Largest number of rows of the robust fit, equally spaced; all rows are judged by this fit."""
 
+ENOUGH_FOR_WEIGHT = 40
+"""Smallest number of poses with which a robust fit has compliances under the weight of known masses."""
+
 SPARE = 3
 """Least ratio of equations to parameters at which the arm's geometry is fitted too; below it only frames are fitted."""
 
@@ -410,6 +419,9 @@ def robust_frames(arm: Arm, data: Observations) -> Geometry:
 def robust_fit(arm: Arm, data: Observations, known: bool = False) -> tuple[Identification, Sizes]:
     """Identify the geometry from the rows that agree with each other; the result is deterministic.
 
+    If the arm's masses are known, the joints yield under their weight: else the rows with the largest torques would
+    seem far off.
+
     Args:
         arm: The arm.
         data: The rows.
@@ -419,8 +431,12 @@ def robust_fit(arm: Arm, data: Observations, known: bool = False) -> tuple[Ident
         InputError: If there are too few rows, or no majority agrees.
     """
     data = data.select(equally_spaced(len(data.joints), ROBUST_ROWS))
-    start = arm.nominal if known else robust_frames(arm, data)
-    return robust_identify(fitted_model(arm.name, arm.nominal, known), start, data)
+    start = ArmModel.of(arm.nominal if known else robust_frames(arm, data))
+    model = fitted_model(arm.name, arm.nominal, known)
+    if arm.load is not None and pose_count(data.joints) >= ENOUGH_FOR_WEIGHT:
+        start = ArmModel.of(start.geometry, (weight_of(arm.nominal).with_masses(arm.nominal, arm.load),))
+        model = with_terms(model, start)
+    return robust_identify(model, start, data)
 
 
 def stations_of(arm: Arm, data: Sequence[Observations], own: Collection[str]) -> Stacked:

@@ -19,7 +19,7 @@ from pickenv.arm import Arm, Array, Geometry
 from pickenv.base import InputError
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.model.arm_model import ArmModel, GravityTerm, OrderTerm, PeriodicTerm, Term, ThermalTerm
+from pickenv.calibration.model.arm_model import ArmModel, OrderTerm, PeriodicTerm, Term, ThermalTerm, weight_of
 from pickenv.calibration.model.noise import counted
 from pickenv.calibration.model.observations import Observations, contiguous_folds, equally_spaced, same_poses
 from pickenv.calibration.model.prior import expected_sizes, prior_model
@@ -436,10 +436,10 @@ def terms_of(names: str, arm: Arm, bare: Identification, observations: Observati
             raise InputError(f"terms '{names}' name {name} more than once; name each term once")
         if name not in NAMES:
             raise InputError(f"unknown terms '{name}'; give auto, none, or some of {', '.join(NAMES)} joined by +")
-        if name == "compliance" and observations.conditions.torque is None:
+        if name == "compliance" and not _torques_known(arm, observations):
             raise InputError(
-                f"{observations.source}: compliance needs the joints' measured torques; name their columns in "
-                "[conditions.torques], or give `terms='gravity'`"
+                f"{observations.source}: compliance needs the joints' measured torques, or the masses of the arm's "
+                "links; name columns in [conditions.torques], give a file with masses, or `terms='gravity'`"
             )
     if "periodic" not in requested:
         return tuple(plain_term(name, arm, observations) for name in requested)
@@ -449,20 +449,24 @@ def terms_of(names: str, arm: Arm, bare: Identification, observations: Observati
 def plain_term(name: str, arm: Arm, observations: Observations) -> Term:
     """Return the term of this name; "periodic" has all candidate harmonics.
 
-    For "gravity", the nominal base defines which direction is up.
+    "compliance" takes measured torques, or else the weight of the arm's masses.
     """
     geometry = arm.nominal
     if name == "periodic":
         return every_order(geometry)
     if name == "thermal":
         return ThermalTerm()
-    up = geometry.base.rotation.T @ np.array([0.0, 0.0, 1.0])
     payload = observations.conditions.payload
-    varied = payload is not None and float(np.ptp(payload)) > 0
-    weight = GravityTerm(tuple(range(geometry.joints)), (float(up[0]), float(up[1]), float(up[2])), varied)
+    weight = weight_of(geometry, payload is not None and float(np.ptp(payload)) > 0)
     if name == "gravity":
         return weight
+    if observations.conditions.torque is None and arm.load is not None:
+        return weight.with_masses(geometry, arm.load)
     return weight.weighed(geometry, observations.joints, observations.conditions)
+
+
+def _torques_known(arm: Arm, observations: Observations) -> bool:
+    return observations.conditions.torque is not None or arm.load is not None
 
 
 @dataclass(frozen=True, eq=False)
@@ -490,7 +494,7 @@ class _Trial:
         """A trial of the named terms, or of all terms whose conditions the data have."""
         data = observations.select(equally_spaced(len(observations.joints), ROWS))
         if names is None:
-            missing = {"compliance": data.conditions.torque is None, "thermal": data.conditions.temperature is None}
+            missing = {"compliance": not _torques_known(arm, data), "thermal": data.conditions.temperature is None}
             names = tuple(name for name in NAMES if not missing.get(name))
         folds = [fold for _, fold in contiguous_folds(data.groups, same_poses(data.joints), FOLDS)]
         every = counted(data.joints)

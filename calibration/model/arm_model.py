@@ -16,9 +16,19 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm import Arm, Array, Geometry, Pose, displace_pose, identity_pose, joint_jacobian, parameter_jacobian
+from pickenv.arm import (
+    Arm,
+    Array,
+    Geometry,
+    Load,
+    Pose,
+    displace_pose,
+    identity_pose,
+    joint_jacobian,
+    parameter_jacobian,
+)
 from pickenv.arm.kinematics.forward import NEARLY_PARALLEL, attach, chain_of, forward, frames, split_joints
-from pickenv.base import InputError
+from pickenv.base import GRAVITY, InputError
 
 
 @dataclass(frozen=True, eq=False)
@@ -219,12 +229,12 @@ class ComplianceTerm(JointTerm):
     """Joint compliance: deflection dq = c tau under torque tau, with c = 1/k per joint (rad/(N*m) or m/N).
 
     The torque is the measured one if the data contain torques. Otherwise it is the gravity torque from ``moments``, the
-    links' masses and first moments as fitted to measured torques.
+    links' masses and first moments times g. These are fitted to measured torques, or are those of the arm's file.
 
     Attributes:
         joints: Indices of the compliant joints, from 0.
         weight: The gravity term that defines the moments; None without moments.
-        moments: Value of each moment ``(k,)``, fitted to measured torques by `GravityTerm.weighed`.
+        moments: Value of each moment ``(k,)``, N or N*m, from `GravityTerm.weighed` or `GravityTerm.with_masses`.
     """
 
     joints: tuple[int, ...]
@@ -448,6 +458,39 @@ class GravityTerm(JointTerm):
         for i in self.joints:
             moments[owners == i] = np.linalg.lstsq(columns[:, owners == i], conditions.torque[:, i], rcond=SHOWN)[0]
         return ComplianceTerm(self.joints, self, tuple(moments.tolist()))
+
+    def with_masses(self, geometry: Geometry, load: Load) -> ComplianceTerm:
+        """Return a compliance term for these joints under the weight of known masses.
+
+        Args:
+            geometry: The arm.
+            load: Its masses, one entry per link.
+        """
+        moments = []
+        for i, j, moment in self.moments(geometry):
+            driven = [link for link, _ in geometry.links_of(i)]
+            if moment == "p":
+                value = 1.0
+            elif moment != "m":
+                value = load.mass[j] * load.centre[j]["xyz".index(moment)]
+            elif all(geometry.slides[link] for link in driven):  # all that it carries, and the next slide does not
+                last = [max((k for k in driven if geometry.carries(k, o)), default=-1) for o in range(geometry.links)]
+                value = sum(mass for mass, link in zip(load.mass, last, strict=True) if link == j)
+            else:
+                value = load.mass[j]
+            moments.append(GRAVITY * value)
+        return ComplianceTerm(self.joints, self, tuple(moments))
+
+
+def weight_of(geometry: Geometry, payload: bool = False) -> GravityTerm:
+    """Return the gravity term of all joints; the base of ``geometry`` defines which direction is up.
+
+    Args:
+        geometry: The arm.
+        payload: Whether the payload has coefficients of its own.
+    """
+    up = geometry.base.rotation.T @ np.array([0.0, 0.0, 1.0])
+    return GravityTerm(tuple(range(geometry.joints)), (float(up[0]), float(up[1]), float(up[2])), payload)
 
 
 @lru_cache(maxsize=16)  # asked for at every step of a corrected arm

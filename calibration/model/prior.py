@@ -95,6 +95,7 @@ class PriorModel:
         group: The group of each parameter: `FRAMES`, one of `MADE`, or `TERMS`.
         source: Origin, in words, of the prior widths of joint zeros, lengths and angles.
         scales: Known factors on the widths, by group; missing factors are estimated from the rows.
+        stated: The groups whose factors were stated, so that a fit with further terms does not estimate them again.
     """
 
     parameters: ErrorModel
@@ -103,6 +104,7 @@ class PriorModel:
     group: NDArray[np.str_]
     source: str
     scales: Mapping[str, float] = field(default_factory=dict)
+    stated: tuple[str, ...] = ()
 
     @property
     def proper(self) -> bool:
@@ -125,14 +127,19 @@ class PriorModel:
         return replace(self, parameters=self.parameters.some(further), std=self.std[further], group=self.group[further])
 
     def with_terms(self, terms: tuple[Term, ...]) -> PriorModel:
-        """Return this model with further terms, whose coefficients are expected at zero."""
+        """Return this model with further terms, whose coefficients are expected at zero.
+
+        Factors on widths that were estimated without the terms are left out: what the terms explain made the rows
+        look noisy, and the parts more accurate than they are.
+        """
         if not terms:
             return self
+        scales = {name: scale for name, scale in self.scales.items() if name in self.stated}
         start = ArmModel.of(self.start.geometry, terms)
         parameters = arm_model.with_terms(self.parameters, start)
         std = np.r_[self.std, expected_sizes(start) * start.term_tolerances]
         group = np.r_[self.group, np.full(len(std) - len(self.std), TERMS)]
-        return replace(self, parameters=parameters, start=start, std=std, group=group)
+        return replace(self, parameters=parameters, start=start, std=std, group=group, scales=scales)
 
 
 def prior_model(
@@ -174,7 +181,7 @@ def prior_model(
     angle = geometry.parameter_is_angle[parameters.columns]
     std = np.where(group == FRAMES, np.where(angle, FRAME_STD[1], FRAME_STD[0]), std)
     scales = {} if scale is None else dict.fromkeys(MADE, scale)
-    return PriorModel(parameters, start, std, group, f"tolerance class {expected.name}", scales)
+    return PriorModel(parameters, start, std, group, f"tolerance class {expected.name}", scales, tuple(scales))
 
 
 def expected_sizes(model: ArmModel) -> Array:

@@ -10,13 +10,11 @@ from .effects.effect import (
     TOOL as TOOL,
     Components as Components,
     Effect as Effect,
-    Load as Load,
     Passage as Passage,
     gravity_torques as gravity_torques,
 )
-from .files.arm import Arm as Arm, content_sha256 as content_sha256
+from .files.arm import PER_JOINT as PER_JOINT, Arm as Arm, Load as Load, content_sha256 as content_sha256
 from .files.arm_file import ARMS as ARMS, load_arm as load_arm, shipped_arms as shipped_arms
-from .files.joint_keys import PER_JOINT as PER_JOINT
 from .files.mjcf import mjcf_text as mjcf_text
 from .files.model_arm import (
     ModelArm as ModelArm,

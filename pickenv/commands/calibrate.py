@@ -31,6 +31,7 @@ def calibrate(
     prior_scale: Annotated[float | None, Option(min=1e-3, max=1e3)] = None,
     workspace: str | None = None,
     terms: str = "auto",
+    payload: Annotated[tuple[float, float, float, float] | None, Option(metavar="KG X Y Z")] = None,
     residual: Annotated[str, Option(metavar="NAME")] = "auto",
     force: Annotated[bool, Option("--force")] = False,
     robust: Annotated[bool, Option("--robust/--no-robust")] = True,
@@ -66,8 +67,11 @@ def calibrate(
         prior_scale: Factor on the class's tolerances; estimated from the rows if left out.
         workspace: Where the arm will work: a file of targets, or ranges such as q1=-90:90,x=300:900 (deg, mm); the
             joint limits if left out.
-        terms: Parametric terms: auto, none, or compliance (of joints whose torques were measured), gravity (the arm's
-            own weight), periodic (harmonics of the drives, of orders that the data show), thermal joined by +.
+        terms: Parametric terms: auto, none, or compliance (under measured torques, or the masses in the arm's file),
+            gravity (the arm's own weight, masses unknown), periodic (harmonics of the drives, of orders that the data
+            show), thermal joined by +.
+        payload: Mass at the tool in all rows, kg, and its centre in the tool's frame, mm, for the compliance under the
+            masses in the arm's file.
         residual: Residual model: auto (the best of ours, if it wins in cross-validation), none, {residual}.
         force: Use the named residual model also if it does not win in cross-validation.
         robust: List outliers, held out or not, and leave them out (--robust) or keep them (--no-robust).
@@ -103,9 +107,14 @@ def calibrate(
     if report is not None or run is not None:
         require("jinja2", "matplotlib", "plotly")  # said now, and not after the work
     choices = pickenv.Choices(**fields_among(pickenv.Choices, typed))
+    robot: str | pickenv.arm.Arm | None = arm
+    if payload is not None:
+        if arm is None or not {"auto", "compliance"} & set(terms.split("+")):
+            raise pickenv.InputError("--payload is for an arm whose joints yield; give --arm, and --terms compliance")
+        robot = pickenv.load_arm(arm, whole=True).holding(payload[0], [1e-3 * length for length in payload[1:]])
     with progress_bars() as progress:
         result = pickenv.calibrate(
-            arm,
+            robot,
             files,
             columns=columns,
             stations=stations,

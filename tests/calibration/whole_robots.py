@@ -93,9 +93,10 @@ class Robot:
             xyz = " ".join(map(repr, joint.origin[:3, 3].tolist()))
             rpy = " ".join(map(repr, Rotation.from_matrix(joint.origin[:3, :3]).as_euler("xyz").tolist()))
             axis = " ".join(map(str, joint.axis.tolist()))
+            mass = self.masses.get(joint.child, 1e-6)
             inertia = '<inertia ixx="1" iyy="1" izz="1" ixy="0" ixz="0" iyz="0"/>'
             text += [
-                f'<link name="{joint.child}"><inertial><mass value="1"/>{inertia}</inertial></link>',
+                f'<link name="{joint.child}"><inertial><mass value="{mass}"/>{inertia}</inertial></link>',
                 f'<joint name="{joint.name}" type="{joint.kind}"><parent link="{joint.parent}"/>',
                 f'<child link="{joint.child}"/><origin xyz="{xyz}" rpy="{rpy}"/><axis xyz="{axis}"/>',
                 '<limit lower="-1.5" upper="1.5" velocity="1" effort="1"/></joint>',

@@ -8,7 +8,8 @@ from types import ModuleType
 from typing import Annotated, Any
 
 from pickenv.arm.effects.effect import BESIDE, JOINT, MOTOR, Components, Draws, Effect, Passage
-from pickenv.arm.files.joint_keys import PER_JOINT, joint_table
+from pickenv.arm.files.arm import PER_JOINT
+from pickenv.arm.files.joint_keys import joint_table
 from pickenv.arm.kinematics.backend import exponential, nearest_whole
 from pickenv.arm.kinematics.forward import Frame, Scalar, frames
 from pickenv.arm.kinematics.pose_error import displaced_frame

@@ -12,16 +12,15 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
 from types import ModuleType
-from typing import Annotated, Any, ClassVar, Self, cast
+from typing import Any, ClassVar, Self, cast
 
 import numpy as np
 from scipy.special import ndtri
 
-from pickenv.arm.files.arm import Arm
-from pickenv.arm.files.joint_keys import PER_JOINT
+from pickenv.arm.files.arm import Arm, Load
 from pickenv.arm.kinematics.forward import Chain, Flexure, Frame, Scalar, attach, frames, tool_frame
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.base import GRAVITY, KG, MM, InputError, registry, toml_table
+from pickenv.base import GRAVITY, InputError, registry
 
 MOTOR, DRIVE, GEAR, JOINT, BEND, BASE, TOOL, BESIDE = (float(place) for place in range(8))
 """Places where an effect acts, in order from the motors to the tool.
@@ -35,21 +34,6 @@ Components = tuple[Scalar, ...]
 
 Weight = tuple[Scalar, Scalar, Scalar]
 """Mass of a link and all after it, kg, and that mass times x and times y of its centre of mass in the world, kg*m."""
-
-
-@toml_table
-class Load:
-    """The masses of an arm and its payload.
-
-    Attributes:
-        mass: Mass of each link (n,), kg.
-        centre: Centre of mass of each link in the link's frame (n, 3), m.
-        payload: Mass held at the tool's origin, kg.
-    """
-
-    mass: Annotated[tuple[Scalar, ...], KG.not_negative, PER_JOINT]
-    centre: Annotated[tuple[tuple[float, float, float], ...], MM, PER_JOINT]
-    payload: Annotated[Scalar, KG.not_negative] = 0.0
 
 
 class Passage:

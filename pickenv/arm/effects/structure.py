@@ -9,8 +9,8 @@ from types import ModuleType
 from typing import Annotated, Any
 
 from pickenv.arm.effects.effect import BEND, DRIVE, GEAR, JOINT, Components, Draws, Effect, Passage, Weight
-from pickenv.arm.files.arm import Arm
-from pickenv.arm.files.joint_keys import BOOM, LENGTH, PER_JOINT, TRAVEL, ByJoint, joint_table
+from pickenv.arm.files.arm import PER_JOINT, Arm
+from pickenv.arm.files.joint_keys import BOOM, LENGTH, TRAVEL, ByJoint, joint_table
 from pickenv.arm.kinematics.backend import chosen, clipped
 from pickenv.arm.kinematics.forward import Flexure, Frame, Scalar
 from pickenv.arm.kinematics.pose_error import displaced_frame

@@ -5,17 +5,48 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass
-from typing import Any
+from dataclasses import dataclass, fields, is_dataclass, replace
+from typing import Annotated, Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from pickenv.arm.kinematics.forward import Scalar
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Coupling, Geometry, LinkTree, Pose
-from pickenv.base import InputError
+from pickenv.base import KG, MM, InputError, Then, fault, toml_table
 
 MOST_RATIO = 1e3
 """Largest allowed ratio of a link's displacement to that of the joint that moves it."""
+
+
+def arm_in(context: Mapping[str, Any] | None) -> Arm | None:
+    """Return the arm of the plant file that is being read; None if no plant file is read or it names no arm."""
+    return (context or {}).get("arm")
+
+
+def _per_joint(values: Any, context: Any) -> Any:
+    if (arm := arm_in(context)) is not None and len(values) != arm.nominal.joints:
+        raise fault(f"{arm.nominal.joints} entries, one per joint")
+    return values
+
+
+PER_JOINT = Then(_per_joint)
+"""Annotation of a list that must have one entry per joint of the arm."""
+
+
+@toml_table
+class Load:
+    """The masses of an arm and its payload.
+
+    Attributes:
+        mass: Mass of each link (n,), kg.
+        centre: Centre of mass of each link in the link's frame (n, 3), m.
+        payload: Mass held at the tool's origin, kg.
+    """
+
+    mass: Annotated[tuple[Scalar, ...], KG.not_negative, PER_JOINT]
+    centre: Annotated[tuple[tuple[float, float, float], ...], MM, PER_JOINT]
+    payload: Annotated[Scalar, KG.not_negative] = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,6 +60,7 @@ class Arm:
         true: The geometry as built, if the file gives one (simulated arms), else None.
         speed: Largest joint speeds, rad/s or m/s, shape (n,).
         tolerance_class: Name of the tolerance class of the arm's parts, if the file gives one, else None.
+        load: The masses that the links carry, if the file gives them, else None.
     """
 
     name: str
@@ -37,10 +69,34 @@ class Arm:
     true: Geometry | None
     speed: Array
     tolerance_class: str | None = None
+    load: Load | None = None
 
     def fingerprint(self) -> str:
         """Return the hash of the nominal geometry; a calibration is refused on an arm with another hash."""
         return self.nominal.fingerprint()
+
+    def holding(self, payload: float, centre: ArrayLike = (0.0, 0.0, 0.0)) -> Arm:
+        """Return the arm with a payload at the tool, as part of its last link.
+
+        Args:
+            payload: Mass of the payload, kg.
+            centre: Centre of mass of the payload in the tool's frame (3,), m.
+
+        Raises:
+            InputError: If the arm has no masses or is a whole robot, or if a number is not finite or the mass negative.
+        """
+        if self.load is None:
+            raise InputError(f"arm '{self.name}' has no masses, which a payload adds to; give a file with <inertial>")
+        if self.nominal.tree is not None:
+            raise InputError(f"arm '{self.name}' is a whole robot; add the payload to the mass of a link in its file")
+        place = np.array(centre, dtype=float)
+        if place.shape != (3,) or not np.isfinite([payload, *place]).all() or payload < 0.0:
+            raise InputError(f"a payload of {payload:g} kg at {place}: give a mass from 0, and x, y and z in m")
+        tool, mass, last = self.nominal.tool, list(self.load.mass), np.array(self.load.centre[-1])
+        mass[-1] += payload
+        shift = payload / mass[-1] if payload else 0.0
+        last = last + shift * (tool.position + tool.rotation @ place - last)
+        return replace(self, load=Load(tuple(mass), (*self.load.centre[:-1], tuple(last.tolist()))))
 
 
 # A geometry as named arrays and back, for files: what comes back is checked, because it will move an arm.

@@ -17,7 +17,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm.files.arm import MOST_RATIO, Arm
+from pickenv.arm.files.arm import MOST_RATIO, Arm, Load
 from pickenv.arm.files.joint_chain import ChainJoint, Drive, JointRow, geometry_of
 from pickenv.arm.files.xml_values import xml_number
 from pickenv.arm.kinematics.geometry import Array, Coupling, Geometry, Pose, from_standard_dh, identity_pose
@@ -45,6 +45,8 @@ class JointTable:
     theta: Annotated[float, toml_tables.DEG]
     d: Annotated[float, toml_tables.MM]
     beta: Annotated[float, toml_tables.DEG] = 0.0
+    mass: Annotated[float, toml_tables.KG.not_negative] | None = None
+    centre: Annotated[Vector, toml_tables.MM] = (0.0, 0.0, 0.0)
     true_alpha: Annotated[float, toml_tables.DEG] | None = None
     true_a: Annotated[float, toml_tables.MM] | None = None
     true_theta: Annotated[float, toml_tables.DEG] | None = None
@@ -133,8 +135,11 @@ class ArmFile:
                 if getattr(joint, f"true_{key}") is None:
                     unit = "mm" if key in ("a", "d") else "deg"
                     raise InputError(f"true_{key}_{unit} of joint {joint.number} is missing; give all true_… or none")
-        if self.convention == "standard" and (self.simulated or any(joint.beta for joint in self.joints)):
-            raise InputError("true_… values and beta_deg need convention = 'modified'")
+        weighed = [joint.number for joint in self.joints if joint.mass is not None]
+        if self.convention == "standard" and (self.simulated or weighed or any(joint.beta for joint in self.joints)):
+            raise InputError("true_… values, beta_deg and mass_kg need convention = 'modified'")
+        if bare := [joint.number for joint in self.joints if weighed and joint.mass is None]:
+            raise InputError(f"mass_kg of joint {bare[0]} is missing; give the mass of every link, or of none")
 
     @property
     def simulated(self) -> bool:
@@ -166,7 +171,9 @@ def read_arm(path: Path) -> Arm:
     nominal = replace(nominal, coupling=_coupling(links, leaders))
     built: dict[str, Any] = {key: column(f"true_{key}") for key in COLUMNS} if file.simulated else {}
     true = replace(nominal, **built) if built else None
-    return Arm(file.name, file.source, nominal, true, column("speed", leaders), file.tolerance_class)
+    masses, centres = (tuple(getattr(link, key) for link in links) for key in ("mass", "centre"))
+    load = None if masses[0] is None else Load(masses, centres)
+    return Arm(file.name, file.source, nominal, true, column("speed", leaders), file.tolerance_class, load)
 
 
 def _coupling(links: list[Any], leaders: list[Any]) -> Coupling | None:
@@ -210,7 +217,7 @@ def load_ur_yaml(path: str | Path, tip: str | None = None) -> Arm:
     if tip:
         raise InputError(f"{path} ends at the flange, and names no '{shortened(tip)}'; leave # and what follows out")
     row, mark = ur_row(path)
-    geometry, speed = geometry_of([row])
+    geometry, speed, _ = geometry_of([row])
     source = f"UR kinematics {path.name}{mark}; limits and speeds are those of {LIMITS_OF}, which the file has not"
     return Arm(path.stem, source, geometry, None, speed)
 

@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm.files.arm import Arm
+from pickenv.arm.files.arm import Arm, Load
 from pickenv.arm.kinematics.forward import PARALLEL, chain_of, frames, geometry_from_axes, pose_of
 from pickenv.arm.kinematics.geometry import (
     LINK_PARAMETERS,
@@ -187,6 +187,19 @@ class ChainJoint:
         return Pose(np.zeros(3), Rotation.from_rotvec(value * self.axis).as_matrix())
 
 
+class Mass(NamedTuple):
+    """The mass of one body of a robot file.
+
+    Attributes:
+        kg: The mass, kg; not a number if the file leaves it to the body's shapes.
+        path: Joints from the body to the root, with the centre of mass in the frame of the body that each moves (3,),
+            m. All joints between that frame and the body are at zero.
+    """
+
+    kg: float
+    path: tuple[tuple[str, Array], ...]
+
+
 class JointRow(NamedTuple):
     """The chain of joints from the root of a robot file to a tip.
 
@@ -199,6 +212,7 @@ class JointRow(NamedTuple):
         tool: Pose of the tip in the frame of the last joint.
         drives: The commanded joints, by name.
         mount: Name of the fixed joint or the site that holds the tip; None if a moving joint holds it.
+        masses: The masses of all bodies of the file, if it gives them.
     """
 
     name: str
@@ -208,6 +222,7 @@ class JointRow(NamedTuple):
     tool: Pose
     drives: Mapping[str, Drive]
     mount: str | None = None
+    masses: tuple[Mass, ...] = ()
 
     def links(self, drives: dict[str, Drive]) -> tuple[list[ChainJoint], Pose]:
         """Return the moving joints, one per link, and the tip's pose, with all commanded joints at zero.
@@ -242,14 +257,14 @@ def arm_of(rows: Sequence[JointRow], path: Path, form: str, named: bool = True) 
         InputError: If `geometry_of` raises one; the message names the file.
     """
     with in_file(path):
-        geometry, speed = geometry_of(rows)
+        geometry, speed, load = geometry_of(rows)
     tips = ", ".join(row.tip for row in rows)
     end = f"{'' if named else ' by default its flange,'} tip {tips}" if len(rows) == 1 else f" whole robot with {tips}"
-    return Arm(rows[0].name, f"{form} {path.name},{end}", geometry, None, speed)
+    return Arm(rows[0].name, f"{form} {path.name},{end}", geometry, None, speed, load=load)
 
 
-def geometry_of(rows: Sequence[JointRow]) -> tuple[Geometry, Array]:
-    """Return the geometry of an arm or a whole robot, and the largest speeds of its joints ``(n,)``, rad/s or m/s.
+def geometry_of(rows: Sequence[JointRow]) -> tuple[Geometry, Array, Load | None]:
+    """Return an arm's or a whole robot's geometry, the largest joint speeds ``(n,)``, rad/s or m/s, and the masses.
 
     The chains of a whole robot share their first joints. The robot's link table holds one branch after another.
 
@@ -310,7 +325,31 @@ def geometry_of(rows: Sequence[JointRow]) -> tuple[Geometry, Array]:
     if len(rows) == 1:
         alone = coupling == Coupling(tuple(range(len(names))), (1.0,) * len(names), prismatic)
         geometry = replace(geometry, coupling=None if alone else coupling, tree=None)
-    return geometry, np.array(speed)
+    return geometry, np.array(speed), _load(rows[0].masses, joints, zeros)
+
+
+def _load(masses: Sequence[Mass], joints: Sequence[ChainJoint], zeros: Sequence[Pose]) -> Load | None:
+    """The masses of the bodies, each added to the last link of the table that carries it.
+
+    None where no body has a mass, where one mass is unknown, and where all are equal: those are placeholders.
+    """
+    places = {joint.name: i for i, joint in enumerate(joints) if joint.ratio}
+    moments = np.zeros((len(joints), 4))
+    carried: set[float] = set()
+    for mass in masses:
+        for name, centre in mass.path:
+            if name in places:
+                joint, zero = joints[places[name]], zeros[places[name]]
+                motion = joint.motion(joint.offset)  # its axis is in the world's axes
+                point = joint.origin.position + motion.position + motion.rotation @ joint.origin.rotation @ centre
+                moments[places[name]] += mass.kg * np.r_[1.0, zero.rotation.T @ (point - zero.position)]
+                carried.add(mass.kg)
+                break
+    kg = moments[:, 0]
+    if len(carried) < 2 or np.isnan(kg).any():
+        return None
+    centres = moments[:, 1:] / np.where(kg > 0.0, kg, 1.0)[:, None]
+    return Load(tuple(kg.tolist()), tuple(map(tuple, centres.tolist())))
 
 
 def driver_of(name: str, followed: Callable[[str], tuple[str, float, float] | None]) -> tuple[str, float, float]:

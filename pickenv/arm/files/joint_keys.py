@@ -10,23 +10,8 @@ from collections.abc import Callable, Mapping
 from dataclasses import make_dataclass
 from typing import Annotated, Any, cast
 
-from pickenv.arm.files.arm import Arm
+from pickenv.arm.files.arm import arm_in
 from pickenv.base import ARCMIN, DEG, MM, WHOLE, InputError, Kinds, Then, Unit, fault, toml_table
-
-
-def arm_in(context: Mapping[str, Any] | None) -> Arm | None:
-    """Return the arm of the plant file that is being read; None if no plant file is read or it names no arm."""
-    return (context or {}).get("arm")
-
-
-def _per_joint(values: Any, context: Any) -> Any:
-    if (arm := arm_in(context)) is not None and len(values) != arm.nominal.joints:
-        raise fault(f"{arm.nominal.joints} entries, one per joint")
-    return values
-
-
-PER_JOINT = Then(_per_joint)
-"""Annotation of a list that must have one entry per joint of the arm."""
 
 
 def joint_index(number: int, context: Any) -> int:

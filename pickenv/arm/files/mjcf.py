@@ -13,7 +13,7 @@ from __future__ import annotations
 import math
 import re
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import reduce
 from pathlib import Path
@@ -23,12 +23,22 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.arm import MOST_RATIO, Arm
-from pickenv.arm.files.joint_chain import Carried, ChainJoint, Drive, JointRow, arm_of, driver_of, flange, link_origins
+from pickenv.arm.files.joint_chain import (
+    Carried,
+    ChainJoint,
+    Drive,
+    JointRow,
+    Mass,
+    arm_of,
+    driver_of,
+    flange,
+    link_origins,
+)
 from pickenv.arm.files.urdf import ROD_RADIUS, leading_links
 from pickenv.arm.files.xml_values import Element, numbers_text, unit_vector, xml_number, xml_numbers, xml_root
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, behind, identity_pose
 from pickenv.arm.kinematics.pose_error import rotation_matrix
-from pickenv.base import DEG, RAD, InputError, M, decimal_number, is_file, listed, one_line, register, shortened
+from pickenv.base import DEG, KG, RAD, InputError, M, decimal_number, is_file, listed, one_line, register, shortened
 from pickenv.base.texts import in_file
 
 # MJCF out: any chain as a MuJoCo model with joints, limits, position drives and a site at the tool. Forward
@@ -41,6 +51,9 @@ DENSITY, LEAST_MASS = 3.0, 0.2
 
 STIFFNESS, DAMPING = 2000.0, 200.0
 """Stiffness of the position drives, N*m/rad or N/m, and their damping, N*m*s/rad or N*s/m."""
+
+RODS = "masses"
+"""Name of the text in a written file that says that its masses are rods; they are not read back."""
 
 TOOL_SITE = "tool"
 
@@ -68,6 +81,8 @@ def mjcf_text(geometry: Geometry, name: str, comment: str = "") -> str:
     if comment:
         root.append(ElementTree.Comment(one_line(re.sub("-(?=-)", "- ", comment))))
     ElementTree.SubElement(root, "compiler", angle="radian", autolimits="true")
+    custom = ElementTree.SubElement(root, "custom")
+    ElementTree.SubElement(custom, "text", name=RODS, data=f"rods of {DENSITY:g} kg/m, for a simulation to run")
     body = ElementTree.SubElement(root, "worldbody")
     drives, couplings = Element("actuator"), Element("equality")
     origins = link_origins(geometry)
@@ -275,7 +290,7 @@ class _Joint:
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """A body or a site: where it stands, and the joints that move it, in the file's order."""
+    """A body or a site: where it stands, the joints that move it, in the file's order, and its mass with the centre."""
 
     name: str
     parent: str
@@ -283,6 +298,7 @@ class _Body:
     joints: list[_Joint] = field(default_factory=list)
     site: bool = False
     mocap: bool = False
+    mass: tuple[float, Array] | None = None
 
 
 @register("arm_format", "xml")
@@ -322,9 +338,10 @@ def mjcf_row(path: Path, tip: str | None = None) -> JointRow:
         bodies = _bodies(root, values)
         last = _end(bodies, tip)
         joints, tool, drives = _joints(_above(bodies, last)[::-1], bodies, root, values)
+        masses = tuple(_masses(root, bodies))
     mount = None if bodies[last].joints else last
     name = shortened(root.get("model", path.stem))
-    return JointRow(name, WORLD, bodies[last].name, tuple(joints), tool, drives, mount)
+    return JointRow(name, WORLD, bodies[last].name, tuple(joints), tool, drives, mount, masses)
 
 
 def _follow_includes(root: Element, main: Path) -> None:
@@ -362,7 +379,8 @@ def _bodies(root: Element, values: MjcfValues) -> dict[str, _Body]:
                 if name in bodies:
                     raise InputError(f"body '{shortened(name)}' is given twice; rename one")
                 pose = behind(within, values.pose(part.attrib))
-                bodies[name] = _Body(name, owner, pose, mocap=part.get("mocap", "false") == "true")
+                mocap = part.get("mocap", "false") == "true"
+                bodies[name] = _Body(name, owner, pose, mocap=mocap, mass=_inertial(part, name))
                 deeper.append((part, name, identity_pose(), inner))
             elif part.tag == "site":
                 name, pose = part.get("name", f"{len(bodies)}"), values.pose(values.merged("site", part, childclass))
@@ -374,6 +392,39 @@ def _bodies(root: Element, values: MjcfValues) -> dict[str, _Body]:
                 joints.append(_Joint(name, owner, attributes if part.tag == "joint" else {"type": "free"}, within))
         waiting += deeper[::-1]
     return bodies
+
+
+def _inertial(body: Element, name: str) -> tuple[float, Array] | None:
+    """The mass of a body, kg, and its centre in the body (3,), m: not a number where only shapes say it."""
+    if (inertial := body.find("inertial")) is None:
+        shapes = body.find("geom") is not None or body.find("frame/geom") is not None
+        return (math.nan, np.zeros(3)) if shapes else None
+    owner = f"body '{shortened(name)}'"
+    kg = xml_number(inertial.get("mass", ""), f"mass of {owner}", KG.most)
+    if kg < 0.0:
+        raise InputError(f"{owner} has a mass of {kg:g} kg; give one from 0")
+    return kg, xml_numbers(inertial.get("pos", "0 0 0"), f"centre of mass of {owner}", M.most)
+
+
+def _masses(root: Element, bodies: Mapping[str, _Body]) -> Iterator[Mass]:
+    """The masses of the bodies; none where the file has rods for them, or asks for those of the shapes."""
+    by_shape = any(compiler.get("inertiafromgeom") == "true" for compiler in root.iterfind("compiler"))
+    if by_shape or root.find(f"custom/text[@name='{RODS}']") is not None:
+        return
+    for owner in bodies.values():
+        if owner.mass is not None:
+            kg, point = owner.mass
+            path = []
+            for key in _above(bodies, owner.name):
+                path += [(joint.name, point - _anchor(joint)) for joint in reversed(bodies[key].joints)]
+                point = bodies[key].pose.position + bodies[key].pose.rotation @ point
+            yield Mass(kg, tuple(path))
+
+
+def _anchor(joint: _Joint) -> Array:
+    """The point of a joint that its motion leaves where it is, in the body (3,), m."""
+    point = xml_numbers(joint.attributes.get("pos", "0 0 0"), "pos", M.most)
+    return behind(joint.within, Pose(point, np.eye(3))).position
 
 
 def _end(bodies: Mapping[str, _Body], tip: str | None) -> str:
@@ -420,7 +471,6 @@ def _joints(
             driver, ratio, offset = driver_of(joint.name, ties.get)
             ratio = 0.0 if driver == WORLD else ratio
             motion, ref, limited = values.motion(joint, follows=driver != joint.name)
-            anchor = xml_numbers(joint.attributes.get("pos", "0 0 0"), "pos", M.most)
             axis = xml_numbers(joint.attributes.get("axis", "0 0 1"), "axis", M.most)
             axis = joint.within.rotation @ unit_vector(axis, f"axis of joint '{shortened(joint.name)}'")
             if ratio:
@@ -428,7 +478,7 @@ def _joints(
                 offset -= ratio * zero
             follows = ratio and limited and driver != joint.name
             allowed = (motion.lower - ref, motion.upper - ref, math.inf) if follows else None
-            place = behind(joint.within, Pose(anchor, np.eye(3))).position
+            place = _anchor(joint)
             origin = behind(before, Pose(place, np.eye(3)))
             row.append(ChainJoint(joint.name, driver, ratio, offset, motion.slides, origin, axis, allowed, key, place))
             before = Pose(-place, np.eye(3))

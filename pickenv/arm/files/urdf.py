@@ -9,7 +9,7 @@ Lengths in metres and angles in radians, as URDF has them; rpy is rotation about
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
@@ -17,10 +17,20 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm.files.arm import MOST_RATIO, Arm
-from pickenv.arm.files.joint_chain import Carried, ChainJoint, Drive, JointRow, arm_of, driver_of, flange, link_origins
+from pickenv.arm.files.joint_chain import (
+    Carried,
+    ChainJoint,
+    Drive,
+    JointRow,
+    Mass,
+    arm_of,
+    driver_of,
+    flange,
+    link_origins,
+)
 from pickenv.arm.files.xml_values import Element, numbers_text, unit_vector, xml_number, xml_numbers, xml_root
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, behind, identity_pose
-from pickenv.base import M_PER_S, RAD, RAD_PER_S, InputError, M, in_file, one_line, register, shortened, write_text
+from pickenv.base import KG, M_PER_S, RAD, RAD_PER_S, InputError, M, in_file, one_line, register, shortened, write_text
 
 # URDF out: a chain as rods from joint to joint, exact, so that forward kinematics agree to rounding. Lengths in
 # metres and angles in radians, as URDF has them; rpy is rotation about fixed x, y, z axes.
@@ -184,9 +194,36 @@ def urdf_row(path: Path, tip: str | None = None) -> JointRow:
         by_name, above = _unique([joint for joint in root.iter("joint") if joint.find("child") is not None])
         chain, last = _chain(above, tip)
         joints, tool, drives = _joints(chain, by_name)
+        masses = tuple(_masses(root, above))
     mount = str(chain[-1].get("name")) if chain[-1].get("type") == "fixed" else None
     name, first = shortened(root.get("name", path.stem)), _link(chain[0], "parent")
-    return JointRow(name, first, last, tuple(joints), tool, drives, mount)
+    return JointRow(name, first, last, tuple(joints), tool, drives, mount, masses)
+
+
+def _masses(root: Element, above: Mapping[str, Element]) -> Iterator[Mass]:
+    """The mass of each link with <inertial>."""
+    for link in root.iterfind("link"):
+        if (inertial := link.find("inertial")) is None:
+            continue
+        name, mass, origin = str(link.get("name")), inertial.find("mass"), inertial.find("origin")
+        kg = xml_number("" if mass is None else mass.get("value", ""), f"mass of link '{shortened(name)}'", KG.most)
+        if kg < 0.0:
+            raise InputError(f"link '{shortened(name)}' has a mass of {kg:g} kg; give one from 0")
+        text = "0 0 0" if origin is None else origin.get("xyz", "0 0 0")
+        point = xml_numbers(text, f"centre of mass of link '{shortened(name)}'", M.most)
+        path = []
+        while name in above:
+            path.append((str(above[name].get("name")), point))
+            place = _origin(above[name])
+            point, name = place.position + place.rotation @ point, _link(above[name], "parent")
+        yield Mass(kg, tuple(path))
+
+
+def _origin(joint: Element) -> Pose:
+    """The pose of a joint in the frame of its parent link."""
+    origin = joint.find("origin")
+    turn = Rotation.from_euler("xyz", _numbers(origin, "rpy", joint)).as_matrix()
+    return Pose(_numbers(origin, "xyz", joint), turn)
 
 
 def _joints(chain: list[Element], by_name: Mapping[str, Element]) -> tuple[list[ChainJoint], Pose, dict[str, Drive]]:
@@ -195,9 +232,7 @@ def _joints(chain: list[Element], by_name: Mapping[str, Element]) -> tuple[list[
     drives: dict[str, Drive] = {}
     before = identity_pose()  # from the last joint that moves
     for joint in chain:
-        origin = joint.find("origin")
-        turn = Rotation.from_euler("xyz", _numbers(origin, "rpy", joint)).as_matrix()
-        before = behind(before, Pose(_numbers(origin, "xyz", joint), turn))
+        before = behind(before, _origin(joint))
         kind = str(joint.get("type"))
         if kind == "fixed":
             continue

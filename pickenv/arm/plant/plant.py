@@ -18,9 +18,9 @@ from typing import Annotated, Any, TypeAlias
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm.effects.effect import BESIDE, DRIVE, Components, Effect, Load, Passage
+from pickenv.arm.effects.effect import BESIDE, DRIVE, Components, Effect, Passage
 from pickenv.arm.effects.residual_field import ResidualField
-from pickenv.arm.files.arm import Arm
+from pickenv.arm.files.arm import Arm, Load
 from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, chain_of, pose_of, split_joints
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
 from pickenv.base import InputError, registry, toml_tables

@@ -17,9 +17,9 @@ from typing import Annotated, Any
 import numpy as np
 
 from pickenv.arm.effects.drives import ThermalGrowth
-from pickenv.arm.effects.effect import Load, gravity_torques, table_of
+from pickenv.arm.effects.effect import gravity_torques, table_of
 from pickenv.arm.effects.structure import Backlash, JointCompliance
-from pickenv.arm.files.arm import Arm
+from pickenv.arm.files.arm import Arm, Load
 from pickenv.arm.files.arm_file import load_arm, shipped_arms
 from pickenv.arm.kinematics.forward import chain_of, frames
 from pickenv.arm.kinematics.geometry import Array
@@ -263,7 +263,9 @@ def draw_arms(
 
 
 def bare_plant(arm: Arm, sizes: SizesTable, final_rise: float) -> Plant:
-    """Return the plant of an arm of which only the geometry is known: with backlash, compliance and thermal growth.
+    """Return the plant of an arm without a plant file: with backlash, compliance and thermal growth.
+
+    Its masses are those of the arm's file, or else of `rods`.
 
     Args:
         arm: The arm.
@@ -271,7 +273,7 @@ def bare_plant(arm: Arm, sizes: SizesTable, final_rise: float) -> Plant:
         final_rise: Temperature rise of the warm arm, K.
     """
     one_link_per_joint(arm)
-    slides, load = np.array(arm.nominal.prismatic), rods(arm)
+    slides, load = np.array(arm.nominal.prismatic), arm.load or rods(arm)
     torques = _largest_torques(arm, load)
     torques = np.maximum(torques, [LEAST_TORQUE * torques[slides == slide].max() for slide in slides])
     torques[torques == 0] = 1.0  # gravity loads no joint of the kind: whatever the stiffness, none yields

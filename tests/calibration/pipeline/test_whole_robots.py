@@ -10,7 +10,7 @@ import pytest
 import pickenv
 from pickenv.arm import Array, Geometry, forward, identity_pose, load_arm
 from pickenv.base import InputError
-from pickenv.calibration import Calibration, Choices, Result, read_observations
+from pickenv.calibration import Calibration, Choices, Result, identify_terms, missed_by, read_observations, weight_of
 from tests.calibration.whole_robots import (
     Robot,
     apart,
@@ -282,10 +282,32 @@ def test_two_cameras_and_a_tracker_are_one_fit(tmp_path: Path, most: int) -> Non
     assert sum(name.startswith("tool") for name in own) == 6  # the ball's; both cameras see the arm's own tool
 
 
+def test_the_payload_in_hand_belongs_to_the_weight_that_bends_the_torso(tmp_path: Path) -> None:
+    """Told of 3 kg in the left hand, the torso's compliance comes out right; untold, it is too large for the weight."""
+    rng, payload = np.random.default_rng(11), 3.0
+    robot = drawn_robot(rng)
+    (tmp_path / "robot.urdf").write_text(robot.urdf(), encoding="utf-8")
+    truth = replace(built(robot, rng), yields=(0.0, 2e-5, 0.0), masses={**robot.masses, "left_tip": payload})
+    track(truth, joints_of(robot, "left"), "left_tip", tmp_path, rng, matrix((1.0, -0.5, 0.2)), rows=160, whole=False)
+    arm, off = load_arm(f"{tmp_path / 'robot.urdf'}#left_tip"), []
+    for told in (arm.holding(payload), arm):
+        result = pickenv.calibrate(told, tmp_path / "left_tip.csv", columns=tmp_path / "left_tip.toml")
+        assert result.terms is not None
+        assert result.terms[0] == "compliance"
+        (lean,) = (row for row in result.as_dict()["stiffnesses"] if row["name"] == "torso_j2")
+        off.append((lean["stiffness"] * 2e-5 - 1.0) / (lean["stiffness_std"] * 2e-5))
+    assert abs(off[0]) < 3.0
+    assert off[1] < -10.0
+
+
 @pytest.mark.slow
 def test_a_torso_that_bends_under_both_arms_costs_nothing(tmp_path: Path) -> None:
-    """Ten robots: what is left is at most 1.2 times what is left where the torso is stiff and said to be so."""
-    ratios, covered = [], []
+    """Ten robots: at most 1.2 times what is left where the fit is told which joint yields, or where none does.
+
+    To first order, a torso that turns by 8 mrad under heavy arms is placed 0.03 mm off, whoever is told what: two of
+    the ten leave more than 1.2 times as much as if they were stiff.
+    """
+    told, stiff, covered = [], [], []
     for seed in range(10):
         left = []
         for name, yields, terms in (("bent", (0.0, 4e-5, 0.0), "auto"), ("stiff", (0.0, 0.0, 0.0), "none")):
@@ -297,7 +319,20 @@ def test_a_torso_that_bends_under_both_arms_costs_nothing(tmp_path: Path) -> Non
             if name == "bent":
                 assert result.uncertainty is not None
                 covered.append(result.uncertainty.factors["position"]["covered"])
-        ratios.append(left[0] / left[1])
-    print("ratios", np.round(ratios, 3), "covered", np.round(covered, 3))
-    assert np.median(ratios) < 1.2
+                told.append(left[0] / lean_alone(folder, result))
+        stiff.append(left[0] / left[1])
+    print("told", np.round(told, 3), "stiff", np.round(stiff, 3), "covered", np.round(covered, 3))
+    assert max(told) < 1.2
+    assert np.median(stiff) < 1.2
     assert 0.90 <= np.mean(covered) <= 0.98
+
+
+def lean_alone(folder: Path, result: Result) -> float:
+    """RMS error on the same held-out rows, mm, of the fit that is told that the torso's second joint alone yields."""
+    arm = load_arm(f"{folder / 'robot.urdf'}#{','.join(ARMS)}", whole=True)
+    assert arm.load is not None
+    bare = calibrated(folder, ARMS, terms="none").fit.identification
+    geometry = bare.arm_model.geometry
+    lean = replace(weight_of(geometry), joints=(geometry.joint_names.index("torso_j2"),))
+    fitted = identify_terms((lean.with_masses(geometry, arm.load),), bare, result.train)
+    return float(1e3 * np.sqrt(np.mean(np.sum(missed_by(fitted, result.test) ** 2, axis=1))))
