@@ -113,7 +113,7 @@ def markdown_table(heads: Sequence[str], rows: Iterable[Sequence[str]], words: C
 
 
 def python_with(home: Path, *packages: str) -> Path:
-    """The Python of an environment that has these packages from PyPI; it is made if it is missing.
+    """The Python of an environment that has these packages from PyPI; it is made if it is missing or has others.
 
     Raises:
         InputError: If it cannot be made, with the installer's last words.
@@ -121,13 +121,14 @@ def python_with(home: Path, *packages: str) -> Path:
     home = home.resolve()
     python, done = home / ("Scripts/python.exe" if os.name == "nt" else "bin/python"), home / "installed"
     install = [python, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", *packages]
-    if done.is_file():
+    wanted = "\n".join(packages)
+    if done.is_file() and done.read_text(encoding="utf-8") == wanted:
         return python
     for command in ([sys.executable, "-m", "venv", "--clear", home], install):
         ended = subprocess.run(command, capture_output=True, text=True)
         if ended.returncode:
             raise InputError(f"cannot be installed: {last_words(ended.stderr or ended.stdout)}")
-    done.touch()
+    done.write_text(wanted, encoding="utf-8")
     return python
 
 

@@ -10,7 +10,7 @@ import typer
 from typer import Option
 
 from pickenv.base import locked, require, separate
-from pickenv.commands.showing import CommandOfNames, deliver, print_table, progress_bars
+from pickenv.commands.showing import CommandOfNames, check_workers, deliver, print_table, progress_bars
 
 bench = typer.Typer(
     name="bench", help="Benchmarks: calibrations on measured robots, policies on simulated ones.", no_args_is_help=True
@@ -111,6 +111,7 @@ def policies(
     from pickenv.inspect.colours import policy_label
     from pickenv.inspect.runs.run_folder import listed_files
 
+    check_workers(workers, executor != "serial", "joblib")
     page = out / "leaderboard.md"
     separate({"--policy": policy}, {"--out": [page], "--json": json_file})
     require("torch", "pyarrow", *(["joblib"] if executor == "joblib" else []))

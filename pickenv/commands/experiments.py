@@ -52,6 +52,7 @@ def experiment(
 
     More: experiments.md
     """
+    showing.check_workers(workers, executor != "serial", "loky")
     from pickenv.experiments.engine import RECORD, write_rows
     from pickenv.experiments.experiment_file import load_experiment, number_table, plain_estimates
 
@@ -137,7 +138,7 @@ def study(
         quick: 40 arms and 20 fruit at most.
         seed: Seed of all random numbers; the study's own if left out.
         executor: How the arms are computed: one by one in this process or in several, or many at once (batched).
-        workers: Number of processes; one per core if left out.
+        workers: Number of processes; if left out one per core, and of the batched executor a single one.
         device: Device of the batched executor.
         out: Results folder; a study that it contains already is continued.
         json_file: Write the summary to this file.
@@ -156,6 +157,7 @@ def study(
         raise InputError("--sobol is of the report; leave --no-report out")
     if samples != SAMPLES and not sobol:
         raise InputError("--samples is of the Sobol indices; give --sobol with it")
+    showing.check_workers(workers, executor != "serial" and device == "cpu", "joblib")
     full_study = pickenv.experiments.load_study(config)
     separate(
         {"CONFIG": [config, full_study.plant, *full_study.tolerances]},

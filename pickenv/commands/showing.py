@@ -147,6 +147,21 @@ def _option(match: re.Match[str]) -> str:
     return " ".join(f"{option.opts[0]} {shlex.quote(str(item))}" for item in values)
 
 
+def check_workers(workers: int | None, several: bool, executor: str) -> None:
+    """Raise an error if a number of processes was given to an executor that works in one.
+
+    Args:
+        workers: Number of processes, or None.
+        several: Whether the executor works in several processes.
+        executor: Name of an executor that does.
+
+    Raises:
+        InputError: If ``workers`` is above 1 and the executor works in one process.
+    """
+    if not several and (workers or 1) > 1:
+        raise InputError(f"--workers is of several processes; give --executor {executor} with it, or leave it out")
+
+
 def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:
     print(f"warning: {with_options(str(message))}", file=sys.stderr)
 

@@ -46,10 +46,15 @@ NAMES = Check(
     lambda value: isinstance(value, list) and all(isinstance(name, str) for name in value), "a list of names of columns"
 )
 TABLE = Check(lambda value: isinstance(value, dict), "a table of names and values")
-ONE_LEVEL = "a list of texts, numbers or truth values, at least one, or a whole number above zero for 0, 1, … below it"
+A_LIST = "a list of texts, numbers or truth values, at least one"
+ONE_LEVEL = f"{A_LIST}, or a whole number above zero for 0, 1, … below it"
 LEVELS = Check(
     lambda value: isinstance(value, dict) and all(map(_are_levels, value.values())),
     f"a table of names, each with {ONE_LEVEL}",
+)
+LISTS = Check(
+    lambda value: isinstance(value, dict) and all(_are_levels(levels, False) for levels in value.values()),
+    f"a table of names, each with {A_LIST}",
 )
 STATISTICS = ("mean", "share", "ratio", "removed")
 STATISTIC = Check(
@@ -58,10 +63,11 @@ STATISTIC = Check(
 )
 
 
-def _are_levels(value: Any) -> bool:
+def _are_levels(value: Any, counted: bool = True) -> bool:
+    """Whether these are levels: a list, or for what is ``counted`` its number."""
     if isinstance(value, list):
         return bool(value) and all(isinstance(level, str | int | float) for level in value)
-    return isinstance(value, int) and not isinstance(value, bool) and value > 0
+    return counted and isinstance(value, int) and not isinstance(value, bool) and value > 0
 
 
 def _is_named(value: Any) -> bool:
@@ -97,7 +103,8 @@ class Number:
         draws: Unit whose level 0 is the design with its shipped constants, and whose other levels are draws of these
             constants (`pickenv.arm.plant.plant_file.with_drawn_constants`). The interval of a number then contains the
             number of one further draw with probability 95 %. It needs `LEAST_DRAWS` draws.
-        spread: Whether the standard deviation and the range of the units' means are shown beside each number.
+        spread: Whether the standard deviation and the range of the units' means are shown beside each number. They
+            are of one column, and not beside ``across`` or "removed".
         digits: Digits after the point.
         scale: Factor on the printed numbers, such as 100 for percent.
         figure: Name of the table's figure; None for no figure.
@@ -137,7 +144,7 @@ class _File:
     measure: Annotated[str, FUNCTION]
     seed: Annotated[int, WHOLE.not_negative] = 0
     units: Annotated[dict[str, Any], LEVELS]
-    factors: Annotated[dict[str, Any], LEVELS] | None = None
+    factors: Annotated[dict[str, Any], LISTS] | None = None
     settings: Annotated[dict[str, Any], TABLE] | None = None
     quick: Annotated[dict[str, Any], TABLE] | None = None
     fits: Annotated[str, FUNCTION] | None = None
@@ -238,8 +245,9 @@ def load_experiment(
         if part is None:
             names = listed(name for part in parts.values() for name in part)
             raise InputError(f"{path} has no unit, factor or setting '{name}'; known are {names}")
-        if part is not parts["settings"] and not _are_levels(value):
-            raise InputError(f"{path}: {name} is {value!r}; give {ONE_LEVEL}")
+        drawn = part is parts["units"]
+        if part is not parts["settings"] and not _are_levels(value, drawn):
+            raise InputError(f"{path}: {name} is {value!r}; give {ONE_LEVEL if drawn else A_LIST}")
         part[name] = value
     if twice := [name for name in parts["units"] if name in parts["factors"] or name in parts["settings"]]:
         raise InputError(f"{path}: '{twice[0]}' is a unit and something else as well; give one of them another name")
@@ -253,6 +261,15 @@ def load_experiment(
             if getattr(number, key) not in (None, *number.by):
                 column, names = getattr(number, key), listed(number.by)
                 raise InputError(f"{path}: {key} of '{number.title}' is '{column}'; give one of its by: {names}")
+        for key in ("x", "panels", "log"):
+            if getattr(number, key) and number.figure is None:
+                raise InputError(f"{path}: {key} of '{number.title}' is of its figure; give figure a name with it")
+        several = isinstance(number.value, list) and len(number.value) > 1
+        if number.spread and (several or number.of == "removed" or number.across is not None):
+            raise InputError(
+                f"{path}: spread of '{number.title}' is of one column's means, each in a line of its own; leave it "
+                "out, or across, further columns and removed"
+            )
     words = [keys.measure, keys.fits, *(keys.figures or {}).values()]
     words += [number.of for number in keys.estimate if _is_named(number.of)]
     functions = {word: _function(path, word) for word in words if word is not None}

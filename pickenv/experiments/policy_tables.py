@@ -411,8 +411,17 @@ def trained(folder: Path, trainings: int, picking: bool = True, **how: Any) -> t
         trainings: Number of trainings of each recipe, each with another seed.
         picking: Whether recipes of `pickenv/Pick-v0` are trained as well.
         how: Arguments of `pickenv.experiments.run`, such as the backend.
+
+    Raises:
+        InputError: If the folder holds more trainings of a recipe, all of which would be judged.
     """
     recipes = tuple(name for name, recipe in RECIPES.items() if picking or recipe.env_id != "pickenv/Pick-v0")
+    for name in recipes:
+        if (kept := len(list((folder / name).glob("*/policy.npz")))) > trainings:
+            raise InputError(
+                f"{folder / name} holds {kept} trainings, and {trainings} were asked for; give `trainings={kept}`, or "
+                "another `folder`"
+            )
     pieces = Experiment("trainings", {"training": range(trainings)}, {"policy": recipes}, partial(_train, folder))
     run(pieces, **how)
     return tuple(str(folder / name) for name in recipes)
@@ -443,7 +452,7 @@ def run_leaderboard(settings: PolicySettings, folder: Path, trainings: int = 0, 
 
     Raises:
         InputError: If there are fewer than `LEAST_SEEDS` seeds or a seed twice, a policy picks but there are no
-            canopies, a name is unknown, or a stored file is damaged.
+            canopies, a name is unknown, a stored file is damaged, or the folder holds more trainings.
     """
     if len(set(settings.seeds)) < max(LEAST_SEEDS, len(settings.seeds)):
         raise InputError(f"seeds are {list(settings.seeds)}; give at least {LEAST_SEEDS}, each once")

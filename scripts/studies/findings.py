@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from train_baselines import calibration_file
 
-from pickenv.agents import Training, train
+from pickenv.agents import Training, load_policy, train
 from pickenv.arm import Array, Pose, forward, joint_jacobian, plant_at, pose_of
-from pickenv.base import mean_interval, seed_words, stream
+from pickenv.base import InputError, mean_interval, seed_words, stream
 from pickenv.calibration import complete_model, random_joints, start_filter
 from pickenv.calibration.compensation.compensator import aimed, taught
-from pickenv.experiments import CalibrationPlan, PolicySettings, Rows, calibrate_arm, run_policies
+from pickenv.experiments import CalibrationPlan, PolicySettings, Rows, calibrate_arm, joined, run_policies
 from pickenv.experiments.methods import compensators
 from pickenv.inspect.colours import in_words, policy_label
 from pickenv.inspect.figures.style import INK, WIDTH, new_figure
@@ -106,19 +106,38 @@ def reaching(
     }
 
 
+def train_once(training: Training, place: Path) -> None:
+    """Train a policy where it is missing.
+
+    Raises:
+        InputError: If the one that is there was trained with another number of steps.
+    """
+    kept = place / "policy.npz"
+    if not kept.is_file():
+        train(training, place, resume=(place / "checkpoint.pt").is_file())
+    elif (steps := load_policy(kept).record["training"]["steps"]) != training.steps:
+        raise InputError(f"{kept} was trained for {steps} steps, not for {training.steps}; give another `folder`")
+
+
 def carried(
-    rng: np.random.Generator, trained_on: str, compensation: str, arms: int, episodes: int, epochs: int, steps: int,
-    trainings: int, folder: str, seed: int,
+    rng: np.random.Generator, trained_on: str, compensation: list[str], arms: int, episodes: int, epochs: int,
+    steps: int, trainings: int, folder: str, seed: int,
 ) -> Any:  # fmt: skip
-    """Reaches of several trainings of PPO without a camera, on new arms of qiao2026."""
+    """Reaches of several trainings of PPO without a camera, on new arms of qiao2026.
+
+    One piece has all compensations: two processes never train in one folder.
+    """
     out = Path(folder) / "transfer" / trained_on.split()[0]
     for number in range(trainings):
         what, place = dict(TRAINED_ON[trained_on]), out / str(number)
         if "compensate" in what:
             what["compensate"] = str(calibration_file(Path(folder)))
-        if not (place / "policy.npz").is_file():
-            train(Training("ppo", seed=number, steps=steps, **what), place, resume=(place / "checkpoint.pt").is_file())
-    return reaching(rng, "qiao2026", compensation, str(out), arms, episodes, epochs, folder, seed)
+        train_once(Training("ppo", seed=number, steps=steps, **what), place)
+    parts = []
+    for behind in compensation:
+        rows = reaching(rng, "qiao2026", behind, str(out), arms, episodes, epochs, folder, seed)
+        parts.append(Rows({"compensation": np.full(len(rows["arm"]), behind)} | rows))
+    return joined(parts)
 
 
 def judged(end: Pose, wanted: Pose) -> tuple[Array, Array]:

@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from findings import train_once
 from policy_search import KNOBS, Searches, arguments_of, search
 
-from pickenv.agents import HASTY, HELD_OUT, ScriptedPick, Training, load_policy, pick_canopies, train
-from pickenv.agents.training.training import CHECKPOINT
+from pickenv.agents import HASTY, HELD_OUT, ScriptedPick, Training, load_policy, pick_canopies
 from pickenv.arm import Array
 from pickenv.base import seed_words, stream
 from pickenv.envs import PickVectorEnv
@@ -102,9 +102,7 @@ def learning(
         given = {key: value for key, value in arguments.items() if key != "split"}
         return canopy_rows(policy, picked(given, {}, judged), canopies)
     out, every = Path(folder) / f"seed{training}", max(steps // 6, 1)
-    if not (out / "policy.npz").is_file():
-        what = Training("ppo", "pickenv/Pick-v0", steps, training, checkpoint_every=every, evaluate_every=every)
-        train(what, out, resume=(out / CHECKPOINT).exists())
+    train_once(Training("ppo", "pickenv/Pick-v0", steps, training, checkpoint_every=every, evaluate_every=every), out)
     envs = PickVectorEnv(canopies, **arguments)
     rows = canopy_rows(policy, pick_canopies(load_policy(out / "policy.npz"), envs, judged), canopies)
     parts = [rows | {"training": np.full(canopies, training)}]

@@ -35,9 +35,9 @@ LAST = slice(PICKS // 2, PICKS)
 
 
 @cache
-def twin() -> str:
+def twin(seed: int) -> str:
     """A file with the twin of the measured arm, from a tracker's poses with everything that the pipeline finds."""
-    plant, rng = load_plant("qiao2026"), np.random.default_rng(0)
+    plant, rng = load_plant("qiao2026"), np.random.default_rng(seed)
     result = calibrate(plant.arm, simulated_tracker(plant, random_joints(plant.arm.nominal, POSES, rng), rng))
     return str(write_twin(result.plant(), Path(mkdtemp()) / "twin.npz"))
 
@@ -60,12 +60,12 @@ def trained(given: dict[str, Any], picks: int, seed: int, steps: int) -> PPO:
     return model.learn(steps)
 
 
-def judged(policy: PPO | None, picks: int, given: dict[str, Any], fixed: bool) -> Any:
+def judged(policy: PPO | None, picks: int, given: dict[str, Any], fixed: bool, seed: int) -> Any:
     """Mean error of each pick of a run over arms and fruit that no training saw ``(picks,)``, mm."""
-    envs = environment(given, picks, seed_words(stream(0, "arms", 4), 1)[0], fixed)
+    envs = environment(given, picks, seed_words(stream(seed, "arms", 4), 1)[0], fixed)
     errors = np.zeros((max(1, 10 // picks), picks))
     for run in range(len(errors)):
-        seen, _ = envs.reset(seed=seed_words(stream(0, "fruit", run), TOGETHER))
+        seen, _ = envs.reset(seed=seed_words(stream(seed, "fruit", run), TOGETHER))
         for pick in range(picks):
             action = np.zeros((TOGETHER, 3)) if policy is None else policy.predict(seen, deterministic=True)[0]
             seen, _, _, _, infos = envs.step(action)
@@ -78,16 +78,18 @@ def fits(training: int, trained_on: str, picks: int) -> bool:
     return trained_on != NOMINAL or picks == 1
 
 
-def measure(rng: np.random.Generator, training: int, trained_on: str, picks: int, steps: int) -> list[dict[str, Any]]:
+def measure(
+    rng: np.random.Generator, training: int, trained_on: str, picks: int, steps: int, seed: int
+) -> list[dict[str, Any]]:
     """One training, judged on both kinds of arms at the first pick and at the last ten."""
-    own: dict[str, Any] = {"plant": twin()}
+    own: dict[str, Any] = {"plant": twin(seed)}
     with torch_on_one_thread():
         policy = None
         if trained_on != NOMINAL:
             policy = trained(own if trained_on == TWIN else INVENTED[trained_on], picks, training, steps)
         rows = []
         for place, where in {"twin, held out": (own, False), "the measured arm": ({"plant": "qiao2026"}, True)}.items():
-            errors = judged(policy, picks, *where)
+            errors = judged(policy, picks, *where, seed)
             parts = {"first pick": errors[:1], "picks 11 to 20": errors[LAST] if picks > 1 else errors}
             rows += [{"judged": f"{place}, {when}", "error_mm": float(each.mean())} for when, each in parts.items()]
     return rows

@@ -2,10 +2,13 @@
 
 import json
 from pathlib import Path
+from types import SimpleNamespace
 
+import numpy as np
 import pytest
 
 from pickenv.cli import app
+from pickenv.experiments import load_experiment, run
 
 ROOT = Path(__file__).parents[2]
 
@@ -28,3 +31,29 @@ def test_the_spread_of_the_ledger_is_what_the_study_finds(tmp_path: Path) -> Non
     for row in table["rows"]:
         shown = [kept[row["policy"]]["value"], *kept[row["policy"]]["ci95"]]
         assert shown == pytest.approx([row["value"], *row["ci95"]], abs=5e-4)
+
+
+def test_another_seed_is_another_calibration(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The ledger makes the numbers again at a fresh seed."""
+
+    def demonstrated(settings):
+        return SimpleNamespace(reaches={"raw": SimpleNamespace(position_error_mm=np.array([settings.seed]))})
+
+    found = []
+    for seed in (0, 7):
+        study = load_experiment(ROOT / "scripts/studies/demo_spread.toml", seed=seed, changes={"calibration": 3})
+        monkeypatch.setitem(study.functions["demo_spread.py:measure"].__globals__, "run_demo", demonstrated)
+        found += run(study.experiment)["error_mm"].tolist()
+    assert len(set(found)) == 6
+    assert found[:3] == np.random.SeedSequence(0).generate_state(10)[:3].tolist()  # those that the pages print
+
+
+def test_another_seed_is_another_twin_and_other_arms(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the study whose policies learn on a twin: trainings are numbered, as in other studies."""
+    asked = []
+    study = load_experiment(ROOT / "scripts/studies/twin_randomisation.toml", seed=7)
+    known = study.functions["twin_randomisation.py:measure"].__globals__
+    monkeypatch.setitem(known, "twin", lambda seed: asked.append(seed) or "ideal")
+    monkeypatch.setitem(known, "judged", lambda policy, picks, given, fixed, seed: asked.append(seed) or np.ones(picks))
+    study.experiment.measured(study.experiment.pieces()[0])
+    assert asked == [7, 7, 7]

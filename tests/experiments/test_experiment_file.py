@@ -177,6 +177,12 @@ def test_the_command_prints_writes_and_goes_on(file, tmp_path, capsys):
     assert len(list((tmp_path / "out").glob("*.parquet"))) == len(stamps) + 2
 
 
+def test_workers_of_one_process_are_refused(file, tmp_path):
+    words = ["experiment", str(file), "--out", str(tmp_path / "out"), "--executor", "serial", "--workers", "2"]
+    with pytest.raises(InputError, match="give --executor loky with it"):
+        app(words, standalone_mode=False)
+
+
 SLIPS = {
     ('value = "error_mm"', 'value = "eror_mm"'): "no column 'eror_mm' for 'Mean error",
     ("arm = 12", 'arm = "12"'): "units",
@@ -196,6 +202,12 @@ SLIPS = {
     ('against = { method = "raw" }', 'where = { methods = "raw" }'): "no column 'methods' for 'Change",
     ('of = "share"', 'of = "mean"'): "'mean' is of one column",
     ('by = ["method"]', 'by = ["method", "runs"]'): "'runs' in by of 'Mean error (mm)' is what results are called",
+    ('["raw", "ls", "none"]', "3"): "factors is {'method': 3}; give a table of names, each with a list of texts",
+    ("noise = 0.0 }", "method = 2 }"): "method is 2; give a list of texts, numbers or truth values, at least one",
+    ("spread = true", 'spread = true\nacross = "method"'): "spread of 'Mean error (mm)' is of one column's means",
+    ("digits = 0", "digits = 0\nspread = true"): "spread of 'Taken (%)' is of one column's means",
+    ("spread = true", 'x = "method"'): "x of 'Mean error (mm)' is of its figure; give figure a name with it",
+    ("spread = true", "log = true"): "log of 'Mean error (mm)' is of its figure; give figure a name with it",
     ('by = ["method"]', 'by = ["method", "range"]'): "'range' in by of 'Mean error (mm)' is what results are called",
 }
 

@@ -76,6 +76,22 @@ def test_every_training_has_its_own_mean_and_a_table_of_them(tmp_path, monkeypat
     assert [path.stat().st_mtime_ns for path in policies] == times
 
 
+def test_trainings_that_nobody_asked_for_are_not_judged(tmp_path, monkeypatch):
+    monkeypatch.setattr(policy_tables, "_train", lambda folder, **levels: {"file": np.array([""])})
+    for number in range(3):
+        (tmp_path / f"ppo/{number}").mkdir(parents=True)
+        (tmp_path / f"ppo/{number}/policy.npz").touch()
+    with pytest.raises(InputError, match="ppo holds 3 trainings, and 2 were asked for; give `trainings=3`"):
+        policy_tables.trained(tmp_path, 2)
+    assert len(policy_tables.trained(tmp_path, 3)) == len(policy_tables.RECIPES)
+
+
+def test_workers_of_one_process_are_refused(tmp_path):
+    words = ["bench", "policies", "--quick", "--workers", "4", "--out", str(tmp_path / "out")]
+    done = CliRunner().invoke(app, words)
+    assert done.exit_code and "give --executor joblib with it" in str(done.exception) + done.output
+
+
 def test_a_leaderboard_is_every_rung_with_arms_that_no_two_seeds_share():
     board = policy_tables.LEADERBOARD
     assert (

@@ -70,7 +70,13 @@ def test_bad_input_ends_with_one_sentence(study_file, tmp_path, arguments, sente
 
 @pytest.mark.parametrize(
     ("words", "said"),
-    [("--sobol --no-report", "--no-report"), ("--samples 512", "--sobol"), ("--device cuda", "batched")],
+    [
+        ("--sobol --no-report", "--no-report"),
+        ("--samples 512", "--sobol"),
+        ("--device cuda", "batched"),
+        ("--executor serial --workers 2", "--executor joblib"),
+        ("--executor batched --device cuda --workers 2", "--workers"),
+    ],
 )
 def test_what_would_have_no_effect_on_a_study_is_refused(words, said, tmp_path):
     study = Path(__file__).parents[2] / "scripts/tolerance_study.toml"

@@ -60,7 +60,8 @@ def test_a_study_killed_again_and_again_at_any_moment_ends_with_the_same_table(s
     """Ends of any kind, each some moments later than the last: what is on disk is sound, and nothing of it is lost."""
     path = study_file(("arms = 12", "arms = 40"), ("chunk = 5", "chunk = 1"))
     config, folder, kept = load_study(path), tmp_path / "killed", set()
-    command = [*COMMAND, str(path), "--executor", executor, "--workers", "2", "--no-report", "--out", str(folder)]
+    workers = ["--workers", "2"] if executor == "joblib" else []
+    command = [*COMMAND, str(path), "--executor", executor, *workers, "--no-report", "--out", str(folder)]
     rng, patience = np.random.default_rng(0), 0.0
     for how in (signal.SIGKILL, signal.SIGTERM, signal.SIGKILL, signal.SIGINT, signal.SIGKILL, signal.SIGTERM):
         with subprocess.Popen(

@@ -105,6 +105,11 @@ def test_a_peer_that_cannot_be_installed_is_named(script, tmp_path, monkeypatch)
     (tmp_path / "python").chmod(0o755)
     with pytest.raises(InputError, match=r"cannot be installed: ERROR: no such release"):
         script.python_with(tmp_path / "peers", "figaroh")
+    (tmp_path / "peers").mkdir()
+    (tmp_path / "peers/installed").write_text("figaroh==1.0.1")
+    assert script.python_with(tmp_path / "peers", "figaroh==1.0.1").parent.parent == (tmp_path / "peers").resolve()
+    with pytest.raises(InputError, match=r"cannot be installed: ERROR: no such release"):
+        script.python_with(tmp_path / "peers", "figaroh==1.0.2")
     assert script.last_words("one\nan Error of it\nlast\n") == "an Error of it"
 
 
