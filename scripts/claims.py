@@ -146,8 +146,17 @@ def holds(first: Mapping[str, Any], again: Mapping[str, Any]) -> bool:
     return bool(other["value"] - one["value"] <= np.sqrt(np.mean(np.square(reach))))
 
 
+def same(first: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
+    """Whether two numbers and their intervals over arms are equal but for roundings."""
+    one, another = ((row["value"], *(row["sampled95"] or ())) for row in (first, other))
+    return len(one) == len(another) and bool(np.allclose(one, another, rtol=1e-6, atol=0.0))
+
+
 def made_again(row: Row, entry: Row, seed: int) -> Row:
-    """The same row at another seed and the cheap size; of every factor only the levels that it needs are measured."""
+    """The same row at another seed and the cheap size; of every factor only the levels that it needs are measured.
+
+    A level that is none of its factor's, such as a part of what one of them learnt, needs them all.
+    """
     if "command" in entry:
         begin, options = time.perf_counter(), entry["cheap"].format(**row["levels"])
         found = rows_of_command(row["experiment"], entry, run_command(entry, options, seed))
@@ -158,7 +167,8 @@ def made_again(row: Row, entry: Row, seed: int) -> Row:
     changes, begin = dict(entry["cheap"]), time.perf_counter()
     settings = {name: levels for name, levels in toml_of(path)[0]["settings"].items() if isinstance(levels, list)}
     for name, levels in {**file.experiment.factors, **settings}.items():
-        if needed := {row["levels"].get(name), (number.against or {}).get(name)} - {None}:
+        needed = {row["levels"].get(name), (number.against or {}).get(name)} - {None}
+        if needed and needed.issubset(levels):
             changes[name] = [level for level in levels if level in needed]
     experiment = load_experiment(path, seed=seed, changes=changes)
     tables = plain_estimates(experiment.estimates(run(experiment.experiment)))
@@ -183,7 +193,8 @@ def _matching(row: Row, found: Sequence[Row], entry: Row) -> Row:
 def keep(results: list[Path]) -> None:
     """Put the numbers of full runs into the ledger, in the place of those of the same experiments.
 
-    The JSON of another command than `pickenv experiment` has the name of its entry.
+    What was made again of a number that is now another leaves the record, for it was judged by the old one. The JSON
+    of another command than `pickenv experiment` has the name of its entry.
     """
     known = entries()
     kept = record() if RECORD.is_file() else {"rows": [], "again": []}
@@ -200,9 +211,10 @@ def keep(results: list[Path]) -> None:
             for row in found
             if row["title"] in titles and all(row["levels"][level] in shown for level, shown in printed.items())
         ]
+        old = {key_of(row): row for row in kept["rows"]}
         kept["rows"] = [row for row in kept["rows"] if row["experiment"] != name] + new
-        again = {key_of(row) for row in kept["rows"]}
-        kept["again"] = [row for row in kept["again"] if row["claim"] in again]
+        judged = {key_of(row) for row in kept["rows"] if same(row, old.get(key_of(row), row))}
+        kept["again"] = [row for row in kept["again"] if row["claim"] in judged]
     write_json(RECORD, kept)
     write_text(PAGE, page_of(kept, known))
 

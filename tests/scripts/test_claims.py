@@ -67,6 +67,10 @@ def test_the_page_says_what_the_record_holds(claims):
     assert len(keys) == len(set(keys)) and {row["claim"] for row in kept["again"]} <= set(keys)
     assert {row["experiment"] for row in kept["rows"]} == set(known)
     assert all(row["seconds"] < 300.0 for row in kept["again"])
+    now = {claims.key_of(row): row["ci95"] or [row["value"]] * 2 for row in kept["rows"]}
+    for again in kept["again"]:
+        (low, high), ends = now[again["claim"]], again["ci95"] or [again["value"]] * 2
+        assert not again["held"] or (low <= ends[1] and ends[0] <= high), again["claim"]
 
 
 def test_every_row_can_be_made_again(claims):
@@ -81,6 +85,27 @@ def test_every_row_can_be_made_again(claims):
             titles = {number.title for number in file.numbers}
         assert rows and {row["title"] for row in rows} <= titles
         assert (ROOT / "docs" / entry["page"]).is_file()
+
+
+def test_a_new_number_forgets_what_was_made_again_of_the_old_one(claims, tmp_path, monkeypatch):
+    """A verdict is of the number that the page prints; one that comes out the same keeps its own."""
+
+    def result(*values):
+        rows = [{"method": name, "value": value, "ci95": [0.1, 9.0]} for name, value in zip("ab", values, strict=True)]
+        return {"experiment": "toy", "tables": [{"title": "Error (mm)", "rows": rows}]}
+
+    monkeypatch.setattr(claims, "entries", lambda: {"toy": {"page": "toy.md", "titles": ["Error (mm)"]}})
+    monkeypatch.setattr(claims, "RECORD", tmp_path / "claims.json")
+    monkeypatch.setattr(claims, "PAGE", tmp_path / "claims.md")
+    (tmp_path / "toy.json").write_text(json.dumps(result(1.0, 2.0)), encoding="utf-8")
+    claims.keep([tmp_path / "toy.json"])
+    kept = claims.record()
+    kept["again"] = [{"claim": claims.key_of(row), "held": True} for row in kept["rows"]]
+    claims.RECORD.write_text(json.dumps(kept), encoding="utf-8")
+    (tmp_path / "toy.json").write_text(json.dumps(result(1.0 + 1e-12, 3.0)), encoding="utf-8")
+    claims.keep([tmp_path / "toy.json"])
+    assert [row["claim"] for row in claims.record()["again"]] == ["toy: Error (mm): method a"]
+    assert "1 of 1 numbers held" in claims.PAGE.read_text(encoding="utf-8")
 
 
 MADE = """
@@ -113,3 +138,14 @@ def test_a_row_is_made_again_from_its_levels_alone_at_another_seed(claims, tmp_p
     other = claims.made_again(row, {"file": "claimed_toy.toml", "cheap": {"arm": 20}}, 6)
     assert again["levels"] == row["levels"] and 0.0 < again["value"] < 2.0 and again["value"] != other["value"]
     assert again["ci95"][0] < again["value"] < again["ci95"][1]
+
+
+def test_a_level_that_a_measurement_adds_is_made_again(claims, tmp_path, monkeypatch):
+    """Such as a part of what was learnt: no factor has it, so all levels are measured."""
+    (tmp_path / "added_toy.toml").write_text(MADE.replace("claimed", "added"), encoding="utf-8")
+    part = CODE.replace('"load": each,', '"load": each, "method": method if method == "raw" else "half of ls",')
+    (tmp_path / "added_toy.py").write_text(part, encoding="utf-8")
+    monkeypatch.setattr(claims, "ROOT", tmp_path)
+    row = {"experiment": "added_toy", "title": "Error (mm)", "levels": {"method": "half of ls", "load": 1.0}}
+    again = claims.made_again(row, {"file": "added_toy.toml", "cheap": {"arm": 20}}, 5)
+    assert again["levels"] == row["levels"] and 0.0 < again["value"] < 2.0

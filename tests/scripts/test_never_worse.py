@@ -1,6 +1,7 @@
 """The judge of a calibration against a true arm: what it forgives, what it counts, and what it holds to be stated."""
 
 import json
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -196,3 +197,13 @@ def test_a_case_that_is_none_is_refused_by_name():
     done = subprocess.run([sys.executable, SCRIPT, "--only", "ur11"], capture_output=True, text=True)
     assert done.returncode == 2
     assert "there is no case 'ur11'; give ur10e, kinhec" in done.stderr
+
+
+def test_both_pages_print_the_same_of_the_real_camera():
+    """One command makes both numbers."""
+    results, board = (
+        (ROOT / f"docs/{page}.md").read_text(encoding="utf-8")
+        for page in ("results", "tutorials/calibrate-with-a-printed-board")
+    )
+    (row,) = re.findall(r"^\| `ur10e`: 23 pictures \| all joints \| (\S+) \| +\| (\S+) \|$", results, re.M)
+    assert row == tuple(re.findall(r"^\| (?:nominal|calibrated) \| .* \| (\S+) \|$", board, re.M))

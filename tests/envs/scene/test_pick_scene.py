@@ -351,3 +351,10 @@ def test_another_executor_is_refused_in_one_sentence():
     assert made(executor="floats").action_space.shape == (7,)
     with pytest.raises(InputError, match="executor is 'numpy'; give one of floats"):
         made(executor="numpy")
+
+
+@pytest.mark.parametrize("row", ["Contacts, grasps, forces", "Pictures in the observation"])
+def test_the_page_beside_other_packages_knows_the_scene(row):
+    page = (Path(__file__).parents[3] / "docs/peers.md").read_text(encoding="utf-8")
+    (ours,) = [line.split("|")[2] for line in page.splitlines() if line.startswith(f"| {row} |")]
+    assert f"`{NAME}`" in ours
