@@ -18,7 +18,7 @@ import json
 import time
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import numpy as np
 import typer
@@ -52,7 +52,6 @@ from pickenv.inspect.reports import harvest_report
 from pickenv.inspect.reports.report_page import Section
 from pickenv.inspect.runs.harvest_trace import HarvestTrace
 from pickenv.inspect.runs.run_folder import recorded_run, save_part
-from pickenv.orchard import VISIONS
 
 
 def main(
@@ -62,13 +61,16 @@ def main(
     count: Annotated[int, typer.Option("--sessions", min=40, help="Sessions of the experiment.")] = 1000,
     out: Annotated[Path, typer.Option(help="Folder of figures and the recording.")] = Path("runs/li2016"),
     workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 2,
-    vision: Annotated[str, typer.Option(help="How fruit is seen: measured_errors, rendered or ideal.")] = VISIONS[1],
+    vision: Annotated[
+        Literal["measured_errors", "rendered", "ideal"], typer.Option(help="How fruit is seen.")
+    ] = "measured_errors",
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything random.")] = SEED,
 ) -> None:
     """Print the tables, draw the figures, write the recording and the JSON."""
     begin = time.perf_counter()
     command = "python -m papers.li2016" + (" --quick" if quick else f" --trees {trees} --sessions {count}")
-    command += ("" if vision == VISIONS[1] else f" --vision {vision}") + ("" if seed == SEED else f" --seed {seed}")
+    command += "" if vision == "measured_errors" else f" --vision {vision}"
+    command += "" if seed == SEED else f" --seed {seed}"
     trees, images, count = (min(trees, 12), 40, min(count, 100)) if quick else (trees, 400, count)
     of_rest, of_equations, of_picture, of_sessions = np.random.SeedSequence(seed).spawn(4)
     rng, picture_rng = np.random.default_rng(of_rest), np.random.default_rng(of_picture)

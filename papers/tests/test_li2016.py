@@ -1,8 +1,13 @@
 """Verdicts on Li et al. 2016 follow the numbers that stand beside them."""
 
+import importlib
+from typing import NoReturn
+
 import numpy as np
 import pytest
+import typer
 from scipy.ndimage import binary_dilation, binary_erosion, label
+from typer.testing import CliRunner
 
 from papers.li2016 import verdicts
 from papers.li2016.comparison import displacements
@@ -176,3 +181,16 @@ def test_what_own_eyes_recover_is_held_against_the_papers_share(
     found = verdicts.own_eyes(PAPER["picking"], recovery, "li2016_bare", "measured_errors", 400)
     assert found["verdict"] == verdict and words in found["reason"] and "70% to 90%" in found["reason"]
     assert [row["paper_percent"] for row in found["rows"]] == [pytest.approx(100 * 46 / 56), None]
+
+
+def test_a_vision_that_there_is_not_is_refused_before_anything_is_simulated(monkeypatch: pytest.MonkeyPatch) -> None:
+    program = importlib.import_module("papers.li2016.__main__")
+
+    def never() -> NoReturn:
+        raise AssertionError("the machine was loaded")
+
+    monkeypatch.setattr(program, "load_machine", never)
+    app = typer.Typer()
+    app.command()(program.main)
+    found = CliRunner().invoke(app, ["--quick", "--vision", "eagle"])
+    assert found.exit_code == 2 and "'eagle' is not one of" in found.output

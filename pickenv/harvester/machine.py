@@ -10,8 +10,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from numbers import Real
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -333,13 +334,14 @@ def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spaci
         spacing: Distance between neighbouring slaves, m; the file's by default. The paper also implies 0.3 and 0.45 m.
 
     Raises:
-        InputError: If a number is outside its limits, the master does not reach its start, or a swinging slave could
-            touch a neighbour at rest.
+        InputError: If a number is outside its limits, the master does not reach its start or a slave its rest, or a
+            swinging slave could touch a neighbour at rest.
     """
     file = read_toml(MachineFile, path)
     head, accelerations = file.machine, file.acceleration
-    count = head.slaves if slaves is None else slaves
-    if count != int(count) or not 1 <= count <= MOST_SLAVES:
+    count: Any = head.slaves if slaves is None else slaves
+    is_number = isinstance(count, Real)
+    if not is_number or not 1 <= count <= MOST_SLAVES or count != int(count):
         raise InputError(f"a machine cannot have {count} slave arms; give a whole number from 1 to {MOST_SLAVES}")
     between = head.spacing if spacing is None else float(spacing)
     if not (np.isfinite(between) and between > 0):
@@ -367,6 +369,10 @@ def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spaci
     if not machine.master_within_limits(start):
         point = [round(value * 1e3, 6) for value in head.master_start]
         raise InputError(f"{path}: master_start_mm of [machine] is {point}; give a point that the master reaches")
+    low, high = float(slave.nominal.lower[0]), float(slave.nominal.upper[0])
+    if not low - ROUNDING <= head.slave_home <= high + ROUNDING:
+        height = f"slave_home_mm of [machine] is {1e3 * head.slave_home:g}"
+        raise InputError(f"{path}: {height}; give a height in the slave's range, {1e3 * low:g} to {1e3 * high:g}")
     refuse_touching_arms(machine)
     refuse_other_tables(machine, path)
     return replace(machine, master_start=start)

@@ -13,6 +13,7 @@ from pickenv.envs import HarvestEnv, HarvestVectorEnv
 from pickenv.envs.harvesting import harvest_task as batch
 from pickenv.envs.harvesting.harvest_task import distances, harvest_spaces, make_harvest_task
 from pickenv.harvester import Luck
+from pickenv.orchard import depth_behind_face
 
 MIDDLE, SIDE, LEFT = 1, 2, 0
 UP, SWING, STRETCH = range(3)
@@ -273,6 +274,15 @@ def test_the_guard_also_looks_half_way(begin):
     assert info["closest_mm"] == pytest.approx(math.hypot(95.0, 40.0 - 2 * 4.0))
 
 
+def test_arms_that_pass_each_other_were_nearest_half_way(begin):
+    """101 mm apart in plan, one rises past the other: 40 mm of height between them at both ends, none between."""
+    joints = side_by_side(0.101)
+    joints[[joint(LEFT, UP), joint(MIDDLE, UP)]] = [-0.02, 0.02]
+    env = begin([FAR], joints, reachable=[False], closest=math.hypot(0.101, 0.04))
+    *_, info = env.step(action({joint(LEFT, UP): 1.0, joint(MIDDLE, UP): -1.0}))
+    assert info["held"] == 0 and info["closest_mm"] == pytest.approx(101.0)
+
+
 def test_success_is_all_fruit_in_reach_and_the_rate_counts_what_is_collected(begin):
     status = [batch.COLLECTED, batch.COLLECTED, batch.HANGING, batch.LOST]
     for reachable, success in (([True, True, False, False], True), ([True, True, True, False], False)):
@@ -406,6 +416,42 @@ def test_arms_may_not_begin_nearer_than_the_guard_lets_them(swing, apart):
     else:
         with pytest.raises(InputError, match="start_joints brings two arms nearer than the guard lets them"):
             env.reset(seed=0, options={"start_joints": start})
+
+
+def test_fruit_in_reach_is_that_of_the_pick_point_wherever_the_machine_begins():
+    """As it is carried, the machine reaches nothing: that is no zone picked empty."""
+    env = HarvestEnv(ideal=True, vision="ideal")
+    machine = env.task.machine
+    *_, usual = env.reset(seed=0)
+    start = np.concatenate([machine.master_start, *[machine.slave_home] * machine.arms])
+    *_, info = env.reset(seed=0, options={"start_joints": start})
+    assert not machine.reach(start[:3], env.state.fruit[0]).any()
+    assert info["reachable"] == usual["reachable"] > 0 and not info["is_success"]
+    assert not env.step(np.zeros(machine.joints))[2]
+
+
+def test_a_zone_without_fruit_in_reach_is_drawn_anew_and_refused_where_it_is_given():
+    """One fruit in 150 is nowhere near where the single slave stands; 5 m away or behind the cameras none is."""
+    state = batch.begin_zones(
+        make_harvest_task(slaves=1, fruit=1), [np.random.default_rng(seed) for seed in range(150)]
+    )
+    assert state.reachable.any(axis=1).all()
+    for y in (-5.0, 1.0):
+        with pytest.raises(InputError, match="no fruit in reach in 100 zones; move the fruit of the option"):
+            HarvestEnv(fruit=1).reset(seed=0, options={"fruit": [[0.0, y, 1.0]]})
+
+
+def test_fruit_hangs_in_a_canopy_that_leans():
+    task = make_harvest_task(canopy="v_trellis", vision="ideal", fruit=40)
+    canopy = task.orchard.canopy
+    fruit = batch.begin_zones(task, [np.random.default_rng(seed) for seed in range(5)]).fruit
+    turned = fruit * [-1.0, -1.0, 1.0] + [0.0, -canopy.standoff, task.machine.base_height]
+    depth = depth_behind_face(canopy, turned)
+    assert canopy.lean < 0.0 and 0.0 <= depth.min() < 0.02 and canopy.depth - 0.02 < depth.max() <= canopy.depth
+
+
+def test_a_number_of_fruit_may_come_from_numpy():
+    assert HarvestEnv(fruit=np.int64(4)).observation_space.shape == (12 + 3 + 4 * 4,)
 
 
 @pytest.mark.parametrize(

@@ -134,3 +134,21 @@ def test_agents_together_do_what_the_single_policy_does():
         observations, rewards, _, _, infos = env.step(policy.act_together(observations))
         assert len(set(rewards.values())) == 1
     assert infos["master"]["collected"] >= infos["master"]["reachable"] - 1
+
+
+def test_agents_together_begin_as_asked_and_refuse_what_they_do_not_know():
+    pytest.importorskip("pettingzoo")
+    from pickenv.envs.harvesting.harvest_parallel import HarvestParallelEnv
+
+    alone, env = HarvestEnv(fruit=2), HarvestParallelEnv(fruit=2)
+    alone.reset(seed=3)
+    options = {"fruit": alone.state.fruit[0] + 0.01, "start_joints": alone.state.joints[0]}
+    seen, _ = alone.reset(seed=4, options=options)
+    observations, _ = env.reset(seed=4, options=options | {"options": 1})  # as PettingZoo's own tests give
+    assert np.array_equal(observations["master"][: len(seen)], seen)
+    with pytest.raises(InputError, match="unknown reset option 'fruits'; give fruit, start_joints"):
+        env.reset(options={"fruits": options["fruit"]})
+    with pytest.raises(InputError, match="agent of an action is 'slave_3'; give one of master, slave_0"):
+        env.step({"slave_3": np.zeros(3)})
+    with pytest.raises(InputError, match="max_cycles is 0; give a whole number of at least 1"):
+        HarvestParallelEnv(max_cycles=0)

@@ -1,11 +1,13 @@
 """The machine of Li 2016: closed forms against the generic kinematics, and what its tables really say."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from papers.li2016.comparison import joint_curves, workspace
+from pickenv import harvester
 from pickenv.arm import forward, load_arm
 from pickenv.base import InputError
 from pickenv.harvester import load_machine, profile, travel_time
@@ -159,7 +161,7 @@ def test_six_arms_stand_side_by_side_at_equal_distances():
     assert machine.offsets.sum() == pytest.approx(0)
 
 
-@pytest.mark.parametrize("count", [0, 7, 2.5])
+@pytest.mark.parametrize("count", [0, 7, 2.5, float("nan"), "three"])
 def test_an_impossible_number_of_arms_is_refused(count):
     with pytest.raises(InputError, match="slave arms"):
         load_machine(slaves=count)
@@ -182,3 +184,15 @@ def test_an_impossible_spacing_is_refused(spacing):
 def test_the_arms_are_shipped_with_the_arm_room():
     assert load_arm("li2016_master").nominal.prismatic == (False, True, True)
     assert load_arm("li2016_slave").nominal.prismatic == (True, False, True)
+
+
+def test_slaves_rest_within_their_slide(tmp_path):
+    text = Path(harvester.__file__).with_name("li2016.toml").read_text(encoding="utf-8")
+    for height, fits in ((-300.0, True), (300.0, True), (-301.0, False), (900.0, False)):
+        own = tmp_path / "own.toml"
+        own.write_text(text.replace("slave_home_mm = -300.0", f"slave_home_mm = {height}"), encoding="utf-8")
+        if fits:
+            assert load_machine(own).slave_home[0] == pytest.approx(height * 1e-3)
+        else:
+            with pytest.raises(InputError, match=rf"slave_home_mm of \[machine\] is {height:g}; .* -300 to 300$"):
+                load_machine(own)

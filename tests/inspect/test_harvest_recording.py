@@ -78,6 +78,23 @@ def test_fruit_end_as_the_harvest_says(reading: Any, harvest: Harvest) -> None:
         assert tuple(rgb[-1, i]) == FATES[fate[picked.get(number)]]
 
 
+def test_fruit_that_an_earlier_round_took_hangs_no_more(
+    true: TrueMachine, reader: Callable[[Path], Any], tmp_path: Path
+) -> None:
+    """Of the second tree's busiest zone, a neighbouring zone's round has taken one fruit of their overlap."""
+    strategy = Strategy("li", Controller(true.machine))
+    _, found = work_trees(true, strategy, load_picking(), load_orchard(), load_grid(), count=2, seed=1)
+    shown = max(found.rounds, key=lambda item: len(item.fruit))
+    taken = np.concatenate([r.fruit[r.collected] for r in found.rounds[: found.rounds.index(shown)]])
+    zone = np.flatnonzero(shown.zone.holds(found.tree.fruit))
+    hanging = np.setdiff1d(zone, taken)
+    assert len(hanging) == len(zone) - 1
+    places = reader(inspect_harvest(true.machine, found, tmp_path / "zone.rrd")).values(
+        "/world/fruit", "Points3D:positions"
+    )
+    np.testing.assert_allclose(places, found.tree.fruit[hanging], atol=1e-6)
+
+
 def test_every_pick_is_in_its_arms_lane(reading: Any, harvest: Harvest, true: TrueMachine) -> None:
     shown = max(harvest.rounds, key=lambda item: len(item.fruit))
     ends = []

@@ -72,11 +72,12 @@ class HarvestEnv(DrawnEnv):
     ## Starting State
 
     Fruit is drawn uniformly in a zone of 0.7 x 0.4 x 0.55 m somewhere on the tree's side. The cameras, 1 m before the
-    tree, find some of it. The master stands at the pick point from which its slaves reach most of the fruit found.
-    The slaves are at rest. After an attempt that leaves its fruit hanging, the camera sees this fruit again where it
-    hangs then. The same leaves are in between, so the error is the same. `reset(options=...)` takes `"fruit"`,
-    positions (fruit, 3) in m in the base frame, and `"start_joints"` of the whole machine (rad and m). The cameras look
-    at the middle of given fruit.
+    tree, find some of it. The master stands at the pick point from which its slaves reach most of the fruit found. A
+    zone without fruit in reach is drawn anew. The slaves are at rest. After an attempt that leaves its fruit hanging,
+    the camera sees this fruit again where it hangs then. The same leaves are in between, so the error is the same.
+    `reset(options=...)` takes `"fruit"`, positions (fruit, 3) in m in the base frame, and `"start_joints"` of the whole
+    machine (rad and m). The cameras look at the middle of given fruit. Fruit is in reach if a slave reaches it from the
+    pick point, wherever the machine starts.
 
     ## Episode End
 

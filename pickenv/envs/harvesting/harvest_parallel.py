@@ -18,7 +18,7 @@ from pickenv.base import InputError
 from pickenv.envs.harvesting.harvest_env import LONGEST, HarvestEnv
 from pickenv.envs.harvesting.harvest_task import HarvestTask, harvest_spaces
 from pickenv.envs.shared.arm_env import checked_render_mode
-from pickenv.envs.shared.task import Compensate, checked_action
+from pickenv.envs.shared.task import Compensate, check_choice, check_count, checked_action
 
 ID = "pickenv/Harvest-v0"
 Observations = dict[str, NDArray[np.float32]]
@@ -39,6 +39,7 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
 
     def __init__(self, *, max_cycles: int = LONGEST, render_mode: str | None = None, **arguments: Any) -> None:
         """See the class."""
+        check_count("max_cycles", max_cycles)
         self._env = HarvestEnv(render_mode=checked_render_mode(render_mode, ("rgb_array",)), **arguments)
         self.task: HarvestTask = self._env.task
         self.max_cycles, self.render_mode = max_cycles, render_mode
@@ -61,9 +62,13 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
     def reset(
         self, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observations, dict[str, dict[str, Any]]]:
-        """Start an episode in a new zone; ``options`` are ignored."""
+        """Start an episode in a new zone; `HarvestEnv` explains the options.
+
+        An option named "options", which PettingZoo's own tests give to every environment, is ignored.
+        """
+        asked = {name: value for name, value in (options or {}).items() if name != "options"}
+        self._shared, info = self._env.reset(seed=seed, options=asked)
         self.agents = list(self.possible_agents)
-        self._shared, info = self._env.reset(seed=seed)
         return self._seen(), self._told(info)
 
     def step(
@@ -72,12 +77,14 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         """Move all agents' joints for one period; agents without an action do not move.
 
         Raises:
-            InputError: If an action is not three finite numbers, or if `reset` was not called before.
+            InputError: If an action is not three finite numbers or of no agent, or if `reset` was not called before.
         """
         if self._shared is None:
             raise InputError("step was called before reset; call reset first")
         if not self.agents:
             return {}, {}, {}, {}, {}
+        for name in actions:
+            check_choice("the agent of an action", name, tuple(self.possible_agents))
         still: ArrayLike = np.zeros(3)
         parts = [checked_action(actions.get(name, still), (3,), self.task.most_action) for name in self.possible_agents]
         self._env.compensator = self.compensator

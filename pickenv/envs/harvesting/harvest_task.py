@@ -21,7 +21,7 @@ from pickenv.harvester.interference import arm_distances, pair_distances, pairs_
 from pickenv.harvester.picking import attempt, draw_luck, pushes
 from pickenv.harvester.trees import SHIPPED, lab_zone, tree_leaves
 from pickenv.harvester.zones import AHEAD
-from pickenv.orchard import Eyes, Sight, fruit_masses, load_eyes, sample_diameters, see, swing
+from pickenv.orchard import Eyes, Sight, face, fruit_masses, load_eyes, sample_diameters, see, swing
 
 # The zone that a harvester begins with: fruit and how it is seen, drawn or as it is asked for. Units: m, rad.
 
@@ -64,8 +64,10 @@ def given_zones(task: HarvestTask, options: Mapping[str, Any], count: int, rows:
     return zones
 
 
-def drawn_zone(task: HarvestTask, rng: np.random.Generator, given: Array | None = None) -> tuple[Array, Array, Sight]:
-    """Draw a zone in which the cameras locate some fruit.
+def drawn_zone(
+    task: HarvestTask, rng: np.random.Generator, given: Array | None = None
+) -> tuple[Array, Array, Sight, Array, Flags]:
+    """Draw a zone in which the cameras locate some fruit, and in which an arm reaches some of it.
 
     Args:
         task: The task.
@@ -74,10 +76,11 @@ def drawn_zone(task: HarvestTask, rng: np.random.Generator, given: Array | None 
             middle of given fruit.
 
     Returns:
-        The positions of the fruit ``(fruit, 3)``, m, its diameters, m, and how the cameras see it.
+        The positions of the fruit ``(fruit, 3)``, m, its diameters, m, and how the cameras see it. Then the master's
+        joints at the pick point ``(3,)``, and flags of the located fruit that some arm reaches from there.
 
     Raises:
-        InputError: If the cameras find no fruit in `DRAWS` draws.
+        InputError: If the cameras find no fruit in reach in `DRAWS` draws.
     """
     machine, canopy = task.machine, task.orchard.canopy
     zone = lab_zone(canopy)
@@ -87,15 +90,19 @@ def drawn_zone(task: HarvestTask, rng: np.random.Generator, given: Array | None 
             x = rng.uniform(-0.5, 0.5) * (canopy.width - zone[0])
             corner = np.array([x - zone[0] / 2, -canopy.standoff - canopy.depth, rng.uniform(low, high)])
             fruit, height = corner + zone * rng.random((task.fruit, 3)), corner[2] + zone[2] / 2
+            fruit[:, 1] -= face(canopy, fruit[:, 2] + machine.base_height)  # a canopy may lean
         else:
             fruit, x, height = given, given[:, 0].mean(), given[:, 2].mean()
         diameters = sample_diameters(task.orchard.fruit_size, task.fruit, rng)
         view = np.array([x, 0.0, height]), AHEAD
         sight = see(task.eyes, view, fruit, diameters, rng, leaves=tree_leaves(machine, task.eyes, rng))
         if sight.located.any():
-            return fruit, diameters, sight
+            master = harvester.pick_point(machine, sight.believed[sight.located])
+            reachable = sight.located & machine.reach(master, sight.believed).any(axis=0)
+            if reachable.any():
+                return fruit, diameters, sight, master, reachable
     advice = "give more fruit, or vision='ideal'" if given is None else "move the fruit of the option"
-    raise InputError(f"the cameras found no fruit in {DRAWS} zones; {advice}")
+    raise InputError(f"the cameras found no fruit in reach in {DRAWS} zones; {advice}")
 
 
 @toml_table
@@ -184,7 +191,7 @@ def make_harvest_task(
     """
     check_choice("out_of_range", out_of_range, tuple(MOST_ACTION))
     check_choice("executor", executor, ("auto", "numpy"))
-    if isinstance(fruit, bool) or not isinstance(fruit, int) or not 1 <= fruit <= 40:
+    if isinstance(fruit, bool) or not isinstance(fruit, int | np.integer) or not 1 <= fruit <= 40:
         raise InputError(f"a zone of {fruit} fruit is impossible; give a whole number from 1 to 40")
     if spacing_mm is not None:
         check_number("spacing_mm", spacing_mm, positive=True)
@@ -196,7 +203,7 @@ def make_harvest_task(
     eyes = load_eyes(vision, orchard.canopy, detector)
     most = MOST_ACTION[out_of_range]
     compiled = executor == "auto" and is_there("llvmlite")
-    return HarvestTask(machine, true, harvester.load_picking(), load_rules(), orchard, eyes, fruit, most, compiled)
+    return HarvestTask(machine, true, harvester.load_picking(), load_rules(), orchard, eyes, int(fruit), most, compiled)
 
 
 def harvest_spaces(task: HarvestTask, extra: int = 0) -> tuple[Box[np.float32], Box[np.float32]]:
@@ -289,20 +296,19 @@ def begin_zones(
         joints: Joints of whole machines to start from ``(machines, joints)``, rad or m, or None.
 
     Raises:
-        InputError: If the cameras find no fruit in `DRAWS` draws, or arms are too near each other at ``joints``.
+        InputError: If the cameras find no fruit in reach in `DRAWS` draws, or arms are too near each other at
+            ``joints``.
     """
     machine, n = task.machine, len(rngs)
     positions, sightings, zeros = np.zeros((3, n, task.fruit, 3))
-    located = np.zeros((n, task.fruit), dtype=bool)
+    located, reachable = np.zeros((2, n, task.fruit), dtype=bool)
     diameters, start = np.empty((n, task.fruit)), np.empty((n, machine.joints))
     for i, rng in enumerate(rngs):
-        positions[i], diameters[i], sight = drawn_zone(task, rng, None if fruit is None else fruit[i])
+        zone = drawn_zone(task, rng, None if fruit is None else fruit[i])
+        positions[i], diameters[i], sight, master, reachable[i] = zone
         sightings[i], located[i] = sight.believed, sight.located
-        if joints is not None:
-            start[i] = joints[i]
-        else:
-            master = harvester.pick_point(machine, sight.believed[sight.located])
-            start[i] = np.concatenate([master, *[machine.slave_home] * machine.arms])
+        rest = np.concatenate([master, *[machine.slave_home] * machine.arms])
+        start[i] = rest if joints is None else joints[i]
     if joints is not None and (distances(task, start) < machine.body.clearance).any():
         raise InputError("option start_joints brings two arms nearer than the guard lets them; move them apart")
     state = HarvestState(
@@ -316,7 +322,7 @@ def begin_zones(
         believed=sightings,
         error=sightings - positions,
         located=located,
-        reachable=np.asarray(machine.reach(start[:, :3], sightings).any(axis=1)) & located,
+        reachable=reachable,
         status=np.zeros((n, task.fruit), dtype=np.int64),
         busy=np.zeros((n, machine.arms), dtype=np.int64),
         tried=np.full((n, machine.arms), -1),
@@ -414,7 +420,8 @@ def _guard(task: HarvestTask, start: Array, target: Array) -> tuple[NDArray[np.i
     """Hold every arm whose move would bring it too near another arm; change ``target`` in place.
 
     Returns:
-        The number of arms held, and the least distance between two arms' centre lines afterwards, m, (machines,) each.
+        The number of arms held, and the least distance between two arms' centre lines half way and afterwards, m,
+        (machines,) each.
     """
     machine, n = task.machine, len(start)
     arms = machine.arms
@@ -436,7 +443,7 @@ def _guard(task: HarvestTask, start: Array, target: Array) -> tuple[NDArray[np.i
             blocked[:, b] |= bad[:, pair]
         new = np.where(blocked[..., None], old, new)
     target[:, 3:] = new.reshape(n, -1)
-    return np.asarray(blocked.sum(axis=1)), np.asarray(after.min(axis=-1))
+    return np.asarray(blocked.sum(axis=1)), np.asarray(np.minimum(between, after).min(axis=-1))
 
 
 def attempts(

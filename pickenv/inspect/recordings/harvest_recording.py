@@ -110,8 +110,11 @@ def _send_lane(stream: rr.RecordingStream, arm: int, shown: Round, arrival: floa
 
 
 def _send_fruit(stream: rr.RecordingStream, harvest: Harvest, shown: Round, arrival: float) -> None:
-    """Send the fruit of the zone; each changes colour when its pick ends."""
-    numbers = np.flatnonzero(shown.zone.holds(harvest.tree.fruit))
+    """Send the fruit of the zone that still hangs when the round begins; each changes colour when its pick ends."""
+    gone = harvest.detached.copy()
+    for later in harvest.rounds[harvest.rounds.index(shown) :]:
+        gone[later.fruit[later.fruit >= 0]] = False
+    numbers = np.flatnonzero(shown.zone.holds(harvest.tree.fruit) & ~gone)
     moments = np.concatenate([[0.0], arrival + np.sort(shown.times.end)])
     colours = fates(shown, numbers, moments - arrival)
     scribe = Scribe(stream, [rr.TimeColumn("sim_time", duration=moments)])
