@@ -99,7 +99,8 @@ def compare(
         labels: Display names, one for each policy; made from policies and calibrations by default.
         episodes: Number of episodes of each policy.
         seed: Seed of the fruit and of the policies' own random draws.
-        gripper: Name or file of the gripper model that decides whether a reach picks its fruit.
+        gripper: Name or file of the gripper model that decides whether a reach picks its fruit. `pickenv/Pick-v0` has
+            this gripper.
         grid_step: Cell size of the error fields, m.
         allow: Names of the calibrations' reservations to accept (`pickenv.base.obey`).
         progress: Called with (stage, number done, total).
@@ -118,7 +119,11 @@ def compare(
     if not policies:
         raise InputError("there is nothing to compare; give at least one policy")
     report = progress or (lambda stage, done, total: None)
-    plant, period = _arm_and_period(env, arguments)
+    plant, period, own = _arm_and_period(env, arguments)
+    if "gripper" in own:
+        arguments = {**arguments, "gripper": gripper}
+    if grid_step != GRID_STEP and "field" not in own:
+        raise InputError(f"{env} is no reach of an arm for one fruit, so it has no error field; leave `grid_step` out")
     noise = float(np.hypot(arguments.get("camera_noise_mm", 0.0), arguments.get("fruit_noise_mm") or 0.0))
     arm = None if plant is None else plant.arm
     contenders = contenders_of(policies, compensate, labels, arm=arm, camera_noise_mm=noise, allow=allow)
@@ -150,7 +155,7 @@ def compare(
     options |= {"compensate": compensate, "allow": sorted(allow)}
     options |= {"grid_step": None if grid_step == GRID_STEP else grid_step}
     command = _command(policies, options, labels, arguments)
-    if plant is None or "pose_error" not in runs[-1][0][0].info:
+    if plant is None or "field" not in own:
         return PolicyComparison(RecordedEpisodes(policies=tuple(recorded), **facts), command)
     grid = field_grid(plant.arm.nominal, grid_step, seed)
     for number, contender in enumerate(contenders):
@@ -159,8 +164,12 @@ def compare(
     return PolicyComparison(Comparison(policies=tuple(recorded), grid=grid, **facts), command)
 
 
-def _arm_and_period(env_id: str, arguments: Mapping[str, Any]) -> tuple[Plant | None, float]:
-    """Return the plant (the true arm) of an environment, or None without one, and its control period, s."""
+def _arm_and_period(env_id: str, arguments: Mapping[str, Any]) -> tuple[Plant | None, float, set[str]]:
+    """Return the plant (the true arm) of an environment, or None without one, and its control period, s.
+
+    The third value names what the environment has of its own: "gripper", if it judges grasps by its own gripper, and
+    "field", if errors can be mapped over a grid of goals.
+    """
     env = _made(env_id, arguments)
     inner: Any = env.unwrapped
     task = getattr(inner, "task", None)
@@ -169,8 +178,11 @@ def _arm_and_period(env_id: str, arguments: Mapping[str, Any]) -> tuple[Plant | 
     situation = getattr(task, "situation", None)
     if situation is not None and situation.period.varies:
         raise InputError("a comparison has one time line; give one control_period_s, not a range")
+    plant, (_, info) = getattr(inner, "plant", None), env.reset(seed=0)
     env.close()
-    return getattr(inner, "plant", None), 1.0 / inner.metadata.get("render_fps", 10)
+    own = {"gripper"} if hasattr(getattr(inner, "orchard", None), "gripper") else set()
+    own |= {"field"} if plant is not None and "pose_error" in info else set()
+    return plant, 1.0 / inner.metadata.get("render_fps", 10), own
 
 
 def _episodes(

@@ -239,6 +239,8 @@ def contenders_of(
         stages.append(_calibrated(built_in or calibration, arm, allow))
         if stages[-1][1] is not None and isinstance(policy, str | Path) and kind_of(str(policy)).raw_only:
             raise InputError(f"policy '{policy}' corrects the arm itself; give `compensate` {NONE} for it")
+    if allow and not any(compensator for _, compensator in stages):
+        raise InputError("`allow` is of calibrations, and none is compared; leave it out, or give `compensate`")
     names = list(labels) or _labels([_name(policy) for policy, _ in pairs], [stage for stage, _ in stages])
     if len(names) != len(pairs):
         raise InputError(f"there are {len(pairs)} policies and {len(names)} labels; give each one label")

@@ -162,6 +162,10 @@ def export(
         raise InputError(f"a file of kind '{kind}' is written anew; leave `onto` out, or give another `kind`")
     if sample and (kind != "mjcf" or robot_file is not None):
         raise InputError("`sample` goes with a new MJCF; leave it and `onto` out, or give `kind='mjcf'`")
+    if seed and not sample:
+        raise InputError("`seed` is of the arms that `sample` draws; give `sample` with it, or leave `seed` out")
+    if tip is not None and (calibration.arm.tree is not None or kind in ("kinematics-yaml", "lerobot", "ros2-control")):
+        raise InputError(f"{robot_file} needs no tip here, so leave #{tip} of `onto` out")
     if kind == "mjcf" and robot_file is None:
         out = mjcf_files(out, 0)[0]
     document: Document = exporter(calibration, Order(out, robot_file, tip, arm, counts_per_turn, sample, seed))

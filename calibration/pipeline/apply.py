@@ -7,7 +7,7 @@ truncated to the task's rank. A learnt residual model, if there is one, is part 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -33,6 +33,9 @@ PASSES = 4
 """Number of successive corrections of a command; the second one moves the tool by micrometres only."""
 
 FRAMES = ("controller", "instrument")
+
+OPTIONS = {"payload": "payload_kg", "temperature": "temperature_k"}
+"""Option of `pickenv apply` that gives each condition."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,11 +147,13 @@ def apply_calibration(
         conditions: Payload and temperature, one value each, if the calibration depends on them.
 
     Raises:
-        InputError: If the frame is unknown, if the calibration is of another arm, or if it needs conditions that are
-            not given.
+        InputError: If the frame is unknown, or given for joint targets. Also if the calibration is of another arm,
+            needs conditions that are not given, or does not depend on a condition that is given.
     """
     if frame not in FRAMES:
         raise InputError(f"frame is '{frame}'; give {' or '.join(FRAMES)}")
+    if frame != "controller" and targets.pose is None:
+        raise InputError(f"{targets.source} holds joints, which are in no frame; leave `frame` out, or give tool poses")
     calibration.refuse_another(arm)
     geometry = arm.nominal if frame == "controller" else calibration.nominal
     reasons: dict[int, str] = {}
@@ -171,6 +176,12 @@ def apply_calibration(
             )
     compensator = calibration.compensator(conditions=conditions, fast=False)
     commands = toward(compensator, poses, wanted_joints)
+    given = conditions or Conditions()
+    for name in given.input_names():
+        more = replace(given, **{name: getattr(given, name) + 1.0})
+        elsewhere = calibration.compensator(conditions=more, fast=False).predict(commands)
+        if np.array_equal(elsewhere.position, compensator.predict(commands).position):
+            raise InputError(f"nothing in this calibration depends on a {name}; leave `{OPTIONS[name]}` out")
     before = pose_error(poses, compensator.predict(wanted_joints))
     remaining = pose_error(poses, compensator.predict(commands))
     weight = attitude_weight(arm.nominal.joints)

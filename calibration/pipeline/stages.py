@@ -49,7 +49,8 @@ class Choices:
     Attributes:
         terms: Parametric effects that are not geometric: "auto", names joined by "+", or "none".
         residual: "auto", the name of a residual model, or "none".
-        force: Whether a named residual model is used although it does not improve held-out errors.
+        force: Whether a named residual model is used although it does not improve held-out errors, or cannot be judged
+            because there are fewer than 40 poses.
         robust: Whether outlier rows are left out. They are listed in either case.
         seed: Seed of all random draws.
         frames: Whether base and tool are "known" or "fitted". None takes what the data state.
@@ -98,6 +99,22 @@ def refuse_options(train: Observations, choices: Choices) -> None:
         raise InputError(
             f"{option} is for poses and positions{single}, but {train.source} holds {train.kind}{several}; leave it out"
         )
+
+
+def _refuse_idle(choices: Choices, arm: Arm) -> None:
+    """Refuse options that another option, or tool poses in place of joint values, leave without effect.
+
+    Raises:
+        InputError: If such an option is set; the message names it.
+    """
+    by_priors = [name for name in ("tolerances", "prior_scale", "workspace") if getattr(choices, name) is not None]
+    if by_priors and choices.fit == "full":
+        raise InputError(f"`fit='full'` expects nothing of the parts, so `{by_priors[0]}` says nothing; leave one out")
+    of_parts = [f"fit='{choices.fit}'"] * (choices.fit != "auto") + by_priors
+    if of_parts and arm.name == CARRIER:
+        raise InputError(f"`{of_parts[0]}` is of an arm's parts, and finished poses have none; leave it out")
+    if choices.force and choices.residual in ("auto", "none"):
+        raise InputError("`force` is for a named residual model; name one as `residual`, or leave `force` out")
 
 
 Data = Observations | str | Path | Sequence[str | Path] | Sequence[Observations]
@@ -395,14 +412,14 @@ def calibrate(
     if test is not None and (split != "random" or test_rows is not None):
         option = f"`split='{split}'`" if split != "random" else f"`test_rows={test_rows}`"
         raise InputError(f"{option} holds rows of the data out, but `test` gives other rows to judge by; leave one out")
-    if choices.fit == "full" and (choices.tolerances is not None or choices.prior_scale is not None):
-        option = "prior_scale" if choices.tolerances is None else "tolerances"
-        raise InputError(f"`fit='full'` expects nothing of the parts, so `{option}` says nothing; leave one out")
+    _refuse_idle(choices, arm)
     known_frames = choices.frames == "known"
     train = given_rows(arm, data, columns, stations, known=known_frames)
     if (between := train.parts[0].conditions.between) is not None:
         if known_frames:
             raise InputError("`frames='known'` is for a single arm; leave it out for a whole robot")
+        if choices.residual not in ("auto", "none"):
+            raise InputError(f"`residual='{choices.residual}'` is for a single arm; leave it out for a whole robot")
         arm = replace(arm, nominal=arm.nominal.between(*between[0].tolist()))
     rng = rng or np.random.default_rng(choices.seed)
     few = test is None and test_rows is None and train.poses is not None
@@ -438,7 +455,7 @@ def _assessed(draft: Draft, held_out: fitting.HeldOut) -> Result:
 
 def _judged_once(draft: Draft) -> Result:
     """Judge the calibration on its held-out rows."""
-    draft = _through(STAGES, draft)
+    draft = _through(STAGES[1:], _judgeable(_check(draft)))
     return _assessed(draft, fitting.held_out_of(draft.fits, draft.test))
 
 
@@ -448,7 +465,7 @@ def _judged_by_blocks(draft: Draft) -> Result:
     Terms are chosen anew without each block. Residual models are chosen only twice, on the odd and on the even blocks,
     since to choose one for every block would take ten times as long; a block takes the choice that it had no part in.
     """
-    checked = _check(draft)
+    checked = _judgeable(_check(draft))
     complete = _through(STAGES[1:], checked)
     if len(checked.train.joints) < 2:
         raise InputError(f"{checked.train.source} holds one row, and none to judge by; measure more, or give `test`")
@@ -524,6 +541,18 @@ def _check(draft: Draft) -> Draft:
     known_frames = choices.frames == "known"
     train, test, far = checked_rows(draft.arm, train, test, known=known_frames, robust=choices.robust)
     return replace(draft, choices=choices, train=train, test=test, left_out=(*left_out, *far))
+
+
+def _judgeable(draft: Draft) -> Draft:
+    """Return the draft; refuse a named residual model if too few rows are left to judge it, and it is not forced."""
+    choices, count = draft.choices, pose_count(draft.train.joints)
+    named = choices.residual not in ("auto", "none") and choices.learn_from is None and not choices.force
+    if named and count < ENOUGH_FOR_BLOCKS:
+        raise InputError(
+            f"{draft.train.source}: `residual='{choices.residual}'` cannot be judged on {count} fitted poses; measure "
+            f"{ENOUGH_FOR_BLOCKS} or more, or use it unjudged with `force`"
+        )
+    return draft
 
 
 def _align(draft: Draft) -> Draft:

@@ -11,6 +11,7 @@ from typer import Argument, Option
 
 import pickenv
 from pickenv.base import InputError, command_line, screen_width, separate, write_json
+from pickenv.commands.learning import NO_CAMERA
 from pickenv.commands.showing import MOST, CommandOfNames, deliver, print_table, print_verdict, progress_bars
 
 SEVERAL = ("--compensate", "--label")
@@ -67,11 +68,12 @@ def compare(
         env: Id of the environment.
         episodes: Number of episodes of each policy.
         seed: Seed of fruit, and of policies with random actions.
-        gripper: Gripper that decides whether a reach picks; a name, or a file of kind {gripper}.
+        gripper: Gripper that decides whether a reach picks, and that picks in pickenv/Pick-v0; a name, or a file of
+            kind {gripper}.
         plant: Plant preset or file; the environment's if left out.
         feedback: encoders or camera.
         camera_noise: Standard deviation of what the camera sees, mm per axis.
-        grid_step: Distance between neighbouring points of the error field, m.
+        grid_step: Distance between neighbouring points of the error field of reaches, m.
         allow: Use a calibration in spite of this: fitted-frames, do-not-use.
         details: Print medians, 95th percentiles, and the differences fruit by fruit as well.
         out: Run folder: recording, page, figures, every episode.
@@ -88,6 +90,8 @@ def compare(
 
     read = [word.partition("#")[0] for word in [*policies, *(compensate or [])]]
     separate({"POLICY": read, "--plant": plant}, {"--out": None if out is None else out / RECORD, "--json": json_file})
+    if camera_noise is not None and feedback != "camera":
+        raise InputError(NO_CAMERA)
     arguments: dict[str, Any] = {"plant": plant, "feedback": feedback, "camera_noise_mm": camera_noise}
     with progress_bars() as report:
         comparison = pickenv.compare(

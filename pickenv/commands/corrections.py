@@ -45,7 +45,7 @@ def plan_poses(
     criterion: Literal["d-optimal", "test-poses"] | None = None,
     at: Path | None = None,
     frames: Literal["fitted", "known"] = "fitted",
-    candidates: Annotated[int, Option(min=10)] = 2000,
+    candidates: Annotated[int | None, Option(min=10)] = None,
     pool: Annotated[Path | None, Option("--from")] = None,
     like: Path | None = None,
     columns: str | None = None,
@@ -67,7 +67,7 @@ def plan_poses(
         criterion: test-poses: be accurate at the poses of --at, which is the default with --at.
         at: CSV of joints or tool poses where accuracy matters.
         frames: fitted: base and tool will be fitted too; known: the arm's own parameters alone.
-        candidates: Number of random poses to choose from.
+        candidates: Number of random poses to choose from; 2000 if left out.
         pool: Choose from the poses of this file (CSV of joints or tool poses) instead.
         like: Plan more poses like those of this first measurement, of any kind (touches, wire, pictures, …).
         columns: Column description of the file of --like or --from; pickenv's own if left out.
@@ -94,6 +94,8 @@ def plan_poses(
     robot = pickenv.load_arm(arm)
     if columns is not None and pool is None and like is None:
         raise InputError("--columns describes the file of --like or --from; give that too")
+    if candidates is not None and pool is not None:
+        raise InputError("--candidates are drawn at random, but --from gives the poses to choose from; leave one out")
     if fit == "full" and (tolerances is not None or prior_scale != 1.0):
         raise InputError("--fit full expects nothing of the parts; leave out --tolerances and --prior-scale")
     test_joints = None if at is None else joints_of(pickenv.calibration.read_targets(at, robot.nominal), robot.nominal)
@@ -107,7 +109,7 @@ def plan_poses(
         scale=prior_scale,
     )
     how: dict[str, Any] = {"criterion": criterion, "test_joints": test_joints, "curve": curve}
-    how["candidates"], lines = candidates, None
+    how["candidates"], lines = candidates or 2000, None
     if pool is not None:
         how["candidates"], lines = pickenv.calibration.pool_of(pool, robot.nominal, columns if like is None else None)
     if like is not None:
@@ -190,7 +192,7 @@ def apply(
         targets: CSV of joint targets (q1_deg, …) or tool poses (x_mm … rz_deg).
         arm: Arm name or file ({arm_format}).
         out: Write the corrected commands (.csv).
-        frame: Frame of pose targets; instrument: the frame in which the calibration was measured.
+        frame: Frame of targets that are tool poses; instrument: the frame in which the calibration was measured.
         payload_kg: Mass held at the tool, kg, if the calibration needs it.
         temperature_k: Temperature rise above the reference, K, if the calibration needs it.
         unit: Serial number of the robot, which must be the calibration's.
@@ -289,7 +291,8 @@ def twin(
         calibration: Calibration file (.npz).
         out: Write the plant (.npz).
         arm: Arm name or arm file; the arm named in the calibration if left out.
-        rows: Poses or positions that the calibration was fitted to; needed if it has no Gaussian process.
+        rows: Poses or positions that the calibration was fitted to. If it learnt another residual than a Gaussian
+            process, they are needed; if it has a Gaussian process, they are not used.
         columns: Column description of --rows; pickenv's own if left out.
         seed: Seed of the random waves that represent the residual.
         json_file: Write the plant's summary and notes to this file.
@@ -308,6 +311,8 @@ def twin(
     loaded = pickenv.Calibration.load(calibration, None, unit)
     robot = pickenv.load_arm(arm or loaded.arm_name)
     obey(loaded.reservations(), allow or (), (DO_NOT_USE,))
+    if seed and not rows and loaded.learnt is None:
+        raise InputError("without a residual --seed draws no waves; give --rows too, or leave --seed out")
     data = None if not rows else pickenv.calibration.read_observations(rows, robot.nominal, columns)
     if data is not None and not isinstance(data, pickenv.calibration.Measurements):
         raise InputError(f"--rows holds {data.kind}, not poses or positions; leave it out")

@@ -60,6 +60,8 @@ def experiment(
     separate({"FILE": file}, {"--out": folder / RECORD, "--json": json_file, "--table": table})
     changes = dict(map(_change, change or []))
     definition = load_experiment(file, quick=quick, seed=seed, changes=changes)
+    if figures is not None and not (definition.figures or any(number.figure for number in definition.numbers)):
+        raise InputError(f"{file} has no figures to write; leave --figures out, or name some in the file")
     with showing.progress_bars() as report:
         rows = pickenv.experiments.run(
             definition.experiment, folder, backend=executor, workers=workers, progress=report
@@ -155,9 +157,11 @@ def study(
     require("pyarrow", "joblib")
     if sobol and not report:
         raise InputError("--sobol is of the report; leave --no-report out")
+    if workers is not None and workers > 1 and device != "cpu":
+        raise InputError(f"--device {device} computes in one process; leave --workers out")
     if samples != SAMPLES and not sobol:
         raise InputError("--samples is of the Sobol indices; give --sobol with it")
-    showing.check_workers(workers, executor != "serial" and device == "cpu", "joblib")
+    showing.check_workers(workers, executor != "serial", "joblib")
     full_study = pickenv.experiments.load_study(config)
     separate(
         {"CONFIG": [config, full_study.plant, *full_study.tolerances]},

@@ -74,6 +74,10 @@ def train(
     else:
         if (out / "checkpoint.pt").exists():
             raise InputError(f"{out} holds a training already; go on with --resume, or give another --out")
+        if allow and compensate is None:
+            raise InputError("--allow is of a calibration; give --compensate with it, or leave --allow out")
+        if randomise is not None:
+            _refuse_class("randomise", plant or [])
         arguments: dict[str, Any] = {
             "plant": plant[0] if plant and len(plant) == 1 else plant or None,
             "feedback": feedback if _was_given(context, "feedback") else None,  # else the algorithm's own
@@ -121,6 +125,12 @@ def _refuse_changes(context: typer.Context, begun: pickenv.agents.Training, out:
         )
 
 
+def _refuse_class(option: str, plants: Sequence[str]) -> None:
+    """Refuse a tolerance class where every plant's name begins with the class that its arms are drawn from."""
+    if plants and all(pickenv.arm.class_of(name) is not None for name in plants):
+        raise InputError(f"`{option}` changes nothing: plant '{plants[0]}' names its class itself; leave it out")
+
+
 def _was_given(context: typer.Context, name: str) -> bool:
     """Whether an option stands on the command line; Typer may bring a click of its own, so it is asked by name."""
     source = context.get_parameter_source(name)
@@ -162,7 +172,7 @@ def evaluate(
         gripper: Gripper, by name or as a file of kind {gripper}; may be repeated.
         arms: Number of arms drawn for each plant.
         episodes: Number of fruit per arm.
-        tolerances: Tolerance class of the arms.
+        tolerances: Tolerance class of the arms; a class that a plant's name begins with takes precedence.
         camera_noise: Standard deviation of the gap between tool and fruit as the camera sees it, mm per axis.
         fruit_noise: Standard deviation of the fruit's position, mm per axis.
         epochs: Training epochs of each arm's network.
@@ -182,6 +192,7 @@ def evaluate(
     from pickenv.agents.evaluation.contenders import kind_of
     from pickenv.experiments import policy_tables as tables
     from pickenv.experiments.methods import residual_of
+    from pickenv.experiments.policies import RUNG
     from pickenv.inspect.runs.run_folder import RECORD
 
     written = [] if out is None else [out / name for name in (RECORD, tables.EPISODES, tables.ROWS)]
@@ -193,13 +204,21 @@ def evaluate(
     lists = {name: tuple(value) for name, value in given.items() if isinstance(value, list)}
     plan = pickenv.experiments.CalibrationPlan(epochs=epochs)
     settings = pickenv.experiments.PolicySettings(**given | lists, seeds=(seed,), plan=plan)
+    models = {residual_of(name) for name in settings.compensations}
+    if _was_given(context, "epochs") and "bpnn" not in models:
+        raise InputError("--epochs is of networks, and no --compensation has one; leave it out, or add ls_bpnn")
+    if cache is not None and set(settings.compensations) == {"raw"}:
+        raise InputError("--cache keeps calibrations, and --compensation raw has none; leave --cache out")
+    if _was_given(context, "tolerances"):
+        _refuse_class("tolerances", [name for name in settings.plants if not name.startswith(RUNG)])
     kinds = [kind_of(name) for name in settings.policies]
     has_camera = "camera" in settings.feedback and any("camera" in kind.feedback for kind in kinds)
     if _was_given(context, "camera_noise") and not has_camera:
         raise InputError(NO_CAMERA)
     require(*([] if out is None else ["pyarrow"]))
+    long = workers is not None or any(models)  # else processes take longer to start than to work
     workers = workers or os.cpu_count() or 1
-    backend = "loky" if workers > 1 and any(map(residual_of, settings.compensations)) else "serial"
+    backend = "loky" if workers > 1 and long else "serial"
     with progress_bars() as report:
         rows = pickenv.experiments.run_policies(
             settings, cache=cache, backend=backend, workers=workers, progress=report

@@ -159,7 +159,9 @@ def check_workers(workers: int | None, several: bool, executor: str) -> None:
         InputError: If ``workers`` is above 1 and the executor works in one process.
     """
     if not several and (workers or 1) > 1:
-        raise InputError(f"--workers is of several processes; give --executor {executor} with it, or leave it out")
+        raise InputError(
+            f"--workers {workers} is of several processes; give --executor {executor} with it, or leave it out"
+        )
 
 
 def _print_warning(message: Warning | str, *_: Any, **__: Any) -> None:

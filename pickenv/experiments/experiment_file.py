@@ -240,6 +240,8 @@ def load_experiment(
     content, text = toml_of(path)
     keys = made(_File, content, str(path), text=text)
     parts = {"units": keys.units, "factors": keys.factors or {}, "settings": keys.settings or {}}
+    if quick and not keys.quick:
+        raise InputError(f"{path} has no smaller sizes; leave `quick` out, or give the file a table quick")
     for name, value in {**((keys.quick or {}) if quick else {}), **(changes or {})}.items():
         part = next((part for part in parts.values() if name in part), None)
         if part is None:

@@ -34,7 +34,7 @@ from pickenv.agents.policies.learned import BASELINES
 from pickenv.agents.policies.scripted import HASTY
 from pickenv.arm import Plant, plant_at
 from pickenv.arm.plant.plant_batch import plants_on
-from pickenv.arm.plant.plant_file import draw_arms
+from pickenv.arm.plant.plant_file import class_of, draw_arms
 from pickenv.base import InputError, check_limit, file_sha256, seed_words, stream
 from pickenv.base.registry import names, origin
 from pickenv.envs import PickVectorEnv, ReachVectorEnv
@@ -81,7 +81,7 @@ class PolicySettings:
         arms: Number of arms drawn for each plant and seed.
         episodes: Number of fruit per arm.
         seeds: Seeds of arms, fruit, pictures and calibrations.
-        tolerances: Tolerance class of the arms.
+        tolerances: Tolerance class of the arms of plants whose names begin with none.
         camera_noise_mm: Standard deviation, per axis, of the vector from tool to fruit as the camera measures it.
         fruit_noise_mm: Standard deviation, per axis, of the fruit's position in the observation.
         plan: How arms are calibrated; each seed in ``seeds`` replaces the seed of the plan.
@@ -138,7 +138,9 @@ class PolicySettings:
         sight = {"feedback": feedback, "camera_noise_mm": self.camera_noise_mm if feedback == "camera" else 0.0}
         own = {**sight, "fruit_noise_mm": self.fruit_noise_mm} if task == "Reach" else {}
         if not plant.startswith(RUNG):
-            return own | {"plant": plant, "tolerances": self.tolerances, "population_seed": population_seed(seed)}
+            drawn = class_of(plant)
+            tolerances = self.tolerances if drawn is None else drawn.name
+            return own | {"plant": plant, "tolerances": tolerances, "population_seed": population_seed(seed)}
         fixed = on_ladder(task, difficulty=plant.removeprefix(RUNG), split=self.split)
         if (asked := self.arms * len(self.levels("seeds"))) > (most := fixed.get("population", 1)):
             raise InputError(f"{plant} has {most} arms to be judged on; {asked} were asked for")

@@ -322,6 +322,20 @@ def test_what_cannot_be_compared_is_one_sentence(
         make(tmp_path)
 
 
+def test_the_gripper_of_a_comparison_of_pickers_is_the_one_that_picks(monkeypatch: pytest.MonkeyPatch) -> None:
+    made, plain = [], gym.make
+
+    def making(name: str, **given: Any) -> Any:
+        made.append(plain(name, **given))
+        return made[-1]
+
+    monkeypatch.setattr(gym, "make", making)
+    found = pickenv.compare(["scripted"], "pickenv/Pick-v0", episodes=1, gripper="compliant_hand", fruit=1.0)
+    assert found.command.count("--gripper compliant_hand") == 1
+    assert found.episodes.gripper == made[-1].unwrapped.orchard.gripper.name == "compliant_hand"
+    pickenv.compare(["random"], episodes=1, gripper="compliant_hand", grid_step=0.6)  # a reach has no gripper
+
+
 def test_options_take_their_values_up_to_the_next_option() -> None:
     import typer
 

@@ -313,6 +313,14 @@ def test_the_command_says_every_setting(tmp_path):
     )
 
 
+def test_a_plant_that_names_its_class_has_arms_of_it_and_says_so():
+    settings = PolicySettings(plants=("fine:ur5e",), tolerances="coarse", grippers=("compliant_hand",), arms=1)
+    rows = rows_of(np.ones((1, 1, 2)))
+    (row,) = evaluation_rows(settings, Rows(dict(rows.columns) | {"plant": np.full(2, "fine:ur5e")}))
+    assert row["tolerances"] == settings.world("fine:ur5e", 0)["tolerances"] == "fine"
+    assert settings.world("orchard", 0)["tolerances"] == "coarse"
+
+
 def test_rows_are_written_and_read(episodes, tmp_path):
     with write_rows(tmp_path / "rows.csv", episodes).open(encoding="utf-8") as file:
         read = list(csv.DictReader(file))

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from inspect import signature
 from typing import Any
 
 import numpy as np
@@ -464,6 +465,8 @@ def make_pick(
     check_count("looks", looks)
     check_choice("feedback", feedback, PICK_FEEDBACK)
     check_number("grip_noise_mm", grip_noise_mm)
+    if idle := [name for name in signature(make_task).parameters if name in situation]:
+        raise InputError(f"`{idle[0]}` has no effect on picking; leave it out")
     arguments: dict[str, Any] = {"tolerances": tolerances, "population": population, "population_seed": population_seed}
     task = make_task(plant, without, arms=arms, out_of_range=out_of_range, **arguments, **situation)
     check_choice("order", order, tuple(ORDERS))

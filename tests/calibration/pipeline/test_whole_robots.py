@@ -211,8 +211,9 @@ def test_what_a_scene_says_cannot_be_said_otherwise(tmp_path: Path) -> None:
     files, columns = ([tmp_path / f"{link}.{end}" for link in ARMS] for end in ("csv", "toml"))
     with pytest.raises(InputError, match="says which files share a base or a tool; leave `stations` out"):
         pickenv.calibrate(arm, files, columns=columns, stations="base,tool")
-    with pytest.raises(InputError, match="is for a single arm; leave it out for a whole robot"):
-        pickenv.calibrate(arm, files, columns=columns, choices=Choices(frames="known"))
+    for given in ({"frames": "known"}, {"residual": "gp", "force": True}):
+        with pytest.raises(InputError, match="is for a single arm; leave it out for a whole robot"):
+            pickenv.calibrate(arm, files, columns=columns, choices=Choices(**given))
     poses = tmp_path / "poses.csv"
     poses.write_text("x_mm,y_mm,z_mm,rx_deg,ry_deg,rz_deg\n300,0,300,0,0,0\n", encoding="utf-8")
     with pytest.raises(InputError, match="a whole robot has no one tool to take them; give joints"):
