@@ -74,6 +74,7 @@ def test_an_option_without_effect_is_refused_by_its_name(
     line: str, option: str, files: Path, typed: Callable[..., object], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(files)
+    monkeypatch.setattr("sys.dont_write_bytecode", True)  # of the measure's module
     before = sorted(files.iterdir())
     code, _, said = typed(*line.split())
     assert code == 2 and option in said.splitlines()[-1], said
