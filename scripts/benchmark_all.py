@@ -7,8 +7,6 @@ the population grows, executors against arms one by one. What does not fit is ex
 Run: python scripts/benchmark_all.py [--json FILE] [--markdown FILE] [--no-peers] [--quick]
 """
 
-from __future__ import annotations
-
 import json
 import multiprocessing
 import resource
@@ -32,6 +30,8 @@ SCRIPTS = Path(__file__).parent
 POSES, FRUIT = 30, 100
 LARGEST = 1_000_000
 """Arms to which costs are extrapolated where they were not measured."""
+COSTS = {"cpu_seconds": ".3g", "ms_per_arm": ".3f", "peak_mib": ".3g"}
+"""What is printed of a study besides its seconds, and how."""
 
 
 @dataclass(frozen=True)
@@ -57,11 +57,8 @@ def cases(quick: bool) -> list[Case]:
     compared = [Case("ls", "serial", few, 1), Case("ls", "joblib", few, 2)]
     grown = [100, 1000] if quick else [100, 1000, 10_000]
     forward = [1000, 10_000] if quick else [1000, 10_000, 100_000, LARGEST]
-    return [
-        *compared,
-        *(Case("ls", "batched", arms, 2 if arms > 1000 else 1) for arms in grown),
-        *(Case("raw", "batched", arms, 1) for arms in forward),
-    ]
+    calibrated = [Case("ls", "batched", arms, 2 if arms > 1000 else 1) for arms in grown]
+    return [*compared, *calibrated, *(Case("raw", "batched", arms, 1) for arms in forward)]
 
 
 def time_case(case: Case) -> dict[str, Any]:
@@ -69,17 +66,10 @@ def time_case(case: Case) -> dict[str, Any]:
 
     Seconds are those of the chunks; processor seconds, of this process alone, include reading the rows again.
     """
-    config = replace(
-        load_study(SCRIPTS / "tolerance_study.toml"),
-        arms=case.arms,
-        chunk=min(1000, -(-case.arms // 4)),
-        fruit=FRUIT,
-        payload_kg=(0.0,),
-        it_grades=(12,),
-        methods=(case.method,),
-        poses=(POSES,),
-    )
-    config, workers = replace(config, noise=config.noise[:1]), case.workers
+    study, workers = load_study(SCRIPTS / "tolerance_study.toml"), case.workers
+    sizes: dict[str, Any] = {"arms": case.arms, "chunk": min(1000, -(-case.arms // 4)), "fruit": FRUIT}
+    setting: dict[str, Any] = {"methods": (case.method,), "it_grades": (12,), "payload_kg": (0.0,), "poses": (POSES,)}
+    config = replace(study, **sizes, **setting, noise=study.noise[:1])
     with tempfile.TemporaryDirectory() as folder:
         run_study(replace(config, arms=4, chunk=2), Path(folder) / "warm", executor=case.executor, workers=workers)
         cpu = time.process_time()
@@ -97,29 +87,28 @@ def time_case(case: Case) -> dict[str, Any]:
 
 def time_studies(quick: bool) -> list[dict[str, Any]]:
     """Every case in a fresh process; then the largest population at the cost per arm of the largest measured one."""
-    found = []
+    rows = []
     for case in cases(quick):
         print(f"study: {case.method}, {case.executor}, {case.arms} arms …", file=sys.stderr)
         with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as fresh:
-            found.append(fresh.submit(time_case, case).result())
+            rows.append(fresh.submit(time_case, case).result())
     for method in ("ls", "raw"):
-        last = max((row for row in found if row["method"] == method), key=lambda row: row["arms"])
+        last = max((row for row in rows if row["method"] == method), key=lambda row: row["arms"])
         if last["arms"] < LARGEST:
             seconds = 1e-3 * last["ms_per_arm"] * LARGEST
             unknown = {"cpu_seconds": None, "peak_mib": None, "extrapolated": True}
-            found.append(last | {"arms": LARGEST, "seconds": seconds} | unknown)
-    return found
+            rows.append(last | {"arms": LARGEST, "seconds": seconds} | unknown)
+    return rows
 
 
 def study_ratios(rows: list[dict[str, Any]]) -> dict[str, float]:
     """How many times as long an arm takes one by one, in one process, as on each other executor."""
-    measured = [row for row in rows if row["method"] == "ls" and not row["extrapolated"]]
-    (serial,) = (row for row in measured if row["executor"] == "serial")
-    best: dict[str, float] = {}
-    for row in measured:
-        if row["executor"] != "serial":
-            best[row["executor"]] = min(row["ms_per_arm"], best.get(row["executor"], float("inf")))
-    return {f"study_serial_vs_{executor}": serial["ms_per_arm"] / cost for executor, cost in best.items()}
+    costs: dict[str, list[float]] = {}
+    for row in rows:
+        if row["method"] == "ls" and not row["extrapolated"]:
+            costs.setdefault(row["executor"], []).append(row["ms_per_arm"])
+    (serial,) = costs.pop("serial")
+    return {f"study_serial_vs_{executor}": serial / min(several) for executor, several in costs.items()}
 
 
 def run_script(name: str, *arguments: str) -> dict[str, Any]:
@@ -131,8 +120,7 @@ def run_script(name: str, *arguments: str) -> dict[str, Any]:
         ended = subprocess.run(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
         if ended.returncode or not answer.is_file():
             return {"note": f"no figures: {last_words(ended.stderr)}", "ratios": {}}
-        result: dict[str, Any] = json.loads(answer.read_text(encoding="utf-8"))
-    return result
+        return dict(json.loads(answer.read_text(encoding="utf-8")))
 
 
 def gathered(
@@ -162,29 +150,20 @@ def markdown(result: Mapping[str, Any]) -> str:
     ]
     if steps:
         parts.append(markdown_table(("environment", "at once", "steps/s", ""), steps, ("environment", "")))
-    systems = [
-        [
-            name if row["seconds"] is not None else f"{name}: {row['note']}",
-            str(row.get("poses", "-")),
-            *(figure(row[key], ".4f") for key in ("seconds", "held_out_rms_mm")),
-        ]
-        for name, row in result["calibration"].get("systems", {}).items()
-    ]
+    systems = []
+    for name, row in result["calibration"].get("systems", {}).items():
+        figures = [figure(row[key], ".4f") for key in ("seconds", "held_out_rms_mm")]
+        words = name if row["seconds"] is not None else f"{name}: {row['note']}"
+        systems.append([words, str(row.get("poses", "-")), *figures])
     if systems:
         heads = ("calibration", "poses", "seconds", "held-out RMS (mm)")
         parts.append(markdown_table(heads, systems, ("calibration",)))
     parts += [f"{part}: {result[part]['note']}" for part in ("environments", "calibration") if "note" in result[part]]
-    studies = [
-        [
-            *(str(row[key]) for key in ("method", "executor", "workers")),
-            f"{row['arms']:,}",
-            f"{row['seconds']:.1f}" + " (extrapolated)" * row["extrapolated"],
-            figure(row["cpu_seconds"], ".3g"),
-            f"{row['ms_per_arm']:.3f}",
-            figure(row["peak_mib"], ".3g"),
-        ]
-        for row in result["study"]
-    ]
+    studies = []
+    for row in result["study"]:
+        seconds = f"{row['seconds']:.1f}" + " (extrapolated)" * row["extrapolated"]
+        costs = [figure(row[key], form) for key, form in COSTS.items()]
+        studies.append([row["method"], row["executor"], str(row["workers"]), f"{row['arms']:,}", seconds, *costs])
     heads = ("method", "executor", "processes", "arms", "seconds", "CPU s", "ms per arm", "peak of a process (MiB)")
     parts.append(f"Studies: qiao2026, one setting, {FRUIT} fruit; ls with {POSES} calibration poses.")
     parts.append(markdown_table(heads, studies, ("method", "executor")))

@@ -119,11 +119,11 @@ def accuracy_on(geometry: Geometry, task: PeerTask) -> dict[str, float]:
 def peer_problem(task: PeerTask, start: Geometry, runs: int) -> dict[str, Any]:
     """The problem that a peer's worker process reads; see scripts/peers/problem.py."""
     names = tuple(f"joint_{i + 1}" for i in range(start.joints))
-    descriptions = [urdf_text(replace(arm, joint_names=names), "arm") for arm in (start, task.nominal)]
     rows = {"": task.train, "held_out_": task.held_out, "random_": task.random}
     problem: dict[str, Any] = {name: getattr(start, name).tolist() for name in ("alpha", "a", "theta", "d")}
     problem |= {"base": homogeneous(start.base), "tool": homogeneous(start.tool), "runs": runs}
-    problem |= dict(zip(("urdf", "nominal_urdf"), descriptions, strict=True))
+    for name, arm in {"urdf": start, "nominal_urdf": task.nominal}.items():
+        problem[name] = urdf_text(replace(arm, joint_names=names), "arm")
     for prefix, part in rows.items():
         problem |= {f"{prefix}joints": part.joints.tolist(), f"{prefix}position": part.position.tolist()}
     return problem
@@ -131,8 +131,7 @@ def peer_problem(task: PeerTask, start: Geometry, runs: int) -> dict[str, Any]:
 
 def homogeneous(pose: Pose) -> list[list[float]]:
     """A pose as a homogeneous matrix."""
-    upper = np.concatenate([pose.rotation, pose.position[:, None]], axis=1)
-    return [*upper.tolist(), [0.0, 0.0, 0.0, 1.0]]
+    return [*np.column_stack([pose.rotation, pose.position]).tolist(), [0.0, 0.0, 0.0, 1.0]]
 
 
 def run_peer(peer: Peer, task: PeerTask, start: Geometry, folder: Path, limit: float = LIMIT) -> dict[str, Any]:
@@ -165,38 +164,33 @@ def run_peer(peer: Peer, task: PeerTask, start: Geometry, folder: Path, limit: f
     return result | {"version": peer.version, "note": peer.method + (f"; {remark}" if remark else "")}
 
 
-def times(seconds: Array) -> dict[str, float]:
-    """Medians by the clock and of the processor, and the best run."""
-    return {
-        "seconds": float(np.median(seconds[0])),
-        "best_seconds": float(np.min(seconds[0])),
-        "cpu_seconds": float(np.median(seconds[1])),
-    }
+def times(seconds: Array, **parts: Array) -> dict[str, Any]:
+    """Medians by the clock and of the processor, and the best run, of times ``(2, runs)``; of parts by the clock."""
+    row = {"seconds": np.median(seconds[0]), "best_seconds": np.min(seconds[0]), "cpu_seconds": np.median(seconds[1])}
+    row |= {f"{name}_seconds": np.median(part[0]) for name, part in parts.items()}
+    return {name: float(value) for name, value in row.items()} | {"runs": len(seconds[0])}
 
 
 def run_pickenv(task: PeerTask, runs: int) -> tuple[dict[str, Any], Identification, Identification]:
     """Align base and tool, then identify; everything a calibration needs, covariance and rank included."""
     frames, model = frames_model(task.nominal), complete_model(task.nominal)
     aligned, align_seconds = timed(lambda: align(task.nominal, task.train, frames), runs)
-    found, solve_seconds = timed(lambda: identify(model, aligned.geometry, task.train), runs)
+    fitted, solve_seconds = timed(lambda: identify(model, aligned.geometry, task.train), runs)
     row = {
-        **times(align_seconds + solve_seconds),
-        "align_seconds": float(np.median(align_seconds[0])),
-        "solve_seconds": float(np.median(solve_seconds[0])),
-        "runs": runs,
+        **times(align_seconds + solve_seconds, align=align_seconds, solve=solve_seconds),
         "poses": len(task.train),
-        "parameters": found.identifiability.rank,
-        "iterations": f"{len(aligned.residual_rms) - 1} + {len(found.residual_rms) - 1} iterations",
-        **accuracy_on(found.geometry, task),
+        "parameters": fitted.identifiability.rank,
+        "iterations": f"{len(aligned.residual_rms) - 1} + {len(fitted.residual_rms) - 1} iterations",
+        **accuracy_on(fitted.geometry, task),
         "version": own_version(),
         "note": "base and tool from nominal, then rank-aware Gauss-Newton with an analytic Jacobian",
     }
-    return row, aligned, found
+    return row, aligned, fitted
 
 
-def run_scipy(task: PeerTask, aligned: Identification, found: Identification, runs: int) -> dict[str, Any]:
+def run_scipy(task: PeerTask, aligned: Identification, fitted: Identification, runs: int) -> dict[str, Any]:
     """SciPy's solver on our vectorised kinematics and on the parameters that our rank analysis kept."""
-    model, kept = complete_model(task.nominal), found.identifiability.kept
+    model, kept = complete_model(task.nominal), fitted.identifiability.kept
     columns, scale, weight = model.columns[kept], model.tolerance[kept], task.train.row_weights
 
     def moved(values: Array) -> Geometry:
@@ -209,17 +203,15 @@ def run_scipy(task: PeerTask, aligned: Identification, found: Identification, ru
 
     with single_threaded():
         result, seconds = timed(lambda: least_squares(errors, np.zeros(len(columns)), jac="2-point"), runs)
+    note = "least_squares, 2-point Jacobian, on pickenv's vectorised kinematics and its identifiable parameters"
     return {
-        **times(seconds),
-        "solve_seconds": float(np.median(seconds[0])),
-        "runs": runs,
+        **times(seconds, solve=seconds),
         "poses": len(task.train),
         "parameters": len(columns),
         "iterations": f"{result.nfev} evaluations with {result.njev} finite-difference Jacobians",
         **accuracy_on(moved(result.x), task),
         "version": version("scipy"),
-        "note": "least_squares, 2-point Jacobian, on pickenv's vectorised kinematics and its identifiable parameters"
-        + ("" if result.status > 0 else "; not converged"),
+        "note": note + ("" if result.status > 0 else "; not converged"),
     }
 
 
@@ -295,11 +287,10 @@ def main(
     except InputError as error:
         refuse(str(error))
     few = task.first(FEW)
-    row, aligned, found = run_pickenv(task, runs)
-    systems = {"pickenv": row}
-    few_row, few_aligned, _ = run_pickenv(few, runs)
-    systems[f"pickenv_{FEW}"] = few_row
-    systems["scipy_2point"] = run_scipy(task, aligned, found, max(1, runs // 3))
+    systems: dict[str, dict[str, Any]] = {}
+    systems["pickenv"], aligned, fitted = run_pickenv(task, runs)
+    systems[f"pickenv_{FEW}"], few_aligned, _ = run_pickenv(few, runs)
+    systems["scipy_2point"] = run_scipy(task, aligned, fitted, max(1, runs // 3))
     for peer in PEERS if peers else ():
         print(f"{peer.name} {peer.version} …", file=sys.stderr)
         start = aligned if peer.poses is None else few_aligned

@@ -8,8 +8,6 @@ calibration between policy and arm costs, and what single precision does to posi
 Run: python scripts/benchmark_envs.py [--json FILE] [--no-peers] [--quick] [--device cuda]
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -37,16 +35,14 @@ ROLLOUT = 8192
 TRAINED = (16, 64, 256)
 """Numbers of environments in that comparison."""
 
+REACH = "pickenv/Reach-v0"
 EXECUTORS = ("numpy", "compiled")
 """Of native vectors on NumPy's arrays: with every operation a call of NumPy, and as machine code."""
 
 PEER_PACKAGES = ("gymnasium-robotics==1.4.2", "mujoco<3.12", "panda-gym==3.0.7")
-SINGLE = (
-    ("Reach", "auto", "plant qiao2026"),
-    ("Harvest", "auto", "three slaves, eight fruit"),
-    ("Pick", "auto", "plant orchard, ten fruit"),
-)
-"""Environments that are stepped alone: on what they run, and what they hold."""
+PLANT, PICKED = "plant qiao2026", "plant orchard, ten fruit"
+SINGLE = {"Reach": PLANT, "Harvest": "three slaves, eight fruit", "Pick": PICKED}
+"""Environments that are stepped alone, and what they hold."""
 SEES = {"obs_type": "pixels_agent_pos", "pixels": 64}
 SCENES: dict[str, tuple[dict[str, Any], str]] = {
     "PickScene states": ({"plant": "coarse:ur5e"}, "10 MuJoCo substeps, contacts"),
@@ -60,6 +56,18 @@ WHAT = {
     "PandaReach-v3": "20 Bullet substeps, contacts",
     "CartPole-v1 native": "4 numbers, no arm",
 }
+RATIOS = {
+    "single_vs_fetchreach": ("Reach single", "FetchReach-v4"),
+    "harvest_single_vs_fetchreach": ("Harvest single", "FetchReach-v4"),
+    "pick_single_vs_fetchreach": ("Pick single", "FetchReach-v4"),
+    "pick_native_256_vs_fetchreach": ("Pick native 256", "FetchReach-v4"),
+    "scene_states_vs_fetchpickandplace": ("PickScene states", "FetchPickAndPlace-v4"),
+    "single_vs_pandareach": ("Reach single", "PandaReach-v3"),
+    **{f"native_{count}_vs_fetchreach": (f"Reach native {count}", "FetchReach-v4") for count in (16, 256, 4096)},
+    "native_4096_vs_cartpole": ("Reach native 4096", "CartPole-v1 native 4096"),
+    **{f"ppo_adapter_vs_dummy_{n}": (f"PPO native adapter {n}", f"PPO DummyVecEnv {n}") for n in TRAINED},
+}
+"""Of which environments' steps per second."""
 
 
 def vector(
@@ -85,19 +93,17 @@ def vector(
     return rate(step, seconds)
 
 
+def on_torch(count: int, device: str, dtype: str, compiled: bool, **more: Any) -> Any:
+    """Environments of the torch executor."""
+    place: dict[str, Any] = {"executor": "torch", "device": device, "dtype": dtype}
+    return gym.make_vec(REACH, num_envs=count, compiled=compiled, **place, **more)
+
+
 def torch_vector(count: int, seconds: float, device: str, dtype: str, compiled: bool) -> float:
     """The torch executor: actions drawn on the device, the step compiled or eager."""
     import torch
 
-    envs = gym.make_vec(
-        "pickenv/Reach-v0",
-        num_envs=count,
-        executor="torch",
-        device=device,
-        dtype=dtype,
-        compiled=compiled,
-        pose_infos=False,
-    )
+    envs = on_torch(count, device, dtype, compiled, pose_infos=False)
     envs.reset(seed=0)
     generator = torch.Generator(device=device).manual_seed(0)
 
@@ -116,15 +122,14 @@ def inference(count: int, seconds: float) -> float:
     import torch
 
     torch.set_num_threads(1)
-    network = torch.nn.Sequential(
-        torch.nn.Linear(18, 64), torch.nn.Tanh(), torch.nn.Linear(64, 64), torch.nn.Tanh(), torch.nn.Linear(64, 6)
-    )
+    linear, tanh = torch.nn.Linear, torch.nn.Tanh()
+    network = torch.nn.Sequential(linear(18, 64), tanh, linear(64, 64), tanh, linear(64, 6))
 
     def policy(observations: Any) -> Any:
         with torch.no_grad():
             return network(torch.as_tensor(observations)).clamp(-1, 1).numpy()
 
-    return vector("pickenv/Reach-v0", count, seconds, policy)
+    return vector(REACH, count, seconds, policy)
 
 
 def compensators() -> dict[str, Compensator | None]:
@@ -149,14 +154,13 @@ def compensation(count: int, seconds: float) -> dict[str, dict[str, float]]:
     rng = np.random.default_rng(0)
     single, many = {}, {}
     for name, compensator in compensators().items():
-        env: Any = gym.make("pickenv/Reach-v0", max_episode_steps=-1).unwrapped
+        env: Any = gym.make(REACH, max_episode_steps=-1).unwrapped
         action, actions = (rng.uniform(-1, 1, size).astype(np.float32) for size in (6, (count, 6)))
         single[name] = lambda env=env, action=action: [env.step(action) for _ in range(20)]
         made = {None: env}
         for executor in EXECUTORS:
-            made[executor] = envs = gym.make_vec(
-                "pickenv/Reach-v0", num_envs=count, max_episode_steps=None, executor=executor
-            ).unwrapped
+            envs: Any = gym.make_vec(REACH, num_envs=count, max_episode_steps=None, executor=executor).unwrapped
+            made[executor] = envs
             many[f"{name} {executor}"] = lambda envs=envs, actions=actions: envs.step(actions)
         for one in made.values():
             one.compensator = compensator
@@ -179,10 +183,7 @@ def single_precision_um(device: str, count: int = 100_000) -> float:
     """Largest distance, um, between the tools of float32 on a device and of float64 on NumPy after ten steps."""
     import torch
 
-    double = gym.make_vec("pickenv/Reach-v0", num_envs=count)
-    single = gym.make_vec(
-        "pickenv/Reach-v0", num_envs=count, executor="torch", device=device, dtype="float32", compiled=False
-    )
+    double, single = gym.make_vec(REACH, num_envs=count), on_torch(count, device, "float32", False)
     rng = np.random.default_rng(0)
     for envs in (double, single):
         envs.reset(seed=0)
@@ -208,7 +209,7 @@ def training(count: int, seconds: float) -> tuple[float, float]:
     models = {}
     for name, make in (("native", make_sb3_vec), ("dummy", make_vec_env)):
         settings: dict[str, Any] = {"n_steps": ROLLOUT // count, "batch_size": 512, "n_epochs": 4}
-        models[name] = PPO("MlpPolicy", make("pickenv/Reach-v0", count), seed=0, device="cpu", **settings)
+        models[name] = PPO("MlpPolicy", make(REACH, count), seed=0, device="cpu", **settings)
         models[name].learn(ROLLOUT)
     steps = {name: lambda model=model: model.learn(ROLLOUT) for name, model in models.items()}
     best = fastest(steps, 2 * seconds)
@@ -220,16 +221,12 @@ def peers(folder: Path, seconds: float, *words: str) -> dict[str, dict[str, Any]
     try:
         python = python_with(folder, *PEER_PACKAGES)
         worker = Path(__file__).parent / "peers" / "run_envs.py"
-        ended = subprocess.run(
-            [python, worker, str(seconds), *words], check=True, capture_output=True, text=True, timeout=600
-        )
+        command = [python, worker, str(seconds), *words]
+        ended = subprocess.run(command, check=True, capture_output=True, text=True, timeout=600)
         return dict(json.loads(ended.stdout.strip().splitlines()[-1]))
     except (subprocess.SubprocessError, OSError, InputError) as error:
-        return {
-            name: {"steps_per_s": None, "frames_per_s": None, "note": f"cannot be run: {error}"}
-            for name in WHAT
-            if name.endswith(("-v3", "-v4"))
-        }
+        unknown = {"steps_per_s": None, "frames_per_s": None, "note": f"cannot be run: {error}"}
+        return {name: dict(unknown) for name in WHAT if name.endswith(("-v3", "-v4"))}
 
 
 def main(
@@ -255,49 +252,32 @@ def main(
         for name, found in peers(folder, seconds).items():
             add(name, 1, "engine", found["steps_per_s"], found["note"] or WHAT[name])
         add("CartPole-v1 native 4096", 4096, "numpy", vector("CartPole-v1", 4096, seconds), WHAT["CartPole-v1 native"])
-    for name, backend, what in SINGLE:
-        value = rate(stepper(gym.make(f"pickenv/{name}-v0")), seconds)
-        add(f"{name} single", 1, backend, value, f"{what}, gym.make")
+    for name, what in SINGLE.items():
+        add(f"{name} single", 1, "auto", rate(stepper(gym.make(f"pickenv/{name}-v0")), seconds), f"{what}, gym.make")
     for name, (arguments, what) in SCENES.items():
         add(name, 1, "mujoco", rate(stepper(gym.make("pickenv/PickScene-v0", **arguments)), seconds), what)
     for count in (1, 16, 256, 1024):
-        value = vector("pickenv/Pick-v0", count, seconds)
-        add(f"Pick native {count}", count, "numpy", value, "plant orchard, ten fruit")
+        add(f"Pick native {count}", count, "numpy", vector("pickenv/Pick-v0", count, seconds), PICKED)
     for count in (16, 64, 256, 4096) if quick else (16, 64, 256, 1024, 4096, 65_536, 1_048_576):
         for executor in EXECUTORS:
-            value = vector("pickenv/Reach-v0", count, seconds, executor=executor)
+            value = vector(REACH, count, seconds, executor=executor)
             name = f"Reach native {count}" + (", NumPy alone" if executor == "numpy" else "")
-            add(name, count, executor, value, "plant qiao2026")
+            add(name, count, executor, value, PLANT)
     for count in () if quick else (131_072,) if device == "cpu" else (131_072, 4_194_304):
         value = torch_vector(count, seconds, device, "float32", True)
-        add(f"Reach torch.compile {count}", count, f"torch {device} float32 compiled", value, "plant qiao2026")
+        add(f"Reach torch.compile {count}", count, f"torch {device} float32 compiled", value, PLANT)
     value = torch_vector(4096, seconds, device, "float64", False)
     add("Reach torch eager 4096", 4096, f"torch {device} float64", value)
     add("Reach native 4096 + inference", 4096, "numpy + torch", inference(4096, seconds), "64-64 network")
     for count in TRAINED:
-        native, dummy = training(count, seconds)
-        add(f"PPO native adapter {count}", count, "sb3", native, "step + training")
-        add(f"PPO DummyVecEnv {count}", count, "sb3", dummy, "step + training")
+        for name, value in zip(("native adapter", "DummyVecEnv"), training(count, seconds), strict=True):
+            add(f"PPO {name} {count}", count, "sb3", value, "step + training")
     added = compensation(4096, seconds)
 
-    def ratio(one: str, other: str) -> float | None:
-        a, b = envs.get(one, {}).get("steps_per_s"), envs.get(other, {}).get("steps_per_s")
-        return None if a is None or b is None else a / b
-
-    ratios = {
-        "single_vs_fetchreach": ratio("Reach single", "FetchReach-v4"),
-        "harvest_single_vs_fetchreach": ratio("Harvest single", "FetchReach-v4"),
-        "pick_single_vs_fetchreach": ratio("Pick single", "FetchReach-v4"),
-        "pick_native_256_vs_fetchreach": ratio("Pick native 256", "FetchReach-v4"),
-        "scene_states_vs_fetchpickandplace": ratio("PickScene states", "FetchPickAndPlace-v4"),
-        "single_vs_pandareach": ratio("Reach single", "PandaReach-v3"),
-        "native_16_vs_fetchreach": ratio("Reach native 16", "FetchReach-v4"),
-        "native_256_vs_fetchreach": ratio("Reach native 256", "FetchReach-v4"),
-        "native_4096_vs_fetchreach": ratio("Reach native 4096", "FetchReach-v4"),
-        "native_4096_vs_cartpole": ratio("Reach native 4096", "CartPole-v1 native 4096"),
-    }
-    for count in TRAINED:
-        ratios[f"ppo_adapter_vs_dummy_{count}"] = ratio(f"PPO native adapter {count}", f"PPO DummyVecEnv {count}")
+    ratios: dict[str, float | None] = {}
+    for name, pair in RATIOS.items():
+        ours, theirs = (envs.get(member, {}).get("steps_per_s") for member in pair)
+        ratios[name] = None if ours is None or theirs is None else ours / theirs
     rows = [
         (name, f"{row['num_envs']:,}", row["backend"], figure(row["steps_per_s"], ",.0f"), row["note"])
         for name, row in envs.items()
@@ -319,8 +299,8 @@ def main(
         )
     print(f"float32 on {device} against float64: the tools are at most {apart:.2f} um apart")
     if json_file is not None:
-        found = {"envs": envs, "ratios": ratios, "compensation": added, "float32_um": apart}
-        print(f"wrote {write_json(json_file, found | {'device': device, 'cores': os.cpu_count()})}")
+        result = {"envs": envs, "ratios": ratios, "compensation": added, "float32_um": apart}
+        print(f"wrote {write_json(json_file, result | {'device': device, 'cores': os.cpu_count()})}")
 
 
 if __name__ == "__main__":

@@ -9,8 +9,6 @@ The case `kinhec` needs `pip install kinhec`. Tables are printed as Markdown.
 Run: python scripts/benchmark_never_worse.py [--only CASE] [--json FILE] [--data DIR] [--sequences 8] [--arms 30]
 """
 
-from __future__ import annotations
-
 import sys
 import time
 from functools import partial
@@ -40,11 +38,6 @@ def cells(row: Row) -> list[str]:
     return [row.subject, row.where, *figures, row.unit, share, row.grade or "", meets]
 
 
-def table_of(rows: list[Row]) -> str:
-    """The rows of a case, as Markdown."""
-    return markdown_table(("fitted", "judged", *FIGURES, *WORDS), map(cells, rows), ("fitted", "judged", *WORDS))
-
-
 def main(
     only: Annotated[list[str] | None, typer.Option(help=f"A case, of {', '.join(CASES)}; all by default.")] = None,
     json_file: JsonFile = None,
@@ -68,7 +61,8 @@ def main(
             refuse(f"{name}: {error}")
         seconds = time.perf_counter() - begin
         figures[name] = {"seconds": seconds, "rows": [row.as_dict() for row in rows]}
-        print(f"{name}, {seconds:.1f} s\n\n{table_of(rows)}\n", flush=True)
+        table = markdown_table(("fitted", "judged", *FIGURES, *WORDS), map(cells, rows), ("fitted", "judged", *WORDS))
+        print(f"{name}, {seconds:.1f} s\n\n{table}\n", flush=True)
     if json_file is not None:
         write_json(json_file, {"seed": seed, "cases": figures})
 

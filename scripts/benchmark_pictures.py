@@ -6,8 +6,6 @@ the arm moves by a random action between two frames. A peer draws with MuJoCo or
 Run: python scripts/benchmark_pictures.py [--json FILE] [--no-peers] [--seconds 4]
 """
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -62,23 +60,20 @@ def main(
         print(json.dumps(measured(seconds)))
         return
     solid, plain = in_another_process(seconds), in_another_process(seconds, **{PLAIN: "1"})
-    missing = solid["drawer"] != "mujoco"
-    found: dict[str, dict[str, Any]] = {
-        name: {"mujoco": None if missing else solid["rates"][name], "plain": rates}
-        for name, rates in plain["rates"].items()
-    }
+    drawn = solid["rates"] if solid["drawer"] == "mujoco" else {}
+    frames = {name: {"mujoco": drawn.get(name), "plain": rates} for name, rates in plain["rates"].items()}
     os.environ.setdefault("MUJOCO_GL", "egl")  # for the peer, which else asks for a screen
     others = {} if no_peers else peers(folder, seconds, "frames")
     heads = ("environment", "MuJoCo, processor", "MuJoCo", "plain, processor", "plain")
-    rows = [(name, *said(drawn["mujoco"]), *said(drawn["plain"])) for name, drawn in found.items()]
+    rows = [(name, *said(rates["mujoco"]), *said(rates["plain"])) for name, rates in frames.items()]
     title = "Frames of 480 x 360 px: per second of processor time, and per second"
     print_table(title, heads, rows, words=("environment",))
     for name, peer in others.items():
         processor, wall = said(peer["frames_per_s"])
-        rates = f"{processor} per second of processor time, {wall} per second"
-        print(f"{name}, its own drawing: {rates if peer['frames_per_s'] else peer['note']}")
+        words = f"{processor} per second of processor time, {wall} per second"
+        print(f"{name}, its own drawing: {words if peer['frames_per_s'] else peer['note']}")
     if json_file is not None:
-        write_json(json_file, {"frames_per_s": found, "peers": others, "cores": os.cpu_count()})
+        write_json(json_file, {"frames_per_s": frames, "peers": others, "cores": os.cpu_count()})
 
 
 if __name__ == "__main__":

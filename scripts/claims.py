@@ -11,8 +11,6 @@ intervals' half widths, on the side of each. Of 95 % intervals about 83 % are th
 measured rows are made again from the same rows: they must come out the same, and are counted apart.
 """
 
-from __future__ import annotations
-
 import json
 import re
 import shlex
@@ -31,6 +29,7 @@ import typer
 from pickenv.base import InputError, listed, share_interval, toml_of, write_json, write_text
 from pickenv.experiments import load_experiment, run
 from pickenv.experiments.experiment_file import plain_estimates
+from pickenv.inspect.runs.number_words import said
 
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
@@ -67,8 +66,7 @@ def entries() -> dict[str, Row]:
 
 def record() -> dict[str, list[Row]]:
     """Rows, and what was made again: "rows" and "again"."""
-    content: dict[str, list[Row]] = json.loads(RECORD.read_text(encoding="utf-8"))
-    return content
+    return dict(json.loads(RECORD.read_text(encoding="utf-8")))
 
 
 def rows_of(result: Mapping[str, Any], certain: bool = False) -> list[Row]:
@@ -124,8 +122,7 @@ def run_command(entry: Row, options: str, seed: int) -> dict[str, Any]:
         ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
         if not written.is_file():
             raise InputError(f"{entry['command']}: {ended.stderr[-300:]}")
-        result: dict[str, Any] = json.loads(written.read_text(encoding="utf-8"))
-    return result
+        return dict(json.loads(written.read_text(encoding="utf-8")))
 
 
 def key_of(row: Mapping[str, Any]) -> str:
@@ -141,9 +138,9 @@ def holds(first: Mapping[str, Any], again: Mapping[str, Any]) -> bool:
     """
     if first["sampled95"] is None or again["sampled95"] is None:
         return bool(np.isclose(first["value"], again["value"], rtol=5e-3))
-    one, other = sorted((first, again), key=lambda row: float(row["value"]))
-    reach = (one["sampled95"][1] - one["value"], other["value"] - other["sampled95"][0])
-    return bool(other["value"] - one["value"] <= np.sqrt(np.mean(np.square(reach))))
+    low, high = sorted((first, again), key=lambda row: float(row["value"]))
+    reach = (low["sampled95"][1] - low["value"], high["value"] - high["sampled95"][0])
+    return bool(high["value"] - low["value"] <= np.sqrt(np.mean(np.square(reach))))
 
 
 def same(first: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
@@ -153,18 +150,31 @@ def same(first: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
 
 
 def made_again(row: Row, entry: Row, seed: int) -> Row:
-    """The same row at another seed and the cheap size; of every factor only the levels that it needs are measured.
+    """The same row at another seed and the cheap size.
+
+    Raises:
+        InputError: If it is not made at that size.
+    """
+    begin = time.perf_counter()
+    if "command" in entry:
+        made_by, options = entry["command"], entry["cheap"].format(**row["levels"])
+        rows = rows_of_command(row["experiment"], entry, run_command(entry, options, seed))
+    else:
+        made_by, rows = entry["file"], rows_made_again(row, entry, seed)
+    for again in rows:
+        if key_of(again) == key_of(row):
+            return again | {"seconds": round(time.perf_counter() - begin, 1)}
+    raise InputError(f"{made_by} makes no row '{key_of(row)}' at its cheap size; give more units in {LEDGER}")
+
+
+def rows_made_again(row: Row, entry: Row, seed: int) -> list[Row]:
+    """The rows of an experiment at another seed; of every factor only the levels that a row needs are measured.
 
     A level that is none of its factor's, such as a part of what one of them learnt, needs them all.
     """
-    if "command" in entry:
-        begin, options = time.perf_counter(), entry["cheap"].format(**row["levels"])
-        found = rows_of_command(row["experiment"], entry, run_command(entry, options, seed))
-        return _matching(row, found, entry) | {"seconds": round(time.perf_counter() - begin, 1)}
-    path = ROOT / entry["file"]
+    path, changes = ROOT / entry["file"], dict(entry["cheap"])
     file = load_experiment(path)
     number = next(number for number in file.numbers if number.title == row["title"])
-    changes, begin = dict(entry["cheap"]), time.perf_counter()
     settings = {name: levels for name, levels in toml_of(path)[0]["settings"].items() if isinstance(levels, list)}
     for name, levels in {**file.experiment.factors, **settings}.items():
         needed = {row["levels"].get(name), (number.against or {}).get(name)} - {None}
@@ -172,21 +182,7 @@ def made_again(row: Row, entry: Row, seed: int) -> Row:
             changes[name] = [level for level in levels if level in needed]
     experiment = load_experiment(path, seed=seed, changes=changes)
     tables = plain_estimates(experiment.estimates(run(experiment.experiment)))
-    found = rows_of({"experiment": row["experiment"], "tables": tables}, certain=True)
-    return _matching(row, found, entry) | {"seconds": round(time.perf_counter() - begin, 1)}
-
-
-def _matching(row: Row, found: Sequence[Row], entry: Row) -> Row:
-    """The row with the same levels.
-
-    Raises:
-        InputError: If there is none.
-    """
-    match = [each for each in found if key_of(each) == key_of(row)]
-    if not match:
-        made_by = entry.get("command") or entry["file"]
-        raise InputError(f"{made_by} makes no row '{key_of(row)}' at its cheap size; give more units in {LEDGER}")
-    return match[0]
+    return rows_of({"experiment": row["experiment"], "tables": tables}, certain=True)
 
 
 @app.command()
@@ -257,8 +253,7 @@ def shown(row: Mapping[str, Any], digits: int | None = 2, scale: float = 1.0, si
     """A number with its interval; without ``digits`` it has three below 1, such as mm, and two above."""
     if digits is None:
         digits = 3 if scale * row["value"] < 1.0 else 2
-    value, *ends = (f"{scale * number:{sign}.{digits}f}" for number in (row["value"], *(row["ci95"] or ())))
-    return f"{value}{unit}" + (f" ({ends[0]} to {ends[1]})" if ends else "")
+    return said(row["value"], row["ci95"], digits, scale, sign, unit)
 
 
 def number_of(rows: Sequence[Row], asked: Mapping[str, Any]) -> str:
@@ -273,13 +268,8 @@ def number_of(rows: Sequence[Row], asked: Mapping[str, Any]) -> str:
     """
     how = {name: asked[name] for name in ("digits", "scale", "sign", "unit") if name in asked}
     levels = {name: level for name, level in asked.items() if name not in ("of", "title", *how)}
-    meant = [
-        row
-        for row in rows
-        if row["experiment"] == asked["of"]
-        and row["title"].startswith(asked["title"])
-        and levels.items() <= row["levels"].items()
-    ]
+    titled = [row for row in rows if row["experiment"] == asked["of"] and row["title"].startswith(asked["title"])]
+    meant = [row for row in titled if levels.items() <= row["levels"].items()]
     if len(meant) != 1:
         raise InputError(f"{len(meant)} rows of the ledger are what {dict(asked)} asks for; name one")
     return shown(meant[0], **how)
@@ -301,9 +291,9 @@ def table_of(rows: Sequence[Row], asked: Mapping[str, Any]) -> str:
     for row in some:
         line = tuple(row["levels"][name] for name in by)
         if all(value in by[name] or not by[name] for name, value in zip(by, line, strict=True)):
-            number = shown(row, asked.get("digits", 2), asked.get("scale", 1.0), asked.get("sign", ""))
-            number += f": {row['words']}" if "words" in row else ""
-            cells.setdefault(line, {})[row["levels"][across]] = number
+            number = shown(row, **{name: asked[name] for name in ("digits", "scale", "sign") if name in asked})
+            words = f": {row['words']}" if "words" in row else ""
+            cells.setdefault(line, {})[row["levels"][across]] = number + words
     names = {name: re.sub(r"_(mm|kg)$", r" (\1)", name).replace("_", " ") for name in by}
     lines = [[*names.values(), *map(str, columns)], ["---"] * (len(by) + len(columns))]
     for line, found in cells.items():
@@ -336,9 +326,7 @@ def page_of(kept: Mapping[str, Sequence[Row]], known: Mapping[str, Row]) -> str:
         numbers = [row for row in kept["rows"] if row["experiment"] == name]
         again = [row for row in kept["again"] if row["claim"].startswith(f"{name}: ")]
         page = f"[{entry['page'].removesuffix('.md')}]({entry['page']})"
-        counts = (len(numbers), len(again), sum(row["held"] for row in again))
-        words = [page, f"`{name}`", *map(str, counts)]
-        lines.append(f"| {' | '.join(words)} |")
+        lines.append(f"| {page} | `{name}` | {len(numbers)} | {len(again)} | {sum(row['held'] for row in again)} |")
     table = "\n".join(lines)
     return f"""# Do the numbers hold?
 

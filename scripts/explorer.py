@@ -6,8 +6,6 @@ kept in whole millimetres and errors in whole micrometres, in the base frame.
 Run: MKL_CBWR=COMPATIBLE python scripts/explorer.py [--out docs/_static/explorer-fields.js]
 """
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

@@ -10,15 +10,12 @@ a reach counts, and prints a table of reaches at one error and one of picks at s
 Needs gymnasium-robotics (pip install gymnasium-robotics). Run: python scripts/fetch_arms.py [--out runs/fetch_arms]
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import gymnasium as gym
-import matplotlib
 import numpy as np
 import typer
 from matplotlib.figure import Figure
@@ -39,8 +36,8 @@ from pickenv.arm import (
 from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.base import InputError, clustered_share_interval, write_json
 from pickenv.calibration import fit, simulated_tracker
-from pickenv.inspect import save_figure
-from pickenv.inspect.figures.style import COLUMN, LINES, STYLE
+from pickenv.inspect import new_figure, percent, save_figure
+from pickenv.inspect.figures.style import COLUMN, LINES
 from pickenv.wrappers import Compensate, Miscalibrate
 
 SITE = "robot0:grip"
@@ -137,7 +134,7 @@ def episodes(env: Any, rule: Callable[[Mapping[str, Array], int], tuple[Array, f
         for step in range(STEPS):
             gap, hand = rule(observation, step)
             action = np.append(np.clip(GAIN * gap, -1.0, 1.0), hand).astype(np.float32)
-            observation, _, _, _, info = env.step(action)
+            observation, *_, info = env.step(action)
         ends.append((observation, info))
     return ends
 
@@ -157,20 +154,19 @@ def picks(env: Any, plant: Plant, compensator: Compensate | None, count: int) ->
 
 def compared(
     env: Any, task: Callable[[Any, Plant, Compensate | None, int], Array], plants: list[Plant], start: Array, count: int
-) -> tuple[Array, Array]:
+) -> dict[str, Array]:
     """Distances ``(arms, count)`` of the raw arms and of the same calibrated, mm."""
-    streams = np.random.default_rng(SEED).spawn(len(plants))
     raw = [task(env, plant, None, count) for plant in plants]
-    pairs = zip(plants, streams, strict=True)
-    return np.array(raw), np.array([task(env, plant, calibrated(plant, start, rng), count) for plant, rng in pairs])
+    pairs = zip(plants, np.random.default_rng(SEED).spawn(len(plants)), strict=True)
+    better = [task(env, plant, calibrated(plant, start, rng), count) for plant, rng in pairs]
+    return {"raw": np.array(raw), "calibrated": np.array(better)}
 
 
 def share(distances: Array, most: float) -> str:
     """The share of distances ``(arms, count)`` that are within so much, with its 95 % interval over arms."""
     within = (distances < most).sum(axis=1)
     ends = clustered_share_interval(within, distances.shape[1])
-    between = f" ({100 * ends[0]:.0f} to {100 * ends[1]:.0f})" if ends else ""
-    return f"{100 * np.mean(distances < most):.0f} %{between}"
+    return percent(float(np.mean(distances < most)), *(ends or (None, None)))
 
 
 def picked(arms: int, count: int) -> dict[str, dict[str, Array]]:
@@ -181,33 +177,24 @@ def picked(arms: int, count: int) -> dict[str, dict[str, Array]]:
     past = np.where(nominal.prismatic, RISE, PAST)
     nominal = replace(nominal, lower=nominal.lower - past, upper=nominal.upper + past)
     perfect = picks(env, replace(arms_of(nominal, start, 1.0, 1)[0], geometry=nominal), None, count)[None]
-    found = {"0": {"raw": perfect, "calibrated": perfect}}
+    distances = {"0": {"raw": perfect, "calibrated": perfect}}
     for millimetres in ERRORS_MM:
         plants = arms_of(nominal, start, millimetres, arms)
-        found[f"{millimetres:g}"] = dict(
-            zip(("raw", "calibrated"), compared(env, picks, plants, start, count), strict=True)
-        )
-    return found
+        distances[f"{millimetres:g}"] = compared(env, picks, plants, start, count)
+    return distances
 
 
 def drawn(ends: Mapping[str, Array], millimetres: float) -> Figure:
     """Success against the distance within which a reach counts; bands reach from the worst arm to the best."""
     within = np.geomspace(0.1, OWN_MM, 60)
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(COLUMN, 3.2), layout="constrained")
+    with new_figure(COLUMN, 3.2) as figure:
         axes = figure.add_subplot()
         for (name, values), line in zip(ends.items(), LINES, strict=False):
-            share = [np.mean(values <= most) for most in within]
-            (shown,) = axes.plot(within, 100.0 * np.array(share), linestyle=line, label=name)
-            each = np.array([(values <= most).mean(axis=1) for most in within])
-            axes.fill_between(
-                within,
-                100.0 * each.min(axis=1),
-                100.0 * each.max(axis=1),
-                color=shown.get_color(),
-                alpha=0.2,
-                linewidth=0,
-            )
+            shares = 100.0 * np.array([(values <= most).mean(axis=1) for most in within])
+            mean = [100.0 * np.mean(values <= most) for most in within]
+            (curve,) = axes.plot(within, mean, linestyle=line, label=name)
+            bounds = shares.min(axis=1), shares.max(axis=1)
+            axes.fill_between(within, *bounds, color=curve.get_color(), alpha=0.2, linewidth=0)
         axes.set(xscale="log", xlabel="a reach counts within (mm)", ylabel="success (%)", ylim=(0, 102))
         axes.set_title(f"FetchReach, arm of {millimetres:g} mm")
         axes.set_xticks([0.1, 1, 3, 10, 50], ["0.1", "1", "3", "10", "50"])
@@ -225,10 +212,9 @@ def main(
     env = fetch()
     nominal, start = started(env)
     plants = arms_of(nominal, start, millimetres, arms)
-    perfect = replace(plants[0], geometry=nominal)
-    ends = {"as the environment has it": reaches(env, perfect, None, count)[None]}
+    ends = {"as the environment has it": reaches(env, replace(plants[0], geometry=nominal), None, count)[None]}
     names = f"{millimetres:g} mm arm, raw", "the same, calibrated (LS)"
-    ends |= zip(names, compared(env, reaches, plants, start, count), strict=True)
+    ends |= zip(names, compared(env, reaches, plants, start, count).values(), strict=True)
     bounds = (OWN_MM, 5.0, 3.0, 1.0)
     heads = ("arm", "mean error (mm)", *(f"within {most:g} mm" for most in bounds))
     rows = [
@@ -244,13 +230,8 @@ def main(
         for error, both in found.items()
     ]
     print(markdown_table(heads, rows, ()))
-    write_json(
-        out / "ends.json",
-        {
-            "reaches": {name: values.tolist() for name, values in ends.items()},
-            "picks": {error: {name: values.tolist() for name, values in both.items()} for error, both in found.items()},
-        },
-    )
+    lists = {error: {name: values.tolist() for name, values in both.items()} for error, both in found.items()}
+    write_json(out / "ends.json", {"reaches": {name: values.tolist() for name, values in ends.items()}, "picks": lists})
 
 
 if __name__ == "__main__":

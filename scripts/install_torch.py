@@ -7,8 +7,6 @@ cannot be reached pip says so and takes what the usual one has.
 Run: python scripts/install_torch.py [auto|cpu|cuda] [CONSTRAINTS]
 """
 
-from __future__ import annotations
-
 import platform
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """What the benchmarks share: their options, clocks, the machine that they run on, and tables in Markdown."""
 
-from __future__ import annotations
-
 import os
 import platform
 import subprocess

@@ -3,8 +3,6 @@
 Run: python scripts/pictures.py gallery-pick.webp mdh.svg
 """
 
-from __future__ import annotations
-
 import json
 import os
 import re
@@ -19,34 +17,26 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
+import matplotlib.pyplot as plt
 import typer
 from matplotlib.figure import Figure
 from measuring import ROOT
+from PIL import Image
+
+from pickenv.base import Estimate
+from pickenv.experiments import load_experiment
+from pickenv.inspect import estimates_figure, save_figure
+from pickenv.inspect.colours import in_words
+from pickenv.inspect.figures import style
 
 BLOCK = re.compile(r"^```(python|sh)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 BROWSER = ("make docs", "make test-browser", "python .ci/docs_screenshots.py runs/browser/screenshots")
 TABLES = {
     "findings-camera.png": ("A camera that looks all", "error (mm)", "With a camera in every period, raw is as good"),
-    "findings-instrument.png": (
-        "A drifting machine",
-        "error behind least squares (mm)",
-        "Orchard: measure in time",
-    ),
-    "findings-afar.png": (
-        "One look from afar",
-        "error (mm)",
-        "From afar a Gaussian process pays, from near nothing",
-    ),
-    "findings-constants.png": (
-        "What least squares",
-        "share of raw error removed (%)",
-        "The same for every constant",
-    ),
-    "findings-ground.png": (
-        "The ground decides",
-        "error of raw arms (mm)",
-        "Soft ground makes raw arms err most",
-    ),
+    "findings-instrument.png": ("A drifting machine", "error behind least squares (mm)", "Orchard: measure in time"),
+    "findings-afar.png": ("One look from afar", "error (mm)", "From afar a Gaussian process pays, from near nothing"),
+    "findings-constants.png": ("What least squares", "share of raw error removed (%)", "The same for every constant"),
+    "findings-ground.png": ("The ground decides", "error of raw arms (mm)", "Soft ground makes raw arms err most"),
 }
 """Pictures of a section's first table in docs/findings.md: how its title begins, what the numbers are, the message."""
 
@@ -55,20 +45,16 @@ KEPT = {
     "findings-success.png": ("findings_policies", "A calibration changes picks where the machine drifts"),
     "findings-reality.png": ("findings_policies", "What is learnt removes less on the rough arm"),
     "findings-transfer.png": ("findings_transfer", "Wherever it was trained, a policy differs by less than 0.05 mm"),
-    **dict.fromkeys(
-        ("visuomotor.png", "visuomotor-dark.png"),
-        ("scene", "Calibrated arms keep their fruit; eyes do if the camera is in its place"),
-    ),
-    **dict.fromkeys(
-        ("clones.png", "clones-dark.png"),
-        ("clones", "The blind script needs a calibrated arm; networks that see do not, whoever demonstrated"),
-    ),
+    "visuomotor.png": ("scene", "Calibrated arms keep their fruit; eyes do if the camera is in its place"),
+    "clones.png": ("clones", "The blind script needs a calibrated arm; networks that see do not, whoever demonstrated"),
 }
+KEPT |= {f"{name}-dark.png": KEPT[f"{name}.png"] for name in ("visuomotor", "clones")}
 """Pictures of numbers that the ledger has all, with their study and message."""
 
 NIGHT = {"#1c2024": "#e8eaed", "#5b6470": "#a4adb8", "#dde1e6": "#343a41", "#ffffff": "#14171a"}
 """Colours of a dark page in the places of those of a light one."""
 
+CALL = "cd scripts && python -c 'import pictures; pictures.draw_{}'"
 COMMANDS: dict[str, Sequence[str]] = {
     **dict.fromkeys(("comparing-policies-*.png", "explorer-*.webp", "inspection-*.webp"), BROWSER),
     "conditions-orchard.png": (
@@ -76,8 +62,8 @@ COMMANDS: dict[str, Sequence[str]] = {
         "cp runs/conditions/figures/error_by_condition.png docs/images/conditions-orchard.png",
     ),
     "fetch-reach.png": ("python scripts/fetch_arms.py", "cp runs/fetch_arms/success.png docs/images/fetch-reach.png"),
-    **{name: (f"cd scripts && python -c 'import pictures; pictures.draw_table(\"{name}\")'",) for name in TABLES},
-    "home-results.svg": ("cd scripts && python -c 'import pictures; pictures.draw_results()'",),
+    **{name: (CALL.format(f'table("{name}")'),) for name in TABLES},
+    "home-results.svg": (CALL.format("results()"),),
     "study-grades.png": ("python scripts/studies/tolerance_docs.py",),
 }
 """Shell lines by picture, where neither a study nor a card leaves a file of the picture's name."""
@@ -85,34 +71,28 @@ COMMANDS: dict[str, Sequence[str]] = {
 
 def cards() -> dict[str, list[str]]:
     """Shell lines of each of the gallery's cards, by its picture; a program becomes an argument of Python."""
-    found: dict[str, list[str]] = {}
+    lines: dict[str, list[str]] = {}
     for card in (ROOT / "docs/gallery.md").read_text(encoding="utf-8").split("\n## ")[1:]:
         (picture,) = re.findall(r"\(images/([^)]+)\)", card)
-        found[picture] = []
+        lines[picture] = []
         for language, text in BLOCK.findall(card):
-            found[picture] += [f"python -c {shlex.quote(text)}"] if language == "python" else text.splitlines()
-    return found
+            lines[picture] += [f"python -c {shlex.quote(text)}"] if language == "python" else text.splitlines()
+    return lines
 
 
 def studies() -> dict[str, list[str]]:
     """The shell line that draws each study's pictures, by picture; from the ledger where it has all their numbers."""
-    found: dict[str, list[str]] = {}
+    lines: dict[str, list[str]] = {}
     for path in sorted((ROOT / "scripts/studies").glob("*.toml")):
         table = tomllib.loads(path.read_text(encoding="utf-8"))
         names = [*table.get("figures", ()), *(each.get("figure") for each in table.get("estimate", ()))]
         line = f"pickenv experiment scripts/studies/{path.name} --figures docs/images"
-        found |= {f"{name}.png": [line] for name in names if name}
-    call = "cd scripts && python -c 'import pictures; pictures.draw_kept(\"{}\")'"
-    return found | {picture: [call.format(picture)] for picture in KEPT}
+        lines |= {f"{name}.png": [line] for name in names if name}
+    return lines | {picture: [CALL.format(f'kept("{picture}")')] for picture in KEPT}
 
 
 def draw_kept(picture: str) -> Path:
     """Draw a study's picture from the ledger, without the study."""
-    from pickenv.base import Estimate
-    from pickenv.experiments import load_experiment
-    from pickenv.inspect.colours import in_words
-    from pickenv.inspect.figures.plot_estimates import estimates_figure
-
     name, message = KEPT[picture]
     study = load_experiment(ROOT / f"scripts/studies/{name}.toml")
     (number,) = (number for number in study.numbers if f"{number.figure}.png" == picture.replace("-dark", ""))
@@ -122,17 +102,14 @@ def draw_kept(picture: str) -> Path:
         for row in ledger
         if (row["experiment"], row["title"]) == (name, number.title)
     ]
-    looks: dict[str, Any] = {"colour": number.across, "panels": number.panels, "log": number.log, "scale": number.scale}
-    looks |= {"x": number.x}
+    looks: dict[str, Any] = {name: getattr(number, name) for name in ("x", "panels", "log", "scale")}
     label = in_words(number.title).replace("squares's", "squares'")
     with look(picture):
-        return saved(estimates_figure(rows, label, number.by, **looks), message, picture)
+        return saved(estimates_figure(rows, label, number.by, colour=number.across, **looks), message, picture)
 
 
 def look(picture: str) -> AbstractContextManager[Any]:
     """The style of a picture's name: on a dark background if it ends in "-dark"."""
-    from pickenv.inspect.figures import style
-
     if not Path(picture).stem.endswith("-dark"):
         return nullcontext()
     night = {name: NIGHT.get(value, value) for name, value in style.STYLE.items() if isinstance(value, str)}
@@ -142,10 +119,6 @@ def look(picture: str) -> AbstractContextManager[Any]:
 
 def saved(figure: Figure, message: str, picture: str) -> Path:
     """Save a picture with its message, in few colours, which is a third of the bytes."""
-    from PIL import Image
-
-    from pickenv.inspect import save_figure
-
     figure.suptitle(message, x=0.01, ha="left", fontsize=9.0, fontweight="bold")
     path = save_figure(figure, ROOT / "docs/images" / picture)
     Image.open(path).convert("RGB").quantize(64).save(path, optimize=True)
@@ -154,10 +127,6 @@ def saved(figure: Figure, message: str, picture: str) -> Path:
 
 def draw_table(picture: str) -> Path:
     """Draw a finding's table, whose numbers are the ledger's: a line for each row, a colour for each column."""
-    from pickenv.base import Estimate
-    from pickenv.inspect.colours import in_words
-    from pickenv.inspect.figures.plot_estimates import estimates_figure
-
     start, label, message = TABLES[picture]
     text = (ROOT / "docs/findings.md").read_text(encoding="utf-8").split(f"\n## {start}")[1].split("<!-- end of")[0]
     table = [[cell.strip() for cell in line.strip("|").split("|")] for line in re.findall(r"^\|.*\|$", text, re.M)]
@@ -166,24 +135,15 @@ def draw_table(picture: str) -> Path:
         words = [cell for cell in cells if not re.fullmatch(r"-?[\d.]+( \(.*\))?|", cell)]
         for head, cell in zip(heads, cells, strict=True):
             if (match := re.fullmatch(r"(-?[\d.]+) \((-?[\d.]+) to (-?[\d.]+)\)", cell)) is not None:
-                value, low, high = map(float, match.groups())
-                rows.append(
-                    {
-                        "row": ", ".join(map(in_words, words)),
-                        "column": f"× {head}" if head[0].isdigit() else head,
-                        "estimate": Estimate(value, (low, high)),
-                    }
-                )
+                value, *ends = map(float, match.groups())
+                levels = {"row": ", ".join(map(in_words, words)), "column": f"× {head}" if head[0].isdigit() else head}
+                rows.append(levels | {"estimate": Estimate(value, (ends[0], ends[1]))})
     figure = estimates_figure(rows, f"{label}, mean over arms", ("row", "column"))
     return saved(figure, message, picture)
 
 
 def draw_results() -> Path:
     """Draw the home page's strip of results from its table: three arms, the error of each by model."""
-    import matplotlib.pyplot as plt
-
-    from pickenv.inspect import save_figure
-
     home = re.sub(r"<!--.*?-->", "", (ROOT / "docs/index.md").read_text(encoding="utf-8"))
     lines = [line.strip("| ").split(" | ") for line in home.splitlines() if line.startswith("| ")][1:]
     figure, panels = plt.subplots(1, len(lines), figsize=(8.0, 2.0), layout="constrained", sharey=True)

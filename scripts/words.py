@@ -6,13 +6,11 @@ A page's prose is its text without code, tables, folded parts, pictures and the 
 Run: python scripts/words.py [--json FILE]
 """
 
-from __future__ import annotations
-
 import json
 import re
 import sys
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -45,11 +43,16 @@ def pages() -> list[Path]:
     return [*(ROOT / f"{name}.md" for name in ("README", "CHANGELOG", "CONTRIBUTING", "SECURITY")), *docs]
 
 
+def blanked(text: str, patterns: Iterable[str]) -> str:
+    """A text with what patterns match blanked, line for line."""
+    for pattern in patterns:
+        text = re.sub(pattern, lambda match: re.sub(r"[^\n]", " ", match[0]), text, flags=re.DOTALL | re.MULTILINE)
+    return text
+
+
 def prose(text: str) -> str:
     """A page's text with all that is no prose blanked, line for line."""
-    for pattern in BLANKED:
-        text = re.sub(pattern, lambda match: re.sub(r"[^\n]", " ", match[0]), text, flags=re.DOTALL | re.MULTILINE)
-    return re.sub(r"`+([^`\n]*)`+", lambda match: re.sub(r"[^\n]", "X", match[0]), text)
+    return re.sub(r"`+([^`\n]*)`+", lambda match: re.sub(r"[^\n]", "X", match[0]), blanked(text, BLANKED))
 
 
 def sentences(text: str) -> Iterator[tuple[int, str]]:
@@ -77,8 +80,7 @@ def faults(text: str) -> Iterator[tuple[int, str, str]]:
 
 def unexplained(text: str) -> Iterator[tuple[int, str, str]]:
     """Line, name and what to do of every name that is not spelled out where it first stands on a page."""
-    for pattern in (BLANKED[1], BLANKED[4]):
-        text = re.sub(pattern, lambda match: re.sub(r"[^\n]", " ", match[0]), text, flags=re.DOTALL | re.MULTILINE)
+    text = blanked(text, (BLANKED[1], BLANKED[4]))
     for name, spelled in RULES["names"].items():
         first = re.search(name, text)
         if first is not None and re.search(spelled, text[: first.end() + NEAR]) is None:

@@ -5,8 +5,6 @@ a tool's are. Where the instrument stood and what it measured on the flange is n
 base and six at the flange are fitted before anything is counted. Units: m and rad inside.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -47,13 +45,12 @@ def flange_of(geometry: Geometry) -> PoseOf:
 
 def calibrated_flange(calibration: Calibration) -> PoseOf:
     """Flange that a calibration predicts, with its terms and residual, without the base and tool that it found."""
+    base, tool = calibration.identified.base, calibration.identified.tool
 
     def flange(joints: Array) -> Pose:
-        pose, geometry = calibration.predict(joints), calibration.identified
-        back = geometry.tool.rotation.T
-        rotation = pose.rotation @ back
-        position = pose.position - rotation @ geometry.tool.position
-        base = geometry.base
+        pose = calibration.predict(joints)
+        rotation = pose.rotation @ tool.rotation.T
+        position = pose.position - rotation @ tool.position
         return Pose((position - base.position) @ base.rotation, base.rotation.T @ rotation)
 
     return flange
@@ -152,9 +149,8 @@ def covered(calibration: Calibration, truth: PoseOf, joints: Array) -> float | N
     radii = stated_radii(calibration, joints)
     if radii is None:
         return None
-    errors = aligned_errors(calibrated_flange(calibration), truth, joints)
-    lengths = np.sqrt(np.mean(np.sum(errors**2, axis=-1), axis=-1))
-    return float(np.mean(lengths <= radii))
+    squares = np.sum(aligned_errors(calibrated_flange(calibration), truth, joints) ** 2, axis=-1)
+    return float(np.mean(np.sqrt(np.mean(squares, axis=-1)) <= radii))
 
 
 def regions(measured: Array, lower: Array, upper: Array, seed: int = 0) -> dict[str, Array]:

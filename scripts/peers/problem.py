@@ -8,16 +8,15 @@ import statistics
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 
 
-@dataclass(frozen=True, eq=False)
-class Problem:
-    """One calibration problem.
+class Problem(SimpleNamespace):
+    """One calibration problem, as `peer_problem` of benchmark_calibration.py writes it; its lists are arrays.
 
     Attributes:
         alpha: Modified DH parameters of the arm to start from, as are a, theta and d ``(n,)``.
@@ -37,25 +36,8 @@ class Problem:
         runs: How often to repeat the fit.
     """
 
-    alpha: np.ndarray
-    a: np.ndarray
-    theta: np.ndarray
-    d: np.ndarray
-    base: np.ndarray
-    tool: np.ndarray
-    urdf: str
-    nominal_urdf: str
-    joints: np.ndarray
-    position: np.ndarray
-    held_out_joints: np.ndarray
-    held_out_position: np.ndarray
-    random_joints: np.ndarray
-    random_position: np.ndarray
-    runs: int
 
-
-@dataclass(frozen=True, eq=False)
-class Solved:
+class Solved(SimpleNamespace):
     """One run of a package.
 
     Attributes:
@@ -67,14 +49,6 @@ class Solved:
         iterations: What the package did, in its own words.
         note: What else a reader must know; empty if nothing.
     """
-
-    seconds: float
-    solve_seconds: float
-    cpu_seconds: float
-    predict: Callable[[np.ndarray], np.ndarray]
-    parameters: int
-    iterations: str
-    note: str = ""
 
 
 def errors_mm(solved: Solved, joints: np.ndarray, position: np.ndarray) -> np.ndarray:
@@ -90,11 +64,10 @@ def main(solve: Callable[[Problem], Solved]) -> None:
     last = solved[-1]
     held_out = errors_mm(last, problem.held_out_joints, problem.held_out_position)
     random = errors_mm(last, problem.random_joints, problem.random_position)
+    times = ("seconds", "solve_seconds", "cpu_seconds")
     result: dict[str, Any] = {
-        "seconds": statistics.median(run.seconds for run in solved),
+        **{name: statistics.median(getattr(run, name) for run in solved) for name in times},
         "best_seconds": min(run.seconds for run in solved),
-        "solve_seconds": statistics.median(run.solve_seconds for run in solved),
-        "cpu_seconds": statistics.median(run.cpu_seconds for run in solved),
         "runs": problem.runs,
         "poses": len(problem.joints),
         "parameters": last.parameters,

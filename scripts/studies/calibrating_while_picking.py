@@ -13,8 +13,6 @@ gripper tells how far it was off. The filter's settings there are the better of 
 Simulated throughout.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache, partial
@@ -123,9 +121,8 @@ class Filtering:
 def tuned_filter(arms: int = 12) -> tuple[float, float]:
     """The settings of the filter that leave least in the second half of a run, on arms that nothing is judged on."""
     envs = task("qiao2026", arms, 1, 0)
-    tried = list(product(*TRIED.values()))
-    left = [picked(envs, partial(Filtering, *each), 1, 0)[..., PICKS // 2 :].mean() for each in tried]
-    return tried[int(np.argmin(left))]
+    tried = product(*TRIED.values())
+    return min(tried, key=lambda pair: picked(envs, partial(Filtering, *pair), 1, 0)[..., PICKS // 2 :].mean())
 
 
 def trained(policy: str, seed: int, folder: Path) -> RememberingPolicy:
@@ -176,10 +173,7 @@ MEMORIES: dict[str, Callable[[Any], Any]] = {
 DAY_H = 8.0
 """Length of the day through which an arm picks."""
 
-MESSAGES = {
-    "day": "day: the script misses more by the hour",
-    "own_eyes": "own_eyes: the camera's errors remain",
-}
+MESSAGES = {"day": "day: the script misses more by the hour", "own_eyes": "own_eyes: the camera's errors remain"}
 
 PARTS = {"first canopy": range(1), "canopies 2 to 5": range(1, 5), "canopies 11 to 20": range(10, 20)}
 
@@ -197,42 +191,46 @@ def picks(rng: np.random.Generator, rung: str, policy: str, arms: int, canopies:
             column.extend(totals[name])
     canopy, arm = (index.ravel() for index in np.indices((canopies, arms)))
     when = np.array([next((name for name, some in PARTS.items() if k in some), "") for k in canopy])
-    found = {name: np.array(column) for name, column in columns.items()}
-    found["success"] = found["collected"] / np.maximum(found["attempted"], 1.0)
-    return {"arm": arm, "canopy": canopy + 1, "when": when, **found}
+    grasps = {name: np.array(column) for name, column in columns.items()}
+    grasps["success"] = grasps["collected"] / np.maximum(grasps["attempted"], 1.0)
+    return {"arm": arm, "canopy": canopy + 1, "when": when, **grasps}
 
 
 def day(rows: Rows) -> Any:
     """Share of grasps that succeed against the number of the canopy, one panel per rung."""
-    rungs = [rung for (rung,) in rows.levels("rung")]
-    with new_figure(WIDTH, 2.9) as figure:
-        panels = figure.subplots(1, len(rungs), sharey=True, squeeze=False)[0]
-        for axes, rung in zip(panels, rungs, strict=True):
-            axes.set(title=MESSAGES[rung], xlabel="canopy of the day")
-            for number, (policy,) in enumerate(rows.levels("policy")):
-                some = rows.where(rung=rung, policy=policy)
-                shares = [some.where(canopy=k) for (k,) in some.levels("canopy")]
-                share = [100.0 * each["collected"].sum() / each["attempted"].sum() for each in shares]
-                axes.plot(np.arange(1, len(share) + 1), share, color=f"C{number}", label=policy, linewidth=1.3)
-        panels[0].set_ylabel("grasps that succeed (%)")
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=4)
-    return figure
+
+    def share(axes: Any, some: Rows, **look: Any) -> None:
+        canopies = [some.where(canopy=k) for (k,) in some.levels("canopy")]
+        shares = [100.0 * canopy["collected"].sum() / canopy["attempted"].sum() for canopy in canopies]
+        axes.plot(np.arange(1, len(shares) + 1), shares, linewidth=1.3, **look)
+
+    panels = {level: (MESSAGES[level], "canopy of the day") for (level,) in rows.levels("rung")}
+    return drawn(rows, "rung", panels, share, {"ylabel": "grasps that succeed (%)"}, 4)
 
 
 def curves(rows: Rows) -> Any:
     """Error against the number of the pick, one panel per kind of arm."""
-    plants = [plant for (plant,) in rows.levels("plant")]
+
+    def error(axes: Any, some: Rows, color: str, label: str) -> None:
+        points = [row["estimate"] for row in estimate(some.columns, "error_mm", ("pick",), ("arm", "training"))]
+        x, ends = np.arange(1, PICKS + 1), [point.ci95 or (point.value,) * 2 for point in points]
+        axes.plot(x, [point.value for point in points], color=color, label=label, linewidth=1.3)
+        axes.fill_between(x, *np.array(ends, dtype=float).T, color=color, alpha=0.2, linewidth=0)
+
+    panels = {level: (f"{level}, coarse", "pick on the same arm") for (level,) in rows.levels("plant")}
+    return drawn(rows, "plant", panels, error, {"ylim": (0.0, None), "ylabel": "mean error (mm), 95 % interval"}, 2)
+
+
+def drawn(
+    rows: Rows, factor: str, panels: dict[str, tuple[str, str]], line: Any, left: dict[str, Any], columns: int
+) -> Any:
+    """A panel for each level of a factor, with its title and x label, and in it a line of each policy."""
     with new_figure(WIDTH, 2.9) as figure:
-        panels = figure.subplots(1, len(plants), sharey=True, squeeze=False)[0]
-        for axes, plant in zip(panels, plants, strict=True):
-            axes.set(title=f"{plant}, coarse", xlabel="pick on the same arm")
+        places = figure.subplots(1, len(panels), sharey=True, squeeze=False)[0]
+        for axes, (level, (title, xlabel)) in zip(places, panels.items(), strict=True):
+            axes.set(title=title, xlabel=xlabel)
             for number, (policy,) in enumerate(rows.levels("policy")):
-                some = rows.where(plant=plant, policy=policy).columns
-                points = [row["estimate"] for row in estimate(some, "error_mm", ("pick",), ("arm", "training"))]
-                x, ends = np.arange(1, PICKS + 1), [point.ci95 or (point.value,) * 2 for point in points]
-                axes.plot(x, [point.value for point in points], color=f"C{number}", label=policy, linewidth=1.3)
-                axes.fill_between(x, *np.array(ends, dtype=float).T, color=f"C{number}", alpha=0.2, linewidth=0)
-        panels[0].set_ylim(bottom=0.0)
-        panels[0].set_ylabel("mean error (mm), 95 % interval")
-        figure.legend(*panels[0].get_legend_handles_labels(), loc="outside lower center", ncols=2)
+                line(axes, rows.where(**{factor: level, "policy": policy}), color=f"C{number}", label=policy)
+        places[0].set(**left)
+        figure.legend(*places[0].get_legend_handles_labels(), loc="outside lower center", ncols=columns)
     return figure

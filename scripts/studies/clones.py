@@ -5,8 +5,6 @@ the same calibrated. Each acts by its wrist camera's pictures, on other arms, ra
 is not where it was. The script, which looks at nothing, takes the same fruit. Simulated.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import gymnasium as gym
@@ -73,7 +71,7 @@ def measure(
     network: Any = None
     for arm in range(arms):
         population, *seeds = judged.integers(2**31, size=1 + fruit).tolist()
-        uses = [("raw", error, 0.0) for error in ERRORS] + [("LS", error, 0.0) for error in ERRORS]
+        uses = [(use, error, 0.0) for use in ("raw", "LS") for error in ERRORS]
         uses += [("raw", 0.0, off) for off in CAMERAS if policy != "script"]
         for use, error_mm, camera_mm in uses:
             place = SIGHT | {"feedback": "encoders", "camera_mm": camera_mm, "camera_deg": camera_mm / 6.0}
@@ -84,9 +82,8 @@ def measure(
                 taken = demonstrated(robot, policy, demonstrations, learnt)
                 network = clone(taken, env, seed=int(learnt.integers(2**31)))
             acting: Any = ScriptedScene(env) if policy == "script" else ClonedScene(env, network)
-            for number, seed in enumerate(seeds):
-                row: dict[str, Any] = {"use": use, "error_mm": error_mm, "camera_mm": camera_mm}
-                row |= {"arm": arms * training + arm}  # no two trainings share one
-                rows.append(row | {"fruit": number} | pick(env, acting, seed))
+            levels = {"use": use, "error_mm": error_mm, "camera_mm": camera_mm}
+            levels |= {"arm": arms * training + arm}  # no two trainings share one
+            rows += [levels | {"fruit": number} | pick(env, acting, seed) for number, seed in enumerate(seeds)]
             env.close()
     return rows

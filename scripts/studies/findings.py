@@ -4,8 +4,6 @@ Simulated arms of tolerance class coarse that nothing was trained on, each with 
 shared by the studies of one seed. Policies that learnt have trainings of their own; what is missing is trained.
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -99,11 +97,9 @@ def reaching(
     rows = run_policies(settings, cache=Path(folder) / "calibrations").columns
     pick, half = rows["episode"] + 1, episodes // 2
     when = np.where(pick == 1, "first pick", np.where(pick <= 8, "picks 2 to 8", "later"))
-    kept = ("arm", "training", "error_mm", *(column for column in rows if column.startswith("chance_")))
-    return {column: rows[column] for column in kept} | {
-        "pick": pick,
-        "when": np.where(pick > half, "second half", when),
-    }
+    columns = ("arm", "training", "error_mm", *(column for column in rows if column.startswith("chance_")))
+    when = np.where(pick > half, "second half", when)
+    return {column: rows[column] for column in columns} | {"pick": pick, "when": when}
 
 
 def train_once(training: Training, place: Path) -> None:
@@ -172,7 +168,12 @@ def sight(
     behind = {"raw": None} | {name: compensators(plants, name, settings.plan, kept) for name in SEEING if name != "raw"}
 
     def moved(state: Any, q: Array, by: Any, time: float = PERIODS * PERIOD) -> tuple[Any, Pose]:
-        """The arms after a command that was corrected where they are calibrated; a blind one may come to rest."""
+        """The arms after a command that was corrected where they are calibrated; a blind one may come to rest.
+
+        Without a state they begin at the command.
+        """
+        if state is None:
+            state = plants.initial_state(np, list(np.moveaxis(q, -1, 0)))
         if by is not None:
             q = np.stack([correct(q[:, i]) for i, correct in enumerate(by)], axis=1)
         state, frame = plants.advance(np, state, list(np.moveaxis(q, -1, 0)), time)
@@ -197,13 +198,12 @@ def sight(
         noise = rng.standard_normal((2, *home.shape[:2], 3))
         for name, by in behind.items():
             for where, q, eye in (("afar", home, noise[0]), ("near", np.broadcast_to(near, home.shape), noise[1])):
-                state, true = moved(plants.initial_state(np, list(np.moveaxis(q, -1, 0))), q, by)
+                state, true = moved(None, q, by)
                 place = seen(true, q, fruit, eye)
                 there = joints_at(nominal, at.reshape(-1, nominal.joints), place.reshape(-1, 3)).reshape(at.shape)
-                end = moved(state, there, by)[1]
-                ends.setdefault(f"once from {where}, {policy_label(name)}", []).append(end)
+                ends.setdefault(f"once from {where}, {policy_label(name)}", []).append(moved(state, there, by)[1])
         q = np.broadcast_to(near, home.shape)
-        state, true = moved(plants.initial_state(np, list(np.moveaxis(q, -1, 0))), q, None)
+        state, true = moved(None, q, None)
         for _ in range(PERIODS):
             step = seen(true, q, fruit, rng.standard_normal(true.position.shape)) - forward(nominal, q).position
             inverse = np.linalg.pinv(joint_jacobian(nominal, q)[..., :3, :])
@@ -211,14 +211,14 @@ def sight(
             state, true = moved(state, q, None, PERIOD)
         ends.setdefault(ALWAYS, []).append(true)
     parts, wanted = [], Pose(targets.position[:, None], targets.rotation[:, None])
+    levels = {"scatter_mm": cells[..., 0] * 1e3 * np.sqrt(3.0), "bias_mm": cells[..., 1] * 1e3 * np.sqrt(3.0)}
     for use, poses in ends.items():
         end = Pose(*(np.stack([getattr(pose, part) for pose in poses]) for part in ("position", "rotation")))
-        error, taken = (each.mean(axis=0) for each in judged(end, wanted))
-        levels = (cells[..., 0] * 1e3 * np.sqrt(3.0), cells[..., 1] * 1e3 * np.sqrt(3.0), np.arange(arms))
-        shown = [np.broadcast_to(np.round(level, 9), error.shape).ravel() for level in levels]
-        parts.append((np.full(error.size, use), *shown, error.ravel(), taken.ravel()))
-    names = ("use", "scatter_mm", "bias_mm", "arm", "error_mm", "taken")
-    return {name: np.concatenate(each) for name, each in zip(names, zip(*parts, strict=True), strict=True)}
+        error, taken = (values.mean(axis=0) for values in judged(end, wanted))
+        columns = {name: np.round(values, 9) for name, values in levels.items()} | {"arm": np.arange(arms)}
+        columns |= {"use": np.full(error.shape, use), "error_mm": error, "taken": taken}
+        parts.append(Rows({name: np.broadcast_to(column, error.shape).ravel() for name, column in columns.items()}))
+    return joined(parts)
 
 
 def sight_map(rows: Rows) -> Any:
@@ -279,8 +279,8 @@ def day(rng: np.random.Generator, draw: int, arms: int, picks: int, epochs: int,
             if method == "and adapted online":
                 filters = taught(filters, target, tool + looks[k], LOOK, WALK, dt)
             error = np.linalg.norm(tool - wanted, axis=-1) * 1e3
-            parts.append((np.full(arms, method), np.arange(arms), np.full(arms, (k + 1.0) * dt / 3600.0), error))
-    names = ("method", "arm", "time_h", "error_mm")
-    found = {name: np.concatenate(each) for name, each in zip(names, zip(*parts, strict=True), strict=True)}
-    part = np.where(found["time_h"] <= DAY_HOURS / 8, "first hour", "between")
-    return found | {"part": np.where(found["time_h"] > DAY_HOURS * 3 / 4, "last two hours", part)}
+            columns = {"method": np.full(arms, method), "arm": np.arange(arms), "error_mm": error}
+            parts.append(Rows(columns | {"time_h": np.full(arms, (k + 1.0) * dt / 3600.0)}))
+    rows = joined(parts).columns
+    part = np.where(rows["time_h"] <= DAY_HOURS / 8, "first hour", "between")
+    return {**rows, "part": np.where(rows["time_h"] > DAY_HOURS * 3 / 4, "last two hours", part)}

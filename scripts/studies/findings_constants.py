@@ -1,7 +1,5 @@
 """What findings depend on: constants that nobody measured, half as large and half as large again. Simulated."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -65,11 +63,5 @@ def measure(
     in_time, ideal = calibrated(None), calibrated("ideal")
     (raw, raw_taken), (ls, ls_taken), (at_rest, _) = ended(None), ended(in_time), ended(ideal)
     refused = np.array([np.asarray in pair for pair in zip(in_time, ideal, strict=True)], dtype=float)
-    numbers = {
-        "raw_mm": raw,
-        "ls_mm": ls,
-        "instrument_mm": ls - at_rest,
-        "more_taken": ls_taken - raw_taken,
-        "refused": refused,
-    }
-    return numbers | {"arm": np.arange(arms)}
+    numbers = {"raw_mm": raw, "ls_mm": ls, "instrument_mm": ls - at_rest, "more_taken": ls_taken - raw_taken}
+    return numbers | {"refused": refused, "arm": np.arange(arms)}

@@ -7,8 +7,6 @@ Prints recall and errors beside stereo theory and published sensors, and writes 
 is read, and the fruit of that zone counts. Intervals are over trees.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from collections.abc import Callable, Sequence
@@ -98,18 +96,14 @@ def sightings(
     """
     places = camera_frame(fruit, left_eye(eyes[0].camera, view), view[1])
     pairs = [picture(eyes[0], view, fruit, diameters, leaves, rng) for _ in range(2)]
-    found = []
-    for each in eyes:
-        (located, seen, false), (once_more, moved, _) = (
-            located_fruit(pair, read_picture(each, pair), places, diameters) for pair in pairs
-        )
-        error, again = (
-            np.where(flags[:, None], where - places, np.nan)[wanted]
-            for flags, where in ((located, seen), (once_more, moved))
-        )
-        number, depth = np.full(int(wanted.sum()), tree), places[wanted, 2]
-        found.append(Sightings(number, depth, pairs[0].visible[wanted], located[wanted], error, again, 1, len(false)))
-    return found
+    number, depth, visible = np.full(int(wanted.sum()), tree), places[wanted, 2], pairs[0].visible[wanted]
+    parts = []
+    for reader in eyes:
+        both = [located_fruit(pair, read_picture(reader, pair), places, diameters) for pair in pairs]
+        errors = [np.where(flags[:, None], where - places, np.nan)[wanted] for flags, where, _ in both]
+        located, _, false = both[0]
+        parts.append(Sightings(number, depth, visible, located[wanted], *errors, pictures=1, false=len(false)))
+    return parts
 
 
 def tabulated(seen: Sightings, ranges: int, parts: int) -> dict[str, Any]:
@@ -180,18 +174,21 @@ def _ends(measured: Ended) -> tuple[float, float, float]:
     return value, *(interval or (value, value))
 
 
+def tree_sums(tree: NDArray[np.int64], *columns: Array) -> list[Array]:
+    """Number of fruit of each tree, and sums of columns over it."""
+    _, at = np.unique(tree, return_inverse=True)
+    return [np.bincount(at, weights=column).astype(np.float64) for column in (np.ones(len(at)), *columns)]
+
+
 def share_of(tree: NDArray[np.int64], flags: NDArray[np.bool_]) -> Ended:
     """A share of fruit, and its interval over trees."""
-    _, at = np.unique(tree, return_inverse=True)
-    taken, tried = (np.bincount(at, weights=w) for w in (flags.astype(np.float64), np.ones(len(at))))
+    tried, taken = tree_sums(tree, flags.astype(np.float64))
     return float(taken.sum() / max(float(tried.sum()), 1.0)), clustered_share_interval(taken, tried)
 
 
 def error_measure(tree: NDArray[np.int64], error: Array, measure: Callable[[Array], float]) -> Ended:
     """A mean or a root of squares of errors (n,), and its interval over trees; ``measure`` reads n, Σe and Σe²."""
-    _, at = np.unique(tree, return_inverse=True)
-    parts = [np.bincount(at, weights=w) for w in (np.ones(len(at)), error, error**2)]
-    sums = np.stack(parts, axis=1).astype(np.float64)
+    sums = np.stack(tree_sums(tree, error, error**2), axis=1)
     return measure(sums), statistic_interval(sums, measure)
 
 
@@ -216,12 +213,8 @@ def _rounded(value: Any, digits: int) -> Any:
     return np.round(np.asarray(value, dtype=float), digits).tolist()
 
 
-@dataclass(frozen=True)
-class Measured:
-    """Sightings of one canopy by one detector."""
-
-    eyes: Eyes
-    seen: Sightings
+Measured = tuple[Eyes, Sightings]
+"""Sightings of one canopy by one detector."""
 
 
 def measured(canopy: str, trees: int, seed: int) -> list[Measured]:
@@ -237,31 +230,27 @@ def measured(canopy: str, trees: int, seed: int) -> list[Measured]:
         zones = cut(grid, *tree.side)
         for i in rng.permutation(len(zones))[:ZONES].tolist():
             wanted = zones[i].holds(tree.fruit)
-            found = sightings(eyes, zones[i].view, tree.fruit, tree.diameters, wanted, leaves, rng, number)
-            for part, one in zip(parts, found, strict=True):
-                part.append(one)
-    return [Measured(each, together(part)) for each, part in zip(eyes, parts, strict=True)]
+            read = sightings(eyes, zones[i].view, tree.fruit, tree.diameters, wanted, leaves, rng, number)
+            for part, seen in zip(parts, read, strict=True):
+                part.append(seen)
+    return list(zip(eyes, map(together, parts), strict=True))
 
 
-def figures(found: Measured) -> dict[str, Any]:
+def figures(eyes: Eyes, seen: Sightings) -> dict[str, Any]:
     """Recall and errors over all fruit: value and 95 % interval; errors in mm."""
-    seen = found.seen
-    hit = np.flatnonzero(seen.found)
-    error = seen.error[hit] * 1e3
+    tree = seen.tree[seen.found]
     table: dict[str, Any] = {
-        "canopy": found.eyes.canopy.name,
-        "detector": found.eyes.detector,
+        "canopy": eyes.canopy.name,
+        "detector": eyes.detector,
         "fruit": len(seen.tree),
         "in_sight": share_of(seen.tree, seen.visible > 0),
         "recall": share_of(seen.tree, seen.found),
         "false_per_picture": seen.false / seen.pictures,
     }
-    for i, axis in enumerate(("x", "y", "z")):
-        table[f"bias_{axis}_mm"] = error_measure(
-            seen.tree[hit], error[:, i], lambda s: float(s[:, 1].sum() / s[:, 0].sum())
-        )
-        table[f"rmse_{axis}_mm"] = error_measure(seen.tree[hit], error[:, i], root_mean_square)
-        table[f"median_{axis}_mm"] = float(np.median(np.abs(error[:, i])))
+    for axis, error in zip("xyz", seen.error[seen.found].T * 1e3, strict=True):
+        table[f"bias_{axis}_mm"] = error_measure(tree, error, lambda s: float(s[:, 1].sum() / s[:, 0].sum()))
+        table[f"rmse_{axis}_mm"] = error_measure(tree, error, root_mean_square)
+        table[f"median_{axis}_mm"] = float(np.median(np.abs(error)))
     return table
 
 
@@ -273,19 +262,19 @@ def shown(value: Any) -> str:
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
-def text_of(found: Sequence[Measured], command: str) -> str:
+def text_of(tables: Sequence[Measured], command: str) -> str:
     """The file of tables."""
     lines = [HEAD.format(command=command)]
-    for one in found:
-        canopy = one.eyes.canopy
+    for eyes, seen in tables:
+        canopy = eyes.canopy
         lines += [
-            f"[{canopy.name}-{one.eyes.detector}]",
+            f"[{canopy.name}-{eyes.detector}]",
             f'source = "{command}: canopy {canopy.name}, fruit map {FRUIT_MAPS[canopy.name]}, fruit of 60 mm"',
             f'canopy = "{canopy.name}"',
-            f'detector = "{one.eyes.detector}"',
+            f'detector = "{eyes.detector}"',
             f"leaf_area_per_volume = {canopy.leaf_area_per_volume}",
         ]
-        for key, value in tabulated(one.seen, RANGES, PARTS).items():
+        for key, value in tabulated(seen, RANGES, PARTS).items():
             rows = isinstance(value, list) and value and isinstance(value[0], list)
             inner = ",\n".join(f"    {json.dumps(row)}" for row in value) if rows else ""
             lines.append(f"{key} = [\n{inner},\n]" if rows else f"{key} = {json.dumps(value)}")
@@ -297,19 +286,18 @@ def main() -> None:
     """Measure, print, write."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--trees", type=int, default=120, help="rendered trees of each canopy (default 120)")
-    parser.add_argument(
-        "--canopy", action="append", choices=FRUIT_MAPS, help="a canopy, again for another (default all)"
-    )
+    more = {"choices": FRUIT_MAPS, "help": "a canopy, again for another (default all)"}
+    parser.add_argument("--canopy", action="append", **more)
     parser.add_argument("--seed", type=int, default=SEED, help=f"of trees, leaves and pictures (default {SEED})")
     parser.add_argument("--out", type=Path, help="write the tables here")
     parser.add_argument("--json", type=Path, help="write recall and errors here")
     given = parser.parse_args()
-    found = [one for canopy in given.canopy or FRUIT_MAPS for one in measured(canopy, given.trees, given.seed)]
+    tables = [table for canopy in given.canopy or FRUIT_MAPS for table in measured(canopy, given.trees, given.seed)]
     camera = load_stereo_camera("li2016")
     pixel = 1e3 / (camera.focal_length * camera.baseline)
     print(f"Stereo theory: {pixel:.1f} mm of depth a pixel of disparity at 1 m, {pixel * 1.2**2:.1f} mm at 1.2 m; "
           f"across {1e3 / camera.focal_length:.2f} mm a pixel at 1 m. Published: {PUBLISHED}.")  # fmt: skip
-    rows = [figures(one) for one in found]
+    rows = [figures(*table) for table in tables]
     for row in rows:
         print("; ".join(f"{key} {shown(value)}" for key, value in row.items()))
     if given.json:
@@ -318,7 +306,7 @@ def main() -> None:
         trees = "" if given.trees == 120 else f" --trees {given.trees}"
         trees += "" if given.seed == SEED else f" --seed {given.seed}"
         names = "".join(f" --canopy {name}" for name in given.canopy or ())
-        write_text(given.out, text_of(found, f"python scripts/studies/measure_sight.py{trees}{names} --out FILE"))
+        write_text(given.out, text_of(tables, f"python scripts/studies/measure_sight.py{trees}{names} --out FILE"))
 
 
 if __name__ == "__main__":

@@ -4,8 +4,6 @@ Policy search (`policy_search`, beside this) learns the script's nine numbers; P
 of the tool. No canopy that judges was seen by a search or a training. Simulated.
 """
 
-from __future__ import annotations
-
 import json
 from functools import cache
 from pathlib import Path
@@ -19,7 +17,7 @@ from pickenv.agents import HASTY, HELD_OUT, ScriptedPick, Training, load_policy,
 from pickenv.arm import Array
 from pickenv.base import seed_words, stream
 from pickenv.envs import PickVectorEnv
-from pickenv.experiments import Rows
+from pickenv.experiments import Rows, joined
 from pickenv.inspect.colours import policy_colours
 from pickenv.inspect.figures.style import WIDTH, headline, new_figure, rgb
 
@@ -84,7 +82,7 @@ def conditions(
     for at in range(0, generations + 1, 2):
         on_the_way = picked(arguments, arguments_of(found.means[at]), [HELD_OUT + i for i in range(CURVE)])
         parts.append(canopy_rows(f"after {found.steps[at].mean():.0f} steps", on_the_way, CURVE))
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return joined(list(map(Rows, parts)))
 
 
 def orders(rng: np.random.Generator, place: str, order: str, canopies: int, seed: int) -> Any:
@@ -110,7 +108,7 @@ def learning(
         found = {name: np.array([row.get(name, np.nan)]) for name in ("collected", "damaged", "attempted", "reward")}
         on_the_way = canopy_rows(f"after {row['steps']:.0f} steps", found | {"duration_s": np.array([np.nan])}, 1)
         parts.append(on_the_way | {"training": np.array([training])})
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return joined(list(map(Rows, parts)))
 
 
 def once(training: int, place: str, policy: str) -> bool:

@@ -5,8 +5,6 @@ mean, in pairs that lie opposite each other; all pick the same few canopies; mea
 best. What is learnt is nine numbers that can be read. Units: m, rad, s.
 """
 
-from __future__ import annotations
-
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain

@@ -4,8 +4,6 @@ Each is judged on its ideal arm, and on an arm with coarse tolerances, raw and b
 learnt on another arm, and what PPO learns that moves joints. Simulated.
 """
 
-from __future__ import annotations
-
 import math
 import os
 from collections.abc import Callable
@@ -56,7 +54,7 @@ def measure(rng: np.random.Generator, training: int, arm: str, steps: int, fruit
         row = {"policy": policy, "raw_mm": math.nan, "ls_mm": math.nan, "success": float(reaches.success.mean())}
         row["median_mm"] = float(np.median(reaches.position_error_mm))
         if policy == "its own":
-            found = reaches_behind(act, ["raw", "ls"], **how, **arguments_of(name, arm, "coarse"))
-            row |= {f"{method}_mm": float(ends.position_error_mm.mean()) for method, ends in found.items()}
+            behind = reaches_behind(act, ["raw", "ls"], **how, **arguments_of(name, arm, "coarse"))
+            row |= {f"{method}_mm": float(ends.position_error_mm.mean()) for method, ends in behind.items()}
         rows.append(row)
     return rows

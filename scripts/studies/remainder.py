@@ -3,8 +3,6 @@
 UR5 (Jacobi 2025) and UR10, series A to D (Landgraf et al. 2021), from the folder that PICKENV_DATA names.
 """
 
-from __future__ import annotations
-
 import csv
 import os
 from collections.abc import Mapping, Sequence

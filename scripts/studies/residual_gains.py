@@ -1,7 +1,5 @@
 """What models leave of blocks of a simulated arm's rows: `pickenv experiment scripts/studies/residual_gains.toml`."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

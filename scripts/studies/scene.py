@@ -5,8 +5,6 @@ with a policy that sees the fruit in the wrist camera's pictures, whose camera i
 Simulated.
 """
 
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -6,8 +6,6 @@ Studies go on where they were stopped. The tables go to docs/_static/tolerance-s
 docs/images/study-grades.png is drawn again. The yields are the ledger's (scripts/studies/tolerances.toml).
 """
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -4,8 +4,6 @@ Five seeds each; the first is shipped. Judged on arms that no training saw, with
 `--out FOLDER` for the runs, `--only NAME`, `--seeds N`, and `--cards` to judge the shipped policies as they are.
 """
 
-from __future__ import annotations
-
 import argparse
 import sys
 from pathlib import Path
@@ -60,28 +58,28 @@ def judged(name: str, policy: str, out: Path, compensations: tuple[str, ...]) ->
         grippers=("li_cup",),
     )
     rows = run_policies(settings, cache=out / "calibrations", backend="loky")
-    found = []
+    results = []
     for row in evaluation_rows(settings, rows):
         some = rows.where(compensation=row["compensation"])
         by_seed = [float(some.where(training=number)["error_mm"].mean()) for (number,) in some.levels("training")]
-        found.append(row | {"by_seed": by_seed, "attitude_deg": float(some["attitude_deg"].mean())})
-    return found
+        results.append(row | {"by_seed": by_seed, "attitude_deg": float(some["attitude_deg"].mean())})
+    return results
 
 
-def card(name: str, policy: LearnedPolicy | RememberingPolicy, found: list[dict[str, Any]]) -> str:
+def cells(row: dict[str, Any]) -> list[str]:
+    """A line of the card's table."""
+    interval = between(*row["ci95"], 3) if row["ci95"] else "none: " + row["no_interval"]
+    arms = [said(row[f"{name}_arm_mm"], row[f"{name}_arm_ci95"], 3) for name in ("median", "p95")]
+    by_seed = ", ".join(f"{error:.3f}" for error in row["by_seed"])
+    return [row["compensation"], f"{row['mean_mm']:.3f}", interval, *arms, by_seed, f"{row['attitude_deg']:.2f}"]
+
+
+def card(name: str, policy: LearnedPolicy | RememberingPolicy, results: list[dict[str, Any]]) -> str:
     """The model card."""
     what = policy.record["training"]
     size = sum(weight.size + bias.size for weight, bias in zip(policy.weights, policy.biases, strict=True))
     behind = "behind a calibration (least squares)" if what["compensate"] else "on the raw arm"
-    rows = [
-        f"| {row['compensation']} | {row['mean_mm']:.3f} | "
-        f"{between(*row['ci95'], 3) if row['ci95'] else 'none: ' + row['no_interval']} | "
-        f"{said(row['median_arm_mm'], row['median_arm_ci95'], 3)} | "
-        f"{said(row['p95_arm_mm'], row['p95_arm_ci95'], 3)} | "
-        f"{', '.join(f'{each:.3f}' for each in row['by_seed'])} | {row['attitude_deg']:.2f} |"
-        for row in found
-    ]
-    judged_on = found[0]
+    judged_on = results[0]
     fruit = judged_on["episodes"] // judged_on["arms"] // judged_on["trainings"]
     camera = isinstance(policy, RememberingPolicy) or policy.scaling.camera
     arguments = tuned(policy.algorithm, what["env_id"]).get("env_kwargs", {}) | what["arguments"]
@@ -93,60 +91,51 @@ def card(name: str, policy: LearnedPolicy | RememberingPolicy, found: list[dict[
             "arm, and learns the camera's view of a fruit when the next episode begins. The first fruit of an arm it "
             "meets as if nothing were known; so every arm wants a policy of its own."
         )
-        use = [
-            "from pickenv.agents.policies.remembering import RememberingReach, load_remembering",
-            "",
-            f'policy = RememberingReach(env, load_remembering("{name}"))',
-            "policy.reset()  # before every fruit; a new arm wants a new policy",
-        ]
+        use = "from pickenv.agents.policies.remembering import RememberingReach, load_remembering\n\n"
+        use += f'policy = RememberingReach(env, load_remembering("{name}"))\n'
+        use += "policy.reset()  # before every fruit; a new arm wants a new policy"
     else:
         sees = (
             "Observations and actions are scaled by the gap to the fruit (`pickenv/wrappers/gap.py`), so accuracy is "
             "limited by what the policy can see, not by its network."
         )
-        use = ["from pickenv.agents.policies.learned import load_policy", "", f'policy = load_policy("{name}")']
-    names = " ".join(row["compensation"] for row in found)
-    goal = isinstance(policy, LearnedPolicy) and policy.scaling.goal
-    return "\n".join(
-        [
-            f"# {name}",
-            "",
-            f"{policy.algorithm.upper()}{' with HER' if goal else ''} on `{what['env_id']}`, arm `{policy.arm}`, plant "
-            f"`{arguments.get('plant', 'qiao2026')}`, trained {behind}; {policy.record['steps']} steps, "
-            f"{size} weights, seed {what['seed']}.",
-            f"Arguments of the environment: `{arguments}`. Parameters: "
-            f"`pickenv/zoo/hyperparams/{policy.algorithm}.py`.",
-            "",
-            "## Use",
-            "",
-            f"Feedback `{'camera' if camera else 'encoders'}`. {sees}",
-            "",
-            "```python",
-            *use,
-            "action = policy.act(observation)",
-            "```",
-            "",
-            "## Results",
-            "",
-            f"Final errors on {judged_on['arms']} arms drawn from tolerance class {judged_on['tolerances']} that no "
-            f"training saw, {fruit} fruit each, each with its own calibration (seed {judged_on['seeds'][0]}). Mean, "
-            "median "
-            f"and 95th percentile are over arms; 95 % intervals over {judged_on['interval_over']}.",
-            "",
-            "| compensation | mean (mm) | 95 % | median arm (mm) | 95th arm (mm) | by seed (mm) | attitude (deg) |",
-            "|---|---|---|---|---|---|---|",
-            *rows,
-            "",
-            "## Limits",
-            "",
-            "Trained for one arm's nominal geometry; it refuses other arms.",
-            "No obstacles, no joint torques, one fruit at a time; a simulated arm, never a real one.",
-            "",
-            f"Judged by `python scripts/studies/train_baselines.py --cards --compensations {names}`; trained by it "
-            "without --cards.",
-            "",
-        ]
-    )
+        use = f'from pickenv.agents.policies.learned import load_policy\n\npolicy = load_policy("{name}")'
+    names = " ".join(row["compensation"] for row in results)
+    her = " with HER" if isinstance(policy, LearnedPolicy) and policy.scaling.goal else ""
+    lines = "\n".join(f"| {' | '.join(cells(row))} |" for row in results)
+    return f"""# {name}
+
+{policy.algorithm.upper()}{her} on `{what["env_id"]}`, arm `{policy.arm}`, plant \
+`{arguments.get("plant", "qiao2026")}`, trained {behind}; {policy.record["steps"]} steps, {size} weights, \
+seed {what["seed"]}.
+Arguments of the environment: `{arguments}`. Parameters: `pickenv/zoo/hyperparams/{policy.algorithm}.py`.
+
+## Use
+
+Feedback `{"camera" if camera else "encoders"}`. {sees}
+
+```python
+{use}
+action = policy.act(observation)
+```
+
+## Results
+
+Final errors on {judged_on["arms"]} arms drawn from tolerance class {judged_on["tolerances"]} that no training saw, \
+{fruit} fruit each, each with its own calibration (seed {judged_on["seeds"][0]}). Mean, median and 95th percentile are \
+over arms; 95 % intervals over {judged_on["interval_over"]}.
+
+| compensation | mean (mm) | 95 % | median arm (mm) | 95th arm (mm) | by seed (mm) | attitude (deg) |
+|---|---|---|---|---|---|---|
+{lines}
+
+## Limits
+
+Trained for one arm's nominal geometry; it refuses other arms.
+No obstacles, no joint torques, one fruit at a time; a simulated arm, never a real one.
+
+Judged by `python scripts/studies/train_baselines.py --cards --compensations {names}`; trained by it without --cards.
+"""
 
 
 def main() -> None:
@@ -169,9 +158,9 @@ def main() -> None:
                 trained.append(train(training_of(name, seed, calibration_file(options.out)), out, resume=again))
             policy, judged_policy = trained[0].policy, str(options.out / name)
             policy.save(BASELINES / f"{name}.npz")
-        found = judged(name, judged_policy, options.out, tuple(options.compensations))
-        write_text(BASELINES / f"{name}.md", card(name, policy, found))
-        print(name, {row["compensation"]: (round(row["mean_mm"], 3), row["by_seed"]) for row in found}, flush=True)
+        results = judged(name, judged_policy, options.out, tuple(options.compensations))
+        write_text(BASELINES / f"{name}.md", card(name, policy, results))
+        print(name, {row["compensation"]: (round(row["mean_mm"], 3), row["by_seed"]) for row in results}, flush=True)
 
 
 if __name__ == "__main__":
