@@ -8,7 +8,7 @@ needs torch.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any, cast
 
@@ -17,15 +17,8 @@ from numpy.typing import NDArray
 
 from pickenv.agents.policies.policy import ReachController
 from pickenv.arm import Array, Geometry, content_sha256, forward, joint_jacobian, truncated_inverse
-from pickenv.base import (
-    InputError,
-    check_limit,
-    npz_path,
-    read_container,
-    refusing_damage,
-    require,
-    write_container,
-)
+from pickenv.base import InputError, check_limit, npz_path, read_container, refusing_damage, require, write_container
+from pickenv.base.texts import Progress
 from pickenv.envs import check_count
 
 require("torch")
@@ -115,7 +108,7 @@ def clone(
     *,
     seed: int,
     passes: int = PASSES,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> Clone:
     """Train a network to imitate demonstrations.
 
@@ -165,12 +158,7 @@ def clone(
 
 
 def _fit(
-    network: Clone,
-    pictures: th.Tensor,
-    numbers: th.Tensor,
-    wanted: th.Tensor,
-    passes: int,
-    progress: Callable[[str, int, int], None] | None,
+    network: Clone, pictures: th.Tensor, numbers: th.Tensor, wanted: th.Tensor, passes: int, progress: Progress | None
 ) -> None:
     """Train a network with the mean absolute error as its loss."""
     batches = -(-len(wanted) // BATCH)
@@ -204,9 +192,6 @@ class ClonedScene(ReachController):
             name = env.unwrapped.plant.arm.name
             raise InputError(f"the clone is of another arm, period or scale than this {name}; clone one of this")
         self.network = network
-
-    def reset(self) -> None:
-        """Do nothing: the policy keeps no state of an episode."""
 
     def act(self, observation: Any) -> NDArray[np.float32]:
         """Return the next action ``(n + 1,)``.

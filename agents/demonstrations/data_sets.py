@@ -16,7 +16,7 @@ import os
 import shutil
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -29,6 +29,7 @@ from pickenv.agents.policies.policy import Policy
 from pickenv.agents.policies.scripted import HASTY, RandomReach, ScriptedPick, ScriptedScene, ServoScene
 from pickenv.arm import LINK_PARAMETERS
 from pickenv.base import InputError, check_limit, file_sha256, locked, require, seed_words, stream, versions, write_json
+from pickenv.base.texts import Progress
 from pickenv.envs import check_choice, check_count
 
 SCENE = "pickenv/PickScene-v0"
@@ -41,18 +42,15 @@ EPISODES = {"reach": 256, "pick": 32, "scene": 64, "sight": 150}
 """Default number of episodes of a data set, by task."""
 
 POLICIES = {
+    **{(task, "random"): "actions drawn evenly" for task in TASKS},
     ("reach", "expert"): "the shipped baseline ppo_encoders, without noise",
     ("reach", "medium"): "the shipped baseline ppo_encoders, every other action (by chance) drawn evenly instead",
-    ("reach", "random"): "actions drawn evenly",
     ("pick", "expert"): "ScriptedPick: gentle, waits until the arm has settled",
     ("pick", "medium"): "ScriptedPick with HASTY: full speed, no waiting",
-    ("pick", "random"): "actions drawn evenly",
     ("scene", "expert"): "ScriptedScene with a perfect arm",
     ("scene", "medium"): "ScriptedScene with an arm that errs",
-    ("scene", "random"): "actions drawn evenly",
     ("sight", "expert"): "ServoScene with a perfect arm; it sees the fruit exactly",
     ("sight", "medium"): "ServoScene with an arm that errs; it sees the fruit exactly",
-    ("sight", "random"): "actions drawn evenly",
 }
 """Description of the policy of each data set, by task and quality."""
 
@@ -89,7 +87,7 @@ def datasets(
     *,
     episodes: int | None = None,
     seed: int = 0,
-    progress: Callable[[str, int, int], None] | None = None,
+    progress: Progress | None = None,
 ) -> list[dict[str, Any]]:
     """Record Minari data sets.
 
@@ -127,7 +125,7 @@ def datasets(
 
 
 def _kept_or_made(
-    out: Path, task: str, quality: str, episodes: int | None, seed: int, report: Callable[[str, int, int], None]
+    out: Path, task: str, quality: str, episodes: int | None, seed: int, report: Progress
 ) -> dict[str, Any]:
     count, name = episodes or EPISODES[task], f"pickenv/{task}/{quality}-v0"
     settings = {"name": name, "format": FORMAT, "seed": seed, "episodes": count}
@@ -264,11 +262,8 @@ def _write(folder: Path, name: str, episodes: Sequence[dict[str, Any]], card: di
         complete = Path(temporary) / name
         # Over the numbers of all episodes, which a run with the same seed gives again.
         content = b"".join(_numbers(episode[name]) for episode in episodes for name in COLUMNS)
-        card |= {
-            "arms": arms_of(env),
-            "sha256": _hashes(complete),
-            "content_sha256": hashlib.sha256(content).hexdigest(),
-        }
+        digest = hashlib.sha256(content).hexdigest()
+        card |= {"arms": arms_of(env), "sha256": _hashes(complete), "content_sha256": digest}
         write_json(complete / CARD, card)
         for inner in (folder.parent, folder.parent.parent):  # Minari finds what stands in a folder that says it is one
             inner.mkdir(parents=True, exist_ok=True)

@@ -19,7 +19,7 @@ from pickenv.agents.evaluation.contenders import Contender, Given, contenders_of
 from pickenv.agents.evaluation.reaches import Moment, episode_seeds, run_episodes
 from pickenv.agents.policies.policy import attitude_after
 from pickenv.arm import Array, Plant, Pose
-from pickenv.base import InputError, check_limit, command_line, seed_words, stream, write_json, write_text
+from pickenv.base import InputError, Progress, check_limit, command_line, seed_words, stream, write_json, write_text
 from pickenv.calibration import Calibration
 from pickenv.inspect import Comparison, RecordedEpisodes, RecordedPolicy
 from pickenv.inspect.colours import policy_key
@@ -31,9 +31,8 @@ from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
 
 SUMMARY, RECORDING = "comparison.json", "comparison.rrd"
 GRID_STEP = 0.1
+Arguments = Mapping[str, Any]
 """Cell size of a policy's error field, m."""
-
-Progress = Callable[[str, int, int], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -142,15 +141,8 @@ def compare(
         _recorded_policy(contender.label, run, longest, plant, judge, chance)
         for contender, run in zip(contenders, runs, strict=True)
     ]
-    facts: dict[str, Any] = {
-        "plant": plant,
-        "tolerance_mm": round(1e3 * judge.tolerance, 6),
-        "seed": seed,
-        "seeds": seeds,
-        "env_id": env,
-        "gripper": judge.name,
-        "period": period,
-    }
+    facts: dict[str, Any] = {"plant": plant, "env_id": env, "seed": seed, "seeds": seeds, "period": period}
+    facts |= {"gripper": judge.name, "tolerance_mm": round(1e3 * judge.tolerance, 6)}
     options: dict[str, Any] = {"env": env, "episodes": episodes, "seed": seed, "gripper": gripper}
     options |= {"compensate": compensate, "allow": sorted(allow)}
     options |= {"grid_step": None if grid_step == GRID_STEP else grid_step}
@@ -164,7 +156,7 @@ def compare(
     return PolicyComparison(Comparison(policies=tuple(recorded), grid=grid, **facts), command)
 
 
-def _arm_and_period(env_id: str, arguments: Mapping[str, Any]) -> tuple[Plant | None, float, set[str]]:
+def _arm_and_period(env_id: str, arguments: Arguments) -> tuple[Plant | None, float, set[str]]:
     """Return the plant (the true arm) of an environment, or None without one, and its control period, s.
 
     The third value names what the environment has of its own: "gripper", if it judges grasps by its own gripper, and
@@ -188,7 +180,7 @@ def _arm_and_period(env_id: str, arguments: Mapping[str, Any]) -> tuple[Plant | 
 def _episodes(
     contender: Contender,
     env_id: str,
-    arguments: Mapping[str, Any],
+    arguments: Arguments,
     seeds: Sequence[int],
     own_seed: int,
     allow: Collection[str],
@@ -206,7 +198,7 @@ def _episodes(
     return episodes
 
 
-def _made(env_id: str, arguments: Mapping[str, Any]) -> gym.Env[Any, Any]:
+def _made(env_id: str, arguments: Arguments) -> gym.Env[Any, Any]:
     try:
         return gym.make(env_id, **arguments)
     except (gym.error.Error, ModuleNotFoundError, TypeError) as error:
@@ -229,9 +221,8 @@ def _recorded_policy(
         [command[e, t] if moment.target is None else moment.target for t, moment in enumerate(episode)]
         for e, episode in enumerate(padded)
     ]
-    if plant is None:
-        rotation = np.full((*tool.shape, 3), np.nan)
-    else:
+    rotation = np.full((*tool.shape, 3), np.nan)
+    if plant is not None:
         rotation = plant.tool_pose(command.reshape(-1, command.shape[-1])).rotation.reshape(*tool.shape, 3)
     moments = np.array([len(episode) for episode in episodes])
     rows, ends = np.arange(len(episodes)), moments - 1
@@ -279,9 +270,7 @@ def _capture(judge: Gripper, tool: Pose, fruit: Array, error: Array) -> Array:
     return capture_probability(judge, *misalignment(fruit - tool.position, tool.rotation[..., 2], aim))
 
 
-def _field(
-    contender: Contender, env_id: str, arguments: Mapping[str, Any], grid: FieldGrid, seed: int, number: int
-) -> Array:
+def _field(contender: Contender, env_id: str, arguments: Arguments, grid: FieldGrid, seed: int, number: int) -> Array:
     """Return a policy's final pose errors ``(F, 6)``, m and rad, at the F goals of a grid, one environment each."""
     steps = gym.spec(env_id).max_episode_steps or 60
     envs: gym.vector.VectorEnv[Any, Any, Any] = gym.make_vec(
@@ -301,9 +290,7 @@ def _field(
     return errors
 
 
-def _command(
-    policies: Sequence[Given], options: Mapping[str, Any], labels: Sequence[str], arguments: Mapping[str, Any]
-) -> str:
+def _command(policies: Sequence[Given], options: Arguments, labels: Sequence[str], arguments: Arguments) -> str:
     """Return the command line that reproduces a comparison; a policy object appears by the name of its type."""
 
     def word(value: Any) -> str:

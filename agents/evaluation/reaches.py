@@ -47,8 +47,7 @@ def pick_canopies(
         steps += 1
         totals["reward"] += np.where(over, 0.0, rewards)
         grasped, grasps = ~over & (infos["attempted"] > grasps), np.where(over, grasps, infos["attempted"])
-        error = np.hypot(infos["grasp_lateral_mm"], infos["grasp_axial_mm"])
-        totals["error_sum_mm"] += np.where(grasped, error, 0.0)
+        totals["error_sum_mm"] += np.where(grasped, np.hypot(infos["grasp_lateral_mm"], infos["grasp_axial_mm"]), 0.0)
         totals["tilt_sum_deg"] += np.where(grasped, infos["tilt_deg"], 0.0)
         ended = (terminated | truncated) & ~over
         totals["steps"][ended] = steps

@@ -131,9 +131,5 @@ def _joined(parts: Sequence[Rollout]) -> Rollout:
         seeds=tuple(seed for part in parts for seed in part.reaches.seeds),
         **{name: np.concatenate([getattr(part.reaches, name) for part in parts]) for name in arrays},
     )
-    return Rollout(
-        reaches=reaches,
-        arm=np.concatenate([part.arm for part in parts]),
-        wanted_rotation=np.concatenate([part.wanted_rotation for part in parts]),
-        error_mm=np.concatenate([part.error_mm for part in parts], axis=1),
-    )
+    arm, target = (np.concatenate([getattr(part, name) for part in parts]) for name in ("arm", "wanted_rotation"))
+    return Rollout(reaches, arm, target, np.concatenate([part.error_mm for part in parts], axis=1))

@@ -160,10 +160,8 @@ def _trained(path: Path, env: Any) -> Sb3Policy:
     if scaling is not None and model.observation_space.shape == (scaling.features,):
         return Sb3Policy(model, scaling)
     for kind in ("observation", "action"):
-        trained, present = getattr(model, f"{kind}_space"), getattr(env, f"{kind}_space")
+        learnt, present = getattr(model, f"{kind}_space"), getattr(env, f"{kind}_space")
         present = getattr(env, f"single_{kind}_space", present)
-        if trained.shape != present.shape or type(trained) is not type(present):
-            raise InputError(
-                f"{path} was trained on {kind}s {trained}, but the environment has {present}; give its own"
-            )
+        if learnt.shape != present.shape or type(learnt) is not type(present):
+            raise InputError(f"{path} was trained on {kind}s {learnt}, but the environment has {present}; give its own")
     return Sb3Policy(model)

@@ -73,9 +73,8 @@ class Actor:
         layers = {"weight": self.weights, "bias": self.biases}
         layered = {f"{name}{i}": part for name, parts in layers.items() for i, part in enumerate(parts)}
         single = {name: np.asarray(part, dtype=np.float32) for name, part in (*arrays.items(), *layered.items())}
-        return write_container(
-            npz_path(path), kind, {**texts, **header, "record": dict(self.record)}, single, version=version
-        )
+        header = {**texts, **header, "record": dict(self.record)}
+        return write_container(npz_path(path), kind, header, single, version=version)
 
 
 def actor_parts(
@@ -192,10 +191,6 @@ class LearnedReach(ReachController):
         """Read the nominal arm and the delays from ``env``; ``policy`` is the trained actor."""
         super().__init__(env)
         self.policy = policy
-
-    def reset(self) -> None:
-        """Forget the last episode."""
-        self.forget()
 
     def act(self, observation: Any) -> NDArray[np.float32]:
         """Return actions as `LearnedPolicy.act` does; goal observations are used without correction."""

@@ -146,6 +146,10 @@ class ReachController:
         self.tolerance = COUNTS + 4.0 * situation.joint_noise.high
         self.forget()
 
+    def reset(self) -> None:
+        """Forget the last episode."""
+        self.forget()
+
     def forget(self) -> None:
         """Drop the predicted joints and start again from the next reading."""
         self._sent: Array | None = None
@@ -195,8 +199,7 @@ class ReachController:
     def sent(self, shares: NDArray[Any]) -> None:
         """Record actions ``(..., n)`` that are about to be sent, each as a share of the joint's increment."""
         if self._sent is not None:
-            moved = self._sent + shares * self.increment
-            self._sent = np.clip(moved, self.geometry.lower, self.geometry.upper)
+            self._sent = np.clip(self._sent + shares * self.increment, self.geometry.lower, self.geometry.upper)
             self._still = np.where((np.abs(shares) > STANDING).any(axis=-1), 0, self._still + 1)
 
 

@@ -135,8 +135,7 @@ class ScriptedScene(ScriptedReach):
         self._waited += self._at == end
         if arrived and self._waited > patience:
             self._stage, self._waited = self._stage + 1, 0
-        closed = self._stage >= 2
-        return np.append(self.action(away), 1.0 if closed else -1.0).astype(np.float32)
+        return np.append(self.action(away), 1.0 if self._stage >= 2 else -1.0).astype(np.float32)
 
     def _gap(self, observation: Any, reading: policy.ObservationParts) -> Array | None:
         """Return the measured minus the believed gap to the fruit ``(3,)``, m; None without a measurement."""
@@ -199,8 +198,7 @@ class SeeingScene(ScriptedScene):
         across = np.array([column + 0.5 - half, half - 0.5 - row]) / half * self._slope
         ray = self._eye_axes @ [*across, -1.0]
         pose = forward(self.geometry, reading.joints)
-        depth = reading.offset @ pose.rotation[:, 2]
-        point = self._eye + ray * ((depth - self._eye[2]) / ray[2])
+        point = self._eye + ray * ((reading.offset @ pose.rotation[:, 2] - self._eye[2]) / ray[2])
         return np.asarray(pose.rotation @ point - reading.offset)
 
 
@@ -232,10 +230,6 @@ class ServoScene(policy.ReachController):
         """Read the arm and the scene's scale from ``env``."""
         super().__init__(env)
         self._scale = env.unwrapped.scene.around.scale
-
-    def reset(self) -> None:
-        """Forget the last episode."""
-        self.forget()
 
     def act(self, observation: Any) -> NDArray[np.float32]:
         """Return the next action ``(n + 1,)``, with suction on.
@@ -425,8 +419,7 @@ class ScriptedPick(policy.ReachController):
         self._begin(0)
 
     def _begin(self, count: int) -> None:
-        n = self.geometry.joints
-        self._fruit, self._way = np.full((count, 3), np.nan), np.full((count, AT + 1, n), np.nan)
+        self._fruit, self._way = np.full((count, 3), np.nan), np.full((count, AT + 1, self.geometry.joints), np.nan)
         self._place, self._spent = np.full(count, BELOW), np.zeros(count)
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
@@ -442,10 +435,9 @@ class ScriptedPick(policy.ReachController):
         hanging, off = values[:, n + 14] > 0.5, values[:, n + 15] > 0.5
         seeking = ~(hanging | off)
         new = np.flatnonzero(seeking & ~np.isclose(fruit, self._fruit, atol=1e-6).all(axis=-1))
-        if single and new.size:
-            self._plan(0, joints[0], fruit[0], turn[0])
-        elif new.size:
-            self._plan(new, joints[new], fruit[new], turn[new])
+        if new.size:
+            some = 0 if single else new
+            self._plan(some, joints[some], fruit[some], turn[some])
         for _ in (OUT, BELOW):
             near = self._away(joints, self._way[rows, self._place]) < self.arrived * PASSED
             self._place += seeking & (self._place < AT) & near
@@ -479,8 +471,7 @@ class ScriptedPick(policy.ReachController):
         return at
 
     def _solve(self, position: Array, rotation: Array, start: Array) -> Array:
-        pose = Pose(position, rotation)
-        most = self.iterations
+        pose, most = Pose(position, rotation), self.iterations
         return inverse(self.geometry, pose, start, attitude_tolerance=1e-3, max_iterations=most, restarts=0).joints
 
     @staticmethod
@@ -508,8 +499,7 @@ class OraclePick(ScriptedPick):
         self._env = env.unwrapped
 
     def _corrected(self, rows: Any, at: Array) -> Array:
-        plants = plants_on(self._env.plant, lambda values: values[rows])
-        return _of_true_arm(plants, at, forward(self.geometry, at))
+        return _of_true_arm(plants_on(self._env.plant, lambda values: values[rows]), at, forward(self.geometry, at))
 
 
 # A scripted policy for the harvester: plan the zone once, pick by the plan, plan anew for what was missed. It uses
@@ -553,8 +543,7 @@ class ScriptedHarvest:
         """Return the next action of all joints of the machine ``(3 + 3 arms,)``."""
         machine = self.machine
         joints, busy, fruit, hangs = self._decoded(np.asarray(observation, dtype=float))
-        idle = all(arm.fruit is None and not arm.queue for arm in self._arms)
-        if idle and hangs.any():
+        if hangs.any() and all(arm.fruit is None and not arm.queue for arm in self._arms):
             self._plan(joints[:3], fruit, hangs)
         goals = joints.copy()
         for i, arm in enumerate(self._arms):
@@ -604,8 +593,7 @@ class ScriptedHarvest:
         if arm.phase == "out" and np.abs(here - out).max() < SLAVE_ARRIVED:
             arm.phase = "rise"
         if arm.phase == "rise":
-            risen = abs(here[0] - at[0]) < SLAVE_ARRIVED
-            arm.waited += risen or cutting
+            arm.waited += cutting or abs(here[0] - at[0]) < SLAVE_ARRIVED
             if not cutting and (arm.waited > PATIENCE or not hangs[arm.fruit]):
                 arm.phase = "back"
         if arm.phase == "back":

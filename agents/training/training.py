@@ -18,6 +18,7 @@ from pickenv.agents.policies.learned import LearnedPolicy
 from pickenv.agents.policies.remembering import RememberingPolicy
 from pickenv.agents.training import training_setup
 from pickenv.agents.training.checkpoints import Evaluations, read_checkpoint, save_checkpoint, take_checkpoint
+from pickenv.agents.training.training_setup import Inputs, Training
 from pickenv.base import InputError, locked, torch_on_one_thread, write_json
 
 # What happens during a training: checkpoints between rollouts, and evaluations in millimetres.
@@ -43,10 +44,10 @@ class EverySoOften(BaseCallback):
 
 
 def judged(
-    training: training_setup.Training,
-    inputs: training_setup.Inputs,
+    training: Training,
+    inputs: Inputs,
     out: Path,
-    rows: list[dict[str, float]],
+    rows: Evaluations,
     policy: LearnedPolicy | RememberingPolicy,
     steps: int,
 ) -> dict[str, float]:
@@ -93,9 +94,7 @@ class Trained:
     out: Path
 
 
-def train(
-    training: training_setup.Training, out: str | Path, *, resume: bool = False, progress: bool = False
-) -> Trained:
+def train(training: Training, out: str | Path, *, resume: bool = False, progress: bool = False) -> Trained:
     """Train a policy, or resume its training, and write the run's folder.
 
     Args:
@@ -146,7 +145,7 @@ def train(
     return Trained(policy, tuple(rows), rate, out)
 
 
-def resumed(out: str | Path) -> training_setup.Training:
+def resumed(out: str | Path) -> Training:
     """Return the settings of the training to which a folder's checkpoint belongs.
 
     Raises:

@@ -18,14 +18,9 @@ from pickenv.agents.policies.learned import LearnedPolicy
 from pickenv.agents.policies.remembering import LSTM, RememberingPolicy
 from pickenv.arm.files.arm import content_sha256
 from pickenv.base import InputError, check_limit, file_sha256, is_there, npz_path, seed_words, shown, stream, versions
-from pickenv.envs import (
-    PickVectorEnv,
-    ReachGoalVectorEnv,
-    ReachIdealVectorEnv,
-    ReachToolVectorEnv,
-    ReachVectorEnv,
-    check_count,
-)
+from pickenv.base.limits import check_known
+from pickenv.envs import PickVectorEnv, ReachGoalVectorEnv, ReachIdealVectorEnv, ReachToolVectorEnv, ReachVectorEnv
+from pickenv.envs.shared.task import check_count
 from pickenv.wrappers import GapScalingVector, SameArmMixture, SameArmVector, Scaling, ToolSteppingVector, tool_steps_of
 
 Native = ReachVectorEnv | PickVectorEnv
@@ -74,9 +69,8 @@ class Training:
     parameters: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        check_algorithm(self.algorithm)
-        if self.env_id not in ENVIRONMENTS:
-            raise InputError(f"unknown environment '{self.env_id}'; give one of {', '.join(ENVIRONMENTS)}")
+        check_known("algorithm", self.algorithm, ALGORITHMS)
+        check_known("environment", self.env_id, ENVIRONMENTS)
         check_limit("seed", self.seed, "seed of training")
         for name, least in (("seed", 0), ("steps", 1), ("checkpoint_every", 1), ("evaluate_every", 1)):
             if name != "steps" or self.steps is not None:
@@ -323,8 +317,7 @@ def actor_of(model: Any, training: Training, env: Any) -> LearnedPolicy | Rememb
 def memory_arrays(policy: Any) -> dict[str, Any]:
     """Return the weight arrays of a torch policy's memory by name, for the attribute `RememberingPolicy.arrays`."""
     if (lstm := getattr(policy, "lstm_actor", None)) is None:
-        arrays = policy.features_extractor.given
-        return {name: value.detach().numpy().astype(float) for name, value in arrays.items()}
+        return {name: value.detach().numpy().astype(float) for name, value in policy.features_extractor.given.items()}
     parts = (lstm.weight_ih_l0.T, lstm.bias_ih_l0, lstm.weight_hh_l0.T, lstm.bias_hh_l0)
     return {name: part.detach().numpy().astype(float) for name, part in zip(LSTM, parts, strict=True)}
 
@@ -354,8 +347,8 @@ def judge(policy: LearnedPolicy | RememberingPolicy, training: Training) -> dict
             error = np.where(over, error, infos["position_error_mm"])
             success = np.where(over, success, infos["is_success"])
             over |= terminated | truncated
-    numbers = {"mean_mm": error.mean(), "p95_mm": np.percentile(error, 95), "success_rate": success.mean()}
-    return {name: float(number) for name, number in numbers.items()}
+    p95 = float(np.percentile(error, 95))
+    return {"mean_mm": float(error.mean()), "p95_mm": p95, "success_rate": float(success.mean())}
 
 
 def _picked(policy: RememberingPolicy, envs: SameArmVector | SameArmMixture) -> dict[str, Any]:
@@ -382,23 +375,13 @@ def words_of(row: dict[str, float]) -> str:
 ALGORITHMS = ("ppo", "sac", "tqc", "ppo_lstm", "ppo_history")
 
 
-def check_algorithm(algorithm: str) -> None:
-    """Raise an error if the algorithm is unknown.
-
-    Raises:
-        InputError: If it is not one of `ALGORITHMS`.
-    """
-    if algorithm not in ALGORITHMS:
-        raise InputError(f"unknown algorithm '{algorithm}'; give one of {', '.join(ALGORITHMS)}")
-
-
 def tuned(algorithm: str, env_id: str) -> dict[str, Any]:
     """Return the tuned hyperparameters of an algorithm on an environment.
 
     Raises:
         InputError: If the algorithm is unknown, or was never tuned on the environment.
     """
-    check_algorithm(algorithm)
+    check_known("algorithm", algorithm, ALGORITHMS)
     parameters: dict[str, dict[str, Any]] = resolve_name(f"pickenv.zoo.hyperparams.{algorithm}:hyperparams")
     if env_id not in parameters:
         raise InputError(f"{algorithm} has no tuned parameters for '{env_id}'; give one of {', '.join(parameters)}")

@@ -29,6 +29,7 @@ from .kinematics.forward import (
     Chain as Chain,
     Frame as Frame,
     Scalar as Scalar,
+    Scalars as Scalars,
     attach as attach,
     chain_of as chain_of,
     drawn_parts as drawn_parts,

@@ -49,6 +49,7 @@ from .limits import (
     DO_NOT_USE as DO_NOT_USE,
     FITTED_FRAMES as FITTED_FRAMES,
     LIMITS as LIMITS,
+    check_known as check_known,
     check_limit as check_limit,
     obey as obey,
     shown as shown,
@@ -69,6 +70,7 @@ from .seeds import (
     torch_on_one_thread as torch_on_one_thread,
 )
 from .texts import (
+    Progress as Progress,
     decimal_number as decimal_number,
     folded as folded,
     in_file as in_file,

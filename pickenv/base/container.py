@@ -255,8 +255,7 @@ def _verified(content: bytes, limit: int) -> Container:
             raise ValueError(f"its schema is {str(header['schema'])[:40]!r}, not {SCHEMA!r}")
         arrays, blobs = header["arrays"], header["blobs"]
         preambles = {name: _preamble(entry) for name, entry in arrays.items()}
-        listed = [f"{name}.npy" for name in arrays] + list(blobs)
-        if [member.filename for member in members[1:]] != listed:
+        if [member.filename for member in members[1:]] != [*(f"{name}.npy" for name in arrays), *blobs]:
             raise ValueError("its members are not those that its header lists")
         sizes = [len(preambles[name]) + _size(entry) for name, entry in arrays.items()]
         sizes += [entry["bytes"] for entry in blobs.values()]

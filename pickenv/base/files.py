@@ -202,8 +202,7 @@ def separate(inputs: Mapping[str, Named], outputs: Mapping[str, Named]) -> None:
 
 def _paths(named: Named) -> Iterator[Path]:
     """The files that an option names."""
-    names = () if named is None else (named,) if isinstance(named, str | Path) else named
-    for name in names:
+    for name in () if named is None else (named,) if isinstance(named, str | Path) else named:
         path, _, tip = str(name).rpartition("#")
         yield Path(path) if path.endswith((".urdf", ".xml")) and tip else Path(name)
 

@@ -22,6 +22,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+Array = NDArray[np.float64]
+Statistic = Callable[[Array], Any]
+"""A number computed from a table with one row per value: an arm, a tree, a block."""
+
 Ends = tuple[float, float]
 """Lower and upper end of a 95 % interval."""
 
@@ -105,7 +109,7 @@ def ordered_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
 
 
 @cache
-def _slow_waves(count: int) -> tuple[NDArray[np.float64], float]:
+def _slow_waves(count: int) -> tuple[Array, float]:
     """The cosines ``(waves, count)`` that make the narrowest interval, and the critical value of that interval."""
     from scipy.optimize import brentq
     from scipy.special import gammaln
@@ -124,7 +128,7 @@ def _slow_waves(count: int) -> tuple[NDArray[np.float64], float]:
     return best
 
 
-def _beyond(critical: float, covariance: NDArray[np.float64]) -> float:
+def _beyond(critical: float, covariance: Array) -> float:
     """Probability that a normal mean lies farther from the truth than its interval reaches.
 
     Args:
@@ -143,7 +147,7 @@ def _beyond(critical: float, covariance: NDArray[np.float64]) -> float:
 
 
 def statistic_interval(
-    table: ArrayLike, statistic: Callable[[NDArray[np.float64]], Any], least: int = LEAST, *, ordered: bool = False
+    table: ArrayLike, statistic: Statistic, least: int = LEAST, *, ordered: bool = False
 ) -> Ends | None:
     """95 % interval of a smooth statistic of a table's rows, such as a ratio of sums, by the jackknife.
 
@@ -223,7 +227,7 @@ def ratio_interval(over: ArrayLike, under: ArrayLike, least: int = LEAST) -> End
     return ratio - half, ratio + half
 
 
-def _ratio_spread(above: NDArray[np.float64], below: NDArray[np.float64]) -> tuple[float, float]:
+def _ratio_spread(above: Array, below: Array) -> tuple[float, float]:
     """The variance of a ratio of sums over n > 1 clusters, and its degrees of freedom: n - 1 if clusters are equal."""
     weight = below / below.sum()
     residual = (above - above.sum() / below.sum() * below) / below.sum()
@@ -238,7 +242,7 @@ def _ratio_spread(above: NDArray[np.float64], below: NDArray[np.float64]) -> tup
     return float(np.sum(residual**2 / rest)), max(float(trace**2 / squares), 1.0)
 
 
-def pseudo_values(table: NDArray[np.float64], statistic: Callable[[NDArray[np.float64]], Any]) -> NDArray[np.float64]:
+def pseudo_values(table: Array, statistic: Statistic) -> Array:
     """Return Tukey's jackknife pseudo-values of a statistic ``(n,)``, one per row; for a mean, these are the values."""
     n = len(table)
     value = float(statistic(table))
@@ -395,7 +399,7 @@ def quantile_levels(count: int, probability: float) -> tuple[float | None, float
     return end(_TAILS[1], 1.0, float(count), 1.0), end(_TAILS[0], -1.0, 1.0, float(count))
 
 
-def _equal(values: NDArray[np.float64]) -> bool:
+def _equal(values: Array) -> bool:
     """Whether values differ by rounding alone, or by less than arithmetic can square."""
     return not np.ptp(values) > max(1e-12 * np.abs(values).max(), 1e-150)
 
@@ -475,7 +479,7 @@ def estimate(
     value: str | Sequence[str],
     by: Sequence[str] = (),
     over: Sequence[str] = ("arm",),
-    of: str | float | Callable[[NDArray[np.float64]], Any] = "mean",
+    of: str | float | Statistic = "mean",
     against: Mapping[str, Any] | None = None,
     least: int = LEAST,
     lost: float | None = None,
@@ -548,15 +552,14 @@ def estimate(
     return numbers
 
 
-def _without_lost(values: NDArray[np.float64], lost: float, least: int) -> dict[str, Any]:
+def _without_lost(values: Array, lost: float, least: int) -> dict[str, Any]:
     """The columns "estimate", "units", "runs" and "lost" of `estimate` for values ``(units, repeats)``, some lost."""
     gone = values > lost
     kept = (~gone).sum(axis=1)
     means = np.where(gone, 0.0, values).sum(axis=1)[kept > 0] / kept[kept > 0]
     ends = clustered_share_interval(gone.sum(axis=1), values.shape[1], least)
     share = _with_reason(float(gone.mean()), ends, values[:, :1], least)
-    empty = Estimate(float("nan"), None, "all are lost")
-    number = mean_estimate(means[:, None, None], least) if len(means) else empty
+    number = mean_estimate(means[:, None, None], least) if len(means) else Estimate(float("nan"), None, "all are lost")
     return {"estimate": number, "units": means, "runs": None, "lost": share}
 
 
@@ -585,7 +588,7 @@ def _check_asked(
         raise ValueError("'removed' wants against, levels of which a share is gone, or two columns: before and after")
 
 
-def _cubes(rows: Mapping[str, NDArray[Any]], names: Sequence[str], over: Sequence[str]) -> NDArray[np.float64]:
+def _cubes(rows: Mapping[str, NDArray[Any]], names: Sequence[str], over: Sequence[str]) -> Array:
     """Arrange rows as values ``(len(names), units, runs, repeats)``; ``runs`` is 1 if ``over`` names one column."""
     places = [np.unique(rows[name], return_inverse=True)[1] for name in over]
     if len(places) == 1:
@@ -598,9 +601,7 @@ def _cubes(rows: Mapping[str, NDArray[Any]], names: Sequence[str], over: Sequenc
     return np.stack([np.asarray(rows[name], dtype=float)[order].reshape(units, runs, -1) for name in names])
 
 
-def _estimated(
-    cube: NDArray[np.float64], of: str | float | Callable[[NDArray[np.float64]], Any], least: int
-) -> Estimate:
+def _estimated(cube: Array, of: str | float | Statistic, least: int) -> Estimate:
     if callable(of) or len(cube) > 1:
         table = cube.mean(axis=(2, 3)).T
         if of in ("share", "ratio"):  # a share of what was tried, with other numbers tried of each unit
@@ -619,20 +620,20 @@ def _estimated(
     return mean_estimate(values, least) if of == "mean" else quantile_estimate(values, float(of))
 
 
-def _removed(table: NDArray[np.float64]) -> float:
+def _removed(table: Array) -> float:
     """The share of the first column's mean by which the second column's mean is smaller, of a table ``(units, 2)``."""
     before, after = table.mean(axis=0)
     return float(1.0 - after / before)
 
 
-def mean_estimate(values: NDArray[np.float64], least: int = LEAST) -> Estimate:
+def mean_estimate(values: Array, least: int = LEAST) -> Estimate:
     """Estimate the mean of values ``(arms, trainings, fruit)``; with fewer arms than ``least`` there is no interval."""
     means = values.mean(axis=2)
     ends = mean_interval(means[:, 0], least) if means.shape[1] == 1 else crossed_interval(means, least)
     return _with_reason(float(means.mean()), ends, means, least)
 
 
-def quantile_estimate(values: NDArray[np.float64], probability: float) -> Estimate:
+def quantile_estimate(values: Array, probability: float) -> Estimate:
     """Estimate a quantile of the arms' means of values ``(arms, trainings, fruit)``.
 
     There is no interval for several trainings.
@@ -649,7 +650,7 @@ def quantile_estimate(values: NDArray[np.float64], probability: float) -> Estima
     return Estimate(value, None, "needs more arms") if ends == (None, None) else Estimate(value, ends)
 
 
-def share_estimate(chances: NDArray[np.float64]) -> Estimate:
+def share_estimate(chances: Array) -> Estimate:
     """Estimate the share of successes from probabilities of success ``(arms, trainings, fruit)``.
 
     For several trainings, the interval is `crossed_interval` of the means over fruit. For one training and at least
@@ -666,7 +667,7 @@ def share_estimate(chances: NDArray[np.float64]) -> Estimate:
     return _with_reason(float(means.mean()), ends and (max(ends[0], 0.0), min(ends[1], 1.0)), means)
 
 
-def _with_reason(value: float, ends: Ends | None, each: NDArray[np.float64], least: int = LEAST) -> Estimate:
+def _with_reason(value: float, ends: Ends | None, each: Array, least: int = LEAST) -> Estimate:
     arms, trainings = each.shape
     few = f"needs {least} arms" if arms < least else f"needs {LEAST_RUNS} trainings" * (1 < trainings < LEAST_RUNS)
     return Estimate(value, ends, "" if ends else few or "all arms are equal")

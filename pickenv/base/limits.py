@@ -8,7 +8,7 @@ allows that reservation.
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any
 
 from pickenv.base.errors import InputError
@@ -74,6 +74,12 @@ def shown(value: Any) -> str:
     return text if len(text) <= 60 else f"{text[:60]}…"
 
 
+def check_known(kind: str, name: str, known: Iterable[str]) -> None:
+    """Raise an `InputError` unless ``name``, which is of a ``kind`` of things, is one of ``known``."""
+    if name not in (names := tuple(known)):
+        raise InputError(f"unknown {kind} '{name}'; give one of {', '.join(names)}")
+
+
 DO_NOT_USE = "do-not-use"
 """Name of the reservation about a calibration whose verdict says that it should not be used."""
 
@@ -95,8 +101,8 @@ def obey(reservations: Mapping[str, str], allow: Collection[str], concerns: Coll
     Raises:
         InputError: If there is such a reservation; the message has its sentence. Also if ``allow`` has an unknown name.
     """
-    if unknown := [name for name in allow if name not in NAMES]:
-        raise InputError(f"unknown reservation '{unknown[0]}'; give one of {', '.join(NAMES)}")
+    for name in allow:
+        check_known("reservation", name, NAMES)
     for name, sentence in reservations.items():
         if name in concerns and name not in allow:
             raise InputError(f"{sentence}; allow '{name}' by name to use it all the same")

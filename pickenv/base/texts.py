@@ -19,6 +19,8 @@ from typing import Any, TypeVar
 from pickenv.base.errors import InputError
 
 Thing = TypeVar("Thing")
+Progress = Callable[[str, int, int], None]
+"""Gets the name of a stage, the number of its parts that are done, and the number of all its parts."""
 
 PIECE = 1 << 20
 """Number of bytes read at once."""

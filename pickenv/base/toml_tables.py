@@ -354,9 +354,8 @@ def _file_of(kind: Any) -> Any:
 
     def flat(found: Any, _context: Any) -> Any:
         values = {name: value for name, value in vars(found).items() if name in names - groups.keys()}
-        return kind(
-            **values, **{name: value for section in groups for name, value in vars(getattr(found, section)).items()}
-        )
+        values |= {name: value for section in groups for name, value in vars(getattr(found, section)).items()}
+        return kind(**values)
 
     return Annotated[kind, Then(flat, toml_table(make_dataclass("File", members_of_file, frozen=True)))]
 

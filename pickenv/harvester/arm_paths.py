@@ -38,8 +38,7 @@ def echoes(machine: Machine, slaves: ArrayLike, arm: int) -> Array:
     for neighbour in range(1, machine.arms, 2):
         if neighbour == arm:
             continue
-        line = pivot[neighbour] + ALONG[:, None] * (cup - pivot)[..., neighbour, None, :]
-        away = line - eye[..., None, :]
+        away = pivot[neighbour] + ALONG[:, None] * (cup - pivot)[..., neighbour, None, :] - eye[..., None, :]
         side = away[..., 0] * np.sign(neighbour - arm)  # how far beside, on the flank that faces this neighbour
         off = np.hypot(away[..., 1], (slaves[..., neighbour, 0] - height)[..., None])
         heard = (side > 0) & (np.maximum(off - machine.body.radius, 0.0) <= side * np.tan(ranger.beam))

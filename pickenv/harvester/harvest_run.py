@@ -179,8 +179,7 @@ def harvest(
         waiting = list(range(len(states)))
         for look in range(strategy.looks):
             plans = ((i, _plan(machine, strategy, eyes, states[i], sides[i][number], look)) for i in waiting)
-            rounds = {i: plan for i, plan in plans if plan is not None}
-            waiting = _execute(true, strategy, model, states, rounds)
+            waiting = _execute(true, strategy, model, states, {i: plan for i, plan in plans if plan is not None})
         for state in states:
             if not strategy.unload_full or number == grid.columns * grid.rows - 1:
                 _unload(machine, state)
@@ -203,8 +202,7 @@ def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone
     state.master = master
     plan = assign(work, strategy.assignment, state.rng)
     times = timetable(work, plan, hold=ultrasonic_hold(machine, work, state.rng) if strategy.guard else None)
-    closest = closest_approach(machine, work, times)
-    return Round(zone, state.seconds, master, numbers, places, work, times, closest)
+    return Round(zone, state.seconds, master, numbers, places, work, times, closest_approach(machine, work, times))
 
 
 def _seen_in(eyes: Eyes, state: Harvest, zone: Zone, look: int) -> tuple[NDArray[np.int64], Array]:
@@ -251,8 +249,7 @@ def _execute(
     target = np.concatenate([plan.believed[plan.times.fruit] for plan in plans])
     master = np.repeat(strategy.controller.master_command(np.array([plan.master for plan in plans])), counts, axis=0)
     commands = strategy.controller.pick_commands(master, arm, target)
-    parts = np.split(true.picking_tips(master, arm, commands), np.cumsum(counts[:-1]))
-    done = zip(rounds.items(), parts, strict=True)
+    done = zip(rounds.items(), np.split(true.picking_tips(master, arm, commands), np.cumsum(counts[:-1])), strict=True)
     return [i for (i, plan), tips in done if _record(true, strategy, model, states[i], plan, tips)]
 
 

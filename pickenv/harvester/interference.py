@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Scalar
+from pickenv.arm import Array, Scalar, Scalars
 from pickenv.arm.kinematics.backend import ONE, chosen
 from pickenv.harvester.machine import Machine
 
@@ -90,7 +90,7 @@ def arm_distances(machine: Machine, slaves: ArrayLike) -> Array:
     return np.asarray(_between(np, first, second))
 
 
-def pair_distances(m: Any, machine: Machine, slaves: Sequence[Sequence[Scalar]]) -> list[Scalar]:
+def pair_distances(m: Any, machine: Machine, slaves: Sequence[Scalars]) -> list[Scalar]:
     """List the distances between the centre lines of each pair of slaves for one joint configuration, m.
 
     `pairs_of` gives the order of the list.

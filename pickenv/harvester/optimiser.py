@@ -16,7 +16,7 @@ from scipy.linalg import block_diag
 from scipy.optimize import Bounds, LinearConstraint, linear_sum_assignment, milp
 
 from pickenv.arm import Array
-from pickenv.base import NUMBER, InputError, read_toml, toml_table
+from pickenv.base import NUMBER, check_known, read_toml, toml_table
 from pickenv.harvester.work import Plan, Work, last_arm
 from pickenv.harvester.zones import SHIPPED
 
@@ -160,8 +160,7 @@ def _by_height(work: Work) -> Plan:
     """
     load = np.zeros(work.arms)
     parts: list[list[int]] = [[] for _ in range(work.arms)]
-    some = sorted(np.flatnonzero(work.reachable).tolist(), key=lambda j: (int(work.reached[:, j].sum()), j))
-    for j in some:
+    for j in sorted(np.flatnonzero(work.reachable).tolist(), key=lambda j: (int(work.reached[:, j].sum()), j)):
         arm = int(np.where(work.reached[:, j], load + work.duration[:, j], np.inf).argmin())
         load[arm] += work.duration[arm, j]
         parts[arm].append(j)
@@ -224,6 +223,5 @@ def assign(work: Work, method: str, rng: np.random.Generator | None = None) -> P
         "hungarian": hungarian_waves,
         "search": lambda work: local_search(work, rng),
     }
-    if method not in methods:
-        raise InputError(f"unknown assignment '{method}'; give one of {', '.join(methods)}")
+    check_known("assignment", method, methods)
     return methods[method](work)

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array
-from pickenv.base import DEG, MM, NUMBER, WHOLE, InputError, read_toml, toml_table
+from pickenv.base import DEG, MM, NUMBER, WHOLE, InputError, check_known, read_toml, toml_table
 from pickenv.harvester.machine import Machine
 from pickenv.harvester.zones import SHIPPED
 
@@ -81,8 +81,7 @@ def pick_point(machine: Machine, fruit: ArrayLike, method: str = "search") -> Ar
     fruit = np.asarray(fruit, dtype=float)
     if fruit.ndim != 2 or fruit.shape[-1] != 3 or not len(fruit) or not np.isfinite(fruit).all():
         raise InputError("a pick point needs at least one fruit, each with three finite coordinates")
-    if method not in METHODS:
-        raise InputError(f"unknown pick point method '{method}'; give one of {', '.join(METHODS)}")
+    check_known("pick point method", method, METHODS)
     if method == "search":
         master = searched(machine, fruit)
     else:
@@ -96,8 +95,7 @@ def pick_point(machine: Machine, fruit: ArrayLike, method: str = "search") -> Ar
         if method == "corrected":
             master = np.array([heading, height - machine.d1, reach])
         else:
-            point = [reach * np.cos(heading), reach * np.sin(heading), height]  # eq (12)
-            master = machine.master_inverse(point)
+            master = machine.master_inverse([reach * np.cos(heading), reach * np.sin(heading), height])  # eq (12)
     if not np.isfinite(master).all():
         raise InputError("the pick point is nearer to the axis than frame 3 can come; choose another zone")
     return master

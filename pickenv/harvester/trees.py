@@ -80,17 +80,10 @@ class Lab:
     apart: Annotated[float, MM.positive]
 
 
-def load_orchard(
-    path: str | Path = SHIPPED,
-    *,
-    per_metre: float | None = None,
-    fruit_map: str | None = None,
-    canopy: str | None = None,
-) -> Orchard:
-    """Read the model of trees from a picking file.
+def load_orchard(*, per_metre: float | None = None, fruit_map: str | None = None, canopy: str | None = None) -> Orchard:
+    """Read the model of trees from the harvester's file.
 
     Args:
-        path: The file.
         per_metre: Number of fruit per metre of row; the file's by default.
         fruit_map: Fruit map of `pickenv.orchard`; the file's by default. "v_trellis" hangs fruit in clusters of three.
         canopy: Canopy of `pickenv.orchard`; the file's by default. "li2016_bare" has no leaves.
@@ -98,7 +91,7 @@ def load_orchard(
     Raises:
         InputError: If a preset is unknown or a number is outside its limits.
     """
-    orchard = read_toml(Orchard, path, section="trees")
+    orchard = read_toml(Orchard, SHIPPED, section="trees")
     per_metre = orchard.per_metre if per_metre is None else per_metre
     crop = orchard.fruit_map if fruit_map is None else trees.load_fruit_map(fruit_map)
     row = orchard.canopy if canopy is None else trees.load_canopy(canopy)
@@ -117,9 +110,8 @@ def sample_tree(machine: Machine, orchard: Orchard, rng: np.random.Generator) ->
     positions, diameters = trees.sample_fruit(orchard.fruit_map, orchard.fruit_size, canopy, rng)
     half = canopy.width / 2
     side = (-half, half, canopy.bottom - machine.base_height, canopy.top - machine.base_height)
-    return Tree(
-        in_base_frame(machine, canopy, positions), diameters, trees.fruit_masses(orchard.fruit_size, diameters), side
-    )
+    masses = trees.fruit_masses(orchard.fruit_size, diameters)
+    return Tree(in_base_frame(machine, canopy, positions), diameters, masses, side)
 
 
 def in_base_frame(machine: Machine, canopy: trees.Canopy, positions: Array) -> Array:

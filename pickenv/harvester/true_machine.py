@@ -15,7 +15,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Frame, Geometry, Plant, Pose, Scalar, attach, behind, forward, load_plant, split_joints
+from pickenv.arm import Array, Frame, Geometry, Plant, Pose, Scalars, attach, behind, forward, load_plant, split_joints
 from pickenv.arm.kinematics.backend import ONE
 from pickenv.base import InputError, read_toml
 from pickenv.harvester.machine import SHIPPED, Machine, TrueTable, shifted
@@ -75,7 +75,7 @@ class TrueMachine:
         cups = self.cups(np, split_joints(3, master), arms)
         return np.stack([np.stack(np.broadcast_arrays(*cup), axis=-1) for cup in cups], axis=-2)
 
-    def cups(self, m: Any, master: Sequence[Scalar], slaves: Sequence[Sequence[Scalar]]) -> list[Frame]:
+    def cups(self, m: Any, master: Scalars, slaves: Sequence[Scalars]) -> list[Frame]:
         """Compute the true positions of all slaves' cups in the base frame, each as x, y and z in metres.
 
         Args:
@@ -154,8 +154,7 @@ class Controller:
             arm: Index of the slave of each pick, (picks,).
             targets: Target positions of the cups in the base frame, m, (picks, 3).
         """
-        base = self._frame3(master)
-        return _arm_by_arm(base, arm, lambda i, here, mine: self._slave_command(i, here, targets[mine]))
+        return _arm_by_arm(self._frame3(master), arm, lambda i, here, mine: self._slave_command(i, here, targets[mine]))
 
     def _frame3(self, master: Array) -> Pose:
         """Believed pose of frame 3 for master commands (..., 3)."""

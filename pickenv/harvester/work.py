@@ -83,26 +83,21 @@ def zone_work(machine: Machine, master: ArrayLike, fruit: ArrayLike) -> Work:
     """
     fruit = np.asarray(fruit, dtype=float).reshape(-1, 3)
     joints = machine.slave_inverse(master, fruit)
-    reached = machine.within_limits(joints)
-    low, high = machine.slave.lower, machine.slave.upper
-    clipped = np.clip(joints, low, high)
+    clipped = np.clip(joints, machine.slave.lower, machine.slave.upper)
     height = clipped[0, :, 0]
-    approach = np.minimum(machine.cycle.approach, height - low[0])
+    approach = np.minimum(machine.cycle.approach, height - machine.slave.lower[0])
     speed, acceleration = machine.slaves[0].speed, machine.slave_acceleration
-    moves = np.abs(clipped - machine.slave_home)
-    stretch = travel_time(moves[..., 1:], speed[1:], acceleration[1:]).max(axis=-1)
+    stretch = travel_time((clipped - machine.slave_home)[..., 1:], speed[1:], acceleration[1:]).max(axis=-1)
     rise = travel_time(approach, speed[0], acceleration[0])
-    fixed = machine.cycle.sense + machine.cycle.cut
     start = height - approach
-    distances = excursion_distances(machine, clipped, approach)
     return Work(
         joints=joints,
-        reached=reached,
+        reached=machine.within_limits(joints),
         out=stretch + rise,
-        duration=2 * stretch + rise + fixed,
+        duration=2 * stretch + rise + (machine.cycle.sense + machine.cycle.cut),
         first=travel_time(start - machine.slave_home[0], speed[0], acceleration[0]),
         travel=travel_time(height[:, None] - start[None, :], speed[0], acceleration[0]),
-        conflict=distances < machine.body.clearance,
+        conflict=excursion_distances(machine, clipped, approach) < machine.body.clearance,
         approach=approach,
     )
 

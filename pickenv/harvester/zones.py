@@ -96,10 +96,7 @@ def cut(grid: Grid, left: float, right: float, bottom: float, top: float) -> lis
     half = grid.overlap / 2
     zones = []
     for column in range(grid.columns):
-        order = range(grid.rows) if column % 2 == 0 else reversed(range(grid.rows))
-        for row in order:
-            x, z = left + column * wide, bottom + row * high
-            zones.append(
-                Zone(f"row {row + 1}, column {column + 1}", x - half, x + wide + half, z - half, z + high + half)
-            )
+        for row in range(grid.rows) if column % 2 == 0 else reversed(range(grid.rows)):
+            name, x, z = f"row {row + 1}, column {column + 1}", left + column * wide, bottom + row * high
+            zones.append(Zone(name, x - half, x + wide + half, z - half, z + high + half))
     return zones

@@ -178,8 +178,7 @@ def in_image(camera: Camera, positions: ArrayLike, viewpoint: ArrayLike, looking
     """
     local = camera_frame(positions, viewpoint, looking)
     half = np.array(camera.image) / 2 / camera.focal_length
-    ahead = local[..., 2] > 0
-    return np.asarray(ahead & (np.abs(local[..., :2]) <= half * local[..., 2:]).all(axis=-1))
+    return np.asarray((local[..., 2] > 0) & (np.abs(local[..., :2]) <= half * local[..., 2:]).all(axis=-1))
 
 
 def camera_axes(looking: ArrayLike) -> Array:

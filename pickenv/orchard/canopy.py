@@ -64,8 +64,7 @@ def sample_fruit(fruit_map: FruitMap, size: FruitSize, canopy: Canopy, rng: np.r
     diameters = sample_diameters(size, len(low), rng)
     middle = low[:: fruit_map.cluster_size] + cell * rng.random((len(low) // fruit_map.cluster_size, 3))
     ring = _rings(diameters.reshape(-1, fruit_map.cluster_size), rng)
-    upright = (middle[:, None] + ring).reshape(-1, 3)
-    return _apart(upright, low, low + cell, diameters, canopy), diameters
+    return _apart((middle[:, None] + ring).reshape(-1, 3), low, low + cell, diameters, canopy), diameters
 
 
 def _rings(diameters: Array, rng: np.random.Generator) -> Array:

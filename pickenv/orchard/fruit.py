@@ -112,8 +112,7 @@ class FruitMap(checks.Preset):
         if rows < 1:
             raise InputError(f"a fruit map cannot have {rows} rows of blocks; give 1 or more")
         below = np.concatenate([[0.0], np.cumsum(self.row_means)])
-        edges = np.linspace(0.0, len(self.row_means), rows + 1)
-        shares = np.diff(np.interp(edges, np.arange(len(below)), below))
+        shares = np.diff(np.interp(np.linspace(0.0, len(self.row_means), rows + 1), np.arange(len(below)), below))
         return replace(self, row_means=tuple(float(mean) for mean in shares))
 
 
@@ -179,8 +178,7 @@ def sample_diameters(size: FruitSize, count: int, rng: np.random.Generator) -> A
     if size.std < 1e-9 * size.mean:
         return np.full(count, size.mean)
     low, high = ndtr((np.array([size.smallest, size.largest]) - size.mean) / size.std)
-    diameters = size.mean + size.std * ndtri(low + uniform * (high - low))
-    return np.asarray(np.clip(diameters, size.smallest, size.largest))
+    return np.asarray(np.clip(size.mean + size.std * ndtri(low + uniform * (high - low)), size.smallest, size.largest))
 
 
 def fruit_masses(size: FruitSize, diameters: ArrayLike) -> Array:
@@ -279,10 +277,8 @@ def swung(branch: Branch, x: Array, speed: Array, omega: Array, time: Array) -> 
         slow, fast = np.exp(-(zeta - root) * omega * time), np.exp(-(zeta + root) * omega * time)
         even, odd = (slow + fast) / 2, (slow - fast) / (2 * omega * root)
     drag = zeta * omega
-    return (
-        np.asarray((even + drag * odd) * x + odd * speed),
-        np.asarray((even - drag * odd) * speed - omega**2 * odd * x),
-    )
+    moved = (even + drag * odd) * x + odd * speed
+    return np.asarray(moved), np.asarray((even - drag * odd) * speed - omega**2 * odd * x)
 
 
 def coupling(branch: Branch, distance: ArrayLike) -> Array:

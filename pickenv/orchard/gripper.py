@@ -168,8 +168,7 @@ def misalignment(
     if wanted_axis is None:
         return lateral, axial, np.zeros_like(axial)
     ideal = checks.directions("the wanted axis", wanted_axis)
-    sine = np.linalg.norm(np.cross(axis, ideal), axis=-1)
-    angle = np.arctan2(sine, np.einsum("...i,...i->...", axis, ideal))
+    angle = np.arctan2(np.linalg.norm(np.cross(axis, ideal), axis=-1), np.einsum("...i,...i->...", axis, ideal))
     return lateral, axial, np.broadcast_to(angle, np.broadcast_shapes(angle.shape, axial.shape))
 
 

@@ -206,8 +206,7 @@ def turned_leaves(places: ArrayLike, look: Look, rng: np.random.Generator) -> Le
     basis, _ = np.linalg.qr(rng.normal(size=(count, 3, 3)))
     size = np.array([look.leaf_length, look.leaf_width]) / max(look.leaf_length, look.leaf_width)
     axes = basis[:, :2, :2] * size  # the leaf's two half axes, seen along z
-    thin = np.abs(np.linalg.det(axes)) < 1e-3
-    axes[thin] = np.diag([1e-3, 1e-3])  # seen edge-on: nothing
+    axes[np.abs(np.linalg.det(axes)) < 1e-3] = np.diag([1e-3, 1e-3])  # seen edge-on: nothing
     shade = np.array(look.leaf) * (0.7 + 0.6 * rng.random((count, 1)))
     return Leaves(places, np.asarray(np.linalg.inv(axes), dtype=np.float64), shade)
 

@@ -19,7 +19,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.base import NUMBER, SHARE, WHOLE, InputError, toml_table
+from pickenv.base import NUMBER, SHARE, WHOLE, InputError, check_known, toml_table
 from pickenv.orchard import checks, preset_files, vision as stereo
 from pickenv.orchard.camera import camera_axes, camera_frame, orchard_frame
 from pickenv.orchard.canopy import Canopy, face
@@ -213,9 +213,8 @@ def load_eyes(vision: str, canopy: Canopy, detector: str = "li2016") -> Eyes:
         InputError: If the vision or the detector is unknown, or ``vision`` is "measured_errors" and there is no table
             of errors for this canopy, leaf area and detector.
     """
-    for parameter, name, names in (("vision", vision, VISIONS), ("detector", detector, DETECTORS)):
-        if name not in names:
-            raise InputError(f"unknown {parameter} '{name}'; give one of {', '.join(names)}")
+    check_known("vision", vision, VISIONS)
+    check_known("detector", detector, DETECTORS)
     errors, table = None, f"{canopy.name}-{detector}"
     if vision == "measured_errors":
         errors = load_sight_errors(table) if table in preset_files.shipped("sight") else None

@@ -162,9 +162,8 @@ def fruit_threshold(difference: Array) -> float:
     require("skimage")
     from skimage.filters import threshold_otsu
 
-    if difference.min() == difference.max():
-        return float("inf")
-    return max(float(threshold_otsu(difference)), 0.0)  # type: ignore[no-untyped-call]
+    flat = difference.min() == difference.max()
+    return float("inf") if flat else max(float(threshold_otsu(difference)), 0.0)  # type: ignore[no-untyped-call]
 
 
 def fruit_mask(camera: StereoCamera, image: ArrayLike) -> Flags:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any, SupportsFloat, cast
 
 import gymnasium as gym
@@ -13,6 +12,8 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 from gymnasium.vector.utils import batch_space
 
 from pickenv.base import InputError
+from pickenv.envs.shared.arm_env import Options
+from pickenv.envs.shared.native_vector import Seeds
 from pickenv.envs.shared.scaling import (
     Rescaling,
     Scaling as Scaling,
@@ -77,9 +78,7 @@ class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
         """The environments' autoreset mode, which torchrl reads from the outermost wrapper."""
         return cast(AutoresetMode, self.metadata["autoreset_mode"])
 
-    def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
+    def reset(self, *, seed: Seeds = None, options: Options = None) -> tuple[Any, dict[str, Any]]:
         """Begin episodes, and return the rescaled observations and the infos."""
         self.raw, infos = self.env.reset(seed=seed, options=options)  # type: ignore[arg-type]
         begun = (options or {}).get("reset_mask")

@@ -214,8 +214,7 @@ class Miscalibrate(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
             wrong = "achieved_goal is not the position of the nominal arm's tool"
             raise InputError(f"{wrong}; name the site that the goal is of, or give contact=True where it is of no tool")
         self._achieved = achieved + error
-        distance = float(np.linalg.norm(self._achieved - desired))
-        info["true_distance_mm"] = distance * 1e3
+        info["true_distance_mm"] = float(np.linalg.norm(self._achieved - desired)) * 1e3
         if hasattr(inner, "_is_success"):
             info["is_success"] = inner._is_success(self._achieved, desired)
         elif "is_success" in info:

@@ -26,8 +26,9 @@ from pickenv.base import InputError
 from pickenv.base.container import part_of
 from pickenv.envs.picking.pick import PickEnv
 from pickenv.envs.picking.pick_scene import given_hours, pick_reward
+from pickenv.envs.shared.arm_env import Options
 from pickenv.envs.shared.backends import GOAL, NUMPY, episode_key, fresh_seed, seed_word, stream_key
-from pickenv.envs.shared.native_vector import checked_seeds, final_rows
+from pickenv.envs.shared.native_vector import Seeds, checked_seeds, final_rows
 from pickenv.envs.shared.simulation import NUMBER_KEYS, gap_reward, goal_attempt
 from pickenv.envs.shared.spaces import flat_space, given_options
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Task, as_numbers, check_choice, check_count, check_number
@@ -246,9 +247,7 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         self._still = np.zeros((self.num_envs, task.joints))
         self._arms: NDArray[np.intp] = np.zeros(self.num_envs, dtype=np.intp)
 
-    def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
+    def reset(self, *, seed: Seeds = None, options: Options = None) -> tuple[Any, dict[str, Any]]:
         """Begin runs on newly drawn arms, or on the arms whose numbers are in ``options["arm"]``."""
         options = given_options(options, ("arm",))
         self.run.seed(checked_seeds(seed, self.num_envs), self.env.unwrapped.np_random)
@@ -333,9 +332,7 @@ class SameArmMixture(VectorEnv[Any, Any, Any]):
         self.action_space = batch_space(first.single_action_space, self.num_envs)
         self._ends = np.cumsum([part.num_envs for part in parts])[:-1]
 
-    def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, dict[str, Any]]:
+    def reset(self, *, seed: Seeds = None, options: Options = None) -> tuple[Any, dict[str, Any]]:
         """Begin runs on newly drawn arms; ``options`` must be empty."""
         given_options(options, ())
         shares = np.split(np.array(checked_seeds(seed, self.num_envs), dtype=object), self._ends)

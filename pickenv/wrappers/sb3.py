@@ -185,8 +185,7 @@ class Sb3Vec(VecEnv):
 
     def env_is_wrapped(self, wrapper_class: Any, indices: int | Iterable[int] | None = None) -> list[bool]:
         """Return, once per index, whether a vector wrapper of this class is around the environments."""
-        wrapped = any(isinstance(env, wrapper_class) for env in self._layers())
-        return [wrapped] * len(list(self._get_indices(indices)))
+        return [any(isinstance(env, wrapper_class) for env in self._layers())] * len(list(self._get_indices(indices)))
 
     def get_images(self) -> Sequence[NDArray[np.uint8] | None]:
         """Draw one picture per environment; without a render mode, return one None per environment."""

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from pickenv.arm import Array, Geometry, joint_jacobian
 from pickenv.base import InputError
 from pickenv.envs.picking.pick_scene import CLOSE, PickSetting
-from pickenv.envs.shared.scaling import Rescaling
+from pickenv.envs.shared.scaling import Rescaling, vector_length
 from pickenv.envs.shared.task import MOST_ACTION, as_numbers
 from pickenv.wrappers.gap import ScaledEnv, ScaledVector
 
@@ -107,11 +107,11 @@ class ToolSteps(Rescaling):
         """Compute the policy's observations ``(..., features)``; see `Rescaling.observe`."""
         n = self.joints
         gap, turn, others = values[..., n + 6 : n + 9], values[..., n + 9 : n + 12], values[..., n + 12 :]
-        far, aside, up = _length(gap), _length(gap[..., :2]), gap[..., 2:]
+        far, aside, up = vector_length(gap), vector_length(gap[..., :2]), gap[..., 2:]
         both = xp.concatenate((aside, up), -1)
         decades = (xp.log10(xp.maximum(size, ARRIVED) / NEAR) / 2.0 for size in (far, aside))
         shares = (both / xp.maximum(far, ARRIVED), both / (both * both + NEAR**2) ** 0.5, *decades)
-        return xp.concatenate((values[..., :n], *shares, xp.clip(_length(turn) ** 2, 0.0, 1.0), others), -1)
+        return xp.concatenate((values[..., :n], *shares, xp.clip(vector_length(turn) ** 2, 0.0, 1.0), others), -1)
 
     def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:
         """Compute the environment's actions ``(..., n + 1)`` from a policy's ``actions (..., 3)``.
@@ -131,7 +131,7 @@ class ToolSteps(Rescaling):
         """Compute joint increments and gripper command ``(..., n + 1)`` from a policy's ``actions``, from -1 to 1."""
         n = self.joints
         holding = (values[..., n + 14 : n + 16] > 0.5).any(axis=-1, keepdims=True)
-        away = ~holding & (_length(values[..., n + 6 : n + 9]) > CLOSING)
+        away = ~holding & (vector_length(values[..., n + 6 : n + 9]) > CLOSING)
         gripper = np.clip(CLOSE + actions[..., MOVES:], -1.0, 1.0)
         steps = self.joint_steps(np.asarray(values, dtype=float), actions[..., :MOVES])
         return np.concatenate([steps, np.where(away, np.minimum(gripper, 0.0), gripper)], axis=-1)
@@ -145,7 +145,7 @@ class ToolSteps(Rescaling):
         n, low, high = self.joints, self.geometry.lower, self.geometry.upper
         q = low + (values[..., :n] + 1.0) / 2.0 * (high - low)
         gap = values[..., n + 6 : n + 9]
-        far, aside = _length(gap), _length(gap[..., :2])
+        far, aside = vector_length(gap), vector_length(gap[..., :2])
         holding = (values[..., n + 14 : n + 16] > 0.5).any(axis=-1, keepdims=True)
         share = np.where(holding, 1.0, np.where(far < ARRIVED, 0.0, np.minimum(far / NEAR, 1.0)))
         aim = np.where(holding | (share == 0.0), 0.0, gap[..., :2] / np.maximum(aside, NEAR))
@@ -171,7 +171,7 @@ class ToolSteps(Rescaling):
         """
         n = self.joints
         gap = np.asarray(values[..., n + 6 : n + 9], dtype=float)
-        seeking = 0.35 * np.clip(1.0 - np.log10(1.0 + 1e3 * _length(gap)[..., 0]) / 3.0, 0.0, 1.0)
+        seeking = 0.35 * np.clip(1.0 - np.log10(1.0 + 1e3 * vector_length(gap)[..., 0]) / 3.0, 0.0, 1.0)
         down = np.clip(gap[..., 2] / COLLECTING, 0.0, 1.0)
         hanging, off = values[..., n + 14] > 0.5, values[..., n + 15] > 0.5
         return np.where(off, 0.6 + 0.2 * down, np.where(hanging, 0.5, seeking))
@@ -277,8 +277,3 @@ def _steps_of(env: Any, space: spaces.Space[Any], shaping: float | None) -> Tool
     if shaping is not None and not 0.0 < shaping <= 1.0:
         raise InputError(f"shaping is {shaping}; give a discount above 0 and at most 1, or None")
     return scaling
-
-
-def _length(vector: Any) -> Any:
-    """Compute the lengths ``(..., 1)`` of vectors ``(..., k)``."""
-    return ((vector * vector).sum(-1)[..., None]) ** 0.5

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from types import ModuleType
 from typing import Annotated, Any
@@ -11,7 +10,7 @@ from pickenv.arm.effects.effect import BESIDE, JOINT, MOTOR, Components, Draws, 
 from pickenv.arm.files.arm import PER_JOINT
 from pickenv.arm.files.joint_keys import joint_table
 from pickenv.arm.kinematics.backend import exponential, nearest_whole
-from pickenv.arm.kinematics.forward import Frame, Scalar, frames
+from pickenv.arm.kinematics.forward import Frame, Scalar, Scalars, frames
 from pickenv.arm.kinematics.pose_error import displaced_frame
 from pickenv.base import ARCSEC, DEG, HOURS, KELVIN, MILLISECONDS, MM, UM, InputError, Unit, register, toml_table
 
@@ -198,8 +197,8 @@ def read_frame(
     noise: MeasurementNoise,
     stand: tuple[float, float, float],
     frame: Frame,
-    reading: Sequence[Scalar],
-    mounting: Sequence[Scalar],
+    reading: Scalars,
+    mounting: Scalars,
 ) -> Frame:
     """Compute the tool frame that an instrument reports.
 

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.special import ndtri
 
 from pickenv.arm.files.arm import Arm, Load
-from pickenv.arm.kinematics.forward import Chain, Flexure, Frame, Scalar, attach, frames, tool_frame
+from pickenv.arm.kinematics.forward import Chain, Flexure, Frame, Scalar, Scalars, attach, frames, tool_frame
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.base import GRAVITY, InputError, registry
 
@@ -53,7 +53,7 @@ class Passage:
 
     __slots__ = ("_frame", "_pull", "bends", "chain", "cold", "command", "driven", "joints", "load", "m", "motor")
 
-    def __init__(self, m: ModuleType, chain: Chain, load: Load | None, command: Sequence[Scalar]) -> None:
+    def __init__(self, m: ModuleType, chain: Chain, load: Load | None, command: Scalars) -> None:
         self.m, self.command, self.load = m, command, load
         self.motor = self.driven = self.joints = command
         self.cold = self.chain = chain
@@ -61,11 +61,11 @@ class Passage:
         self._pull: tuple[list[Weight], list[Scalar]] | None = None
         self._frame: Frame | None = None
 
-    def turn(self, motor: Sequence[Scalar]) -> None:
+    def turn(self, motor: Scalars) -> None:
         """Set the positions of the motors, and with them those of the drives and the joints (n components)."""
         self.motor = self.driven = self.joints = motor
 
-    def drive(self, driven: Sequence[Scalar]) -> None:
+    def drive(self, driven: Scalars) -> None:
         """Set the positions of the drives, and with them those of the joints (n components), but not of the motors."""
         self.driven = self.joints = driven
 
@@ -91,9 +91,7 @@ class Passage:
         """
         if self._frame is None:
             bends = [effect.flexure(self) for effect in self.bends]
-            bend = (
-                bends[0] if len(bends) == 1 else lambda i, frame: reduce(lambda bent, one: one(i, bent), bends, frame)
-            )
+            bend = bends[0] if len(bends) == 1 else lambda i, end: reduce(lambda bent, one: one(i, bent), bends, end)
             self._frame = tool_frame(self.m, self.chain, self.joints, bend if bends else None)
         return self._frame
 

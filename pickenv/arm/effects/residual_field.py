@@ -11,7 +11,6 @@ nanometres. The module also has periodic errors of drives that differ from arm t
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from types import ModuleType
@@ -24,7 +23,7 @@ from pickenv.arm.effects.effect import DRIVE, TOOL, Components, Draws, Effect, P
 from pickenv.arm.effects.structure import Harmonic, with_waves
 from pickenv.arm.files.joint_keys import LENGTH, TRAVEL, ByJoint, numbers_per_joint
 from pickenv.arm.kinematics.backend import outside
-from pickenv.arm.kinematics.forward import Scalar
+from pickenv.arm.kinematics.forward import Scalar, Scalars
 from pickenv.arm.kinematics.geometry import Array
 from pickenv.arm.kinematics.pose_error import displaced_frame
 from pickenv.base import MM, NUMBER, WHOLE, InputError, Then, register, toml_table
@@ -59,7 +58,7 @@ class Features:
         """Number K of waves per output."""
         return int(self.frequency.shape[1]) // self.outputs
 
-    def inputs(self, m: ModuleType, q: Sequence[Scalar]) -> list[Scalar]:
+    def inputs(self, m: ModuleType, q: Scalars) -> list[Scalar]:
         """Return the F inputs at joints ``q``, minus the centre.
 
         The joints that are not periodic come first, then the sines of the periodic joints, then their cosines.
@@ -120,7 +119,7 @@ class ResidualField(Effect, place=TOOL + 0.5, name="residual"):
         return {}
 
 
-def _outputs(m: ModuleType, field: ResidualField, q: Sequence[Scalar]) -> list[Scalar]:
+def _outputs(m: ModuleType, field: ResidualField, q: Scalars) -> list[Scalar]:
     """The outputs of the field at joints ``q``, one number or array per output."""
     features = field.features
     if m.__name__ == "torch":
@@ -155,7 +154,7 @@ def _weighed(features: Features, inputs: Array, weight: Single) -> Array:
     return np.asarray(cosines + sines, dtype=float)
 
 
-def _tensor_outputs(m: ModuleType, field: ResidualField, q: Sequence[Scalar]) -> list[Scalar]:
+def _tensor_outputs(m: ModuleType, field: ResidualField, q: Scalars) -> list[Scalar]:
     features, key = field.features, (q[0].dtype, q[0].device)
 
     def tensor(cache: dict[Any, Any], array: NDArray[Any]) -> Any:

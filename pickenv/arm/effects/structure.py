@@ -12,7 +12,7 @@ from pickenv.arm.effects.effect import BEND, DRIVE, GEAR, JOINT, Components, Dra
 from pickenv.arm.files.arm import PER_JOINT, Arm
 from pickenv.arm.files.joint_keys import BOOM, LENGTH, TRAVEL, ByJoint, joint_table
 from pickenv.arm.kinematics.backend import chosen, clipped
-from pickenv.arm.kinematics.forward import Flexure, Frame, Scalar
+from pickenv.arm.kinematics.forward import Flexure, Frame, Scalar, Scalars
 from pickenv.arm.kinematics.pose_error import displaced_frame
 from pickenv.base import GRAVITY, register, toml_tables
 
@@ -30,8 +30,7 @@ class JointCompliance(Effect, place=JOINT, spreads={"stiffness": "joint_stiffnes
 
     def act(self, at: Passage, memory: Components) -> None:
         """Add the deflections to the joint positions of ``at``, in place; ``memory`` is not used."""
-        numbers = zip(at.joints, at.pull[1], self.stiffness, strict=True)
-        at.joints = [value + torque / k for value, torque, k in numbers]
+        at.joints = [value + torque / k for value, torque, k in zip(at.joints, at.pull[1], self.stiffness, strict=True)]
 
 
 @toml_tables.toml_table
@@ -185,9 +184,7 @@ class TransmissionError(Effect, place=DRIVE):
         )
 
 
-def with_waves(
-    m: ModuleType, harmonics: Sequence[Harmonic], q: Sequence[Scalar], driven: Sequence[Scalar]
-) -> list[Scalar]:
+def with_waves(m: ModuleType, harmonics: Sequence[Harmonic], q: Scalars, driven: Scalars) -> list[Scalar]:
     """Return ``driven`` plus the periodic errors at the motor positions ``q``.
 
     Args:
@@ -217,9 +214,7 @@ def lowered_tip(frame: Frame, sag: Scalar, slope: Scalar) -> Frame:
     return (*turned, px + sag * zx * zz, py + sag * zy * zz, pz + sag * (zz * zz - 1.0))
 
 
-def turn_horizontally(
-    axes: Sequence[Scalar], wx: Scalar, wy: Scalar, starts: Sequence[int] = (0, 3, 6)
-) -> list[Scalar]:
+def turn_horizontally(axes: Scalars, wx: Scalar, wy: Scalar, starts: Sequence[int] = (0, 3, 6)) -> list[Scalar]:
     """Rotate vectors by the small horizontal rotation vector (wx, wy, 0), by Rodrigues' formula.
 
     The formula's two coefficients are computed as series, so that there is no division by zero. Below 0.03 rad they
@@ -286,9 +281,8 @@ class Backlash(Effect, place=GEAR + 0.5, spreads={"width": "backlash"}):
         The positions before are in ``memory``; ``dt`` is not used.
         """
         behind, torques = [], at.pull[1] if at.load else None
-        for i, (entry, output, width, preload) in enumerate(
-            zip(at.joints, memory, self.width, self.preload, strict=True)
-        ):
+        numbers = zip(at.joints, memory, self.width, self.preload, strict=True)
+        for i, (entry, output, width, preload) in enumerate(numbers):
             half = 0.5 * width
             low, high = entry - half, entry + half
             free = clipped(at.m, output, low, high)
@@ -334,7 +328,7 @@ class StickBand(Effect, place=GEAR, spreads={"forward": "friction", "backward": 
         return tuple([play(at.m, entry, output, forward, backward) for entry, output, forward, backward in numbers])
 
 
-def one_stop(m: ModuleType, band: StickBand, normal: Sequence[Sequence[Scalar]]) -> StickBand:
+def one_stop(m: ModuleType, band: StickBand, normal: Sequence[Scalars]) -> StickBand:
     """Return the friction of a single stop: each joint's lags, with normal scatter, clipped at zero.
 
     Args:
@@ -486,8 +480,7 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
     def drawn(self, draws: Draws) -> SlideCompliance:
         """Return the slides of many arms, with the stiffness of their bearings drawn about this effect's."""
         stiffness = [bearing.stiffness for bearing in self.bearings]
-        sizes = draws.scaled(stiffness, "bearing_stiffness", spread="joint_stiffness")
-        pairs = zip(self.bearings, sizes, strict=True)
+        pairs = zip(self.bearings, draws.scaled(stiffness, "bearing_stiffness", spread="joint_stiffness"), strict=True)
         return SlideCompliance(tuple(replace(bearing, stiffness=size) for bearing, size in pairs))
 
 
@@ -503,9 +496,7 @@ def moment_about(weight: Weight, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
     return -GRAVITY * (moment_y - mass * y), GRAVITY * (moment_x - mass * x)
 
 
-def _swung(
-    wx: Scalar, wy: Scalar, wz: Scalar, arm: Scalar, z: Sequence[Scalar], moved: Sequence[Scalar]
-) -> tuple[Scalar, ...]:
+def _swung(wx: Scalar, wy: Scalar, wz: Scalar, arm: Scalar, z: Scalars, moved: Scalars) -> tuple[Scalar, ...]:
     """Displacement (three of position, three of rotation) of a frame that is moved and turned by w.
 
     The frame turns about a point that lies ``arm`` behind it along ``z``.

@@ -7,13 +7,13 @@ floats alone returns a float.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 
-from pickenv.arm.kinematics.forward import Scalar
+from pickenv.arm.kinematics.forward import Scalar, Scalars
 
 ONE: Any = SimpleNamespace(
     sin=lambda angle: float(np.sin(angle)),
@@ -71,7 +71,7 @@ def set_aside(m: ModuleType, condition: Scalar) -> bool:
     return note is not None and bool(note(condition))
 
 
-def outside(m: ModuleType, function: Callable[..., None], values: Sequence[Scalar], rows: int) -> list[Scalar] | None:
+def outside(m: ModuleType, function: Callable[..., None], values: Scalars, rows: int) -> list[Scalar] | None:
     """Record the call of a function of whole arrays, if ``m`` is a namespace that traces formulas.
 
     Args:

@@ -119,6 +119,8 @@ def _angle(start: Array, end: Array, axis: Array) -> float:
 Scalar = Any
 """A Python float, a NumPy array or a torch tensor."""
 
+Scalars = Sequence[Scalar]
+
 Frame = tuple[Scalar, ...]
 """(xx, xy, xz, yx, yy, yz, zx, zy, zz, px, py, pz): components of the axes x, y, z and of the origin p."""
 
@@ -195,7 +197,7 @@ def pose_of(frame: Frame) -> Pose:
     return Pose(position, axes)
 
 
-def frames(m: ModuleType, chain: Chain, q: Sequence[Scalar], flexure: Flexure | None = None) -> list[Frame]:
+def frames(m: ModuleType, chain: Chain, q: Scalars, flexure: Flexure | None = None) -> list[Frame]:
     """Compute the frames of the base and of the L links, L + 1 in all, in world axes.
 
     If the chain has a `LinkTree` with a sensor link, the chain's base is the pose of that link. All frames are then
@@ -240,8 +242,7 @@ def frames(m: ModuleType, chain: Chain, q: Sequence[Scalar], flexure: Flexure | 
             xx, xy, xz, yx, yy, yz, zx, zy, zz, px, py, pz = frame
         result.append(frame)
     if chain.tree is not None and chain.tree.sensor >= 0:
-        sensor = result[chain.tree.sensor + 1]
-        result = [attach(chain.base, frame_within(sensor, frame)) for frame in result]
+        result = [attach(chain.base, frame_within(result[chain.tree.sensor + 1], frame)) for frame in result]
     return result
 
 
@@ -269,7 +270,7 @@ def attach(frame: Frame, tool: Frame | None) -> Frame:
     return (*turned[:9], px + turned[9], py + turned[10], pz + turned[11])
 
 
-def tool_frame(m: ModuleType, chain: Chain, q: Sequence[Scalar], flexure: Flexure | None = None) -> Frame:
+def tool_frame(m: ModuleType, chain: Chain, q: Scalars, flexure: Flexure | None = None) -> Frame:
     """Compute the frame of the tool in world axes; the arguments are those of `frames`."""
     return attach(chain.hand(frames(m, chain, q, flexure)), chain.tool)
 

@@ -195,9 +195,7 @@ def _descend_damped(geometry: Geometry, goals: Pose, q: Array, parts: slice) -> 
     return q
 
 
-def _descend(
-    geometry: Geometry, goals: Pose, q: Array, rank_tolerance: float, max_iterations: int, parts: slice
-) -> Array:
+def _descend(geometry: Geometry, goals: Pose, q: Array, tolerance: float, max_iterations: int, parts: slice) -> Array:
     """Descend by Gauss-Newton steps with a pull in the null space; rows that have settled are left alone."""
     middle, half = (geometry.lower + geometry.upper) / 2, (geometry.upper - geometry.lower) / 2
     q = q.copy()
@@ -206,14 +204,14 @@ def _descend(
         joints, some = q[active], Pose(goals.position[active], goals.rotation[active])
         pose, jacobian = task_space.pose_and_jacobian(geometry, joints)
         error, jacobian = pose_error(pose, some)[:, parts], jacobian[:, parts]
-        step = _step(jacobian, error, (middle - joints) / half**2, half, rank_tolerance)
+        step = _step(jacobian, error, (middle - joints) / half**2, half, tolerance)
         # A joint at its limit that would be pushed outwards is locked, and the others take over its share.
         outward = ((joints <= geometry.lower) & (step < 0)) | ((joints >= geometry.upper) & (step > 0))
         if outward.any():
             rows = np.flatnonzero(outward.any(axis=-1))
             free = jacobian[rows] * ~outward[rows, None, :]
             pull = (middle - joints[rows]) / half**2 * ~outward[rows]
-            step[rows] = _step(free, error[rows], pull, half, rank_tolerance) * ~outward[rows]
+            step[rows] = _step(free, error[rows], pull, half, tolerance) * ~outward[rows]
         q[active] = (joints + step).clip(geometry.lower, geometry.upper)
         active = active[np.max(np.abs(q[active] - joints), axis=-1) > 1e-11]
         if not active.size:

@@ -20,7 +20,7 @@ import numpy as np
 from llvmlite import binding
 from numpy.typing import NDArray
 
-from pickenv.arm.kinematics.forward import Scalar
+from pickenv.arm.kinematics.forward import Scalar, Scalars
 from pickenv.arm.kinematics.geometry import Array
 
 DOUBLE, SINGLE, WORD, FLAG = "double", "float", "i64", "i1"
@@ -56,7 +56,7 @@ class Operation(NamedTuple):
     detail: Any = None
 
 
-Call = tuple[Fill, Sequence[Scalar], int]
+Call = tuple[Fill, Scalars, int]
 """Three values: a function of whole arrays, called between two loops; its arguments; and its number of results."""
 
 
@@ -96,7 +96,7 @@ class Trace:
         """Return the rows of an input array called ``array``, ``(rows, N)``, as traced numbers of type ``kind``."""
         return [self.note("input", kind, detail=(array, row)) for row in range(rows)]
 
-    def outputs(self, array: str, rows: Sequence[Scalar], kind: str = DOUBLE, first: int = 0) -> Goals:
+    def outputs(self, array: str, rows: Scalars, kind: str = DOUBLE, first: int = 0) -> Goals:
         """Return the goals that write numbers of type ``kind`` to the rows of the output array called ``array``.
 
         Args:
@@ -232,7 +232,7 @@ def _function(name: str, plain: Callable[..., Any]) -> Callable[..., Any]:
     return function
 
 
-def _trace_of(values: Sequence[Scalar]) -> Trace | None:
+def _trace_of(values: Scalars) -> Trace | None:
     return next((value.trace for value in values if isinstance(value, Traced)), None)
 
 
@@ -249,7 +249,7 @@ def _set_aside(condition: Scalar) -> bool:
     return isinstance(condition, Traced)
 
 
-def _outside(function: Fill, values: Sequence[Scalar], rows: int) -> list[Traced] | None:
+def _outside(function: Fill, values: Scalars, rows: int) -> list[Traced] | None:
     if (trace := _trace_of(values)) is None:
         return None
     trace.calls.append((function, values, rows))
@@ -346,9 +346,7 @@ class Compiled:
         return go
 
 
-def on_rows(
-    formula: Callable[[Any, list[Traced]], Sequence[Scalar]], inputs: int, count: int
-) -> Callable[[Array], Array]:
+def on_rows(formula: Callable[[Any, list[Traced]], Scalars], inputs: int, count: int) -> Callable[[Array], Array]:
     """Compile a formula to a function from an array ``(count, inputs)`` to an array ``(count, results)``.
 
     Args:

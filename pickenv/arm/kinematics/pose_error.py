@@ -7,7 +7,7 @@ Formulas take components (floats, NumPy arrays or torch tensors, see `pickenv.ar
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from types import ModuleType
 
 import numpy as np
@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
 from pickenv.arm.kinematics.backend import chosen, possible, set_aside
-from pickenv.arm.kinematics.forward import Frame, Scalar, frame_of, pose_of
+from pickenv.arm.kinematics.forward import Frame, Scalar, Scalars, frame_of, pose_of
 from pickenv.arm.kinematics.geometry import Array, Pose
 
 REVERSED = -0.99
@@ -41,7 +41,7 @@ def rotation_matrix(vector: ArrayLike) -> Array:
     return Rotation.from_rotvec(vector.reshape(-1, 3)).as_matrix().reshape(*vector.shape[:-1], 3, 3)
 
 
-def rotation_between(m: ModuleType, reference: Sequence[Scalar], actual: Sequence[Scalar]) -> tuple[Scalar, ...]:
+def rotation_between(m: ModuleType, reference: Scalars, actual: Scalars) -> tuple[Scalar, ...]:
     """Return the rotation vector of R_actual R_reference^T in world axes: three components, rad, of norm up to pi.
 
     Args:
@@ -72,7 +72,7 @@ def rotation_between(m: ModuleType, reference: Sequence[Scalar], actual: Sequenc
     return tuple(chosen(m, reverse, scale * u, v) for u, v in zip((ux, uy, uz), vector, strict=True))
 
 
-def _turn(reference: Sequence[Scalar], actual: Sequence[Scalar]) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
+def _turn(reference: Scalars, actual: Scalars) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
     """sin(angle) times the axis of R_actual R_reference^T, and that matrix's diagonal."""
     axx, axy, axz, ayx, ayy, ayz, azx, azy, azz = actual[:9]
     bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz = reference[:9]
@@ -86,7 +86,7 @@ def _turn(reference: Sequence[Scalar], actual: Sequence[Scalar]) -> tuple[tuple[
     return (sx, sy, sz), (xx, yy, zz)
 
 
-def small_rotation(m: ModuleType, reference: Sequence[Scalar], actual: Sequence[Scalar]) -> tuple[Scalar, ...]:
+def small_rotation(m: ModuleType, reference: Scalars, actual: Scalars) -> tuple[Scalar, ...]:
     """Return the same vector as `rotation_between`, but faster up to six degrees, by a series of the arc sine."""
     sines, (xx, yy, zz) = _turn(reference, actual)
     sx, sy, sz = sines
@@ -122,7 +122,7 @@ def frame_error(
     return (apx - bpx, apy - bpy, apz - bpz, *rotation(m, reference, actual))
 
 
-def displaced_frame(m: ModuleType, frame: Frame, error: Sequence[Scalar]) -> Frame:
+def displaced_frame(m: ModuleType, frame: Frame, error: Scalars) -> Frame:
     """Return the frame whose `frame_error` relative to ``frame`` is ``error``, by Rodrigues' formula.
 
     Args:

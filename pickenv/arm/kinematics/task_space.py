@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from scipy.linalg.lapack import dgelss
 
 from pickenv.arm.kinematics.backend import ONE
-from pickenv.arm.kinematics.forward import Frame, Scalar, attach, chain_of, frames, pose_of, split_joints
+from pickenv.arm.kinematics.forward import Frame, Scalar, Scalars, attach, chain_of, frames, pose_of, split_joints
 from pickenv.arm.kinematics.geometry import LINK_PARAMETERS, Array, Geometry, Pose
 
 # Joint and parameter Jacobians of the tool pose, analytic: in components, with a NumPy face for batches of poses.
@@ -33,9 +33,7 @@ Column = tuple[Scalar, ...]
 """One column of a Jacobian, six components: position (m) and rotation vector (rad) in world axes."""
 
 
-def link_column(
-    kind: str, before: Sequence[Scalar], after: Sequence[Scalar], tool: Sequence[Scalar], twist: Sequence[Scalar]
-) -> Column:
+def link_column(kind: str, before: Scalars, after: Scalars, tool: Scalars, twist: Scalars) -> Column:
     """Return the derivative of the tool pose with respect to one parameter of a link.
 
     Several links are computed together if they are stacked along an axis of the components.
@@ -237,12 +235,12 @@ def noncompensable_error(
     """
     weights = np.repeat([1.0, weight], 3)
     u, rank = task_directions(geometry, q, tolerance, weight)
-    impossible = np.arange(6) >= rank[..., None]
-    along = np.einsum("...ij,...i->...j", u, np.asarray(error, dtype=float) * weights) * impossible
+    along = np.einsum("...ij,...i->...j", u, np.asarray(error, dtype=float) * weights)
+    along *= np.arange(6) >= rank[..., None]  # what no joint motion reaches
     return np.asarray(np.einsum("...ij,...j->...i", u, along) / weights)
 
 
-def damped_step(m: ModuleType, columns: Sequence[Column], twist: Sequence[Scalar], damping: float) -> list[Scalar]:
+def damped_step(m: ModuleType, columns: Sequence[Column], twist: Scalars, damping: float) -> list[Scalar]:
     """Compute the joint motion for a small tool motion by damped least squares.
 
     Near a singular pose, damping keeps the joint motion small; the tool then moves less in the lost direction

@@ -103,8 +103,7 @@ def in_components(m: ModuleType, joints: Array, place: Place | None = None) -> l
     """
     if m is math:
         return list(joints.tolist())
-    columns = np.ascontiguousarray(np.moveaxis(joints, -1, 0))
-    return [column if place is None else place(column) for column in columns]
+    return [column if place is None else place(column) for column in np.ascontiguousarray(np.moveaxis(joints, -1, 0))]
 
 
 def moved(

@@ -255,9 +255,8 @@ def _performance(
     warm = switched_on(plant, math, home, settings.warm_up)
     variation_mm, variation_deg = {}, {}
     for pose, starts in zip(VARIATION_POSES, approaches, strict=True):
-        _, errors = measured(
-            warm, [stop for start in starts for stop in ((start, None), (commands[pose], pose)) * cycles]
-        )
+        stops = [stop for start in starts for stop in ((start, None), (commands[pose], pose)) * cycles]
+        _, errors = measured(warm, stops)
         pairs = list(combinations(errors.reshape(len(starts), cycles, 6).mean(axis=1), 2))
         gaps = [max(float(np.linalg.norm((a - b)[part])) for a, b in pairs) for part in (slice(3), slice(3, 6))]
         variation_mm[f"P{pose + 1}"], variation_deg[f"P{pose + 1}"] = 1e3 * gaps[0], math.degrees(gaps[1])

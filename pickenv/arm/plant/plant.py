@@ -9,7 +9,7 @@ components may be floats, arrays or tensors. Numbers may be arrays with one entr
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from types import ModuleType
@@ -21,7 +21,7 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm.effects.effect import BESIDE, DRIVE, Components, Effect, Passage
 from pickenv.arm.effects.residual_field import ResidualField
 from pickenv.arm.files.arm import Arm, Load
-from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, chain_of, pose_of, split_joints
+from pickenv.arm.kinematics.forward import Chain, Frame, Scalar, Scalars, chain_of, pose_of, split_joints
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose
 from pickenv.base import InputError, registry, toml_tables
 
@@ -216,7 +216,7 @@ class Plant:
         """Whether the tool's pose depends on more than the present command, because an effect has a memory."""
         return bool(self._steps[1])
 
-    def tool_frame(self, m: ModuleType, q: Sequence[Scalar]) -> Frame:
+    def tool_frame(self, m: ModuleType, q: Scalars) -> Frame:
         """Compute the settled true tool frame for a joint command, in world axes.
 
         The frame does not depend on the past: it is the limit if the command is held for ever. Friction, and backlash
@@ -228,7 +228,7 @@ class Plant:
         """
         return self._ended(*self._passage(m, q, REST))
 
-    def initial_state(self, m: ModuleType, q: Sequence[Scalar]) -> PlantState:
+    def initial_state(self, m: ModuleType, q: Scalars) -> PlantState:
         """Return the state of an arm right after it is switched on, at rest at a command.
 
         The arm is at its initial temperature, and the ground has not yet settled.
@@ -239,7 +239,7 @@ class Plant:
         """
         return self._passage(m, q, BEGIN)[0]
 
-    def advance(self, m: ModuleType, state: PlantState, q: Sequence[Scalar], dt: Scalar) -> tuple[PlantState, Frame]:
+    def advance(self, m: ModuleType, state: PlantState, q: Scalars, dt: Scalar) -> tuple[PlantState, Frame]:
         """Simulate holding the joint command ``q`` for ``dt`` seconds.
 
         Friction and backlash depend only on the motor positions before and after ``dt``. This is correct as long as no
@@ -258,12 +258,12 @@ class Plant:
         new, at = self._passage(m, q, CARRY, state, dt)
         return new, self._ended(new, at)
 
-    def carried(self, m: ModuleType, state: PlantState, q: Sequence[Scalar], dt: Scalar) -> PlantState:
+    def carried(self, m: ModuleType, state: PlantState, q: Scalars, dt: Scalar) -> PlantState:
         """Return only the new state of `advance`, without computing the tool frame; the arguments are the same."""
         return self._passage(m, q, CARRY, state, dt)[0]
 
     def _passage(
-        self, m: ModuleType, q: Sequence[Scalar], how: int, state: PlantState = (), dt: Scalar = 0.0
+        self, m: ModuleType, q: Scalars, how: int, state: PlantState = (), dt: Scalar = 0.0
     ) -> tuple[PlantState, Passage]:
         """The new memories of the effects, and the passage up to where the last effect with a memory will act.
 
@@ -291,7 +291,7 @@ class Plant:
             act(at, ())
         return at.frame
 
-    def stands(self, m: ModuleType, state: PlantState, q: Sequence[Scalar]) -> tuple[list[Scalar], Frame]:
+    def stands(self, m: ModuleType, state: PlantState, q: Scalars) -> tuple[list[Scalar], Frame]:
         """Return the true joint positions and the true tool frame in the state ``state``.
 
         Args:
@@ -307,7 +307,7 @@ class Plant:
             act(at, next(memories) if ways else ())
         return list(at.joints), at.frame
 
-    def readings(self, m: ModuleType, state: PlantState, q: Sequence[Scalar]) -> list[Scalar]:
+    def readings(self, m: ModuleType, state: PlantState, q: Scalars) -> list[Scalar]:
         """Return the readings of the motor encoders in the state ``state``: n components, rad or m.
 
         A reading is the motor position, with its following error, rounded to encoder counts. It does not contain drive

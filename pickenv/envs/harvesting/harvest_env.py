@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.arm import Array, tree_map
 from pickenv.base import InputError
 from pickenv.envs.harvesting import harvest_task as batch
-from pickenv.envs.shared.arm_env import GHOST_WORDS, DrawnEnv, Information
+from pickenv.envs.shared.arm_env import GHOST_WORDS, DrawnEnv, Information, Options
 from pickenv.envs.shared.backends import Flags, Rows
 from pickenv.envs.shared.native_vector import NativeVectorEnv
 from pickenv.envs.shared.situation import CONTROL_PERIOD
@@ -138,9 +138,7 @@ class HarvestEnv(DrawnEnv):
         self.observation_space, self.action_space = batch.harvest_spaces(self.task)
         self.state: batch.HarvestState | None = None
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], Information]:
+    def reset(self, *, seed: int | None = None, options: Options = None) -> tuple[NDArray[np.float32], Information]:
         """Start an episode in a new zone; see the class for `options`."""
         super().reset(seed=seed)
         zones = batch.given_zones(self.task, given_options(options, batch.OPTIONS), 1)

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from pickenv.base import InputError
 from pickenv.envs.harvesting.harvest_env import LONGEST, HarvestEnv
 from pickenv.envs.harvesting.harvest_task import HarvestTask, harvest_spaces
-from pickenv.envs.shared.arm_env import checked_render_mode
+from pickenv.envs.shared.arm_env import Information, Options, checked_render_mode
 from pickenv.envs.shared.task import Compensate, check_choice, check_count, checked_action
 
 ID = "pickenv/Harvest-v0"
@@ -59,9 +59,7 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         """Return the action space of an agent, always the same object."""
         return self._actions[agent]
 
-    def reset(
-        self, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Observations, dict[str, dict[str, Any]]]:
+    def reset(self, seed: int | None = None, options: Options = None) -> tuple[Observations, dict[str, Information]]:
         """Start an episode in a new zone; `HarvestEnv` explains the options.
 
         An option named "options", which PettingZoo's own tests give to every environment, is ignored.
@@ -73,7 +71,7 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
 
     def step(
         self, actions: dict[str, Any]
-    ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], dict[str, dict[str, Any]]]:
+    ) -> tuple[Observations, dict[str, float], dict[str, bool], dict[str, bool], dict[str, Information]]:
         """Move all agents' joints for one period; agents without an action do not move.
 
         Raises:
@@ -112,7 +110,7 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         mine = np.eye(len(self.possible_agents), dtype=np.float32)
         return {name: np.append(shared, mine[i]).astype(np.float32) for i, name in enumerate(self.possible_agents)}
 
-    def _told(self, info: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    def _told(self, info: Information) -> dict[str, Information]:
         return {name: dict(info) for name in self.possible_agents}
 
 

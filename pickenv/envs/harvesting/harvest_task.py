@@ -488,8 +488,8 @@ def attempts(
         push = pushes(model, fruit[some], fruit, luck).sum(axis=0) * (state.status[machine] == HANGING)[:, None]
         state.shift[machine] += model.lasting * push
         state.swing[machine] += (1 - model.lasting) * push
-        again = fruit[some] + state.shift[machine, some]  # an empty cup looks again, past the same leaves
-        state.believed[machine, some] = again + state.error[machine, some]
+        # an empty cup looks again, past the same leaves
+        state.believed[machine, some] = fruit[some] + state.shift[machine, some] + state.error[machine, some]
     return collected, lost
 
 
@@ -514,8 +514,7 @@ def work_left(task: HarvestTask, state: HarvestState) -> Array:
     The distances from each fruit that hangs in reach to the nearest believed cup are summed. The sum is divided by the
     number of all fruit in the zone. Progress is the decrease of the result.
     """
-    tips = task.machine.tips(*task.machine.parted(state.joints))
-    away = state.believed[:, None] - tips[:, :, None]
+    away = state.believed[:, None] - task.machine.tips(*task.machine.parted(state.joints))[:, :, None]
     distance = np.sqrt((away * away).sum(axis=-1)).min(axis=1)
     return np.asarray((distance * pickable(state)).sum(axis=-1) / distance.shape[-1])
 

@@ -166,13 +166,8 @@ class Canopies:
         n = self.task.joints
         sight, tools = self.sight, self.sight[BELIEVED][9:]
         positions = self.fruit["seen"][np.arange(self.count), self.number].T
-        counters = (
-            self.still,
-            1.0 - self.moments / pick_scene.LONGEST,
-            (self.held >= 0) & ~self.off,
-            self.off,
-            self._waiting() / pick_scene.MOST_LEFT,
-        )
+        time_left, untried = 1.0 - self.moments / pick_scene.LONGEST, self._waiting() / pick_scene.MOST_LEFT
+        counters = (self.still, time_left, (self.held >= 0) & ~self.off, self.off, untried)
         felt = () if self.orchard.felt is None else (self.felt.T,)
         parts = (sight[SIGHT : SIGHT + n], tools, positions, positions - tools, sight[TURN], counters, *felt)
         return np.concatenate(parts).T.clip(low, high).astype(np.float32, order="C")
@@ -200,10 +195,8 @@ class Canopies:
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Return all arrays that the next step depends on: views of the arms, all fruit, and the grippers."""
-        grips = [
-            [-1.0 if scene.held is None else scene.held, *scene.miss, *scene.grip, scene.detached_at]
-            for scene in self.scenes
-        ]
+        hands = zip(self.held, self.scenes, strict=True)
+        grips = [[number, *scene.miss, *scene.grip, scene.detached_at] for number, scene in hands]
         each = structured_to_unstructured(np.concatenate([scene.fruit for scene in self.scenes]))
         own = {name: getattr(self, name) for name in OWN}
         return own | {"present": self.present, "each": each, "grips": np.array(grips)}

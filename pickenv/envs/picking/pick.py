@@ -11,7 +11,7 @@ from pickenv.base import InputError
 from pickenv.envs.picking.canopies import Canopies, draw_pick
 from pickenv.envs.picking.pick_arm import TOOL, act_arm, look_at_arm, reach_of
 from pickenv.envs.picking.pick_scene import PICK_OPTIONS, PickScene, draw_starts, given_hours, make_pick, pick_spaces
-from pickenv.envs.shared.arm_env import ArmEnv, Information
+from pickenv.envs.shared.arm_env import ArmEnv, Information, Options
 from pickenv.envs.shared.backends import Scalar
 from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.simulation import ArmState, begin
@@ -202,9 +202,7 @@ class PickEnv(ArmEnv):
         self.canopies: Canopies | None = None
         self.scene: PickScene
 
-    def reset(
-        self, *, seed: int | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[NDArray[np.float32], Information]:
+    def reset(self, *, seed: int | None = None, options: Options = None) -> tuple[NDArray[np.float32], Information]:
         """Start an episode before a new section of canopy; see the class for `options`."""
         super().reset(seed=seed)
         options = given_options(options, PICK_OPTIONS)

@@ -6,17 +6,17 @@ What happens to the fruit is in `pickenv.envs.picking.pick_scene`. Units: m, rad
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from functools import lru_cache
 from types import ModuleType
 
 import numpy as np
 from scipy.spatial import cKDTree
 
-from pickenv.arm import Array, Geometry, Plant, Pose, Scalar, chosen, clipped, inverse
+from pickenv.arm import Array, Geometry, Plant, Pose, Scalar, Scalars, chosen, clipped, inverse
 from pickenv.base import InputError
 from pickenv.envs.shared import simulation, situation
 from pickenv.envs.shared.backends import Executor, Flags
+from pickenv.envs.shared.simulation import ArmState
 from pickenv.envs.shared.spaces import spread_poses
 from pickenv.envs.shared.task import Task, inexact
 
@@ -87,9 +87,7 @@ true frame. `TURN` is the rotation vector from the believed attitude to upright.
 tool's axis and the vertical (degrees). From `SIGHT` on follow the joint readings, scaled to the limits."""
 
 
-def act_arm(
-    x: Executor, task: Task, state: simulation.ArmState, action: Sequence[Scalar]
-) -> tuple[simulation.ArmState, Scalar, Scalar, Scalar]:
+def act_arm(x: Executor, task: Task, state: ArmState, action: Scalars) -> tuple[ArmState, Scalar, Scalar, Scalar]:
     """Move the joint target by an action, or by an earlier one if actions are delayed.
 
     Returns:
@@ -97,8 +95,7 @@ def act_arm(
         (s).
     """
     setting, values = task.situation, state.drawn
-    arrived, sent = situation.acted(x, setting, values, state.sent, action)
-    *moves, gripper = arrived
+    (*moves, gripper), sent = situation.late(x, setting, "delay", values, state.sent, action)
     target = simulation.move(x, task, state.target, situation.in_period(x, setting, values, moves))
     away = [abs(new - old) > STIRRED for new, old in zip(target, state.target, strict=True)]
     stirred = away[0]
@@ -108,15 +105,8 @@ def act_arm(
 
 
 def look_at_arm(
-    x: Executor,
-    task: Task,
-    plant: Plant,
-    state: simulation.ArmState,
-    command: Sequence[Scalar],
-    key: Scalar,
-    moment: Scalar,
-    dt: Scalar,
-) -> tuple[simulation.ArmState, simulation.Components]:
+    x: Executor, task: Task, plant: Plant, state: ArmState, command: Scalars, key: Scalar, moment: Scalar, dt: Scalar
+) -> tuple[ArmState, simulation.Components]:
     """Hold the joint command for ``dt`` seconds, then measure where the tool is.
 
     `pickenv.envs.shared.simulation.look` explains the arguments.
@@ -133,7 +123,7 @@ def look_at_arm(
     return state._replace(sensed=late, plant=plant_state), (*pose, *tool, *turn, tilt, *readings)
 
 
-def upright_turn(m: ModuleType, axis: Sequence[Scalar]) -> simulation.Components:
+def upright_turn(m: ModuleType, axis: Scalars) -> simulation.Components:
     """Compute the rotation vector (rad, 3) of the shortest rotation that turns a unit vector upright."""
     ax, ay, az = axis
     sine = m.sqrt(ax * ax + ay * ay)

@@ -19,7 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv import orchard as trees
 from pickenv.arm import Array, Frame, Scalar
-from pickenv.base import InputError, shown
+from pickenv.base import InputError, check_known, shown
 from pickenv.envs.picking.pick_arm import UP, Reach
 from pickenv.envs.shared.backends import Flags
 from pickenv.envs.shared.situation import MOST_HOURS
@@ -325,13 +325,9 @@ def draw_scenes(
     centres = [None if positions is None else _given_fruit(positions) for positions in given]
     scenes: dict[int, PickScene] = {}
     for attempt in range(ATTEMPTS):
-        fresh: dict[int, PickScene] = {}
-        for i, rng in enumerate(rngs):
-            if i in scenes or (centres[i] is not None and attempt >= GIVEN_ATTEMPTS):
-                continue
-            scene = _seen_scene(orchard, rng, centres[i])
-            if scene is not None:
-                fresh[i] = scene
+        open_ = [i for i, at in enumerate(centres) if i not in scenes and (at is None or attempt < GIVEN_ATTEMPTS)]
+        drawn_scenes = ((i, _seen_scene(orchard, rngs[i], centres[i])) for i in open_)
+        fresh = {i: scene for i, scene in drawn_scenes if scene is not None}
         if fresh:
             reached = reach(np.concatenate([scene.seen[scene.reachable] for scene in fresh.values()]))
             ends = np.cumsum([scene.reachable.sum() for scene in fresh.values()])[:-1]
@@ -403,13 +399,7 @@ def looked_at(
     draws = rng.normal(size=(count, DRAWS))
     draws[:, :3] /= np.sqrt(orchard.looks)  # averaging removes noise, but neither bias nor the pull of occlusion
     sightings = trees.measured_positions(
-        camera,
-        positions,
-        viewpoint,
-        draws,
-        visible=visible,
-        diameters=diameters,
-        visible_side=visible_side,
+        camera, positions, viewpoint, draws, visible=visible, diameters=diameters, visible_side=visible_side
     )
     return sightings, (rng.random(count) < probability) & trees.in_image(camera, positions, viewpoint, ahead)
 
@@ -470,8 +460,7 @@ def make_pick(
     arguments: dict[str, Any] = {"tolerances": tolerances, "population": population, "population_seed": population_seed}
     task = make_task(plant, without, arms=arms, out_of_range=out_of_range, **arguments, **situation)
     check_choice("order", order, tuple(ORDERS))
-    if vision not in (PUBLISHED, *trees.VISIONS):
-        raise InputError(f"unknown vision '{vision}'; give one of {', '.join((PUBLISHED, *trees.VISIONS))}")
+    check_known("vision", vision, (PUBLISHED, *trees.VISIONS))
     row, crop = trees.load_canopy(canopy), trees.load_fruit_map(fruit_map)
     station = trees.load_station("qiao2026")
     section = replace(
@@ -531,9 +520,8 @@ def given_hours(hours: Any, count: int | None = None) -> Array:
         InputError: If the shape is wrong, or a number is not from 0 to `MOST_HOURS`.
     """
     values = as_numbers("option hours", hours)
-    if values.shape not in ((), () if count is None else (count,)) or not np.all(
-        (values >= 0) & (values <= MOST_HOURS)
-    ):
+    shapes = ((), () if count is None else (count,))
+    if values.shape not in shapes or not np.all((values >= 0) & (values <= MOST_HOURS)):
         each = "" if count is None else f", or {count} of them"
         raise InputError(f"option hours is {shown(hours)}; give a number from 0 to {MOST_HOURS:g}{each}")
     return values if count is None else np.broadcast_to(values, (count,))

@@ -85,9 +85,8 @@ class PickVectorEnv(NativeVectorEnv):
 
     def state_arrays(self) -> dict[str, NDArray[Any]]:
         """Return all arrays that the next step depends on, for a checkpoint."""
-        states = [
-            self._ahead[row][0] if row in self._ahead else rng.bit_generator.state for row, rng in enumerate(self._rngs)
-        ]
+        ahead, rngs = self._ahead, enumerate(self._rngs)
+        states = [ahead[row][0] if row in ahead else rng.bit_generator.state for row, rng in rngs]
         arrays: dict[str, NDArray[Any]] = {"elapsed": self._elapsed, "over": self._over, "armed": self._armed}
         arrays["rngs"] = np.array([words_of_state(state) for state in states], dtype=np.uint64)
         return {key: np.array(value) for key, value in (arrays | self.batch.state_arrays()).items()}

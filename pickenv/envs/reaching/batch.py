@@ -103,9 +103,8 @@ class Batch(ArmBatch, ABC):
                 wanted = simulation.nominal_frames(x, task, joints)[1]
             else:
                 wanted = tuple(self.numbers(frames[a:b].T))
-            state = simulation.begin(
-                x, task, self.plant_of(some), key, target, wanted, self.commands(compensate, target, some)
-            )
+            command = self.commands(compensate, target, some)
+            state = simulation.begin(x, task, self.plant_of(some), key, target, wanted, command)
             self.write(self.columns, some, state.columns)
 
     def scene(self, row: int, compensate: Compensators | None) -> simulation.View:
@@ -126,12 +125,8 @@ class Batch(ArmBatch, ABC):
 
     def widths(self) -> tuple[int, ...]:
         """Return the count of numbers in each part of the observation."""
-        n = self.task.joints
-        return (
-            (n + 3, simulation.GOAL_NUMBERS, simulation.GOAL_NUMBERS)
-            if self.goal_dict
-            else (n + 12 + 3 * self.task.camera,)
-        )
+        n, goal = self.task.joints, simulation.GOAL_NUMBERS
+        return (n + 3, goal, goal) if self.goal_dict else (n + 12 + 3 * self.task.camera,)
 
     def _draw_goals(self, keys: Scalar) -> Columns:
         """Draw the joints of wanted poses: the first fitting pose in the goal stream of each episode."""

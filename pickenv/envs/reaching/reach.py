@@ -61,8 +61,7 @@ def reach_eye(geometry: Geometry) -> Eye:
     """Return a viewpoint (an `Eye`) that shows the arm's whole workspace and its base."""
     look = arm_look(geometry)
     low, high = np.minimum(look.low, geometry.base.position), np.maximum(look.high, geometry.base.position)
-    corners = np.array(np.meshgrid(*np.stack([low, high], -1))).reshape(3, -1).T
-    return fitted_eye(corners, VIEW, SIZE)
+    return fitted_eye(np.array(np.meshgrid(*np.stack([low, high], -1))).reshape(3, -1).T, VIEW, SIZE)
 
 
 VIEW: Array = np.array([0.8, 1.0, 0.45])
@@ -259,8 +258,7 @@ class ReachEnv(ArmEnv):
             self._use_arm(task.given_arm(arm))
         start = self._start(options.get("start_joints"))
         goal = self._wanted(options)
-        command = self._command(start)
-        self._state = simulation.begin(x, task, self.plant, self._key, start, goal, command, self.gripper)
+        self._state = simulation.begin(x, task, self.plant, self._key, start, goal, self._command(start), self.gripper)
         self._step = 0
         observation, _, information = self._look(0.0)
         return observation, information

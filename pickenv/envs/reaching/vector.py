@@ -142,10 +142,8 @@ class ReachVectorEnv(NativeVectorEnv):
     def _asked(self, options: dict[str, Any], rows: Rows) -> dict[str, Any]:
         """Return starts, goals and arms from options for the environments ``rows``, as arguments of `Batch.restart`."""
         joints, frames = given_goals(self.task, options, self.num_envs)
-        how: dict[str, Any] = {
-            "goal": None if joints is None else joints[rows],
-            "frames": None if frames is None else frames[rows],
-        }
+        goals = {"goal": joints, "frames": frames}
+        how: dict[str, Any] = {name: goal[rows] for name, goal in goals.items() if goal is not None}
         if options.get("start_joints") is not None:
             how["start"] = self.task.given_joints("start_joints", options["start_joints"], self.num_envs)[rows]
         if options.get("arm") is not None:

@@ -9,7 +9,7 @@ they sag. Units: m, kg, s, N, rad.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
@@ -58,12 +58,8 @@ SMALLEST, LARGEST = 16, 1024
 GRIP, WIDE = (1.5, 0.02, 1e-3), 60.0
 """Friction of grippers and fruit (sliding, torsional, rolling), and the wrist camera's angle of view."""
 
-METAL, WOOD, SKIN, LEAF = (
-    (0.6, 0.6, 0.65, 1.0),
-    (0.36, 0.25, 0.16, 1.0),
-    (0.78, 0.12, 0.10, 1.0),
-    (0.25, 0.50, 0.18, 1.0),
-)
+METAL, WOOD = (0.6, 0.6, 0.65, 1.0), (0.36, 0.25, 0.16, 1.0)
+SKIN, LEAF = (0.78, 0.12, 0.10, 1.0), (0.25, 0.50, 0.18, 1.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +154,8 @@ class ContactScene:
         self.model: Any = spec.compile()
         self.data: Any = self._mujoco.MjData(self.model)
         self._find()
-        self._untouchable()
+        robot = (self.model.geom_contype == GRIPPER_BIT) & (np.arange(self.model.ngeom) != self._cup)
+        self.model.geom_contype[robot] = self.model.geom_conaffinity[robot] = OTHER  # the arm's hulls are only drawn
         self.held, self.suction = np.ones(around.fruit, dtype=np.bool_), False
         self.strength = np.full(around.fruit, np.inf)
         self._plant: Plant | None = None
@@ -228,8 +225,7 @@ class ContactScene:
         rotation, place, face = np.array(tool[:9]).reshape(3, 3).T, np.array(tool[9:]), -around.radius
         stand = around.radius + 0.08 * around.scale
         if around.model is None:  # rods would end in the fruit
-            beyond = place @ rotation[:, 2] > stand
-            self._rods_end(last, place - rotation[:, 2] * stand if beyond else np.zeros(3))
+            self._rods_end(last, place - rotation[:, 2] * stand if place @ rotation[:, 2] > stand else np.zeros(3))
             if np.linalg.norm(place) < around.radius and (length := float(np.linalg.norm(last.pos))) > 0.0:
                 self._rods_end(last.parent, last.pos * max(1.0 - stand / length, 0.0))
                 for joint in last.parent.joints:
@@ -242,12 +238,6 @@ class ContactScene:
         axes = np.stack([[1.0, 0.0, 0.0], np.cross(-ahead, [1.0, 0.0, 0.0]), -ahead], axis=1)
         hand.add_camera(name="pickenv wrist", pos=back, quat=quaternion(axes), fovy=WIDE)
         radius, lip, deep = 3.0 * around.clearance, around.suction.lip * around.scale, around.suction.thickness
-        shape = {
-            "contype": GRIPPER_BIT,
-            "conaffinity": FRUIT_BIT | LEAF_BIT,
-            "mass": 0.01,
-            "rgba": [0.1, 0.1, 0.12, 1.0],
-        }
         hand.add_geom(
             name="cup",
             type=mujoco.mjtGeom.mjGEOM_CYLINDER,
@@ -257,7 +247,10 @@ class ContactScene:
             pos=[0.0, 0.0, face - deep / 2],
             friction=GRIP,
             condim=4,
-            **shape,
+            contype=GRIPPER_BIT,
+            conaffinity=FRUIT_BIT | LEAF_BIT,
+            mass=0.01,
+            rgba=[0.1, 0.1, 0.12, 1.0],
         )
         self._rod(hand, [0.0, 0.0, face - deep], [0.0, 0.0, -stand], 0.3 * radius)
 
@@ -281,23 +274,22 @@ class ContactScene:
         bearer = spec.worldbody.add_body(name=f"bearer {number}", pos=[0.0, 0.0, 2.0])
         wood = around.branch.wood * scale**3
         branch = bearer.add_body(name=f"branch {number}", gravcomp=1.0)
-        for axis, name in enumerate("xyz"):
-            spring = scale * (around.branch.stiffness_upright if name == "z" else around.branch.stiffness_sideways)
+        for way, axis in zip("xyz", np.eye(3), strict=True):
+            spring = scale * (around.branch.stiffness_upright if way == "z" else around.branch.stiffness_sideways)
             branch.add_joint(
-                name=f"branch {number} {name}",
+                name=f"branch {number} {way}",
                 type=mujoco.mjtJoint.mjJNT_SLIDE,
-                axis=np.eye(3)[axis],
+                axis=axis,
                 stiffness=spring,
                 damping=2.0 * around.branch.damping_ratio * math.sqrt(spring * (wood + around.mass)),
             )
         rod = {"type": mujoco.mjtGeom.mjGEOM_CAPSULE, "contype": OTHER, "conaffinity": OTHER, "rgba": WOOD}
         branch.add_geom(fromto=[-0.2 * scale, 0, 0, 0.2 * scale, 0, 0], size=[0.006 * scale, 0, 0], mass=wood, **rod)
-        fruit = spec.worldbody.add_body(name=f"fruit {number}", pos=[0.0, 0.0, 2.0 - stem - radius])
-        fruit.add_joint(
-            name=f"fruit {number}", type=mujoco.mjtJoint.mjJNT_FREE, damping=around.suction.turning * scale**4
-        )
+        name = f"fruit {number}"
+        fruit = spec.worldbody.add_body(name=name, pos=[0.0, 0.0, 2.0 - stem - radius])
+        fruit.add_joint(name=name, type=mujoco.mjtJoint.mjJNT_FREE, damping=around.suction.turning * scale**4)
         fruit.add_geom(
-            name=f"fruit {number}",
+            name=name,
             type=mujoco.mjtGeom.mjGEOM_SPHERE,
             size=[radius, 0, 0],
             mass=around.mass,
@@ -308,21 +300,13 @@ class ContactScene:
             friction=GRIP,
         )
         fruit.add_geom(fromto=[0, 0, radius, 0, 0, radius + stem], size=[0.0015 * scale, 0, 0], mass=1e-6, **rod)
+        kinds, body = mujoco.mjtEq, mujoco.mjtObj.mjOBJ_BODY
         tie = spec.add_equality(
-            name=f"stem {number}",
-            type=mujoco.mjtEq.mjEQ_CONNECT,
-            objtype=mujoco.mjtObj.mjOBJ_BODY,
-            name1=f"fruit {number}",
-            name2=f"branch {number}",
+            name=f"stem {number}", type=kinds.mjEQ_CONNECT, objtype=body, name1=name, name2=f"branch {number}"
         )
         tie.data[:3], tie.solref[0] = [0.0, 0.0, radius + stem], 2.0 * TIMESTEP  # as stiff as steps allow
         hold = spec.add_equality(
-            name=f"hold {number}",
-            type=mujoco.mjtEq.mjEQ_WELD,
-            objtype=mujoco.mjtObj.mjOBJ_BODY,
-            name1="pickenv hand",
-            name2=f"fruit {number}",
-            active=False,
+            name=f"hold {number}", type=kinds.mjEQ_WELD, objtype=body, name1="pickenv hand", name2=name, active=False
         )
         hold.data[:3], hold.data[10] = 0.0, 1.0
         for leaf in range(around.leaves if number == 0 else 0):
@@ -344,32 +328,27 @@ class ContactScene:
         self.arm: ModelArm = arm_in_mujoco(model, self.nominal)
         joints = self.arm.joints.tolist()
         drive_of = {int(model.actuator_trnid[i, 0]): i for i in range(model.nu)}
-        if lost := [
-            name for name, joint in zip(self.nominal.joint_names, joints, strict=True) if joint not in drive_of
-        ]:
+        names = zip(self.nominal.joint_names, joints, strict=True)
+        if lost := [name for name, joint in names if joint not in drive_of]:
             raise InputError(f"the model has no drive for joint '{lost[0]}'; add a position actuator")
         self._drives = np.array([drive_of[joint] for joint in joints])
-        self._holds = np.array([model.equality(f"hold {i}").id for i in range(around.fruit)])
         self._hand, self._cup = model.body("pickenv hand").id, model.geom("cup").id
         self._site = model.site("true tool").id
-        bodies = range(around.fruit)
-        self._fruit = np.array([model.body(f"fruit {i}").id for i in bodies])
-        self._spheres = np.array([model.geom(f"fruit {i}").id for i in bodies])
-        self._stems = np.array([model.equality(f"stem {i}").id for i in bodies])
-        self._bearers = np.array([model.body(f"bearer {i}").id for i in bodies])
-        self._loose = np.array([model.joint(f"fruit {i}").qposadr[0] for i in bodies])
-        self._sunk = np.array([model.joint(f"branch {i} z").qposadr[0] for i in bodies])
+
+        def numbers_of(part: Callable[[str], Any], name: str) -> NDArray[np.int64]:
+            return np.array([part(f"{name} {i}").id for i in range(around.fruit)])
+
+        self._fruit, self._bearers = (numbers_of(model.body, name) for name in ("fruit", "bearer"))
+        self._holds, self._stems = (numbers_of(model.equality, name) for name in ("hold", "stem"))
+        self._spheres = numbers_of(model.geom, "fruit")
+        self._loose = np.array([model.joint(f"fruit {i}").qposadr[0] for i in range(around.fruit)])
+        self._sunk = np.array([model.joint(f"branch {i} z").qposadr[0] for i in range(around.fruit)])
         self._blades = np.array([model.body(f"leaf {i}").id for i in range(around.leaves)], dtype=np.int64)
         self._cameras = {name: model.camera(f"pickenv {name}").id for name in CAMERAS}
         turned = {name: np.zeros(9) for name in CAMERAS}
         for name, i in self._cameras.items():
             self._mujoco.mju_quat2Mat(turned[name], model.cam_quat[i])
         self._said = {name: (model.cam_pos[i].copy(), turned[name].reshape(3, 3)) for name, i in self._cameras.items()}
-
-    def _untouchable(self) -> None:
-        """Switch off the contacts of the arm except for the cup; its hulls are only drawn."""
-        robot = (self.model.geom_contype == GRIPPER_BIT) & (np.arange(self.model.ngeom) != self._cup)
-        self.model.geom_contype[robot] = self.model.geom_conaffinity[robot] = OTHER
 
     def begin(self, plant: Plant, joints: Sequence[float], tool: Frame, fruit: Array, rng: np.random.Generator) -> None:
         """Begin an episode with the arm at rest and all fruit on its stems.
@@ -443,8 +422,7 @@ class ContactScene:
             if data.eq_active[hold]:
                 data.eq_active[hold] = self.suction
             elif self.suction and touched[i]:
-                turned = data.xmat[self._hand].reshape(3, 3)
-                place = (data.xpos[self._fruit[i]] - data.xpos[self._hand]) @ turned
+                place = (data.xpos[self._fruit[i]] - data.xpos[self._hand]) @ data.xmat[self._hand].reshape(3, 3)
                 if np.hypot(*place[:2]) <= self.around.clearance:
                     model.eq_data[hold, 3:6] = place
                     back, turn = np.zeros((2, 4))  # of one sign with MuJoCo's own, or the weld would push

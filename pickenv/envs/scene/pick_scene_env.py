@@ -10,7 +10,7 @@ from gymnasium import spaces
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm import Array, Frame, Plant, Pose, Scalar, erring_by, forward, inverse, joint_jacobian
+from pickenv.arm import Array, Frame, Plant, Pose, Scalar, Scalars, erring_by, forward, inverse, joint_jacobian
 from pickenv.arm.kinematics.inverse import halton_joints
 from pickenv.base import InputError, shown
 from pickenv.envs.picking.pick_arm import act_arm
@@ -231,8 +231,7 @@ class PickSceneEnv(ReachEnv):
         tries = (simulation.goal_attempt(FLOATS, self.task, 0, attempt) for attempt in range(ATTEMPTS))
         joints: Array = np.array([pose for pose, fits in tries if fits][:SPREAD])
         geometry = self.task.plant.arm.nominal
-        moves = np.linalg.svd(joint_jacobian(geometry, joints), compute_uv=False)[:, -1]
-        self._favoured = joints[np.argmax(moves)]
+        self._favoured = joints[np.argmax(np.linalg.svd(joint_jacobian(geometry, joints), compute_uv=False)[:, -1])]
         return np.concatenate([forward(geometry, joints).position, [geometry.base.position]])
 
     def _before_fruit(self, within: float) -> tuple[Array, Array]:
@@ -254,7 +253,7 @@ class PickSceneEnv(ReachEnv):
                 return goal.joints[reached[0]], begin.joints[reached[0]]
         raise InputError(f"within_mm is {1e3 * within:g}; the arm reaches too little of that, give less")
 
-    def _start(self, joints: Any) -> Sequence[Scalar]:
+    def _start(self, joints: Any) -> Scalars:
         if joints is None and self._within is not None:
             joints = self._before_fruit(self._within)[1]
         return super()._start(joints)
@@ -312,7 +311,7 @@ class PickSceneEnv(ReachEnv):
         task: Task,
         plant: Plant,
         state: ArmState,
-        command: Sequence[Scalar],
+        command: Scalars,
         key: Scalar,
         moment: Scalar,
         dt: Scalar,
@@ -351,13 +350,9 @@ class PickSceneEnv(ReachEnv):
             self._closed = 1e3 * float(lateral), 1e3 * float(axial)
         taken = bool(scene.taken[0])
         self._holding = self._holding + 1 if taken and not scene.held[0] else 0
-        information |= {
-            "is_success": self._holding >= HELD_STEPS,
-            "attached": taken,
-            "detached": not bool(scene.held[0]),
-            "grasp_lateral_mm": self._closed[0],
-            "grasp_axial_mm": self._closed[1],
-        }
+        detached, (lateral_mm, axial_mm) = not bool(scene.held[0]), self._closed
+        information |= {"is_success": self._holding >= HELD_STEPS, "attached": taken, "detached": detached}
+        information |= {"grasp_lateral_mm": lateral_mm, "grasp_axial_mm": axial_mm}
         return observation, reward, information
 
     def _observe(self, scene: simulation.View) -> tuple[Any, float]:

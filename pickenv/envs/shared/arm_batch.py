@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from pickenv.arm import Array, Plant, arrays_of, plants_on
+from pickenv.arm import Array, Plant, Scalars, arrays_of, plants_on
 from pickenv.base import InputError
 from pickenv.envs.shared.backends import NUMPY, Executor, Flags, Rows, Scalar
 from pickenv.envs.shared.simulation import ArmState
@@ -201,7 +201,7 @@ class ArmBatch:
         rows = where if isinstance(where, slice) else self.host(where)
         return list(self.numbers(commanded(compensate, joints, rows).T))
 
-    def write(self, columns: Columns, where: Any, values: Sequence[Scalar]) -> None:
+    def write(self, columns: Columns, where: Any, values: Scalars) -> None:
         """Write ``values`` into columns, for the environments ``where``.
 
         The last column is written first, so that entries of a queue are shifted before they are overwritten.

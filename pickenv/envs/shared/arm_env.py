@@ -9,7 +9,7 @@ import gymnasium as gym
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.arm import Array, Geometry, Plant, plant_at, plants_on
+from pickenv.arm import Array, Geometry, Plant, Scalars, plant_at, plants_on
 from pickenv.base import InputError, is_there, require
 from pickenv.envs.shared import simulation
 from pickenv.envs.shared.backends import FLOATS, NUMPY, Executor, Scalar
@@ -105,6 +105,7 @@ def drawn(stage: Stage | None) -> Pixels:
 
 
 Information = dict[str, Any]
+Options = dict[str, Any] | None
 EXECUTORS = {"auto": FLOATS, "floats": FLOATS, "compiled": FLOATS, "numpy": NUMPY}
 """The arithmetic for each value of `executor`. Where steps are compiled, episodes still begin on floats."""
 
@@ -170,7 +171,7 @@ class ArmEnv(DrawnEnv):
         else:
             self.plant = exact_plant(plants_on(self.task.plant, lambda values: values[number : number + 1]))
 
-    def _start(self, joints: Any) -> Sequence[Scalar]:
+    def _start(self, joints: Any) -> Scalars:
         """Return the joint target at the start: ``joints`` if given, drawn if the task has a spread, else mid-range."""
         task = self.task
         if joints is not None:
@@ -179,7 +180,7 @@ class ArmEnv(DrawnEnv):
             return drawn_start(self._x, task.situation, self._key, *task.box)
         return self._numbers(task.middle)
 
-    def _command(self, target: Sequence[Scalar]) -> Sequence[Scalar]:
+    def _command(self, target: Scalars) -> Scalars:
         """Compute the joint command for a joint target, with the compensator if there is one."""
         if self.compensator is None:
             return target
@@ -189,7 +190,7 @@ class ArmEnv(DrawnEnv):
         command = fast(joints) if self._x is FLOATS and fast is self.compensator else fast(joints[None])[0]
         return self._numbers(command.tolist())
 
-    def _looked(self, state: ArmState, moment: int, dt: Scalar) -> tuple[Any, Sequence[Scalar]]:
+    def _looked(self, state: ArmState, moment: int, dt: Scalar) -> tuple[Any, Scalars]:
         """Simulate ``dt`` seconds at the joint target of ``state``; return the view, and the joint command."""
         command = self._command(state.target)
         if self._compiled is not None and dt != 0.0:
@@ -199,11 +200,11 @@ class ArmEnv(DrawnEnv):
             self._state, view = self.look(self._x, self.task, self.plant, state, command, self._key, word, dt)
         return view, command
 
-    def _numbers(self, values: Sequence[float]) -> Sequence[Scalar]:
+    def _numbers(self, values: Sequence[float]) -> Scalars:
         """Convert floats to the executor's form: floats, or NumPy arrays of one number."""
         return values if self._x is FLOATS else [np.array([value]) for value in values]
 
-    def _plain(self, values: Sequence[Scalar]) -> list[float]:
+    def _plain(self, values: Scalars) -> list[float]:
         """Convert the executor's numbers to floats."""
         if self._x is FLOATS:
             return list(values)

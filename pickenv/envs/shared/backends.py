@@ -166,12 +166,10 @@ def normal(x: Executor, key: Scalar, draw: Scalar) -> Scalar:
 
 def seed_word(seed: int) -> int:
     """Reduce a seed of any size to a 64-bit word; seeds below 2^64 stay as they are."""
-    word = 0
-    while True:
+    word = seed & MASK
+    while seed := seed >> 64:
         word ^= seed & MASK
-        seed >>= 64
-        if not seed:
-            return word
+    return word
 
 
 def fresh_seed(generator: Any) -> int:

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable
 from operator import add, itemgetter, mul
 from typing import Any, cast
 
 import numpy as np
 
-from pickenv.arm import Plant, Scalar, arrays_of, chosen, plants_on
+from pickenv.arm import Plant, Scalar, Scalars, arrays_of, chosen, plants_on
 from pickenv.arm.kinematics.machine_code import SYMBOLS, WORD, Compiled, Trace
 from pickenv.envs.shared.arm_batch import naming_effects
 from pickenv.envs.shared.backends import MASK, Executor
@@ -69,9 +69,7 @@ class CompiledLook:
         """Pickle and copy the function and the task; the copy compiles the code again."""
         return CompiledLook, (self._look, self._task)
 
-    def __call__(
-        self, state: ArmState, command: Sequence[float], key: int, moment: int, arm: int
-    ) -> tuple[ArmState, Any]:
+    def __call__(self, state: ArmState, command: Scalars, key: int, moment: int, arm: int) -> tuple[ArmState, Any]:
         """Hold a joint command for one period; return the state and the view afterwards.
 
         Args:
@@ -94,7 +92,7 @@ class CompiledLook:
         memory = len(state.plant)
         return ArmState(*state[:-2], sensed, tuple(parts[:memory])), self._view_of(parts[memory:])
 
-    def _compiled(self, state: ArmState, command: Sequence[float]) -> Callable[[], None]:
+    def _compiled(self, state: ArmState, command: Scalars) -> Callable[[], None]:
         """Trace and compile the function for states and commands as long as ``state`` and ``command``."""
         trace, widths = Trace(), [len(part) for part in (*state[:-1], *state.plant)]
         given = trace.inputs("given", sum(widths) + len(command))

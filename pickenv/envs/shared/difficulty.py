@@ -84,7 +84,6 @@ def on_ladder(task: str, *, difficulty: str | None = None, split: str = "train",
         fixed = fixed | {"population": POPULATION[split], "population_seed": seed}
     both = sorted(set(fixed) & set(arguments))
     if both:
-        raise InputError(
-            f"difficulty '{difficulty}' fixes {', '.join(both)}; leave {'it' if len(both) == 1 else 'them'} out"
-        )
+        them = "it" if len(both) == 1 else "them"
+        raise InputError(f"difficulty '{difficulty}' fixes {', '.join(both)}; leave {them} out")
     return fixed | arguments

@@ -15,11 +15,14 @@ from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array
 from pickenv.base import InputError
-from pickenv.envs.shared.arm_env import Information, checked_render_mode, drawn
+from pickenv.envs.shared.arm_env import Information, Options, checked_render_mode, drawn
 from pickenv.envs.shared.backends import Flags, Rows
 from pickenv.envs.shared.spaces import PlainSpec, given_options
 from pickenv.envs.shared.task import Compensators, check_choice, check_count
 from pickenv.pictures.stage import Stage
+
+Seeds = int | Sequence[int | None] | None
+"""What `reset` of a vector environment takes as its seed; `checked_seeds` explains it."""
 
 
 class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
@@ -73,9 +76,7 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         """Largest increment of each joint in one action, rad or m."""
         return np.array(self.task.increment)
 
-    def reset(
-        self, *, seed: int | Sequence[int | None] | None = None, options: dict[str, Any] | None = None
-    ) -> tuple[Any, Information]:
+    def reset(self, *, seed: Seeds = None, options: Options = None) -> tuple[Any, Information]:
         """Begin episodes in all environments, or in those where ``options["reset_mask"]`` is True.
 
         Args:
@@ -209,7 +210,7 @@ def checked_mask(mask: Any, count: int) -> Flags:
     return flags
 
 
-def checked_seeds(seed: int | Sequence[int | None] | None, count: int) -> list[int | None]:
+def checked_seeds(seed: Seeds, count: int) -> list[int | None]:
     """Return a seed for each of ``count`` environments.
 
     Args:

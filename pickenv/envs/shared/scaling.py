@@ -120,9 +120,7 @@ class Scaling(Rescaling):
     @property
     def inputs(self) -> int:
         """Count of numbers in the environment's observation."""
-        if self.goal:
-            return self.joints + 3 + 2 * GOAL_NUMBERS
-        return self.joints + (15 if self.camera else 12)
+        return self.joints + (3 + 2 * GOAL_NUMBERS if self.goal else 15 if self.camera else 12)
 
     @property
     def features(self) -> int:
@@ -153,10 +151,7 @@ class Scaling(Rescaling):
     def size(self, values: Any, xp: Any) -> Any:
         """Compute the gap's size ``(..., 1)``: the larger of position over `near` and attitude over `near_turn`."""
         gap, turn = self.gap(values, xp)
-        far, turned = (
-            ((part * part).sum(-1)[..., None]) ** 0.5 / near
-            for part, near in ((gap, self.near), (turn, self.near_turn))
-        )
+        far, turned = vector_length(gap) / self.near, vector_length(turn) / self.near_turn
         return xp.clip(far if self.tool == 3 else xp.maximum(far, turned), SMALLEST, None)
 
     def share(self, values: Any, xp: Any) -> Any:
@@ -201,6 +196,11 @@ def scaling_of(task: Task, actions: bool = True) -> Scaling:
     """
     near = dict(zip(("near", "near_turn"), task.tool[::3], strict=False))
     return Scaling(task.joints, task.camera, actions=actions, tool=len(task.tool), **near)
+
+
+def vector_length(vector: Any) -> Any:
+    """Compute the lengths ``(..., 1)`` of vectors ``(..., k)``."""
+    return ((vector * vector).sum(-1)[..., None]) ** 0.5
 
 
 def joined_observation(observation: Any, xp: Any = np) -> Any:

@@ -15,6 +15,7 @@ from types import ModuleType
 from typing import NamedTuple
 
 from pickenv.arm import Frame, Plant, PlantState, Scalar, attach, chosen, clipped, frame_error, frames, rotation_between
+from pickenv.arm.kinematics.forward import Scalars
 from pickenv.arm.kinematics.task_space import damped_step, jacobian_columns
 from pickenv.envs.shared import situation
 from pickenv.envs.shared.backends import ARM, CAMERA, FRUIT, Executor, episode_key, normal, stream_key, uniform
@@ -57,10 +58,9 @@ class ArmState(NamedTuple):
     plant: PlantState
 
     @classmethod
-    def of(cls, columns: Sequence[Scalar], widths: Sequence[int]) -> ArmState:
+    def of(cls, columns: Scalars, widths: Sequence[int]) -> ArmState:
         """Return the state whose numbers are ``columns``; ``widths`` has the count of numbers in each of its parts."""
-        ends = accumulate(widths)
-        parts = [tuple(columns[end - width : end]) for end, width in zip(ends, widths, strict=True)]
+        parts = [tuple(columns[end - width : end]) for end, width in zip(accumulate(widths), widths, strict=True)]
         target, goal, sighting, drawn, sent, late, *memory = parts
         return cls(target, goal, sighting, drawn, sent, late, tuple(memory))
 
@@ -114,12 +114,11 @@ class View(NamedTuple):
         return (*self.error, *self.command, *self.tool, *self.fruit)
 
 
-def nominal_frames(x: Executor, task: Task, q: Sequence[Scalar]) -> tuple[list[Frame], Frame]:
+def nominal_frames(x: Executor, task: Task, q: Scalars) -> tuple[list[Frame], Frame]:
     """Compute the frames of the nominal arm's links (base first), and the frame of its tool, at joints ``q``."""
     chain = task.exact if x.spares_constants else task.nominal
     links = frames(x.m, chain, q)
-    tool = attach(links[-1], chain.tool)
-    return links, inexact(tool)
+    return links, inexact(attach(links[-1], chain.tool))
 
 
 def goal_attempt(x: Executor, task: Task, key: Scalar, attempt: int) -> tuple[list[Scalar], Scalar]:
@@ -167,9 +166,9 @@ def begin(
     task: Task,
     plant: Plant,
     key: Scalar,
-    start: Sequence[Scalar],
+    start: Scalars,
     goal: Frame,
-    command: Sequence[Scalar],
+    command: Scalars,
     gripper: int = 0,
     hours: Scalar | None = None,
 ) -> ArmState:
@@ -193,11 +192,14 @@ def begin(
     values = situation.drawn_values(x, setting, key)
     _, sent, late = setting.widths(task.moves + gripper, task.joints + 3 * task.camera)
     zero = start[0] * 0.0
-    memory = situation.warmed_up(x, setting, values, plant, plant.initial_state(x.m, command), command, hours)
+    memory = plant.initial_state(x.m, command)
+    if hours is not None or setting.hours.high:
+        hours = setting.value("hours", values) if hours is None else hours
+        memory = plant.carried(x.m, memory, command, 3600.0 * hours)
     return ArmState(tuple(start), goal, sighting, values, (zero,) * sent, (zero,) * late, memory)
 
 
-def move(x: Executor, task: Task, target: Sequence[Scalar], action: Sequence[Scalar]) -> Components:
+def move(x: Executor, task: Task, target: Scalars, action: Scalars) -> Components:
     """Return the nominal joint target after an action.
 
     The action's numbers are clipped to -1 to 1 and multiplied by the largest increments. The target is kept within the
@@ -208,17 +210,17 @@ def move(x: Executor, task: Task, target: Sequence[Scalar], action: Sequence[Sca
     return tuple(joints)
 
 
-def act(x: Executor, task: Task, state: ArmState, action: Sequence[Scalar]) -> ArmState:
+def act(x: Executor, task: Task, state: ArmState, action: Scalars) -> ArmState:
     """Return the state with its joint target moved by the action, or by an earlier action if actions are delayed."""
     setting, values = task.situation, state.drawn
-    action, sent = situation.acted(x, setting, values, state.sent, action)
+    action, sent = situation.late(x, setting, "delay", values, state.sent, action)
     if task.tool:
         action = joint_shares(x, task, state.target, action)
     target = move(x, task, state.target, situation.in_period(x, setting, values, action))
     return state._replace(target=target, sent=sent)
 
 
-def joint_shares(x: Executor, task: Task, target: Sequence[Scalar], action: Sequence[Scalar]) -> list[Scalar]:
+def joint_shares(x: Executor, task: Task, target: Scalars, action: Scalars) -> list[Scalar]:
     """Compute the shares of the joints' largest increments that move the believed tool by an action.
 
     If a joint would exceed its largest increment, all joints are slowed by one factor, so that the tool keeps its
@@ -245,14 +247,7 @@ def joint_shares(x: Executor, task: Task, target: Sequence[Scalar], action: Sequ
 
 
 def look(
-    x: Executor,
-    task: Task,
-    plant: Plant,
-    state: ArmState,
-    command: Sequence[Scalar],
-    key: Scalar,
-    moment: Scalar,
-    dt: Scalar,
+    x: Executor, task: Task, plant: Plant, state: ArmState, command: Scalars, key: Scalar, moment: Scalar, dt: Scalar
 ) -> tuple[ArmState, View]:
     """Hold the joint command for ``dt`` seconds, then measure the tool's true pose.
 
@@ -278,9 +273,9 @@ def viewed(
     x: Executor,
     task: Task,
     state: ArmState,
-    read: Sequence[Scalar],
+    read: Scalars,
     true: Frame,
-    command: Sequence[Scalar],
+    command: Scalars,
     key: Scalar,
     moment: Scalar,
     dt: Scalar,
@@ -324,9 +319,7 @@ def viewed(
     )
 
 
-def nominal_readings(
-    x: Executor, plant: Plant, state: PlantState, target: Sequence[Scalar], command: Sequence[Scalar]
-) -> list[Scalar]:
+def nominal_readings(x: Executor, plant: Plant, state: PlantState, target: Scalars, command: Scalars) -> list[Scalar]:
     """Return the joint readings as nominal joints: joint target + reading - joint command.
 
     So the difference that a compensator makes between target and command does not appear in observations.
@@ -335,13 +328,13 @@ def nominal_readings(
     return [q + (reading - sent) for q, reading, sent in zip(target, readings, command, strict=True)]
 
 
-def scaled(x: Executor, task: Task, joints: Sequence[Scalar]) -> Components:
+def scaled(x: Executor, task: Task, joints: Scalars) -> Components:
     """Scale joints from their limits to -1 to 1, and clip them."""
     m, limits = x.m, zip(joints, task.lower, task.upper, strict=True)
     return tuple([clipped(m, (2.0 * q - (low + high)) / (high - low), -1.0, 1.0) for q, low, high in limits])
 
 
-def length(x: Executor, vector: Sequence[Scalar]) -> Scalar:
+def length(x: Executor, vector: Scalars) -> Scalar:
     """Compute the length of a vector of three components."""
     along_x, along_y, along_z = vector
     return x.m.sqrt(along_x * along_x + along_y * along_y + along_z * along_z)
@@ -354,7 +347,7 @@ def in_capture_region(task: Task, distance_mm: Scalar, angle_deg: Scalar) -> Sca
     return (distance_mm <= task.tolerance_mm) & (angle_deg <= task.angle_tolerance_deg)
 
 
-def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Sequence[Scalar]) -> Scalar:
+def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Scalars) -> Scalar:
     """Compute the size of the part of a small rotation vector that is perpendicular to all revolute axes."""
     if task.lost_axes is None:
         return 0.0 * sum(turn)
@@ -383,12 +376,12 @@ def goal_observation(scene: View) -> tuple[Components, Components, Components]:
     return (*scene.readings, *scene.believed), (*place, *scene.attitude), (*scene.seen, *scene.wanted)
 
 
-def goal_gap(m: ModuleType, achieved: Sequence[Scalar], desired: Sequence[Scalar]) -> tuple[Scalar, ...]:
+def goal_gap(m: ModuleType, achieved: Scalars, desired: Scalars) -> tuple[Scalar, ...]:
     """Compute the gap from an achieved to a desired goal: position (m) and rotation vector (rad), 6."""
     return frame_error(m, _frame(achieved), _frame(desired))
 
 
-def _frame(goal: Sequence[Scalar]) -> Frame:
+def _frame(goal: Scalars) -> Frame:
     """Return the frame of a goal."""
     px, py, pz, zx, zy, zz, xx, xy, xz = goal
     return xx, xy, xz, zy * xz - zz * xy, zz * xx - zx * xz, zx * xy - zy * xx, zx, zy, zz, px, py, pz
@@ -396,17 +389,16 @@ def _frame(goal: Sequence[Scalar]) -> Frame:
 
 def true_reward(x: Executor, task: Task, scene: View) -> Scalar:
     """Compute the reward from the tool's true error, by the formulas of `pickenv/Reach-v0`."""
-    distance_mm, angle_deg, *_ = scene.numbers
-    return _reward(x, task, scene.success, distance_mm, angle_deg)
+    return _reward(x, task, scene.success, *scene.numbers[:2])
 
 
-def goal_reward(x: Executor, task: Task, achieved: Sequence[Scalar], desired: Sequence[Scalar]) -> Scalar:
+def goal_reward(x: Executor, task: Task, achieved: Scalars, desired: Scalars) -> Scalar:
     """Compute the reward from an achieved and a desired goal, `GOAL_NUMBERS` each, as in `pickenv/ReachGoal-v0`."""
     dx, dy, dz, *turn = goal_gap(x.m, achieved, desired)
     return gap_reward(x, task, (dx, dy, dz), turn)
 
 
-def gap_reward(x: Executor, task: Task, gap: Sequence[Scalar], turn: Sequence[Scalar]) -> Scalar:
+def gap_reward(x: Executor, task: Task, gap: Scalars, turn: Scalars) -> Scalar:
     """Compute the reward from the gap (m) and the rotation vector (rad) between tool and fruit, 3 numbers each."""
     distance_mm, angle_deg = 1e3 * length(x, gap), DEGREES * length(x, turn)
     return _reward(x, task, in_capture_region(task, distance_mm, angle_deg), distance_mm, angle_deg)

@@ -15,7 +15,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from pickenv.arm import Plant, PlantState, Scalar, chosen, clipped
+from pickenv.arm import Scalar, Scalars, chosen, clipped
 from pickenv.base import InputError, shown
 from pickenv.envs.shared.backends import DRAWN, JOINTS, START, Executor, normal, stream_key, uniform
 
@@ -158,49 +158,7 @@ def drawn_start(
     return [low + (high - low) * ((0.5 - half) + setting.spread * uniform(x, stream, i)) for i, (low, high) in limits]
 
 
-def warmed_up(
-    x: Executor,
-    setting: Situation,
-    drawn: Components,
-    plant: Plant,
-    state: PlantState,
-    command: Sequence[Scalar],
-    hours: Scalar | None = None,
-) -> PlantState:
-    """Return the memory of a plant (the true arm) after it has stood at a joint command for some hours.
-
-    Args:
-        x: The executor.
-        setting: The situation.
-        drawn: Numbers drawn for the episode.
-        plant: The true arm.
-        state: Memory of the plant before.
-        command: Joint command at which the arm stands.
-        hours: Time for which the arm stands, h; None for the time that the situation has.
-    """
-    if hours is None and not setting.hours.high:
-        return state
-    return plant.carried(x.m, state, command, 3600.0 * (setting.value("hours", drawn) if hours is None else hours))
-
-
-def acted(
-    x: Executor, setting: Situation, drawn: Components, sent: Components, action: Sequence[Scalar]
-) -> tuple[Sequence[Scalar], Components]:
-    """Return the action that takes effect now, and the delayed actions that are still pending, latest first.
-
-    Args:
-        x: The executor.
-        setting: The situation.
-        drawn: Numbers drawn for the episode.
-        sent: Delayed actions that were pending before, latest first.
-        action: The policy's present action.
-    """
-    if not setting.delay.high:
-        return action, sent
-    return _late(x, setting, "delay", drawn, sent, action)
-
-
-def in_period(x: Executor, setting: Situation, drawn: Components, action: Sequence[Scalar]) -> Sequence[Scalar]:
+def in_period(x: Executor, setting: Situation, drawn: Components, action: Scalars) -> Scalars:
     """Scale an action by the ratio of the episode's period to the longest one: a short period moves the arm less."""
     if not setting.period.varies:
         return action
@@ -215,10 +173,10 @@ def sensed(
     past: Components,
     key: Scalar,
     moment: Scalar,
-    joints: Sequence[Scalar],
+    joints: Scalars,
     camera: Components,
     dt: Scalar,
-) -> tuple[Sequence[Scalar], Components]:
+) -> tuple[Scalars, Components]:
     """Return the readings that arrive now, and the delayed readings that are still pending, latest first.
 
     Readings are those of the joints, with the encoders' noise, and of the camera. At the start of an episode, where
@@ -235,23 +193,31 @@ def sensed(
         camera: What the camera measures, m; empty without a camera.
         dt: Time that has passed, s.
     """
-    fresh = (*joints, *camera)
     if setting.joint_noise.high:
         stream, most = stream_key(x, key, JOINTS), setting.value("joint_noise", drawn)
         first = x.times(moment, len(joints))
-        noisy = [q + most * normal(x, stream, x.plus(first, x.word(i))) for i, q in enumerate(joints)]
-        fresh = (*noisy, *camera)
-    if not setting.latency.high:
-        return fresh, past
+        joints = [q + most * normal(x, stream, x.plus(first, x.word(i))) for i, q in enumerate(joints)]
+    fresh = (*joints, *camera)
     if isinstance(dt, float) and dt == 0.0:
         past = fresh * int(setting.latency.high)
-    return _late(x, setting, "latency", drawn, past, fresh)
+    return late(x, setting, "latency", drawn, past, fresh)
 
 
-def _late(
-    x: Executor, setting: Situation, name: str, drawn: Components, past: Components, fresh: Sequence[Scalar]
-) -> tuple[Sequence[Scalar], Components]:
-    """Put ``fresh`` into a queue; return the entry that is as old as the lag, and the queue afterwards."""
+def late(
+    x: Executor, setting: Situation, name: str, drawn: Components, past: Components, fresh: Scalars
+) -> tuple[Scalars, Components]:
+    """Return the action that takes effect now, or the reading that arrives, and those that are still pending.
+
+    Args:
+        x: The executor.
+        setting: The situation.
+        name: "delay" for actions, "latency" for readings.
+        drawn: Numbers drawn for the episode.
+        past: What was pending before, latest first.
+        fresh: The policy's present action, or the present reading.
+    """
+    if not getattr(setting, name).high:
+        return fresh, past
     width, queue = len(fresh), (*fresh, *past)
     lag, queued = setting.value(name, drawn), queue[: len(past)]
     if name not in setting.drawn:

@@ -33,11 +33,10 @@ class PlainSpec:
 
     @spec.setter
     def spec(self, spec: EnvSpec | None) -> None:
-        if spec is not None and any(isinstance(value, PurePath) for value in spec.kwargs.values()):
+        paths = {} if spec is None else {key: str(p) for key, p in spec.kwargs.items() if isinstance(p, PurePath)}
+        if spec is not None and paths:
             spec = copy.copy(spec)
-            spec.kwargs = {
-                key: str(value) if isinstance(value, PurePath) else value for key, value in spec.kwargs.items()
-            }
+            spec.kwargs = spec.kwargs | paths
         self._spec = spec
 
 

@@ -322,8 +322,7 @@ def make_task(
         check_count("population", population)
         check_limit("population", int(population), "population")
         check_name("tolerances", tolerances, "a tolerance class, or a path to its file (.toml)")
-        rng = np.random.default_rng(population_seed)
-        true_arm = draw_arms(plant, tolerances, population, rng, without=without)
+        true_arm = draw_arms(plant, tolerances, population, np.random.default_rng(population_seed), without=without)
     geometry = true_arm.arm.nominal
     tilt = usual_tilt(geometry) if max_tilt_deg is None else float(max_tilt_deg)
     limits = tuple(geometry.lower.tolist()), tuple(geometry.upper.tolist())
@@ -475,8 +474,7 @@ def lost_axes(geometry: Geometry) -> tuple[int, int] | None:
         The numbers of the two links, or None if there are no such links.
     """
     poses = np.random.default_rng(0).uniform(geometry.lower, geometry.upper, (16, geometry.joints))
-    columns = [np.ascontiguousarray(column) for column in poses.T]
-    links = frames(np, chain_of(geometry), columns)[1:]
+    links = frames(np, chain_of(geometry), list(np.ascontiguousarray(poses.T)))[1:]
     axes = {
         i: np.stack([np.broadcast_to(part, len(poses)) for part in link[6:9]], axis=1)
         for i, link in enumerate(links)
