@@ -128,14 +128,12 @@ def gate_residuals(
     if not models:
         raise InputError(f"no residual model was named; give some of {', '.join(names('residual'))}")
     seeds = {name: int(rng.integers(2**63)) for name in models}
-    blocks = blocked_split(same_poses(measurements.joints), len(measurements) // 5)
-    blocked = _trial(measurements, refit, *blocks)
+    blocked = _trial(measurements, refit, *blocked_split(same_poses(measurements.joints), len(measurements) // 5))
     rows, _, _, untouched, counts = blocked
 
     @cache
     def inner() -> list[Trial]:
-        folds = contiguous_folds(rows.groups, same_poses(rows.joints), FOLDS)
-        return [_trial(rows, refit, *fold) for fold in folds]
+        return [_trial(rows, refit, *fold) for fold in contiguous_folds(rows.groups, same_poses(rows.joints), FOLDS)]
 
     bare = GateVerdict("", None, position_rms(untouched, counts), None, _attitude_rms(untouched, counts))
     verdicts: dict[str, GateVerdict] = {}
