@@ -10,7 +10,7 @@ from typer import Option
 
 import pickenv
 from pickenv.base import command_line, npz_path, require, separate, write_json
-from pickenv.commands.showing import command_of, deliver, fields_among, progress_bars
+from pickenv.commands.showing import arguments_for, command_of, deliver, progress_bars
 
 NOT_GOOD = 3
 """Exit code of a verdict "do not use", of unreachable targets, and of an old calibration that is no longer good."""
@@ -106,25 +106,15 @@ def calibrate(
     )
     if report is not None or run is not None:
         require("jinja2", "matplotlib", "plotly")  # said now, and not after the work
-    choices = pickenv.Choices(**fields_among(pickenv.Choices, typed))
+    choices = pickenv.Choices(**arguments_for(pickenv.Choices, typed))
     robot: str | pickenv.arm.Arm | None = arm
     if payload is not None:
         if arm is None or not {"auto", "compliance"} & set(terms.split("+")):
             raise pickenv.InputError("--payload is for an arm whose joints yield; give --arm, and --terms compliance")
         robot = pickenv.load_arm(arm, whole=True).holding(payload[0], [1e-3 * length for length in payload[1:]])
+    how: dict[str, Any] = arguments_for(pickenv.calibrate, typed) | {"arm": robot, "choices": choices}
     with progress_bars() as progress:
-        result = pickenv.calibrate(
-            robot,
-            files,
-            columns=columns,
-            stations=stations,
-            test=test or None,
-            split=split,
-            test_rows=test_rows,
-            choices=choices,
-            unit=unit,
-            progress=progress,
-        )
+        result = pickenv.calibrate(data=files, progress=progress, **how)
     refused = result.quality.grade == "do not use"
     seeds = {"split": split, "seed": seed, "held-out rows": len(result.test.joints)}
     command = command_of(calibrate, typed)

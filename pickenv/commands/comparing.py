@@ -11,14 +11,14 @@ from typer import Argument, Option
 
 import pickenv
 from pickenv.base import InputError, command_line, screen_width, separate, write_json
+from pickenv.commands import showing
 from pickenv.commands.learning import NO_CAMERA
-from pickenv.commands.showing import MOST, CommandOfNames, deliver, print_table, print_verdict, progress_bars
 
 SEVERAL = ("--compensate", "--label")
 """Options that may be followed by several values."""
 
 
-class SeveralValues(CommandOfNames):
+class SeveralValues(showing.CommandOfNames):
     """A command whose options `SEVERAL` take all values up to the next option; these options may also be repeated."""
 
     def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
@@ -84,6 +84,7 @@ def compare(
 
     More: comparing-policies.md
     """
+    typed = dict(locals())
     from pickenv.agents.evaluation.compare import write_comparison
     from pickenv.inspect.runs.comparison_summary import content_of_comparison
     from pickenv.inspect.runs.run_folder import RECORD
@@ -92,22 +93,12 @@ def compare(
     separate({"POLICY": read, "--plant": plant}, {"--out": None if out is None else out / RECORD, "--json": json_file})
     if camera_noise is not None and feedback != "camera":
         raise InputError(NO_CAMERA)
-    arguments: dict[str, Any] = {"plant": plant, "feedback": feedback, "camera_noise_mm": camera_noise}
-    with progress_bars() as report:
-        comparison = pickenv.compare(
-            policies,
-            env,
-            compensate=compensate or (),
-            labels=label or (),
-            episodes=episodes,
-            seed=seed,
-            gripper=gripper,
-            grid_step=grid_step,
-            allow=allow or (),
-            progress=report,
-            **{name: value for name, value in arguments.items() if value is not None},
-        )
-    deliver(
+    of_env = {"plant": plant, "feedback": feedback, "camera_noise_mm": camera_noise}
+    how: dict[str, Any] = showing.arguments_for(pickenv.compare, typed)
+    how |= {name: value for name, value in of_env.items() if value is not None}
+    with showing.progress_bars() as report:
+        comparison = pickenv.compare(policies, progress=report, **how)
+    showing.deliver(
         [
             (json_file, lambda path: write_json(path, content_of_comparison(comparison.episodes))),
             (out, lambda folder: write_comparison(comparison, folder)),
@@ -127,22 +118,23 @@ BRIEF = (0, 1, 4, 6)
 def _print_comparison(episodes: pickenv.inspect.RecordedEpisodes, details: bool) -> None:
     from pickenv.inspect.runs import comparison_summary
 
-    print_verdict(f"{comparison_summary.outcome_sentence(episodes)}.")
+    showing.print_verdict(f"{comparison_summary.outcome_sentence(episodes)}.")
     print(fill(comparison_summary.explanation(episodes), screen_width()))
     rows, lines = comparison_summary.policy_cells(episodes), comparison_summary.difference_cells(episodes)
     heads: Sequence[str] = comparison_summary.HEADS
     shown = range(len(heads)) if details else BRIEF
-    print_table(
+    showing.print_table(
         f"{len(episodes.seeds)} episodes of {episodes.env_id}, the same for all; gripper {episodes.gripper}",
         [heads[i] for i in shown],
         [[row[i] for i in shown] for row in rows],
         words=("policy",),
         caption=comparison_summary.INTERVALS,
-        most=None if details else MOST,
+        most=None if details else showing.MOST,
     )
     if lines and details:
         heads = comparison_summary.DIFFERENCES
-        print_table("Fruit by fruit, the later policy minus the earlier one", heads, lines, words=("from", "to"))
+        title = "Fruit by fruit, the later policy minus the earlier one"
+        showing.print_table(title, heads, lines, words=("from", "to"))
 
 
 def film(
@@ -171,7 +163,7 @@ def film(
     from pickenv.pictures.drawers import why_plain
 
     separate({}, {"--out": out})
-    with progress_bars("frames") as report:
+    with showing.progress_bars("frames") as report:
         movie = pickenv.film(
             run, out, policies=policy or (), seconds=seconds, frames_per_second=fps, dark=dark, progress=report
         )

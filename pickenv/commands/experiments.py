@@ -170,14 +170,10 @@ def study(
     settings, sobol_samples = full_study.quick() if quick else full_study, samples if sobol else 0
     settings = settings if seed is None else replace(settings, seed=seed)
     with locked(out):
-        with showing.progress_bars("arms") as report_progress:
+        with showing.progress_bars("arms") as bars:
+            count = partial(bars, "arms")
             summary = pickenv.experiments.run_study(
-                settings,
-                out,
-                executor=executor,
-                workers=workers,
-                device=device,
-                progress=partial(report_progress, "arms"),
+                settings, out, executor=executor, workers=workers, device=device, progress=count
             )
 
         def written(folder: Path) -> list[Path]:  # the summary was written by the study, as its last file
@@ -231,15 +227,8 @@ def _print(config: pickenv.experiments.StudyConfig, summary: dict[str, Any], det
         "and what 95 % of arms stay below"
     )
     lines = zip(*(cells[name] for name in heads), strict=True)
-    showing.print_table(
-        title,
-        heads,
-        lines,
-        words=("class", "method"),
-        caption=caption,
-        width=TERMINAL,
-        most=None if details else showing.MOST,
-    )
+    words, most = ("class", "method"), None if details else showing.MOST
+    showing.print_table(title, heads, lines, words=words, caption=caption, width=TERMINAL, most=most)
     if details:
         _print_components(summary)
         print(f"{summary['executor']}: {summary['seconds']:.1f} s; table {summary['table_sha256']}")

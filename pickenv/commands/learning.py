@@ -14,7 +14,7 @@ from typer import Option
 
 import pickenv
 from pickenv.base import InputError, command_line, require, separate
-from pickenv.commands.showing import MOST, PARAMETERS, deliver, fields_among, print_table, print_verdict, progress_bars
+from pickenv.commands.showing import MOST, PARAMETERS, arguments_for, deliver, print_table, print_verdict, progress_bars
 
 NO_CAMERA = "--camera-noise changes nothing without a camera; give --feedback camera and a policy that uses it"
 
@@ -88,7 +88,7 @@ def train(
         }
         given: dict[str, Any] = {name: value for name, value in arguments.items() if value is not None}
         behind = {} if compensate is None else {"compensate": str(compensate)}
-        training = pickenv.agents.Training(**fields_among(pickenv.agents.Training, typed) | behind, arguments=given)
+        training = pickenv.agents.Training(**arguments_for(pickenv.agents.Training, typed) | behind, arguments=given)
         if _was_given(context, "camera_noise") and arguments_of(training)[0].get("feedback") != "camera":
             raise InputError(NO_CAMERA)
     try:
@@ -200,7 +200,7 @@ def evaluate(
         {"--policy": policy, "--plant": plant, "--gripper": gripper, "--tolerances": tolerances},
         {"--out": written, "--json": json_file},
     )
-    given = fields_among(pickenv.experiments.PolicySettings, typed)
+    given = arguments_for(pickenv.experiments.PolicySettings, typed)
     lists = {name: tuple(value) for name, value in given.items() if isinstance(value, list)}
     plan = pickenv.experiments.CalibrationPlan(epochs=epochs)
     settings = pickenv.experiments.PolicySettings(**given | lists, seeds=(seed,), plan=plan)
@@ -225,10 +225,7 @@ def evaluate(
         )
     content = tables.evaluation_content(settings, rows)
     deliver(
-        [
-            (json_file, content),
-            (out, lambda folder: tables.write_evaluation(settings, rows, folder)),
-        ],
+        [(json_file, content), (out, lambda folder: tables.write_evaluation(settings, rows, folder))],
         lambda: _print(**content, details=details),
         "see the arms one by one: the same command with --out RUN, then pickenv report RUN"
         if out is None

@@ -18,7 +18,6 @@ import time
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import fields
 from importlib import metadata
 from inspect import signature
 from pathlib import Path
@@ -195,16 +194,16 @@ def command_of(command: Callable[..., None], values: Mapping[str, Any]) -> str:
     return command_line(*words, **options)
 
 
-def fields_among(kind: Any, values: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the values of a command's parameters that set fields of a dataclass, by the name of the field.
+def arguments_for(taker: Any, values: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the values of a command's parameters that are arguments of a function or class, by the argument's name.
 
     Values that are None or an empty list are left out.
 
     Args:
-        kind: The dataclass.
+        taker: The function or class.
         values: Values of the command's parameters, by the name of the parameter.
     """
-    typed = {field.name: values.get(PARAMETERS.get(field.name, field.name)) for field in fields(kind)}
+    typed = {name: values.get(PARAMETERS.get(name, name)) for name in signature(taker).parameters}
     return {name: value for name, value in typed.items() if value not in (None, [])}
 
 

@@ -61,6 +61,10 @@ Progress = Callable[[str, int, int], None]
 """Function called with (name of the experiment, pieces done, total number of pieces)."""
 
 Refused = Callable[[Levels, InputError], None]
+Piece = tuple[Levels, tuple[int, ...]]
+"""One level of each unit and factor of an experiment, as two values. The first has the levels by the name of the factor
+or unit. The second is, for each unit, the index of its level, from 0. With the experiment's seed it seeds the random
+numbers."""
 
 
 @dataclass(frozen=True)
@@ -102,8 +106,7 @@ class Rows:
         """Return the rows as a pandas table; a column with more than one dimension becomes a column of lists."""
         import pandas as pd
 
-        flat = {name: values if values.ndim == 1 else list(values) for name, values in self.columns.items()}
-        return pd.DataFrame(flat)
+        return pd.DataFrame({name: col if col.ndim == 1 else list(col) for name, col in self.columns.items()})
 
     def arrow(self) -> pa.Table:
         """Return the rows as a pyarrow table; a column with more than one dimension becomes nested fixed-size lists."""
@@ -191,27 +194,29 @@ class Experiment:
 
     def pieces(self) -> list[Piece]:
         """Return the pieces that `fits` accepts; the first factor varies slowest, the last unit fastest."""
-        pieces = []
+        pieces: list[Piece] = []
         for levels in product(*self.factors.values()):
             for places in product(*(range(len(values)) for values in self.units.values())):
                 units = {name: self.units[name][at] for name, at in zip(self.units, places, strict=True)}
-                piece = Piece(dict(zip(self.factors, levels, strict=True)) | units, places)
-                if self.fits is None or self.fits(**piece.levels):
-                    pieces.append(piece)
+                named = dict(zip(self.factors, levels, strict=True)) | units
+                if self.fits is None or self.fits(**named):
+                    pieces.append((named, places))
         return pieces
 
     def measured(self, piece: Piece) -> Rows:
         """Measure one piece, and return its rows; the levels of the piece are the first columns."""
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=piece.place))
+        levels, place = piece
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=place))
         with single_threaded():
-            rows = Rows.of(self.measure(rng=rng, **piece.levels))
-        levels = {name: np.full(len(rows), value) for name, value in piece.levels.items() if name not in rows.columns}
-        return Rows(levels | dict(rows.columns))
+            rows = Rows.of(self.measure(rng=rng, **levels))
+        first = {name: np.full(len(rows), value) for name, value in levels.items() if name not in rows.columns}
+        return Rows(first | dict(rows.columns))
 
     def key(self, piece: Piece) -> str:
         """Return one hash over everything that the rows of a piece depend on."""
-        inputs = self.inputs(**piece.levels) if callable(self.inputs) else self.inputs
-        return input_key(self.name, self.seed, inputs, dict(piece.levels), piece.place)
+        levels, place = piece
+        inputs = self.inputs(**levels) if callable(self.inputs) else self.inputs
+        return input_key(self.name, self.seed, inputs, dict(levels), place)
 
 
 def input_key(*inputs: Any) -> str:
@@ -222,22 +227,10 @@ def input_key(*inputs: Any) -> str:
     return content_sha256(*inputs, code_fingerprint())
 
 
-@dataclass(frozen=True)
-class Piece:
-    """One level of each unit and factor of an experiment.
-
-    Attributes:
-        levels: Levels by the name of the factor or unit.
-        place: For each unit, the index of its level, from 0. With the experiment's seed it seeds the random numbers.
-    """
-
-    levels: Levels
-    place: tuple[int, ...]
-
-    @property
-    def label(self) -> str:
-        """The levels as text for a file name."""
-        return re.sub(r"[^A-Za-z0-9.]+", "-", "_".join(str(level) for level in self.levels.values())).strip("-")[-80:]
+def _file_name(name: str, levels: Levels, key: str) -> str:
+    """The name of the file of a piece of the experiment ``name``."""
+    label = re.sub(r"[^A-Za-z0-9.]+", "-", "_".join(map(str, levels.values()))).strip("-")[-80:]
+    return f"{name}_{label}_{key[:16]}.parquet"
 
 
 def run(
@@ -292,7 +285,7 @@ def keep(
     require("pyarrow")
     with locked(folder):
         keys = [experiment.key(piece) for piece in pieces]
-        names = [f"{experiment.name}_{piece.label}_{key[:16]}.parquet" for piece, key in zip(pieces, keys, strict=True)]
+        names = [_file_name(experiment.name, levels, key) for (levels, _), key in zip(pieces, keys, strict=True)]
         _write_record(folder, dict(zip(names, keys, strict=True)))
         files, todo = [folder / name for name in names], []
         for number, (file, key) in enumerate(zip(files, keys, strict=True)):
@@ -329,7 +322,7 @@ def _computed(
         if isinstance(rows, Rows):
             yield number, rows
         elif refused is not None:
-            refused(pieces[number].levels, rows)
+            refused(pieces[number][0], rows)
         done += 1
         if progress is not None:
             progress(experiment.name, done, len(pieces))

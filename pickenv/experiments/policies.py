@@ -18,16 +18,8 @@ from typing import Any, Literal
 
 import numpy as np
 
-from pickenv.agents import (
-    AdaptiveReach,
-    FeelingPick,
-    OraclePick,
-    Policy,
-    RememberingPolicy,
-    RememberingReach,
-    ScriptedPick,
-    roll_out,
-)
+from pickenv import agents
+from pickenv.agents import Policy
 from pickenv.agents.evaluation.contenders import Kind, kind_of, load_any, maker_of, policy_name
 from pickenv.agents.evaluation.reaches import pick_canopies
 from pickenv.agents.policies.learned import BASELINES
@@ -53,10 +45,10 @@ CYCLE_MM = 2.0
 """Distance to the fruit within which a cycle counts as finished, mm, for the cycle time."""
 
 PICKERS: Mapping[str, Callable[[Any], Policy]] = {
-    "scripted": ScriptedPick,
-    "hasty": partial(ScriptedPick, **HASTY),
-    "oracle": OraclePick,
-    "adaptive": lambda env: FeelingPick(env, AdaptiveReach(env, camera_std=2e-3, prior=2.0)),
+    "scripted": agents.ScriptedPick,
+    "hasty": partial(agents.ScriptedPick, **HASTY),
+    "oracle": agents.OraclePick,
+    "adaptive": lambda env: agents.FeelingPick(env, agents.AdaptiveReach(env, camera_std=2e-3, prior=2.0)),
 }
 """Functions that make the picking policies, by name. "scripted" is gentle and waits for the arm to settle; "hasty" does
 neither. The other two wait. "oracle" aims by the true arm, "adaptive" by what the gripper felt at earlier fruit."""
@@ -238,7 +230,7 @@ def run_policies(
 
 def _calibrations(settings: PolicySettings, kept: Path, experiment: Experiment) -> Experiment:
     """The experiment that calibrates, and keeps one by one, the arms of another experiment."""
-    populations = {tuple(piece.levels[name] for name in BEHIND) for piece in experiment.pieces()}
+    populations = {tuple(levels[name] for name in BEHIND) for levels, _ in experiment.pieces()}
     return Experiment(
         f"calibrations, {experiment.name}",
         {"seed": settings.levels("seeds"), "arm": range(settings.arms)},
@@ -252,30 +244,14 @@ BEHIND = ("plant", "compensation", "seed")
 """Columns whose levels identify a population of calibrated arms."""
 
 
-def _calibrated(
-    settings: PolicySettings,
-    kept: Path,
-    *,
-    rng: np.random.Generator,
-    plant: str,
-    compensation: str,
-    seed: int,
-    arm: int,
-) -> Columns:
+def _calibrated(settings: PolicySettings, kept: Path, *, plant: str, seed: int, arm: int, **levels: Any) -> Columns:
     plan, design = replace(settings.plan, seed=seed), plant_at(settings.population(plant, seed), arm)
-    calibration = methods.kept_calibration(kept, design, compensation, plan, arm)
+    calibration = methods.kept_calibration(kept, design, levels["compensation"], plan, arm)
     return {"key": np.array([calibration.record[methods.ORIGIN]])}
 
 
 def _inputs(
-    settings: PolicySettings,
-    kinds: Mapping[str, Kind],
-    *,
-    plant: str,
-    compensation: str,
-    policy: str,
-    seed: int,
-    **_: Any,
+    settings: PolicySettings, kinds: Mapping[str, Kind], *, plant: str, policy: str, seed: int, **levels: Any
 ) -> tuple[Any, ...]:
     """The inputs that a piece's rows depend on beside its levels; other policies or seeds do not change them."""
     learned = kinds[policy].files if policy in kinds else ()
@@ -286,7 +262,7 @@ def _inputs(
         [load_gripper(name) for name in settings.grippers],
         [file_sha256(path) for path in files],
         str(origin("policy", policy)) if policy in names("policy") else None,
-        methods.sources_of(compensation, settings.plan),
+        methods.sources_of(levels["compensation"], settings.plan),
     )
 
 
@@ -360,7 +336,7 @@ def _reaches(
     kind, population = kinds[policy], settings.population(plant, seed)
     world = settings.world(plant, seed, feedback)
     noise = float(np.hypot(world["camera_noise_mm"] or settings.camera_noise_mm, world["fruit_noise_mm"]))
-    rollout = roll_out(
+    rollout = agents.roll_out(
         maker_of((kind.files or (policy,))[training], noise, compensation),
         settings.arms,
         settings.episodes,
@@ -427,8 +403,8 @@ def _picker(policy: str, kinds: Mapping[str, Kind], training: int) -> tuple[Call
     if policy in PICKERS:
         return PICKERS[policy], "gripper" if policy == "adaptive" else "encoders"
     learned = load_any(kinds[policy].files[training])
-    if isinstance(learned, RememberingPolicy):
-        return lambda env: FeelingPick(env, RememberingReach(env, learned)), "gripper"
+    if isinstance(learned, agents.RememberingPolicy):
+        return lambda env: agents.FeelingPick(env, agents.RememberingReach(env, learned)), "gripper"
     return lambda env: learned, "encoders"
 
 

@@ -16,14 +16,7 @@ from numpy.typing import NDArray
 
 from pickenv.agents import Training
 from pickenv.agents.evaluation.contenders import kind_of
-from pickenv.base import (
-    Estimate,
-    InputError,
-    command_line,
-    estimate,
-    refusing_damage,
-    write_json,
-)
+from pickenv.base import Estimate, InputError, command_line, estimate, refusing_damage, write_json
 from pickenv.envs.shared.difficulty import LADDER
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.experiments.engine import Experiment, Rows, piece_table, pivot, run, write_piece
@@ -281,10 +274,8 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
             [(*(line[name] for name in (*names, "from", "to")), *gain_words(line)) for line in worth],
         ),
     )
-    arms = f"arms of tolerance class {first['tolerances']} that no policy was trained on"
-    return plain_report(
-        run, "Comparison of policies", f"Simulated; {arms}, seed {run.seed}", verdict, tables, drawings(run)
-    )
+    about = f"Simulated; arms of tolerance class {first['tolerances']} that no policy was trained on, seed {run.seed}"
+    return plain_report(run, "Comparison of policies", about, verdict, tables, drawings(run))
 
 
 def _labelled(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:

@@ -14,6 +14,7 @@ from pickenv.base import listed
 from pickenv.experiments.engine import Rows
 from pickenv.experiments.gains import LEARNT, LS
 from pickenv.experiments.robots import SETS, SPREAD, Bench
+from pickenv.inspect.colours import TEXTS
 from pickenv.inspect.runs.number_words import said
 
 GAIN_HEADS = ("robot", "held out", "calibration", "before (mm)", "left (mm)", "predicted", "measured", "points apart")
@@ -21,11 +22,7 @@ GAINS_FILE, ROBOTS_FILE, BLOCKED_FILE = "gains.csv", "measured-robots.csv", "mea
 HELD = {"random": "random fifths", "blocks": "blocks", "poses": "its 20 random poses"}
 
 SPREAD_HEADS = ("robot and rows judged", "nominal (mm)", "geometry (mm)", "best model (mm)", "published (mm)")
-NOTE = (
-    "Random fifths: mean over ten splits (lowest to highest). Blocks: each tenth of the file judged without itself, "
-    "with the 95 % interval between blocks. Other poses: 95 % interval over poses. None where one "
-    "block outweighs the others."
-)
+NOTE = TEXTS["explained"]["measured_robots"]
 
 
 def bench_json(bench: Bench) -> dict[str, Any]:

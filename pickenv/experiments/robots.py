@@ -22,14 +22,8 @@ from pickenv.arm import Arm, Array, draw_plants, load_arm, load_tolerances, plan
 from pickenv.base import Ends, InputError, file_sha256, statistic_interval
 from pickenv.calibration import Choices, Measurements, Observations, Result, calibrate, read_observations
 from pickenv.calibration.identification.diagnosis import checked_rows
-from pickenv.calibration.model.observations import (
-    BLOCKS,
-    Rows as RowNumbers,
-    contiguous_folds,
-    equally_spaced,
-    origins_of,
-    same_poses,
-)
+from pickenv.calibration.model import observations
+from pickenv.calibration.model.observations import Rows as RowNumbers
 from pickenv.calibration.pipeline.fitting import GEOMETRIC
 from pickenv.experiments.engine import Experiment, Progress, Rows, run
 from pickenv.experiments.gains import LEARNT, LS, NOMINAL, TERMS, Squares, as_measured, left_by_models
@@ -86,7 +80,7 @@ class RealSet:
             read_observations(files, arm.nominal, self.columns) if files else None for files in self.paths(data)
         )
         assert rows is not None
-        return arm, replace(rows, origins=replace(origins_of(rows), repeat=None)), poses  # type: ignore[type-var]
+        return arm, replace(rows, origins=replace(observations.origins_of(rows), repeat=None)), poses  # type: ignore[type-var]
 
 
 TABLES: dict[str, Any] = tomllib.loads(Path(__file__).with_name("robots.toml").read_text(encoding="utf-8"))
@@ -154,7 +148,7 @@ def fold_errors(
     used = learnable(arm, rows, settings.rows)
     place = (list(SETS).index(name), SPLITS.index(split))
     shuffle, *seeds = np.random.SeedSequence(settings.seed, spawn_key=place).spawn(1 + settings.folds)
-    folds = folds_of(same_poses(used.joints), split, settings.folds, np.random.default_rng(shuffle))
+    folds = folds_of(observations.same_poses(used.joints), split, settings.folds, np.random.default_rng(shuffle))
     arms, refused = judged_fold(arm, used, folds[fold], settings.draws, seeds[fold])
     columns = {"drawn": np.repeat(np.arange(len(arms)), len(folds[fold][1])), "at": np.tile(folds[fold][1], len(arms))}
     columns |= {model: np.concatenate([squares[model] for squares in arms]) for model in arms[0]}
@@ -170,7 +164,7 @@ def learnable(arm: Arm, rows: Observations, most: int) -> Measurements:
     """
     if not isinstance(rows, Measurements):
         raise InputError(f"{rows.source} holds {rows.kind}: only of poses and positions a twin is made")
-    few = rows.select(equally_spaced(len(rows), most)) if len(rows) > most else rows
+    few = rows.select(observations.equally_spaced(len(rows), most)) if len(rows) > most else rows
     return checked_rows(arm, few, few.select(np.arange(0)), known=few.frames == "known", robust=True)[0]
 
 
@@ -187,7 +181,7 @@ def folds_of(
     """
     count = int(poses.max()) + 1
     place = np.argsort(rng.permutation(count)) if split == "random" else np.arange(count)
-    return contiguous_folds(np.zeros_like(poses), place[poses], folds)
+    return observations.contiguous_folds(np.zeros_like(poses), place[poses], folds)
 
 
 def judged_fold(
@@ -426,7 +420,7 @@ def gains_of(folds: Rows) -> list[dict[str, Any]]:
     for model, before in BEFORE.items():
         pairs = np.stack([squares[model], squares[before]], axis=-1)
         if split != "random":
-            pairs = np.array([part.sum(axis=0) for part in np.array_split(pairs, min(BLOCKS, len(pairs)))])
+            pairs = np.array([part.sum(axis=0) for part in np.array_split(pairs, min(observations.BLOCKS, len(pairs)))])
         predicted, ends = predicted_gain(sums[model], sums[before])
         predicted_mm = float(1e3 * np.sqrt(sums[model].sum() / len(arm_numbers) / len(order)))
         gains.append(

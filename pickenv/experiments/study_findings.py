@@ -293,7 +293,7 @@ def yield_curves(yields: Sequence[Row], along: str, specification: str) -> Figur
     """
     keys = ("yield", "yield_low", "yield_high")
     note = f"yield of {_arms(yields)} with 95 % bands; within specification: {specification}"
-    return _curves(yields, along, keys, "arms within specification (%)", 100.0, max, note, (-3.0, 103.0))
+    return _curves(yields, along, keys, "arms within specification (%)", note)
 
 
 def error_curves(quantiles: Sequence[Row], along: str) -> Figure:
@@ -308,7 +308,7 @@ def error_curves(quantiles: Sequence[Row], along: str) -> Figure:
         merged.setdefault(row["setting"], dict(row))[f"q{row['probability']:g}"] = row["value"]
     rows = list(merged.values())
     keys, note = ("q0.5", "q0.05", "q0.95"), f"lines: median arm; bands: the middle 90 % of {_arms(rows)}"
-    return _curves(rows, along, keys, ERROR_LABEL, 1.0, min, note, (0.0, None))
+    return _curves(rows, along, keys, ERROR_LABEL, note)
 
 
 def distributions(quantiles: Sequence[Row], radius_mm: float) -> Figure:
@@ -383,21 +383,14 @@ def _arms(rows: Sequence[Row]) -> str:
     return f"{arms} arms" + f" (a trial run: fewer than {FEW})" * (arms < FEW)
 
 
-def _curves(
-    rows: Sequence[Row],
-    along: str,
-    keys: tuple[str, str, str],
-    ylabel: str,
-    factor: float,
-    better: Callable[..., Any],
-    note: str,
-    ylim: tuple[float, float | None],
-) -> Figure:
+def _curves(rows: Sequence[Row], along: str, keys: tuple[str, str, str], ylabel: str, note: str) -> Figure:
     """Curves with bands: a panel per tolerance class; colour and line style for what varies beside the axis.
 
     Curves that cannot be told apart are drawn once and named together; the title says what the axis does to the best
-    one, which ``better`` picks (max or min) by its mean.
+    one: the largest mean of yields, the least mean of errors.
     """
+    of_yields = "yield" in keys
+    factor = 100.0 if of_yields else 1.0
     beside = ("method", "poses") if along == "it_grade" else ("method", "it_grade")
     free = ("tolerances", along, *beside)
     classes = list(dict.fromkeys(row["tolerances"] for row in rows))
@@ -428,9 +421,10 @@ def _curves(
                 axes.set_xlim(left=0.0)
             axes.set_xlabel(AXES[along][1])
             axes.set_title(f"Tolerance class {name}" if len(classes) > 1 else "")
-        panels[0].set(ylabel=ylabel, ylim=ylim)
+        panels[0].set(ylabel=ylabel, ylim=(-3.0, 103.0) if of_yields else (0.0, None))
+        better: Callable[..., Any] = max if of_yields else min
         (name, label), best = better(middles.items(), key=lambda item: float(np.nanmean(item[1])))
-        unit, ends = "%" if factor > 1.0 else "mm", [_valued(along, {along: end}) for end in (min(x), max(x))]
+        unit, ends = "%" if of_yields else "mm", [_valued(along, {along: end}) for end in (min(x), max(x))]
         title = f"{label}: {style.short(best[0])} {unit} with {ends[0]}, {style.short(best[-1])} {unit} with {ends[1]}"
         if len(classes) > 1:
             figure.suptitle(f"{name}: {title}", x=0.01, ha="left", fontsize=9, fontweight="bold")

@@ -22,8 +22,10 @@ from pickenv.arm import forward, plant_at, pose_error
 from pickenv.base import InputError, command_line, write_text
 from pickenv.experiments import study_findings
 from pickenv.experiments.study import LS, OK, RAW, StudyConfig, arm_commands, carrying, prepared_study
+from pickenv.experiments.study_findings import Findings, gather, ranked, setting_label, study_drawings
 from pickenv.experiments.study_rows import Row, read_rows, read_sobol, read_summary, study_of, write_sobol
 from pickenv.inspect import Comparison, RecordedPolicy, Run, write_drawings
+from pickenv.inspect.colours import TEXTS
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.report_page import PageTable, Part, Section, html_of
 from pickenv.inspect.runs.number_words import between, estimated, named_values
@@ -32,21 +34,6 @@ from pickenv.inspect.runs.run_folder import TakePicture
 
 COUNTS = ("within", "arms", "failed")
 MOST_REASONS = 10
-YIELD_OF = (
-    "Every arm is calibrated at poses of its own, spread over the joint ranges, and reaches for fruit of its own, "
-    "wherever its tool can be upright. A yield is that of the design over this region, and its interval (Wilson, 95 %) "
-    "is over all that was drawn. Settings share all three, so that their differences are known better than the yields."
-)
-COMPONENTS = (
-    "One thing is drawn again while the others are held: shares of the variance of the logarithm of the radius that "
-    "holds the required share of an arm's fruit. Alone: what it explains by itself; with interactions: what would be "
-    "lost without it."
-)
-SHARES = (
-    "The squared error of each arm over its own fruit is regressed on what was drawn for the arm and on the squares of "
-    "that; what chance alone would explain is taken off, so that a tolerance without effect has a share of zero on "
-    "average. What R² leaves is interaction, the arm's own fruit and poses, and tracker noise."
-)
 MATTERS = 8
 """Number of parameters listed for each setting; the figure shows more."""
 
@@ -59,11 +46,11 @@ def write_outputs(folder: str | Path, sobol_samples: int = 0) -> list[Path]:
         sobol_samples: Number of rows of the sample for Sobol indices, a power of two; 0 computes no indices.
     """
     folder, written = Path(folder), []
-    findings = study_findings.gather(folder)
+    findings = gather(folder)
     if sobol_samples:
         settings = [number for number in findings.sensitivities if findings.yields[number]["method"] in (RAW, LS)]
         written.append(write_sobol(folder, settings, sobol_samples))
-    written += write_drawings(study_findings.study_drawings(findings), folder / "figures")
+    written += write_drawings(study_drawings(findings), folder / "figures")
     written.append(write_text(folder / "report.html", study_page(folder, findings)))
     best = max(findings.yields, key=lambda row: row["yield_low"])
     if best["failed"] < best["arms"]:
@@ -73,7 +60,7 @@ def write_outputs(folder: str | Path, sobol_samples: int = 0) -> list[Path]:
 
 def drawings(run: Run) -> Drawings:
     """Return the figures of a study's folder."""
-    return study_findings.study_drawings(study_findings.gather(run.folder))
+    return study_drawings(gather(run.folder))
 
 
 def page(run: Run, picture: TakePicture | None = None) -> str:
@@ -87,10 +74,10 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         InputError: If the folder holds no finished study.
     """
     read_summary(run.folder)  # what is not there is said before anything is computed
-    return study_page(run.folder, study_findings.gather(run.folder))
+    return study_page(run.folder, gather(run.folder))
 
 
-def study_page(folder: str | Path, findings: study_findings.Findings) -> str:
+def study_page(folder: str | Path, findings: Findings) -> str:
     """Return a study's report as HTML.
 
     Args:
@@ -101,7 +88,7 @@ def study_page(folder: str | Path, findings: study_findings.Findings) -> str:
         InputError: If the study is not finished.
     """
     summary, config = read_summary(folder), findings.protocol.config
-    drawings = [d for d in study_findings.study_drawings(findings) if d.draw is not None]
+    drawings = [d for d in study_drawings(findings) if d.draw is not None]
 
     def figures(start: str) -> tuple[Drawing, ...]:
         return tuple(drawing for drawing in drawings if drawing.name.startswith(start))
@@ -109,17 +96,19 @@ def study_page(folder: str | Path, findings: study_findings.Findings) -> str:
     yields = (figures("yield_"), _yield_table(findings), _failures(findings))
     errors = (figures("error_"), _error_table(findings))
     shares = (*figures("sensitivity_"), *_sensitivity_tables(findings), *_sobol_tables(folder, findings))
+    explained = TEXTS["explained"]
+    sections = (
+        Section("Yields", yields, explained["yields"]),
+        Section("Errors", errors),
+        Section("Where the differences come from", _component_tables(summary), explained["components"]),
+        Section("Which tolerance matters", shares, explained["sensitivities"]),
+    )
     return html_of(
         f"Tolerance study of {findings.protocol.design.name}",
         f"{config.arms} simulated arms in each of {len(findings.yields)} settings, {config.fruit} fruit each, seed "
         f"{config.seed}; nothing here was measured",
         study_findings.study_verdict(config, findings.yields),
-        (
-            Section("Yields", yields, YIELD_OF),
-            Section("Errors", errors),
-            Section("Where the differences come from", _component_tables(summary), COMPONENTS),
-            Section("Which tolerance matters", shares, SHARES),
-        ),
+        sections,
         _origin(Path(folder), config, summary),
         _tiles(config, summary),
         contents=True,
@@ -142,16 +131,15 @@ def _tiles(config: StudyConfig, summary: Row) -> dict[str, str]:
     }
 
 
-def _yield_table(findings: study_findings.Findings) -> PageTable:
+def _yield_table(findings: Findings) -> PageTable:
     rows = [
-        (study_findings.setting_label(row), *_percents(row, "yield"), *(f"{row[key]}" for key in COUNTS))
-        for row in findings.yields
+        (setting_label(row), *_percents(row, "yield"), *(f"{row[key]}" for key in COUNTS)) for row in findings.yields
     ]
     heads = ("setting", "yield (%)", "95 % interval", "arms within", "arms", "without a result")
     return PageTable(f"Arms that pick {study_findings.specified(findings.protocol.config)}", heads, rows)
 
 
-def _failures(findings: study_findings.Findings) -> str | PageTable:
+def _failures(findings: Findings) -> str | PageTable:
     """Why arms have no result."""
     reasons: Counter[str] = Counter()
     for batch in findings.rows.to_batches(columns=["status"], filter=pc.field("status") != OK, use_threads=False):
@@ -162,7 +150,7 @@ def _failures(findings: study_findings.Findings) -> str | PageTable:
     return PageTable("Why arms have no result; they count as not within specification", ("reason", "rows"), rows)
 
 
-def _error_table(findings: study_findings.Findings) -> PageTable:
+def _error_table(findings: Findings) -> PageTable:
     values = {(r["setting"], r["quantity"], r["probability"]): r for r in findings.quantiles}
     columns = {  # with digits
         "mean error, median arm (mm)": ("error_mean_mm", 0.5, 2),
@@ -174,24 +162,18 @@ def _error_table(findings: study_findings.Findings) -> PageTable:
         return estimated(row["value"], row["low"], row["high"], digits) if row["arms"] else "-"
 
     rows = [
-        (
-            study_findings.setting_label(row),
-            *(cell(values[row["setting"], *key], digits) for *key, digits in columns.values()),
-        )
+        (setting_label(row), *(cell(values[row["setting"], *key], digits) for *key, digits in columns.values()))
         for row in findings.yields
     ]
-    return PageTable(
-        "Errors of an arm over its fruit: quantiles over arms, 95 % intervals, open where few arms set no bound",
-        ("setting", *columns),
-        rows,
-    )
+    caption = "Errors of an arm over its fruit: quantiles over arms, 95 % intervals, open where few arms set no bound"
+    return PageTable(caption, ("setting", *columns), rows)
 
 
 def _component_tables(summary: Row) -> list[Part]:
     heads = ("drawn anew", "alone (%)", "95 % interval", "with interactions (%)", "95 % interval")
     parts: list[Part] = []
     for setting in summary["components"]:
-        label, rows = study_findings.setting_label(setting), setting["shares"]
+        label, rows = setting_label(setting), setting["shares"]
         if setting["missing"] is not None:
             parts.append(f"{label}: {setting['missing']}.")
         else:
@@ -204,7 +186,7 @@ def _index_table(caption: str, heads: Sequence[str], rows: Sequence[Row]) -> Pag
     return PageTable(caption, heads, cells)
 
 
-def _sensitivity_tables(findings: study_findings.Findings) -> list[Part]:
+def _sensitivity_tables(findings: Findings) -> list[Part]:
     parts: list[Part] = []
     heads = ("tolerance", "share of variance (%)", "95 % interval")
     for setting, shares in findings.sensitivities.items():
@@ -221,22 +203,17 @@ def _sensitivity_tables(findings: study_findings.Findings) -> list[Part]:
     return parts
 
 
-def _sobol_tables(folder: str | Path, findings: study_findings.Findings) -> list[PageTable]:
+def _sobol_tables(folder: str | Path, findings: Findings) -> list[PageTable]:
     heads = ("tolerances", "first order (%)", "95 % interval", "total (%)", "95 % interval")
-    return [
-        _index_table(
-            f"Sobol indices, {findings.label(number)}, perfect tracker: {rows[0]['arms']} further arms", heads, rows
-        )
-        for number, rows in read_sobol(folder).items()
-    ]
+    caption, indices = "Sobol indices, {}, perfect tracker: {} further arms", read_sobol(folder).items()
+    return [_index_table(caption.format(findings.label(n), rows[0]["arms"]), heads, rows) for n, rows in indices]
 
 
 def _origin(folder: Path, config: StudyConfig, summary: Row) -> dict[str, str]:
     packages = {name: version(name) for name in ("numpy", "scipy", "pyarrow", "torch")}
+    config_file = f"{folder.name}/study.toml"
     return {
-        "Made by": command_line(
-            "pickenv", "study", f"{folder.name}/study.toml", executor=summary["executor"], out="DIR"
-        ),
+        "Made by": command_line("pickenv", "study", config_file, executor=summary["executor"], out="DIR"),
         "Plant": config.plant,
         "Seed": f"{config.seed}",
         "pickenv": str(summary["pickenv"]),
@@ -278,7 +255,7 @@ def arms_compared(folder: str | Path, setting: int) -> Comparison:
     if not 0 <= setting < len(protocol.settings):
         raise InputError(f"there is no setting {setting}; give a number from 0 to {len(protocol.settings) - 1}")
     cell, grid = protocol.settings[setting], field_grid(nominal, GRID_STEP, config.seed)
-    places = study_findings.ranked(read_rows(folder), setting)
+    places = ranked(read_rows(folder), setting)
     arms = {name: plant_at(protocol.draw(cell, range(arm, arm + 1)), 0) for name, (arm, _) in places.items()}
     fruit = protocol.circumstances(places["worst"][0]).fruit
 

@@ -14,6 +14,8 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pickenv.base import InputError
+
 Rgb = tuple[int, int, int]
 
 ORANGE: Rgb = (230, 159, 0)
@@ -62,6 +64,12 @@ def policy_key(name: str) -> str:
     for short, words in WORDS.items():
         name = name.replace(words, short)
     return "_".join("".join(c if c.isalnum() else " " for c in name.lower()).split())
+
+
+def check_key(name: str, what: str) -> None:
+    """Raise an error if a name, which the message calls ``what``, is no key, so that it cannot name an entity."""
+    if not name or name != policy_key(name):
+        raise InputError(f"{what} '{name}' cannot name an entity; use lower-case letters, digits and underscores")
 
 
 def policy_colours(names: Sequence[str]) -> list[Rgb]:

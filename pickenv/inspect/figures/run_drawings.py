@@ -107,6 +107,7 @@ def comparison_drawings(comparison: Comparison) -> Drawings:
     degrees = {policy.label: policy.ends.attitude_error_deg for policy in comparison.policies}
     reaches: dict[str, Any] = {"counted": "reaches"}
     attitude = {"quantity": "attitude error", "unit": "deg", **reaches}
+    within = {"tolerance": comparison.tolerance_mm, **reaches}
     drawings = [
         captioned("error_fields", plot_errors.error_fields, comparison),
         captioned("error_slices", plot_errors.error_slices, comparison.grid.points, fields, step=comparison.grid.step),
@@ -119,9 +120,7 @@ def comparison_drawings(comparison: Comparison) -> Drawings:
         *drawings,
         captioned("position_error_by_policy", plot_errors.error_by_method, mm, **reaches),
         captioned("attitude_error_by_policy", plot_errors.error_by_method, degrees, **attitude),
-        captioned(
-            "reach_errors_cumulative", plot_errors.error_cumulative, mm, tolerance=comparison.tolerance_mm, **reaches
-        ),
+        captioned("reach_errors_cumulative", plot_errors.error_cumulative, mm, **within),
         captioned("success_against_misalignment", _success, comparison),
     ]
 
@@ -142,7 +141,7 @@ def trace_drawings(trace: CalibrationTrace) -> Drawings:
     mm, threshold = norms_mm(trace.errors), REDUNDANCY_TOLERANCE * float(trace.r_diagonal.max())
     attitude = None if trace.attitude_rms is None else np.degrees(trace.attitude_rms)
     diagonal: dict[str, Any] = {"names": trace.names, "threshold": threshold}
-    every = np.ones(len(trace.singular_values), dtype=bool)
+    every, rms_mm = np.ones(len(trace.singular_values), dtype=bool), trace.position_rms * 1e3
     drawings = [
         captioned("error_per_test_pose", plot_errors.error_per_pose, mm),
         captioned("error_by_stage", plot_errors.error_by_method, mm),
@@ -150,9 +149,7 @@ def trace_drawings(trace: CalibrationTrace) -> Drawings:
         captioned("error_cumulative", plot_errors.error_cumulative, mm),
         _against("extension", "m", trace.extension, mm),
         *(_against(name, unit, getattr(trace, name), mm) for name, unit in CONDITIONS.items()),
-        captioned(
-            "least_squares_convergence", plot_calibration.least_squares_convergence, trace.position_rms * 1e3, attitude
-        ),
+        captioned("least_squares_convergence", plot_calibration.least_squares_convergence, rms_mm, attitude),
         Drawing("network_convergence", "no network was trained")
         if trace.loss is None
         else captioned("network_convergence", plot_calibration.network_convergence, trace.loss),

@@ -23,28 +23,10 @@ from pickenv.base import InputError, require
 from pickenv.inspect.colours import RED, in_words, policy_colours
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
 from pickenv.inspect.runs.run_folder import load_part, read_run
-from pickenv.pictures.arm_shapes import (
-    CUP_RADIUS,
-    GAIN,
-    Solids,
-    arm_at_work,
-    arm_look,
-    cup_solids,
-    hand_solids,
-    joined_solids,
-)
+from pickenv.pictures import arm_shapes, tree_shapes
+from pickenv.pictures.arm_shapes import Solids, arm_at_work, arm_look, cup_solids, hand_solids, joined_solids
 from pickenv.pictures.drawers import painted, strip
 from pickenv.pictures.stage import Dial, Eye, Mesh, Pixels, Rgb, Stage, Words, fitted_eye
-from pickenv.pictures.tree_shapes import (
-    MISSED_FRUIT,
-    crate,
-    fruit_colours,
-    fruit_solids,
-    ground_around,
-    pedestal,
-    row_of_trees,
-    sprig,
-)
 
 MOST_MOMENTS = 3.0
 """Largest number of moments from one frame to the next. With more, viewers could not follow."""
@@ -296,15 +278,16 @@ class Film:
 
         Films of reaches have no trees.
         """
-        middle = self.points.mean(axis=0)
-        parts: tuple[Mesh, ...] = (ground_around(float(middle[0]), float(middle[1]), self.ground, self.dark),)
+        x, y, _ = self.points.mean(axis=0).tolist()
+        parts: tuple[Mesh, ...] = (tree_shapes.ground_around(x, y, self.ground, self.dark),)
         if self.episodes.nominal is not None:
-            x, y, z = (float(value) for value in self.episodes.nominal.base.position)
-            parts += (pedestal(x, y, self.ground, z, float(arm_look(self.episodes.nominal).radius[0])),)
+            x, y, z = np.asarray(self.episodes.nominal.base.position).tolist()
+            radius = float(arm_look(self.episodes.nominal).radius[0])
+            parts += (tree_shapes.pedestal(x, y, self.ground, z, radius),)
         if not self.reaching:
             fruit = np.concatenate(list(self.fruit.values()))
             low, high = fruit.min(axis=0) - AROUND, fruit.max(axis=0) + AROUND
-            parts += row_of_trees(tuple(low.tolist()), tuple(high.tolist()), LEAVES, self.ground)
+            parts += tree_shapes.row_of_trees(tuple(low.tolist()), tuple(high.tolist()), LEAVES, self.ground)
         return parts
 
 
@@ -326,7 +309,7 @@ def film_stage(film: Film, number: int, side: int) -> Stage:
         *(Words(line, large=True) for line in in_words(policy.label).replace(" + ", "\n+ ").splitlines()),
         Words(f"picked {caption.picked} of {caption.tried}"),
         Words(f"{caption.distance_mm:.1f} mm to the fruit", "top right"),
-        Words(f"ghost: the arm as believed, deviation × {GAIN}", "bottom left"),
+        Words(f"ghost: the arm as believed, deviation × {arm_shapes.GAIN}", "bottom left"),
         *_missed(film, side, episode, now),
     )
     label = "no grasp yet" if caption.miss_mm is None else f"miss {caption.miss_mm:.1f} mm"
@@ -348,8 +331,8 @@ def arm_parts(episodes: RecordedEpisodes, policy: RecordedPolicy, episode: int, 
     """
     tool, axis = policy.tool_position[episode, moment], tool_axis(policy, episode, moment)
     closed = bool(np.isfinite(policy.miss_mm[episode, : moment + 1]).any())
-    hand = "hand" in episodes.gripper
-    gripper = hand_solids(tool, axis, CUP_RADIUS, closed) if hand else cup_solids(tool, axis, CUP_RADIUS)
+    radius = arm_shapes.CUP_RADIUS
+    gripper = hand_solids(tool, axis, radius, closed) if "hand" in episodes.gripper else cup_solids(tool, axis, radius)
     if episodes.nominal is None:
         return gripper
     command = policy.joint_command[episode, moment]
@@ -373,12 +356,12 @@ def _fruit(film: Film, side: int, episode: int, now: int, picked: int) -> Solids
             places[number], in_cup[number] = track[now], taken and now >= close
         present[number] = not (taken and now >= end + film.reaching)  # a reach ends in the cup
         missed[number] = not taken and now >= close
-    colours = fruit_colours(len(places))
-    colours[missed] = MISSED_FRUIT
+    colours = tree_shapes.fruit_colours(len(places))
+    colours[missed] = tree_shapes.MISSED_FRUIT
     return joined_solids(
-        fruit_solids(places[present], FRUIT, colours[present], ~in_cup[present]),
-        crate(film.eye, HALF, picked, FRUIT, film.ground),
-        *(sprig(place, FRUIT) for place in film.fruit[episode][: film.reaching]),
+        tree_shapes.fruit_solids(places[present], FRUIT, colours[present], ~in_cup[present]),
+        tree_shapes.crate(film.eye, HALF, picked, FRUIT, film.ground),
+        *(tree_shapes.sprig(place, FRUIT) for place in film.fruit[episode][: film.reaching]),
     )
 
 

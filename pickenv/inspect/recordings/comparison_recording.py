@@ -19,7 +19,7 @@ from rerun.encodings import TensorDimensionIndexSelection
 
 from pickenv.arm import Array, drawn_parts, nominal_points, true_points
 from pickenv.base import InputError
-from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, in_words, lane, policy_key
+from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, check_key, in_words, lane
 from pickenv.inspect.recordings import details
 from pickenv.inspect.recordings.episode_entities import target_view
 from pickenv.inspect.recordings.scribe import (
@@ -73,10 +73,7 @@ def _check(comparison: Comparison) -> None:
     if not keys:
         raise InputError("the comparison has no policy; give at least one")
     for key in keys:
-        if not key or key != policy_key(key):
-            raise InputError(
-                f"policy key '{key}' cannot name an entity; use lower-case letters, digits and underscores"
-            )
+        check_key(key, "policy key")
         if keys.count(key) > 1:
             raise InputError(f"policy key '{key}' is given twice; give every policy its own key")
 
@@ -110,16 +107,8 @@ def _send_scene(scribe: Scribe, comparison: Comparison) -> None:
     size, corner = comparison.grid.size, comparison.grid.corner
     labels = [f"{axis} {length:.2f} m" for axis, length in zip("xyz", size, strict=True)]
     scribe.axes("world/axes", corner, size, labels, 1.5)
-    scribe.still(
-        "world/workspace",
-        rr.Boxes3D(
-            centers=[corner + size / 2.0],
-            half_sizes=[size / 2.0],
-            colors=[(*GREY, 110)],
-            radii=rr.Radius.ui_points(0.7),
-            fill_mode="majorwireframe",
-        ),
-    )
+    look: Any = {"colors": [(*GREY, 110)], "radii": rr.Radius.ui_points(0.7), "fill_mode": "majorwireframe"}
+    scribe.still("world/workspace", rr.Boxes3D(centers=[corner + size / 2.0], half_sizes=[size / 2.0], **look))
     if not scribe.times:
         return
     scribe.still("world/fruit", rr.Points3D(comparison.fruit, colors=[FRUIT], radii=FRUIT_RADIUS))
@@ -140,17 +129,11 @@ def _send_field(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy) 
     index, mean = summary.cell_means(comparison.grid.index, magnitude)
     grid = np.full(comparison.grid.shape, np.nan, dtype=np.float32)
     grid[tuple(index.T)] = mean
-    scribe.still(
-        f"field/{policy.key}/magnitude_mm",
-        rr.Tensor(
-            np.ascontiguousarray(grid.transpose(2, 1, 0)),
-            dim_names=[
-                f"{axis} = {start:.3f} m + {comparison.grid.step:g} m ×"  # the viewer says a cell's number after it
-                for axis, start in zip("zyx", comparison.grid.origin[::-1], strict=True)
-            ],
-            value_range=[0.0, top],
-        ),
-    )
+    starts = zip("zyx", comparison.grid.origin[::-1], strict=True)
+    # The viewer says a cell's number after its name.
+    names = [f"{axis} = {start:.3f} m + {comparison.grid.step:g} m ×" for axis, start in starts]
+    tensor = rr.Tensor(np.ascontiguousarray(grid.transpose(2, 1, 0)), dim_names=names, value_range=[0.0, top])
+    scribe.still(f"field/{policy.key}/magnitude_mm", tensor)
 
 
 def _send_reaches(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy, colour: Rgb) -> None:
@@ -187,10 +170,9 @@ def _send_histograms(scribe: Scribe, comparison: Comparison) -> None:
     width = float(edges[1] - edges[0]) * 0.9 / count
     for i, (policy, colour) in enumerate(zip(comparison.policies, comparison.colours, strict=True)):
         numbers, _ = np.histogram(policy.ends.position_error_mm, edges)
-        middle = (edges[:-1] + edges[1:]) / 2.0 + (i - (count - 1) / 2.0) * width
-        chart = rr.BarChart(
-            numbers, abscissa=f32(middle), widths=f32(np.full(len(numbers), width)), color=(*colour, 255)
-        )
+        middle = f32((edges[:-1] + edges[1:]) / 2.0 + (i - (count - 1) / 2.0) * width)
+        widths = f32(np.full(len(numbers), width))
+        chart = rr.BarChart(numbers, abscissa=middle, widths=widths, color=(*colour, 255))
         scribe.still(f"hist/{lane(policy.key)}", chart)
 
 
@@ -238,11 +220,8 @@ def comparison_blueprint(
     slices = [_slice(comparison, policy) for policy in policies]
     errors, *reasons = (_arrows(comparison, name, *tab) for name, tab in arrows.items())
     meaning = _meaning("mm", summary.colour_scale_mm(comparison))
-    tabs: list[Any] = [
-        errors,
-        with_colour_bar(voxels, "position", meaning, "Voxels"),
-        with_colour_bar(slices, "position", meaning, "Slices"),
-    ]
+    fields = {"Voxels": voxels, "Slices": slices}
+    tabs: list[Any] = [errors, *(with_colour_bar(views, "position", meaning, name) for name, views in fields.items())]
     below = [rrb.TextDocumentView(origin="/summary", contents=["+ /summary"], name="Summary")]
     if has_reaches:
         tabs.insert(1, _picking(comparison))
@@ -278,28 +257,23 @@ def _arrows(
 
 
 def _picking(comparison: Comparison) -> Any:
-    arms = ["+ /world/arm/nominal", "+ /world/arm/exaggerated", "+ /world/arm/true"]
-    scene = space(
-        comparison,
-        f"Believed arm (wire), {comparison.policies[0].label} arm and misses ×{GAIN:g}, capture region (red)",
-        [*arms, "+ /world/fruit", "+ /world/capture", "+ /world/miss/**"],
-        overrides={"/world/arm/true": rrb.EntityBehavior(visible=False)},
-    )
+    parts = ("arm/nominal", "arm/exaggerated", "arm/true", "fruit", "capture", "miss/**")
+    contents, hidden = [f"+ /world/{part}" for part in parts], {"/world/arm/true": rrb.EntityBehavior(visible=False)}
+    name = f"Believed arm (wire), {comparison.policies[0].label} arm and misses ×{GAIN:g}, capture region (red)"
+    scene = space(comparison, name, contents, overrides=hidden)
     shots = target_view(comparison.largest_mm, comparison.tolerance_mm)
     return rrb.Horizontal(scene, shots, column_shares=[3.0, 2.0], name="Picking")
 
 
 def _slice(comparison: Comparison, policy: RecordedPolicy) -> Any:
-    middle = comparison.grid.shape[2] // 2
     entity = f"/field/{policy.key}/magnitude_mm"
+    middle = TensorDimensionIndexSelection(dimension=0, index=comparison.grid.shape[2] // 2)
     return rrb.TensorView(
         origin=entity,
         contents=[f"+ {entity}"],
         name=f"{in_words(policy.label)} | error magnitude, mm, at height z (slider)",
         view_fit="FillKeepAspectRatio",
-        slice_selection=rrb.TensorSliceSelection(
-            width=2, height=1, indices=[TensorDimensionIndexSelection(dimension=0, index=middle)], slider=[0]
-        ),
+        slice_selection=rrb.TensorSliceSelection(width=2, height=1, indices=[middle], slider=[0]),
         scalar_mapping=rrb.TensorScalarMapping(colormap=Colormap.Viridis),
     )
 
@@ -317,24 +291,14 @@ def _reaches(comparison: Comparison) -> Any:
 
 
 def _table(policies: tuple[RecordedPolicy, ...]) -> Any:
-    sources = (
-        ("metrics/error_mm", "Scalars:scalars"),
-        ("metrics/attitude_deg", "Scalars:scalars"),
-        ("outcome", "StateChange:state"),
-    )
-    entities = [(f"/{folder}/{lane(policy.key)}", component) for folder, component in sources for policy in policies]
-    columns = [ComponentColumnSelector(entity_path=entity, component=component) for entity, component in entities]
-    return rrb.DataframeView(
-        origin="/metrics",
-        contents=[f"+ {entity}" for entity, _ in entities],
-        name="Reaches as a table",
-        query=rrb.archetypes.DataframeQuery(
-            timeline="reach",
-            apply_latest_at=True,
-            select=["reach", *columns],
-            entity_order=[entity for entity, _ in entities],
-        ),
-    )
+    number, outcome = "Scalars:scalars", "StateChange:state"
+    sources = {"metrics/error_mm": number, "metrics/attitude_deg": number, "outcome": outcome}
+    parts = {f"/{folder}/{lane(p.key)}": component for folder, component in sources.items() for p in policies}
+    columns = [ComponentColumnSelector(entity_path=entity, component=component) for entity, component in parts.items()]
+    look: dict[str, Any] = {"select": ["reach", *columns], "entity_order": list(parts)}
+    query = rrb.archetypes.DataframeQuery(timeline="reach", apply_latest_at=True, **look)
+    contents = [f"+ {entity}" for entity in parts]
+    return rrb.DataframeView(origin="/metrics", contents=contents, name="Reaches as a table", query=query)
 
 
 def _arms(comparison: Comparison) -> Any:

@@ -78,15 +78,9 @@ def send_voxels(scribe: Scribe, comparison: Comparison, entity: str, values: Arr
     """
     visible, grid = ~cut_away(comparison), comparison.grid
     index, means = summary.cell_means(grid.index[visible], values[visible])
-    cells = rr.VoxelGridMap(
-        np.asarray(index, dtype=np.int32),
-        [grid.step] * 3,
-        values=f32(means),
-        value_range=[0.0, top],
-        colormap="Viridis",
-        translation=grid.corner,
-    )
-    scribe.still(entity, cells)
+    look: Any = {"value_range": [0.0, top], "colormap": "Viridis", "translation": grid.corner}
+    cells = np.asarray(index, dtype=np.int32)
+    scribe.still(entity, rr.VoxelGridMap(cells, [grid.step] * 3, values=f32(means), **look))
 
 
 def _send_day(scribe: Scribe, comparison: Comparison, day: Day) -> None:
@@ -94,10 +88,8 @@ def _send_day(scribe: Scribe, comparison: Comparison, day: Day) -> None:
     times = [*scribe.times, rr.TimeColumn(DAY_TIME_LINE, duration=3600.0 * day_hours(comparison))]
     hours = Scribe(scribe.stream, times)
     for (key, (label, errors)), colour in zip(day.items(), policy_colours(list(day)), strict=True):
-        for name, values, width in (
-            ("mean", errors.mean(axis=1), 2.2),
-            ("p95", np.percentile(errors, 95, axis=1), 1.0),
-        ):
+        curves = {"mean": (errors.mean(axis=1), 2.2), "p95": (np.percentile(errors, 95, axis=1), 1.0)}
+        for name, (values, width) in curves.items():
             hours.curve(f"day/{name}_mm/{key}", f"{label}, {name}", colour, values, width)
     scribe.document(DAY_WORDS, day_in_words(comparison, day))
 

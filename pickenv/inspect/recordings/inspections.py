@@ -39,10 +39,8 @@ def inspect_calibration(
         InputError: If the calibration is for another arm, there are too few poses, or the file cannot be written.
     """
     if isinstance(evidence, Plant):
-        comparison = _simulated(calibration, evidence, grid_step, seed)
-    else:
-        comparison = _measured(calibration, evidence, seed)
-    return record_comparison(comparison, path)
+        return record_comparison(_simulated(calibration, evidence, grid_step, seed), path)
+    return record_comparison(_measured(calibration, evidence, seed), path)
 
 
 def inspect_evaluation(
@@ -70,13 +68,12 @@ def inspect_evaluation(
     for name, ends in runs.items():
         if not np.array_equal(ends.fruit_position, first.fruit_position):
             raise InputError(f"'{name}' did not reach for the same fruit as '{label}'; evaluate both with equal seeds")
+    errors = {
+        name: np.concatenate([ends.tool_position - ends.fruit_position, ends.pose_error[:, 3:]], axis=1)
+        for name, ends in runs.items()
+    }
     comparison = Comparison(
-        policies=tuple(
-            ended(name, ends).with_field(
-                np.concatenate([ends.tool_position - ends.fruit_position, ends.pose_error[:, 3:]], axis=1)
-            )
-            for name, ends in runs.items()
-        ),
+        policies=tuple(ended(name, ends).with_field(errors[name]) for name, ends in runs.items()),
         plant=plant,
         tolerance_mm=tolerance_mm,
         seed=seed,

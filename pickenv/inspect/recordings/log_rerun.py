@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 
 import pickenv
 from pickenv.base import InputError
-from pickenv.inspect.colours import policy_key, policy_label
+from pickenv.inspect.colours import check_key, policy_label
 from pickenv.inspect.recordings import episode_entities as entities
 from pickenv.inspect.recordings.live import PATIENCE, open_live
 from pickenv.inspect.recordings.scribe import write_recording
@@ -34,8 +34,7 @@ class _Recorder:
 
     def __init__(self, env: Any, keys: Sequence[str], settings: Mapping[str, Any]) -> None:
         policy, folder, length = settings["policy"], settings["save_path"], settings["recording_length"]
-        if policy != policy_key(policy) or not policy:
-            raise InputError(f"policy '{policy}' cannot name an entity; use lower-case letters, digits and underscores")
+        check_key(policy, "policy")
         if length < 0:
             raise InputError(f"recording_length is {length}; give a number of steps, or 0 for whole episodes")
         self._viewers = {name: settings[name] for name in ("spawn", "connect", "serve")}

@@ -77,10 +77,7 @@ class Scribe:
     def still(self, entity: str, *content: rr.AsComponents) -> None:
         """Send archetypes of an entity as static data, which hold at all times, in one chunk."""
         batches = [batch for archetype in content for batch in archetype.as_component_batches()]
-        columns = [
-            rr.ComponentColumn(batch.component_descriptor(), batch, lengths=[len(batch.as_arrow_array())])
-            for batch in batches
-        ]
+        columns = [rr.ComponentColumn(b.component_descriptor(), b, lengths=[len(b.as_arrow_array())]) for b in batches]
         self.stream.send_columns(entity, [], columns, strict=True)
 
     def along(self, entity: str, *columns: Iterable[rr.ComponentColumn]) -> None:
@@ -124,11 +121,8 @@ class Scribe:
             top: Upper end of the colour scale, in ``unit``.
             unit: Unit of ``values``.
         """
-        colours = viridis(np.linalg.norm(values, axis=-1) / top)
-        archetype = rr.Arrows3D(
-            origins=f32(origins), vectors=f32(arrows), colors=colours, radii=rr.Radius.ui_points(1.6)
-        )
-        self.still(entity, archetype, reading(values, unit))
+        look: Any = {"colors": viridis(np.linalg.norm(values, axis=-1) / top), "radii": rr.Radius.ui_points(1.6)}
+        self.still(entity, rr.Arrows3D(origins=f32(origins), vectors=f32(arrows), **look), reading(values, unit))
 
     def arm(
         self, entity: str, points: Array, parts: list[int], colour: Rgb, fill_mode: Any, thickness: float = 1.0
@@ -154,11 +148,8 @@ class Scribe:
             ),
         )
         start, length, quaternion = capsules(points, parts)
-        moving = rr.Capsules3D.columns(
-            lengths=f32(length.ravel()),
-            translations=f32(start.reshape(-1, 3)),
-            quaternions=f32(quaternion.reshape(-1, 4)),
-        )
+        place, turn = f32(start.reshape(-1, 3)), f32(quaternion.reshape(-1, 4))
+        moving = rr.Capsules3D.columns(lengths=f32(length.ravel()), translations=place, quaternions=turn)
         self.along(entity, moving.partition([len(parts)] * len(points)))
 
     def dots(self, entity: str, places: Array, colour: Rgb, radius: Any) -> None:
@@ -183,14 +174,8 @@ class Scribe:
             labels: Labels of the arrows.
             width: Line width, points.
         """
-        arrows = rr.Arrows3D(
-            origins=[corner] * 3,
-            vectors=np.diag(lengths),
-            colors=[WHITE] * 3,
-            labels=labels,
-            radii=rr.Radius.ui_points(width),
-        )
-        self.still(entity, arrows)
+        look: Any = {"colors": [WHITE] * 3, "labels": labels, "radii": rr.Radius.ui_points(width)}
+        self.still(entity, rr.Arrows3D(origins=[corner] * 3, vectors=np.diag(lengths), **look))
 
     def capture(self, entity: str, radius: float, opacity: int = 200, width: float = 0.8) -> None:
         """Send the look of the gripper's capture region, a ball.
@@ -201,13 +186,9 @@ class Scribe:
             opacity: Opacity, 0..255.
             width: Line width, points.
         """
-        ball = rr.Ellipsoids3D.from_fields(
-            half_sizes=[[radius] * 3],
-            colors=[(*RED, opacity)],
-            line_radii=rr.Radius.ui_points(width),
-            fill_mode="majorwireframe",
-        )
-        self.still(entity, ball)
+        look: Any = {"colors": [(*RED, opacity)], "fill_mode": "majorwireframe"}
+        look["line_radii"] = rr.Radius.ui_points(width)
+        self.still(entity, rr.Ellipsoids3D.from_fields(half_sizes=[[radius] * 3], **look))
 
     def colour_bar(self, entity: str, top: float, unit: str) -> None:
         """Send a colour scale from 0 to ``top`` with its unit, as an image and ticks in entities below ``entity``."""

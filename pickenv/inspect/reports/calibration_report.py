@@ -102,9 +102,9 @@ def _verdict(r: Result, test: Observations) -> PageVerdict:
     if final.mean_ci95 is not None:
         between = "" if r.held_out.blocks is None else " between blocks"
         interval = f"95 % interval{between} {' to '.join(map(figure, final.mean_ci95))}"
-    which = (
-        "that the fit never saw" if r.held_out.blocks is None else "of which no fit saw the block that it is judged on"
-    )
+    which = "that the fit never saw"
+    if r.held_out.blocks is not None:
+        which = "of which no fit saw the block that it is judged on"
     tracked = test.poses is not None
     rows, stood = ("measured poses", "the tool stood") if tracked else (r.held_out.rows, "what was read lay")
     sentence = (
@@ -131,10 +131,8 @@ def _worth(r: Result) -> str:
 
 
 def _tiles(r: Result) -> dict[str, str]:
-    mean, head = (
-        f"{figure(r.best.mean)} {r.miss_unit}",
-        f"mean {'position' if r.miss_unit == 'mm' else 'angular'} error",
-    )
+    mean = f"{figure(r.best.mean)} {r.miss_unit}"
+    head = f"mean {'position' if r.miss_unit == 'mm' else 'angular'} error"
     if r.has_nominal:
         mean, head = f"{figure(r.position[NOMINAL].mean)} → {mean}", f"{head}, nominal → calibrated"
     noise, identification = r.quality.completeness, r.geometric.identification
@@ -164,18 +162,10 @@ def _errors(r: Result, blocks: Mapping[str, Block]) -> Section:
     stages = {"nominal": NOMINAL} if r.has_nominal else {}
     stages |= {"calibrated geometry": GEOMETRIC} | ({"model used": last} if last != GEOMETRIC else {})
     mm = norms_mm({label: r.errors[name] for label, name in stages.items()})
-    return Section(
-        block.title,
-        (
-            _table(block),
-            *([captioned("error_cumulative", lambda: error_cumulative(mm))] if r.miss_unit == "mm" else []),
-            axis_table(
-                "Errors per degree of freedom: measured minus predicted, on poses that took no part in the fit.",
-                {label: axis_errors(r.errors[name], r.miss_unit) for label, name in stages.items()},
-                figure,
-            ),
-        ),
-    )
+    axes = {label: axis_errors(r.errors[name], r.miss_unit) for label, name in stages.items()}
+    caption = "Errors per degree of freedom: measured minus predicted, on poses that took no part in the fit."
+    drawing = captioned("error_cumulative", error_cumulative, mm) if r.miss_unit == "mm" else None
+    return Section(block.title, (_table(block), drawing, axis_table(caption, axes, figure)))
 
 
 def _parameters(r: Result) -> Section:
@@ -202,15 +192,12 @@ def _parameters(r: Result) -> Section:
     heads = ("parameter", "meaning", "change ± uncertainty", "drawn", "told by the rows")
     moved = f"{len(significant)} of {len(every)} parameters moved by more than {SIGMAS:g} sigma"
     folded = f"{len(others)} within {SIGMAS:g} sigma of the nominal value"
-    return Section(
-        "What moved",
-        (
-            _sentence(r.prior_text),
-            table(moved, significant) if significant else "",
-            Section(folded, [table(folded, others)]) if others else None,
-        ),
-        TEXTS["explained"]["parameters"],
+    parts = (
+        _sentence(r.prior_text),
+        table(moved, significant) if significant else "",
+        Section(folded, [table(folded, others)]) if others else None,
     )
+    return Section("What moved", parts, TEXTS["explained"]["parameters"])
 
 
 def _poses(r: Result, train: Observations) -> Section:
@@ -221,14 +208,10 @@ def _poses(r: Result, train: Observations) -> Section:
         for name, words in TEXTS["observability"].items()
     ]
     coverage = Drawing("joint_coverage", caption, lambda: joint_coverage(geometry, {"fitted": train.joints}))
-    return Section(
-        "Were the poses good?",
-        (
-            _table(over.block()) if over is not None else "",
-            *((coverage, _uncertainty(r)) if r.has_nominal else ()),
-            PageTable("Observability of the parameters", (), indices),
-        ),
-    )
+    maps = (coverage, _uncertainty(r)) if r.has_nominal else ()
+    workspace = _table(over.block()) if over is not None else ""
+    table = PageTable("Observability of the parameters", (), indices)
+    return Section("Were the poses good?", (workspace, *maps, table))
 
 
 def _uncertainty(r: Result) -> Drawing | None:

@@ -38,30 +38,16 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     episodes = load_part(run, RecordedEpisodes)
     enough = any(row["ci95_mm"] is not None for row in summary.policy_rows(episodes))
     intervals = summary.INTERVALS if enough else summary.NO_INTERVAL
-    tables = [
-        PageTable(
-            f"Miss where the gripper closed, attitude at the end, and fruit picked by {episodes.gripper}; {intervals}",
-            summary.HEADS,
-            summary.policy_cells(episodes),
-        )
-    ]
+    caption = f"Miss where the gripper closed, attitude at the end, and fruit picked by {episodes.gripper}; {intervals}"
+    tables = [PageTable(caption, summary.HEADS, summary.policy_cells(episodes))]
     if lines := summary.difference_cells(episodes):
-        tables.append(
-            PageTable(
-                "Fruit by fruit, the later policy minus the earlier one; of shares picked Newcombe's paired interval",
-                summary.DIFFERENCES,
-                lines,
-            )
-        )
+        caption = "Fruit by fruit, the later policy minus the earlier one; of shares picked Newcombe's paired interval"
+        tables.append(PageTable(caption, summary.DIFFERENCES, lines))
     if changed := summary.policy_changes(episodes):
         shares = f"taken, {changed['from']} (%)", f"{changed['to']} (%)"
-        tables.append(
-            PageTable(
-                "Share of fruit taken, by gripper and by how well the fruit is seen (standard deviation)",
-                ("gripper", "fruit seen to, per axis (mm)", *shares, "change (points of %)"),
-                [change_cells(change) for change in changed["changes"]],
-            )
-        )
+        caption = "Share of fruit taken, by gripper and by how well the fruit is seen (standard deviation)"
+        heads = ("gripper", "fruit seen to, per axis (mm)", *shares, "change (points of %)")
+        tables.append(PageTable(caption, heads, [change_cells(change) for change in changed["changes"]]))
     verdict = PageVerdict("note", summary.outcome_sentence(episodes), summary.explanation(episodes))
     plant = f" on the plant {in_words(episodes.plant_name)}" if episodes.plant_name else ""
     subtitle = f"Simulated; {len(episodes.seeds)} episodes of {episodes.env_id}{plant}, the same for all policies"

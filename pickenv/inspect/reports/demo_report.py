@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from html import escape
@@ -16,10 +17,10 @@ from pickenv.base import InputError, mean_interval, share_interval
 from pickenv.calibration import Calibration
 from pickenv.calibration.assessment.metrics import LEAST_ROWS, error_statistics
 from pickenv.calibration.assessment.quality import axis_errors
-from pickenv.inspect.colours import in_words, policy_colours, viridis
+from pickenv.inspect.colours import TEXTS, in_words, policy_colours, viridis
 from pickenv.inspect.figures.plot_errors import field_gain, thinned
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings, comparison_drawings, norms_mm, trace_drawings
-from pickenv.inspect.reports import report_page
+from pickenv.inspect.reports.report_page import HERE, PageTable, PageVerdict, Section, axis_table, html_of
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.comparison_summary import colour_scale_mm, error_spread, field_mm, round_step
 from pickenv.inspect.runs.matters import Change, change_cells, gripped, matters, pick_changes
@@ -43,16 +44,8 @@ MOST_ARROWS = 3000
 EYE_DISTANCE = 2.55
 """Distance of the camera from the middle of a scene, in plotly's unit: the scene's size."""
 
-COLOUR_BAR: Mapping[str, Any] = {
-    "title": {"text": "position error (mm)", "side": "bottom", "font": {"size": 13}},
-    "orientation": "h",
-    "x": 0.5,
-    "xanchor": "center",
-    "y": -0.02,
-    "yanchor": "top",
-    "len": 0.7,
-    "thickness": 12,
-}
+LOOKS: Mapping[str, Any] = tomllib.loads((HERE / "plotly.toml").read_text("utf-8"))
+"""Looks of interactive figures, as Plotly has them: ``colour_bar`` of fields, and layout of ``poses``."""
 
 
 def drawings(run: Run) -> Drawings:
@@ -85,9 +78,9 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         _field(comparison, by_name),
         _poses(comparison, trace, by_name),
         _fit(trace, calibration, by_name),
-        report_page.Section("The recording", [shown], RECORDING_WORDS),
+        Section("The recording", [shown], RECORDING_WORDS),
     )
-    return report_page.html_of(
+    return html_of(
         f"Calibration and picking: {in_words(comparison.plant.name)}",
         f"Simulated arm; the same scripted policy reaches for {len(comparison.fruit)} fruit, raw and calibrated; "
         f"seed {comparison.seed}" + "; a quick run, worse than the paper's protocol" * ("quick" in run.command),
@@ -99,9 +92,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
     )
 
 
-def demo_verdict(
-    comparison: Comparison, cases: Mapping[str, Sequence[Change]] | None = None
-) -> report_page.PageVerdict:
+def demo_verdict(comparison: Comparison, cases: Mapping[str, Sequence[Change]] | None = None) -> PageVerdict:
     """Return the verdict: how much smaller the last policy's errors are than the first's, and whether picks change.
 
     Args:
@@ -138,17 +129,16 @@ def demo_verdict(
     changed = cases or {comparison.plant.name: pick_changes(lateral[0], lateral[-1])}
     worth = " ".join(matters(in_words(name), changes) for name, changes in changed.items())
     mean = said(after.mean, after.mean_ci95, 2)
-    return report_page.PageVerdict(
-        tone,
-        headline,
+    text = (
         f"{removed} {worth}\nWhat remains is {mean} mm in the mean and at most {after.max:.2f} mm. {picked} of "
         f"{total} simulated reaches end within {comparison.tolerance_mm:g} mm of the fruit (95 % interval "
         f"{100 * least:.0f} to {100 * most:.0f} %, required are {100 * REQUIRED_SHARE:.0f} %), "
-        f"{within(comparison, first)} without calibration. {OF_ONE}",
+        f"{within(comparison, first)} without calibration. {OF_ONE}"
     )
+    return PageVerdict(tone, headline, text)
 
 
-def _cases(cases: Mapping[str, Sequence[Change]]) -> report_page.Section:
+def _cases(cases: Mapping[str, Sequence[Change]]) -> Section:
     """The section on picks without and with calibration, by plant, gripper and perception error."""
     rows = [
         (f"{in_words(plant)}, {gripper}", *cells)
@@ -157,12 +147,8 @@ def _cases(cases: Mapping[str, Sequence[Change]]) -> report_page.Section:
     ]
     heads = ("arm, gripper", "fruit seen to, per axis (mm)", "taken, raw (%)", "calibrated (%)", "change (points)")
     caption = "Share of fruit that a gripper takes, by how well the fruit is seen (standard deviation)"
-    return report_page.Section(
-        "Does it matter?",
-        [report_page.Section(caption, [report_page.PageTable(caption, heads, rows)])] if rows else (),
-        "Each arm's own error across the tool, with an error of perception beside it; the gripper's curve says what is "
-        "taken.",
-    )
+    parts = [Section(caption, [PageTable(caption, heads, rows)])] if rows else ()
+    return Section("Does it matter?", parts, TEXTS["explained"]["matters"])
 
 
 def within(comparison: Comparison, policy: RecordedPolicy) -> int:
@@ -181,7 +167,7 @@ def _tiles(comparison: Comparison, trace: CalibrationTrace) -> dict[str, str]:
     }
 
 
-def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_page.Section:
+def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> Section:
     chances = {label: success for label, (_, success) in gripped(comparison).items()}
     grippers = list(next(iter(chances.values())))
     heads = ["policy", f"within {comparison.tolerance_mm:g} mm (%)", *(f"taken by {name} (%)" for name in grippers)]
@@ -201,43 +187,32 @@ def _reaches(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_pag
         rows.append([policy.label, *cells])
     some = "in brackets 95 % intervals over fruit" if len(comparison.fruit) >= LEAST_ROWS else NO_INTERVAL
     caption = f"Final errors of the reaches; {some}. {OF_ONE}"
-    return report_page.Section(
-        "Reaches, by policy",
-        (
-            report_page.PageTable(caption, heads, rows, "close"),
-            (drawn["position_error_by_policy"], drawn["reach_errors_cumulative"]),
-            drawn["success_against_misalignment"],
-        ),
-        "Distance of the true tool from the fruit at the end of each reach. Accuracy must not be oversold: a "
-        "compliant hand forgives centimetres, a rigid cup millimetres.",
-    )
+    beside = drawn["position_error_by_policy"], drawn["reach_errors_cumulative"]
+    parts = (PageTable(caption, heads, rows, "close"), beside, drawn["success_against_misalignment"])
+    return Section("Reaches, by policy", parts, TEXTS["explained"]["reaches"])
 
 
-def _field(comparison: Comparison, drawn: Mapping[str, Drawing]) -> report_page.Section:
+def _field(comparison: Comparison, drawn: Mapping[str, Drawing]) -> Section:
     if "error_fields" not in drawn:
-        return report_page.Section("Where the tool misses", ())
+        return Section("Where the tool misses", ())
     hint = "Drag to turn all scenes together, hover over the end of an arrow to read its millimetres."
-    return report_page.Section(
-        "Where the tool misses",
-        [replace(drawn["error_fields"], spec=field_spec(comparison), hint=hint)],
-        f"{len(comparison.grid.points)} positions {comparison.grid.step * 1e3:g} mm apart, tool upright.",
-    )
+    fields = replace(drawn["error_fields"], spec=field_spec(comparison), hint=hint)
+    size = f"{len(comparison.grid.points)} positions {comparison.grid.step * 1e3:g} mm apart, tool upright."
+    return Section("Where the tool misses", [fields], size)
 
 
-def _poses(comparison: Comparison, trace: CalibrationTrace, drawn: Mapping[str, Drawing]) -> report_page.Section:
+def _poses(comparison: Comparison, trace: CalibrationTrace, drawn: Mapping[str, Drawing]) -> Section:
     stages = {label: axis_errors(errors) for label, errors in trace.errors.items()}
     caption = "Errors per degree of freedom at the held-out poses, world axes"
     hint = "Hover to read a pose's millimetres."
-    return report_page.Section(
-        "Held-out poses",
-        (
-            report_page.axis_table(caption, stages, "{:.3f}".format),
-            _floors(comparison, trace) if all(errors.shape[1] == 6 for errors in trace.errors.values()) else "",
-            replace(drawn["error_per_test_pose"], spec=pose_spec(norms_mm(trace.errors)), hint=hint),
-            (drawn["error_histogram"], drawn["error_against_extension"]),
-        ),
-        f"{len(trace.sets['test'])} poses from the whole joint ranges that took no part in the calibration.",
+    parts = (
+        axis_table(caption, stages, "{:.3f}".format),
+        _floors(comparison, trace) if all(errors.shape[1] == 6 for errors in trace.errors.values()) else "",
+        replace(drawn["error_per_test_pose"], spec=pose_spec(norms_mm(trace.errors)), hint=hint),
+        (drawn["error_histogram"], drawn["error_against_extension"]),
     )
+    size = f"{len(trace.sets['test'])} poses from the whole joint ranges that took no part in the calibration."
+    return Section("Held-out poses", parts, size)
 
 
 def _floors(comparison: Comparison, trace: CalibrationTrace) -> str:
@@ -254,23 +229,18 @@ def _floors(comparison: Comparison, trace: CalibrationTrace) -> str:
     return f"Mean attitude error, and the part that no motion of {geometry.joints} joints removes on this arm: {parts}."
 
 
-def _fit(trace: CalibrationTrace, calibration: Calibration, drawn: Mapping[str, Drawing]) -> report_page.Section:
+def _fit(trace: CalibrationTrace, calibration: Calibration, drawn: Mapping[str, Drawing]) -> Section:
     dropped = ", ".join(name for name, identified in zip(trace.names, trace.kept, strict=True) if not identified)
     condition = trace.singular_values[0] / trace.singular_values[-1]
     poses = len(next(iter(trace.sets.values())))
     kind = "" if calibration.learnt is None else f", then {in_words(calibration.learnt.kind)} on what remains"
-    return report_page.Section(
-        "How the calibration was found",
-        (
-            f"Least squares on {poses} poses{kind}. {int(trace.kept.sum())} of {len(trace.kept)} parameters can "
-            f"be told apart (condition number {condition:.1f}). These stay at their nominal values, because others "
-            f"absorb them: {dropped or 'none'}.",
-            drawn["least_squares_convergence"],
-            drawn["parameter_spectrum"],
-            drawn.get("network_convergence"),
-            drawn["joint_coverage"],
-        ),
+    text = (
+        f"Least squares on {poses} poses{kind}. {int(trace.kept.sum())} of {len(trace.kept)} parameters can "
+        f"be told apart (condition number {condition:.1f}). These stay at their nominal values, because others "
+        f"absorb them: {dropped or 'none'}."
     )
+    names = ("least_squares_convergence", "parameter_spectrum", "network_convergence", "joint_coverage")
+    return Section("How the calibration was found", (text, *map(drawn.get, names)))
 
 
 def _origin(run: Run, comparison: Comparison, trace: CalibrationTrace, calibration: Calibration) -> dict[str, str]:
@@ -328,7 +298,7 @@ def _arrows(points: Array, errors: Array, gain: float, scale: dict[str, Any]) ->
     end = _coordinates(points) | {
         "type": "scatter3d",
         "mode": "markers",
-        "marker": scale | {"color": _numbers(length), "size": 2.6, "colorbar": COLOUR_BAR},
+        "marker": scale | {"color": _numbers(length), "size": 2.6, "colorbar": LOOKS["colour_bar"]},
         "customdata": np.round(np.column_stack([length, errors * 1e3, points]), 4).tolist(),
         "hovertemplate": "<b>%{customdata[0]:.3f} mm</b><br>x %{customdata[1]:+.3f}, y %{customdata[2]:+.3f}, "
         "z %{customdata[3]:+.3f} mm<br>at x %{customdata[4]:.3f}, y %{customdata[5]:.3f}, z %{customdata[6]:.3f} m"
@@ -362,15 +332,7 @@ def pose_spec(errors_mm: Mapping[str, Array]) -> dict[str, Any]:
         }
         for (label, values), colour in zip(errors_mm.items(), policy_colours(list(errors_mm)), strict=True)
     ]
-    layout = {
-        "xaxis": {"title": {"text": "test pose (number)"}},
-        "yaxis": {"title": {"text": "position error (mm)"}, "type": "log"},
-        "legend": {"orientation": "h", "yanchor": "bottom", "y": 1.02},
-        "margin": {"l": 55, "r": 10, "t": 70, "b": 45},
-        "height": 380,
-        "hovermode": "closest",
-    }
-    return {"data": data, "layout": layout}
+    return {"data": data, "layout": LOOKS["poses"]}
 
 
 def _coordinates(points: Array) -> dict[str, Any]:

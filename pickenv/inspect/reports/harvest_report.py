@@ -21,15 +21,12 @@ def drawings(run: Run) -> Drawings:
     """Return the figures of a harvester's run: the arms' work on a tree, fates of fruit, throughput, workspace."""
     trace = load_part(run, HarvestTrace)
     arms = trace.cloud.shape[1]
+    caption = f"From fruit present to fruit collected, over {trace.tree_count} simulated trees."
     trees = {name: trace.trees[name] for name in (next(iter(trace.trees)), list(trace.trees)[-1])}
     return [
         captioned("gantt", plot_harvest.gantt, trees, arms),
         captioned("pick_map", plot_harvest.pick_map, trees),
-        Drawing(
-            "funnel",
-            f"From fruit present to fruit collected, over {trace.tree_count} simulated trees.",
-            lambda: plot_harvest.funnel_bars(trace.funnels),
-        ),
+        Drawing("funnel", caption, lambda: plot_harvest.funnel_bars(trace.funnels)),
         captioned("throughput", plot_harvest.throughput_by_arms, trace.throughput),
         captioned("workspace", plot_harvest.workspace_cloud, trace.cloud, (dense_workspace(),)),
         captioned("joint_curves", plot_harvest.joint_displacements, *trace.curves),
@@ -51,19 +48,14 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
         f"{_words(after['picks_per_hour'], 0)}. {_intervals(trace)}",
     )
     looks = {key: (1, 100.0) if "(%)" in MEASURES.get(key, "") else (3, 1.0) for key in before}
-    measures = PageTable(
-        f"Measures of each strategy. {_intervals(trace)}",
-        ("measure", *trace.measures),
-        [
-            (MEASURES.get(key, key), *(_words(measures[key], *looks[key]) for measures in trace.measures.values()))
-            for key in before
-        ],
-    )
-    funnel = PageTable(
-        "Fruit at each stage, over all trees",
-        ("stage", *trace.funnels),
-        [(stage, *(str(counts[stage]) for counts in trace.funnels.values())) for stage in trace.funnels[names[0]]],
-    )
+    rows = [
+        (MEASURES.get(key, key), *(_words(measures[key], *looks[key]) for measures in trace.measures.values()))
+        for key in before
+    ]
+    measures = PageTable(f"Measures of each strategy. {_intervals(trace)}", ("measure", *trace.measures), rows)
+    funnels = trace.funnels
+    counts = [(stage, *(str(numbers[stage]) for numbers in funnels.values())) for stage in funnels[names[0]]]
+    funnel = PageTable("Fruit at each stage, over all trees", ("stage", *funnels), counts)
     arms = trace.cloud.shape[1]
     subtitle = f"Simulated; {arms} picking arms, {len(names)} strategies on the same trees"
     return plain_report(run, "Harvesting", subtitle, verdict, (measures, funnel), drawings(run))

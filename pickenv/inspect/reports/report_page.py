@@ -17,7 +17,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from jinja2 import Environment, FileSystemLoader, StrictUndefined
+from jinja2 import Environment, FileSystemLoader, StrictUndefined, Template
 from markupsafe import Markup, escape
 from matplotlib.figure import Figure
 
@@ -136,23 +136,19 @@ def html_of(
         tiles: Numbers that are shown large in a row, as text, by their description.
         contents: Whether links to the sections follow the tiles.
     """
-    return (
-        _templates()
-        .get_template("page.html")
-        .render(
-            title=title,
-            subtitle=subtitle,
-            verdict=verdict,
-            tiles=tiles,
-            contents=contents,
-            shown=[section for section in (*sections, Section("Origin", (dict(origin),))) if any(section.parts)],
-            live=any(isinstance(part, Drawing) and part.spec for section in sections for part in section.parts),
-        )
+    return _template().render(
+        title=title,
+        subtitle=subtitle,
+        verdict=verdict,
+        tiles=tiles,
+        contents=contents,
+        shown=[section for section in (*sections, Section("Origin", (dict(origin),))) if any(section.parts)],
+        live=any(isinstance(part, Drawing) and part.spec for section in sections for part in section.parts),
     )
 
 
 @cache
-def _templates() -> Environment:
+def _template() -> Template:
     environment = Environment(
         loader=FileSystemLoader(HERE),
         autoescape=True,
@@ -162,12 +158,8 @@ def _templates() -> Environment:
         finalize=lambda shown: in_words(shown) if type(shown) is str else shown,
     )
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
-    environment.globals |= {
-        "library": library,
-        "bar_place": bar_place,
-        "largest": PIXELS_PER_POINT,
-        "least": LEAST_PIXELS_PER_POINT,
-    }
+    environment.globals |= {"library": library, "bar_place": bar_place}
+    environment.globals |= {"largest": PIXELS_PER_POINT, "least": LEAST_PIXELS_PER_POINT}
     environment.filters |= {
         "base64": lambda content: base64.b64encode(content).decode(),
         "drawn": lambda drawing: inline_svg(drawing.draw(), drawing.name),
@@ -175,7 +167,7 @@ def _templates() -> Environment:
         "kind": lambda part: type(part).__name__,
         "source": lambda name: Markup((HERE / name).read_text(encoding="utf-8")),
     }
-    return environment
+    return environment.get_template("page.html")
 
 
 def inline_svg(figure: Figure, name: str) -> tuple[Markup, float, float]:

@@ -94,14 +94,11 @@ def pick_changes(before_mm: ArrayLike, after_mm: ArrayLike) -> list[Change]:
         before_mm: Lateral errors without calibration ``(N,)``, mm.
         after_mm: Lateral errors with calibration ``(N,)``, mm.
     """
+    sides, grippers = {"before": before_mm, "after": after_mm}, {name: load_gripper(name) for name in GRIPPERS}
     return [
-        {
-            "gripper": name,
-            "perception_mm": perception,
-            "before": pick_share(gripper, before_mm, perception),
-            "after": pick_share(gripper, after_mm, perception),
-        }
-        for name, gripper in ((name, load_gripper(name)) for name in GRIPPERS)
+        {"gripper": name, "perception_mm": perception}
+        | {side: pick_share(gripper, lateral_mm, perception) for side, lateral_mm in sides.items()}
+        for name, gripper in grippers.items()
         for perception in PERCEPTION_MM
     ]
 
