@@ -118,10 +118,10 @@ def compare(
     if not policies:
         raise InputError("there is nothing to compare; give at least one policy")
     report = progress or (lambda stage, done, total: None)
-    plant, period, own = _arm_and_period(env, arguments)
-    if "gripper" in own:
+    plant, period, features = _arm_and_period(env, arguments)
+    if "gripper" in features:
         arguments = {**arguments, "gripper": gripper}
-    if grid_step != GRID_STEP and "field" not in own:
+    if grid_step != GRID_STEP and "field" not in features:
         raise InputError(f"{env} is no reach of an arm for one fruit, so it has no error field; leave `grid_step` out")
     noise = float(np.hypot(arguments.get("camera_noise_mm", 0.0), arguments.get("fruit_noise_mm") or 0.0))
     arm = None if plant is None else plant.arm
@@ -147,7 +147,7 @@ def compare(
     options |= {"compensate": compensate, "allow": sorted(allow)}
     options |= {"grid_step": None if grid_step == GRID_STEP else grid_step}
     command = _command(policies, options, labels, arguments)
-    if plant is None or "field" not in own:
+    if plant is None or "field" not in features:
         return PolicyComparison(RecordedEpisodes(policies=tuple(recorded), **facts), command)
     grid = field_grid(plant.arm.nominal, grid_step, seed)
     for number, contender in enumerate(contenders):
@@ -172,9 +172,9 @@ def _arm_and_period(env_id: str, arguments: Arguments) -> tuple[Plant | None, fl
         raise InputError("a comparison has one time line; give one control_period_s, not a range")
     plant, (_, info) = getattr(inner, "plant", None), env.reset(seed=0)
     env.close()
-    own = {"gripper"} if hasattr(getattr(inner, "orchard", None), "gripper") else set()
-    own |= {"field"} if plant is not None and "pose_error" in info else set()
-    return plant, 1.0 / inner.metadata.get("render_fps", 10), own
+    features = {"gripper"} if hasattr(getattr(inner, "orchard", None), "gripper") else set()
+    features |= {"field"} if plant is not None and "pose_error" in info else set()
+    return plant, 1.0 / inner.metadata.get("render_fps", 10), features
 
 
 def _episodes(

@@ -175,9 +175,9 @@ def apply_calibration(
             )
     compensator = calibration.compensator(conditions=conditions, fast=False)
     commands = toward(compensator, poses, wanted_joints)
-    given = conditions or Conditions()
-    for name in given.input_names():
-        more = replace(given, **{name: getattr(given, name) + 1.0})
+    present = conditions or Conditions()
+    for name in present.input_names():
+        more = replace(present, **{name: getattr(present, name) + 1.0})
         elsewhere = calibration.compensator(conditions=more, fast=False).predict(commands)
         if np.array_equal(elsewhere.position, compensator.predict(commands).position):
             raise InputError(f"nothing in this calibration depends on a {name}; leave `{OPTIONS[name]}` out")

@@ -415,18 +415,18 @@ def calibrate(
         arm = replace(arm, nominal=arm.nominal.between(*between[0].tolist()))
     rng = rng or np.random.default_rng(choices.seed)
     few = test is None and test_rows is None and train.poses is not None
-    few, judged = few and pose_count(train.joints) < ENOUGH_FOR_BLOCKS, _judged_once
+    few, judge = few and pose_count(train.joints) < ENOUGH_FOR_BLOCKS, _judged_once
     if test is None and (split == "blocked" or few or train.kind == "pixels"):
         if test_rows is not None:
             raise InputError("`test_rows` is for the random split; here every row, or picture, is held out once")
-        judged, held_out = _judged_by_blocks, train.select(np.arange(0))
+        judge, held_out = _judged_by_blocks, train.select(np.arange(0))
     elif test is None:
         rows = observations.choose(train, test_rows, np.random.default_rng(choices.seed))
         train, held_out = (train.select(np.sort(part)) for part in rows)
     else:
         held_out = given_rows(arm, test, columns, stations, known=known_frames, like=train)
         refuse_trained(train, held_out)
-    return replace(judged(Draft(arm, choices, train, held_out, rng, progress)), unit=unit, stations=stations)
+    return replace(judge(Draft(arm, choices, train, held_out, rng, progress)), unit=unit, stations=stations)
 
 
 def _through(stages: Sequence[Callable[[Draft], Draft]], draft: Draft) -> Draft:
@@ -535,8 +535,8 @@ def _check(draft: Draft) -> Draft:
 def _judgeable(draft: Draft) -> Draft:
     """Return the draft; refuse a named residual model if too few rows are left to judge it, and it is not forced."""
     choices, count = draft.choices, pose_count(draft.train.joints)
-    named = choices.residual not in ("auto", "none") and choices.learn_from is None and not choices.force
-    if named and count < ENOUGH_FOR_BLOCKS:
+    needs_rows = choices.residual not in ("auto", "none") and choices.learn_from is None and not choices.force
+    if needs_rows and count < ENOUGH_FOR_BLOCKS:
         raise InputError(
             f"{draft.train.source}: `residual='{choices.residual}'` cannot be judged on {count} fitted poses; measure "
             f"{ENOUGH_FOR_BLOCKS} or more, or use it unjudged with `force`"

@@ -200,10 +200,10 @@ def evaluate(
         {"--policy": policy, "--plant": plant, "--gripper": gripper, "--tolerances": tolerances},
         {"--out": written, "--json": json_file},
     )
-    given = arguments_for(pickenv.experiments.PolicySettings, typed)
-    lists = {name: tuple(value) for name, value in given.items() if isinstance(value, list)}
+    fields = arguments_for(pickenv.experiments.PolicySettings, typed)
+    lists = {name: tuple(value) for name, value in fields.items() if isinstance(value, list)}
     plan = pickenv.experiments.CalibrationPlan(epochs=epochs)
-    settings = pickenv.experiments.PolicySettings(**given | lists, seeds=(seed,), plan=plan)
+    settings = pickenv.experiments.PolicySettings(**fields | lists, seeds=(seed,), plan=plan)
     models = {residual_of(name) for name in settings.compensations}
     if _was_given(context, "epochs") and "bpnn" not in models:
         raise InputError("--epochs is of networks, and no --compensation has one; leave it out, or add ls_bpnn")

@@ -198,9 +198,9 @@ class Experiment:
         for levels in product(*self.factors.values()):
             for places in product(*(range(len(values)) for values in self.units.values())):
                 units = {name: self.units[name][at] for name, at in zip(self.units, places, strict=True)}
-                named = dict(zip(self.factors, levels, strict=True)) | units
-                if self.fits is None or self.fits(**named):
-                    pieces.append((named, places))
+                arguments = dict(zip(self.factors, levels, strict=True)) | units
+                if self.fits is None or self.fits(**arguments):
+                    pieces.append((arguments, places))
         return pieces
 
     def measured(self, piece: Piece) -> Rows:

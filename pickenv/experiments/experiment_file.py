@@ -247,9 +247,9 @@ def load_experiment(
         if part is None:
             names = listed(name for part in parts.values() for name in part)
             raise InputError(f"{path} has no unit, factor or setting '{name}'; known are {names}")
-        drawn = part is parts["units"]
-        if part is not parts["settings"] and not _are_levels(value, drawn):
-            raise InputError(f"{path}: {name} is {value!r}; give {ONE_LEVEL if drawn else A_LIST}")
+        is_unit = part is parts["units"]
+        if part is not parts["settings"] and not _are_levels(value, is_unit):
+            raise InputError(f"{path}: {name} is {value!r}; give {ONE_LEVEL if is_unit else A_LIST}")
         part[name] = value
     if twice := [name for name in parts["units"] if name in parts["factors"] or name in parts["settings"]]:
         raise InputError(f"{path}: '{twice[0]}' is a unit and something else as well; give one of them another name")

@@ -130,8 +130,8 @@ class PolicySettings:
         sight = {"feedback": feedback, "camera_noise_mm": self.camera_noise_mm if feedback == "camera" else 0.0}
         own = {**sight, "fruit_noise_mm": self.fruit_noise_mm} if task == "Reach" else {}
         if not plant.startswith(RUNG):
-            drawn = class_of(plant)
-            tolerances = self.tolerances if drawn is None else drawn.name
+            own_class = class_of(plant)
+            tolerances = self.tolerances if own_class is None else own_class.name
             return own | {"plant": plant, "tolerances": tolerances, "population_seed": population_seed(seed)}
         fixed = on_ladder(task, difficulty=plant.removeprefix(RUNG), split=self.split)
         if (asked := self.arms * len(self.levels("seeds"))) > (most := fixed.get("population", 1)):

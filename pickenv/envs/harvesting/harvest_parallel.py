@@ -64,8 +64,8 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
 
         An option named "options", which PettingZoo's own tests give to every environment, is ignored.
         """
-        asked = {name: value for name, value in (options or {}).items() if name != "options"}
-        self._shared, info = self._env.reset(seed=seed, options=asked)
+        of_zone = {name: value for name, value in (options or {}).items() if name != "options"}
+        self._shared, info = self._env.reset(seed=seed, options=of_zone)
         self.agents = list(self.possible_agents)
         return self._seen(), self._told(info)
 
