@@ -303,11 +303,7 @@ def test_the_payload_in_hand_belongs_to_the_weight_that_bends_the_torso(tmp_path
 
 @pytest.mark.slow
 def test_a_torso_that_bends_under_both_arms_costs_nothing(tmp_path: Path) -> None:
-    """Ten robots: at most 1.2 times what is left where the fit is told which joint yields, or where none does.
-
-    To first order, a torso that turns by 8 mrad under heavy arms is placed 0.03 mm off, whoever is told what: two of
-    the ten leave more than 1.2 times as much as if they were stiff.
-    """
+    """Ten robots: at most 1.1 times what is left where the fit is told which joint yields, or where none does."""
     told, stiff, covered = [], [], []
     for seed in range(10):
         left = []
@@ -323,8 +319,8 @@ def test_a_torso_that_bends_under_both_arms_costs_nothing(tmp_path: Path) -> Non
                 told.append(left[0] / lean_alone(folder, result))
         stiff.append(left[0] / left[1])
     print("told", np.round(told, 3), "stiff", np.round(stiff, 3), "covered", np.round(covered, 3))
-    assert max(told) < 1.2
-    assert np.median(stiff) < 1.2
+    assert max(told) < 1.1
+    assert max(stiff) < 1.1
     assert 0.90 <= np.mean(covered) <= 0.98
 
 
