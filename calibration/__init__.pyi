@@ -35,17 +35,12 @@ from .identification.term_choice import (
 )
 from .model.arm_model import (
     ArmModel as ArmModel,
-    ComplianceTerm as ComplianceTerm,
     Conditions as Conditions,
     ErrorModel as ErrorModel,
-    GravityTerm as GravityTerm,
-    PeriodicTerm as PeriodicTerm,
-    ThermalTerm as ThermalTerm,
     complete_model as complete_model,
     frames_model as frames_model,
     link_model as link_model,
     pose_carrier as pose_carrier,
-    weight_of as weight_of,
     with_terms as with_terms,
 )
 from .model.kinds import (
@@ -70,6 +65,15 @@ from .model.observations import (
 )
 from .model.pixels import Lens as Lens, PixelObservations as PixelObservations, projected as projected
 from .model.prior import prior_model as prior_model
+from .model.terms import (
+    BendingTerm as BendingTerm,
+    ComplianceTerm as ComplianceTerm,
+    GravityTerm as GravityTerm,
+    PeriodicTerm as PeriodicTerm,
+    ThermalTerm as ThermalTerm,
+    bending_of as bending_of,
+    weight_of as weight_of,
+)
 from .pipeline.apply import apply_calibration as apply_calibration
 from .pipeline.calibration import Calibration as Calibration, uncertainty_from as uncertainty_from
 from .pipeline.fitting import (

@@ -14,10 +14,10 @@ from pickenv.base import folded, screen_width, side_by_side
 from pickenv.calibration.assessment.metrics import ErrorStatistics
 from pickenv.calibration.identification.least_squares import Identification, is_angle, rms_of
 from pickenv.calibration.identification.term_choice import harmonics_of
-from pickenv.calibration.model.arm_model import ComplianceTerm
 from pickenv.calibration.model.measurements import screen_unit
 from pickenv.calibration.model.observations import Observations
 from pickenv.calibration.model.pixels import LENS_NAMES
+from pickenv.calibration.model.terms import ComplianceTerm
 
 NARROW = 10
 """Smallest width of a column of words, in characters."""

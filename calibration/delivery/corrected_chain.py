@@ -439,7 +439,7 @@ def correction(calibration: Calibration, rows: Sequence[JointRow], path: Path, f
         return Correction(moves, (moved_words(moves), *left_out(calibration, RIGID)))
     own = rows[0]
     with in_file(path):
-        geometry, _, _ = geometry_of(rows)
+        geometry, *_ = geometry_of(rows)
     same = same_chain(calibration.arm, geometry, path.name, calibration.arm_name)
     root, _, zero = same
     fitted = calibration.record.get("frames") == "fitted"

@@ -17,7 +17,7 @@ from scipy.special import gammaincinv
 from pickenv.arm import Arm, Array, Geometry, Pose, identity_pose, rotation_matrix, rotation_vector
 from pickenv.base import InputError, single_threaded
 from pickenv.calibration.identification.least_squares import Identification, identify, unknowns_of
-from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, fitted_model, frames_model, weight_of, with_terms
+from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, fitted_model, frames_model, with_terms
 from pickenv.calibration.model.kinds import ReflectorObservations
 from pickenv.calibration.model.measurements import OWN, InstrumentStation, Measurements, Stacked, rows_together
 from pickenv.calibration.model.noise import counted
@@ -28,6 +28,7 @@ from pickenv.calibration.model.observations import (
     origins_of,
     pose_count,
 )
+from pickenv.calibration.model.terms import weight_of
 
 # Base and tool pose from anywhere: closed-form starts, then least squares, and the refusal of what is no such arm.
 # Positions p = t + R (o + Q u), with the chain's own o and Q, are linear in R^T, R^T t and the tool offset u once

@@ -19,10 +19,11 @@ from pickenv.arm import Arm, Array, Geometry
 from pickenv.base import InputError
 from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.model.arm_model import ArmModel, OrderTerm, PeriodicTerm, Term, ThermalTerm, weight_of
+from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.noise import counted
 from pickenv.calibration.model.observations import Observations, contiguous_folds, equally_spaced, same_poses
 from pickenv.calibration.model.prior import expected_sizes, prior_model
+from pickenv.calibration.model.terms import OrderTerm, PeriodicTerm, ThermalTerm, bending_of, weight_of
 
 # Least squares on contiguous blocks of rows at once: normal equations of all columns that may take part, by block.
 # Near a fitted geometry everything that may be added is linear, so the equations of the rows without a block are
@@ -357,8 +358,8 @@ ROWS = 1500
 WARM = 5.0
 """Range of temperatures, K, above which thermal expansion is tried."""
 
-NAMES = ("compliance", "gravity", "periodic", "thermal")
-"""Terms that can be chosen, in the order of trial; compliance, which uses measured torques, comes before gravity."""
+NAMES = ("compliance", "bending", "gravity", "periodic", "thermal")
+"""Terms that can be chosen, in the order of trial; those under known torques or masses come before gravity."""
 
 
 TermChoice = tuple[str, dict[str, float], tuple[Term, ...]]
@@ -441,6 +442,8 @@ def terms_of(names: str, arm: Arm, bare: Identification, observations: Observati
                 f"{observations.source}: compliance needs the joints' measured torques, or the masses of the arm's "
                 "links; name columns in [conditions.torques], give a file with masses, or `terms='gravity'`"
             )
+        if name == "bending" and arm.load is None:
+            raise InputError("bending needs the masses of the links; give an arm file with masses, or leave it out")
     if "periodic" not in requested:
         return tuple(plain_term(name, arm, observations) for name in requested)
     return _Trial.of(arm, bare, observations, tuple(requested)).terms(tuple(requested))
@@ -449,7 +452,7 @@ def terms_of(names: str, arm: Arm, bare: Identification, observations: Observati
 def plain_term(name: str, arm: Arm, observations: Observations) -> Term:
     """Return the term of this name; "periodic" has all candidate harmonics.
 
-    "compliance" takes measured torques, or else the weight of the arm's masses.
+    "compliance" takes measured torques, or else the weight of the arm's masses; "bending" takes these masses.
     """
     geometry = arm.nominal
     if name == "periodic":
@@ -460,6 +463,8 @@ def plain_term(name: str, arm: Arm, observations: Observations) -> Term:
     weight = weight_of(geometry, payload is not None and float(np.ptp(payload)) > 0)
     if name == "gravity":
         return weight
+    if name == "bending" and arm.load is not None:
+        return bending_of(arm)
     if observations.conditions.torque is None and arm.load is not None:
         return weight.with_masses(geometry, arm.load)
     return weight.weighed(geometry, observations.joints, observations.conditions)
@@ -494,7 +499,11 @@ class _Trial:
         """A trial of the named terms, or of all terms whose conditions the data have."""
         data = observations.select(equally_spaced(len(observations.joints), ROWS))
         if names is None:
-            missing = {"compliance": not _torques_known(arm, data), "thermal": data.conditions.temperature is None}
+            missing = {
+                "bending": arm.load is None,
+                "compliance": not _torques_known(arm, data),
+                "thermal": data.conditions.temperature is None,
+            }
             names = tuple(name for name in NAMES if not missing.get(name))
         folds = [fold for _, fold in contiguous_folds(data.groups, same_poses(data.joints), FOLDS)]
         every = counted(data.joints)

@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 
 from pickenv.arm import Array, Geometry, Tolerances, load_tolerances, standard_deviations
 from pickenv.calibration.model import arm_model
-from pickenv.calibration.model.arm_model import ArmModel, ComplianceTerm, ErrorModel, Term, frames_model
+from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, Term, frames_model
 from pickenv.calibration.model.observations import Observations, worked_out
+from pickenv.calibration.model.terms import ComplianceTerm
 
 FitWord = Literal["auto", "offsets", "full"]
 FIT_WORDS: tuple[FitWord, ...] = get_args(FitWord)

@@ -20,9 +20,10 @@ from pickenv.base.registry import Origin, get, origin
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.compensation.compensator import Compensator
 from pickenv.calibration.identification.least_squares import Identification, rms_of
-from pickenv.calibration.model.arm_model import ArmModel, Conditions, specification, term_from
+from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.measurements import InstrumentStation, Measurements, screen_unit
 from pickenv.calibration.model.observations import BLOCKS, Observations, Rows, equally_spaced, same_poses
+from pickenv.calibration.model.terms import specification, term_from
 from pickenv.calibration.residuals.residual_models import LearntResidual
 
 # How well the calibrated arm's tool pose is known, anywhere: u^2 = J C J^T + u_repeat^2 (GUM, JCGM 100:2008, 5.1.2).

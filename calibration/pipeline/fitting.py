@@ -22,11 +22,12 @@ from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.identification.least_squares import Identification, identify, unknowns_of
 from pickenv.calibration.identification.robust import MISFIT, SPAN, align, refuse_another_arm, rough_start
 from pickenv.calibration.identification.solve import solve
-from pickenv.calibration.model.arm_model import ArmModel, Term, frames_model, kind_of_term
+from pickenv.calibration.model.arm_model import ArmModel, Term, frames_model
 from pickenv.calibration.model.measurements import Measurements
 from pickenv.calibration.model.observations import MISS_UNITS, Observations, Rows, origins_of
 from pickenv.calibration.model.pixels import LENS_NAMES, Lens, PixelObservations
 from pickenv.calibration.model.prior import PriorModel, prior_model
+from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.calibration import Calibration
 from pickenv.calibration.residuals.bpnn import BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.gate import position_rms

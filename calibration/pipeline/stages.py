@@ -26,11 +26,12 @@ from pickenv.calibration.identification.robust import by_set_up, placed, scene_o
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
 from pickenv.calibration.model import observations
-from pickenv.calibration.model.arm_model import CARRIER, ArmModel, kind_of_term, pose_carrier
+from pickenv.calibration.model.arm_model import CARRIER, ArmModel, pose_carrier
 from pickenv.calibration.model.measurements import FRAMES, OWN, Frames, InstrumentStation, Measurements, Stacked
 from pickenv.calibration.model.noise import noise_of
 from pickenv.calibration.model.observations import Observations, Rows, origins_of, pose_count
 from pickenv.calibration.model.prior import FIT_WORDS, prior_model
+from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline import fitting
 from pickenv.calibration.pipeline.result import Result, assess, workspace_joints
 from pickenv.calibration.reading.description import load_description

@@ -22,8 +22,9 @@ from pickenv.arm.effects.residual_field import Features, ResidualField
 from pickenv.arm.plant.plant import Layout, Posterior
 from pickenv.arm.plant.twin_file import twin_plant
 from pickenv.base import InputError
-from pickenv.calibration.model.arm_model import ArmModel, ComplianceTerm, GravityTerm, PeriodicTerm, Term, ThermalTerm
+from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, Measurements
+from pickenv.calibration.model.terms import BendingTerm, ComplianceTerm, GravityTerm, PeriodicTerm, ThermalTerm
 from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
 from pickenv.calibration.residuals.gaussian_process import GaussianProcess, feature_process
 from pickenv.calibration.residuals.residual_models import JointInputs, fit_residual
@@ -221,6 +222,8 @@ def _missing(calibration: Calibration) -> Iterator[str]:
     """Yield sentences on the parts of the calibration that the plant leaves out, and on the plant's base frame."""
     if any(isinstance(term, ThermalTerm) for term in calibration.model.terms):
         yield "the arm stays at its reference temperature: of its growth only the coefficient is known"
+    if any(isinstance(term, BendingTerm) for term in calibration.model.terms):
+        yield "its joints do not bend across their axes"
     if calibration.record.get("frames") == "fitted":
         yield "base and tool were fitted, so it errs in its own base as it did against the aligned nominal arm"
 

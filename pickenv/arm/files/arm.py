@@ -61,6 +61,8 @@ class Arm:
         speed: Largest joint speeds, rad/s or m/s, shape (n,).
         tolerance_class: Name of the tolerance class of the arm's parts, if the file gives one, else None.
         load: The masses that the links carry, if the file gives them, else None.
+        pivots: Where each link is joined to the one before, along its axis from the link's frame (L,), m, if the file
+            places joints; else None, and the frames are taken.
     """
 
     name: str
@@ -70,6 +72,7 @@ class Arm:
     speed: Array
     tolerance_class: str | None = None
     load: Load | None = None
+    pivots: Array | None = None
 
     def fingerprint(self) -> str:
         """Return the hash of the nominal geometry; a calibration is refused on an arm with another hash."""

@@ -217,7 +217,7 @@ def load_ur_yaml(path: str | Path, tip: str | None = None) -> Arm:
     if tip:
         raise InputError(f"{path} ends at the flange, and names no '{shortened(tip)}'; leave # and what follows out")
     row, mark = ur_row(path)
-    geometry, speed, _ = geometry_of([row])
+    geometry, speed, *_ = geometry_of([row])
     source = f"UR kinematics {path.name}{mark}; limits and speeds are those of {LIMITS_OF}, which the file has not"
     return Arm(path.stem, source, geometry, None, speed)
 

@@ -257,14 +257,16 @@ def arm_of(rows: Sequence[JointRow], path: Path, form: str, named: bool = True) 
         InputError: If `geometry_of` raises one; the message names the file.
     """
     with in_file(path):
-        geometry, speed, load = geometry_of(rows)
+        geometry, speed, load, pivots = geometry_of(rows)
     tips = ", ".join(row.tip for row in rows)
     end = f"{'' if named else ' by default its flange,'} tip {tips}" if len(rows) == 1 else f" whole robot with {tips}"
-    return Arm(rows[0].name, f"{form} {path.name},{end}", geometry, None, speed, load=load)
+    return Arm(rows[0].name, f"{form} {path.name},{end}", geometry, None, speed, None, load, pivots)
 
 
-def geometry_of(rows: Sequence[JointRow]) -> tuple[Geometry, Array, Load | None]:
-    """Return an arm's or a whole robot's geometry, the largest joint speeds ``(n,)``, rad/s or m/s, and the masses.
+def geometry_of(rows: Sequence[JointRow]) -> tuple[Geometry, Array, Load | None, Array]:
+    """Return an arm's or a whole robot's geometry, the largest joint speeds ``(n,)``, rad/s or m/s, masses and pivots.
+
+    `Arm` says what pivots are.
 
     The chains of a whole robot share their first joints. The robot's link table holds one branch after another.
 
@@ -325,7 +327,9 @@ def geometry_of(rows: Sequence[JointRow]) -> tuple[Geometry, Array, Load | None]
     if len(rows) == 1:
         alone = coupling == Coupling(tuple(range(len(names))), (1.0,) * len(names), prismatic)
         geometry = replace(geometry, coupling=None if alone else coupling, tree=None)
-    return geometry, np.array(speed), _load(rows[0].masses, joints, zeros)
+    pairs = zip(joints, zeros, strict=True)
+    pivots = np.array([zero.rotation[:, 2] @ (joint.origin.position - zero.position) for joint, zero in pairs])
+    return geometry, np.array(speed), _load(rows[0].masses, joints, zeros), pivots
 
 
 def _load(masses: Sequence[Mass], joints: Sequence[ChainJoint], zeros: Sequence[Pose]) -> Load | None:

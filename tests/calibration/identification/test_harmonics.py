@@ -40,7 +40,7 @@ from pickenv.calibration.identification.term_choice import (
     solved,
     terms_of,
 )
-from pickenv.calibration.model.arm_model import OrderTerm, ThermalTerm, kind_of_term
+from pickenv.calibration.model.terms import OrderTerm, ThermalTerm, kind_of_term
 
 ARM = load_arm("ur5")
 NOISE = 2e-5

@@ -22,7 +22,7 @@ from pickenv.calibration import (
     simulated_tracker,
     with_terms,
 )
-from pickenv.calibration.model.arm_model import specification, term_from
+from pickenv.calibration.model.terms import specification, term_from
 from tests.calibration.loads import LoadedCompliance
 
 ALL = tuple(range(6))

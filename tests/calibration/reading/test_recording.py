@@ -171,7 +171,7 @@ def test_motion_calibrates_about_as_well_as_rests(tmp_path: Path) -> None:
             missed = missed - pose.position - pose.rotation @ TARGET
             errors[name] = float(np.sqrt(np.mean(np.sum(missed**2, axis=1))))
         ratios.append(errors["motion"] / errors["rests"])
-    assert np.median(ratios) < 1.5
+    assert max(ratios) < 1.5
 
 
 def changed(file: Path, row: int, column: int, text: str) -> None:
