@@ -16,6 +16,8 @@ TRAIN = "train --steps 1 --out train"
 IDLE = [
     ("calibrate rows.csv --arm ur5e --force", "--force"),
     ("calibrate rows.csv --arm ur5e --residual gp", "--residual gp"),
+    ("calibrate rows.csv --arm ur5e --payload 1 0 0 50 --terms none", "--payload"),
+    ("calibrate rows.csv --columns ical_charuco --payload 1 0 0 50", "--payload"),
     ("calibrate rows.csv --arm ur5e --fit full --workspace x=300:600", "--workspace"),
     ("calibrate rows.csv --arm ur5e --test rows.csv --split blocked", "--split blocked"),
     ("calibrate rows.csv --columns ical_charuco --fit offsets", "--fit offsets"),

@@ -68,10 +68,10 @@ def calibrate(
         workspace: Where the arm will work: a file of targets, or ranges such as q1=-90:90,x=300:900 (deg, mm); the
             joint limits if left out.
         terms: Parametric terms: auto, none, or compliance (under measured torques, or the masses in the arm's file),
-            gravity (the arm's own weight, masses unknown), periodic (harmonics of the drives, of orders that the data
-            show), thermal joined by +.
-        payload: Mass at the tool in all rows, kg, and its centre in the tool's frame, mm, for the compliance under the
-            masses in the arm's file.
+            bending (across the joints, under these masses), gravity (the arm's own weight, masses unknown), periodic
+            (harmonics of the drives, of orders that the data show), thermal joined by +.
+        payload: Mass at the tool in all rows, kg, and its centre in the tool's frame, mm; it adds to the masses in the
+            arm's file, for compliance and bending.
         residual: Residual model: auto (the best of ours, if it wins in cross-validation), none, {residual}.
         force: Use the named residual model also if it does not win in cross-validation.
         robust: List outliers, held out or not, and leave them out (--robust) or keep them (--no-robust).
@@ -109,7 +109,7 @@ def calibrate(
     choices = pickenv.Choices(**arguments_for(pickenv.Choices, typed))
     robot: str | pickenv.arm.Arm | None = arm
     if payload is not None:
-        if arm is None or not {"auto", "compliance"} & set(terms.split("+")):
+        if arm is None or not {"auto", "compliance", "bending"} & set(terms.split("+")):
             raise pickenv.InputError("--payload is for an arm whose joints yield; give --arm, and --terms compliance")
         robot = pickenv.load_arm(arm, whole=True).holding(payload[0], [1e-3 * length for length in payload[1:]])
     how: dict[str, Any] = arguments_for(pickenv.calibrate, typed) | {"arm": robot, "choices": choices}

@@ -341,7 +341,7 @@ def test_a_joint_bends_across_its_axis_by_a_symmetric_matrix(tmp_path: Path) -> 
 def test_a_torso_that_bends_under_both_arms_costs_nothing(
     tmp_path: Path, yields: tuple[float, float, float], robots: int
 ) -> None:
-    """At most 1.1 times what is left where the fit is told which joint yields; along alone, where none does, too."""
+    """At most 1.2 times what is left where the fit is told which joint yields, or where none does."""
     told, stiff, covered = [], [], []
     for seed in range(robots):
         left = []
@@ -357,8 +357,8 @@ def test_a_torso_that_bends_under_both_arms_costs_nothing(
                 told.append(left[0] / torso_alone(folder, result, across=yields[0] > 0.0))
         stiff.append(left[0] / left[1])
     print("told", np.round(told, 3), "stiff", np.round(stiff, 3), "covered", np.round(covered, 3))
-    assert max(told) < 1.1
-    assert yields[0] > 0.0 or max(stiff) < 1.1
+    assert max(told) < 1.2
+    assert max(stiff) < 1.2
     assert 0.90 <= np.mean(covered) <= 0.98
 
 
