@@ -83,13 +83,14 @@ def test_a_command_is_said_as_it_is_typed_less_what_it_writes() -> None:
         quick: Annotated[bool, typer.Option("--quick")] = False,
         robust: Annotated[bool, typer.Option("--robust/--no-robust")] = True,
         test_rows: Annotated[int | None, typer.Option()] = None,
+        held: Annotated[tuple[float, float] | None, typer.Option()] = None,
         out: Annotated[str, typer.Option()] = "out",
     ) -> None: ...
 
     values = {"files": ["a b.csv", "c.csv"], "pool": "p.csv", "allow": ["x", "y"], "quick": True, "robust": False}
-    line = showing.command_of(judge, values | {"test_rows": None, "out": "there"})
-    assert line == "pickenv judge 'a b.csv' c.csv --from p.csv --allow x --allow y --quick --no-robust"
-    plain = values | {"pool": None, "allow": None, "quick": False, "robust": True}
+    line = showing.command_of(judge, values | {"test_rows": None, "held": (2.5, 60.0), "out": "there"})
+    assert line == "pickenv judge 'a b.csv' c.csv --from p.csv --allow x --allow y --quick --no-robust --held 2.5 60.0"
+    plain = values | {"pool": None, "allow": None, "quick": False, "robust": True, "held": None}
     assert (
         showing.command_of(judge, plain | {"test_rows": 5, "out": ""}) == "pickenv judge 'a b.csv' c.csv --test-rows 5"
     )

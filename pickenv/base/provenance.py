@@ -38,14 +38,14 @@ def command_words(*words: object, **options: object) -> list[str]:
     Args:
         words: Command and positional arguments.
         options: Values of options, by name with underscores. True is a flag, a list repeats its option, None and False
-            leave it out.
+            leave it out. A tuple in a list is one option with several words.
     """
     line = [str(word) for word in words]
     for name, value in options.items():
         option = f"--{name.replace('_', '-')}"
         for part in value if isinstance(value, list | tuple) else [value]:
             if part is not None and part is not False:
-                line += [option] if part is True else [option, str(part)]
+                line += [option] if part is True else [option, *map(str, part if isinstance(part, tuple) else (part,))]
     return line
 
 

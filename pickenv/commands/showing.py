@@ -190,7 +190,8 @@ def command_of(command: Callable[..., None], values: Mapping[str, Any]) -> str:
             continue
         given = getattr(declared, "default", None)
         option, _, opposite = (given if isinstance(given, str) else name).partition("/")
-        options |= {opposite.strip("-"): not value} if opposite else {option.strip("-"): value}
+        several = [value] if isinstance(value, tuple) else value  # words of one option
+        options |= {opposite.strip("-"): not value} if opposite else {option.strip("-"): several}
     return command_line(*words, **options)
 
 
