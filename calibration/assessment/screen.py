@@ -215,4 +215,5 @@ def stiffness_block(rows: Sequence[Mapping[str, Any]]) -> Block:
         unit = row["unit"] if known_stiffness else f"{row['unit']}; not told{least}"
         torques = [figure(row[key]) if key in row else "" for key in ("torque_rms", "torque_left_rms")]
         cells.append((f"{row['joint']} ({row['name']})", *sizes, unit, *torques))
-    return Block("Stiffnesses of the joints", header, tuple(cells), NOTE, "stiffnesses")
+    note = NOTE if any("torque_rms" in row for row in rows) else "from the weight of the masses in the arm's file"
+    return Block("Stiffnesses of the joints", header, tuple(cells), note, "stiffnesses")

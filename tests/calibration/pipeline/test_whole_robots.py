@@ -305,6 +305,7 @@ def test_the_payload_in_hand_belongs_to_the_weight_that_bends_the_torso(tmp_path
         result = pickenv.calibrate(told, tmp_path / "left_tip.csv", columns=tmp_path / "left_tip.toml")
         assert result.terms is not None
         assert result.terms[0] == "compliance"
+        assert "the masses in the arm's file" in result.report()
         (lean,) = (row for row in result.as_dict()["stiffnesses"] if row["name"] == "torso_j2")
         off.append((lean["stiffness"] * 2e-5 - 1.0) / (lean["stiffness_std"] * 2e-5))
     assert abs(off[0]) < 3.0
