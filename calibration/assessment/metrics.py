@@ -20,10 +20,12 @@ LEAST_ROWS = 20
 """Smallest number of single errors for a 95 % interval of their mean; with ten, it covers the mean in only 92 %."""
 
 MOST_APART = 0.4
-"""Largest spread between blocks for which an interval of the root mean square is given. The spread is the standard
-deviation of the logarithm of the blocks' root mean squares. Above this value one block outweighs the others, and an
-interval from ten blocks covers the root mean square in less than 93 %. For the errors that calibrations of measured
-robots leave, the spread is 0.03 to 0.23."""
+"""Largest spread between blocks for which an interval of the root mean square is given.
+
+The spread is the standard deviation of the logarithm of the blocks' root mean squares. Above this value one block
+outweighs the others, and an interval from ten blocks covers the root mean square in less than 93 %. For the errors that
+calibrations of measured robots leave, the spread is 0.03 to 0.23.
+"""
 
 
 @dataclass(frozen=True)
@@ -73,6 +75,7 @@ def error_statistics(errors: ArrayLike, blocks: ArrayLike | None = None) -> Erro
     if errors.size == 0 or not np.isfinite(errors).all():
         raise ValueError("error statistics need at least one error, all finite")
     norms = np.abs(errors) if errors.ndim == 1 else np.linalg.norm(errors, axis=1)
+    axis = () if errors.ndim == 1 else tuple(float(v) for v in np.sqrt(np.mean(errors**2, axis=0)))
     return ErrorStatistics(
         mean=float(norms.mean()),
         mean_ci95=mean_interval(norms, LEAST_ROWS) if blocks is None else block_interval(norms, blocks),
@@ -81,7 +84,7 @@ def error_statistics(errors: ArrayLike, blocks: ArrayLike | None = None) -> Erro
         std=float(norms.std()),
         p95=float(np.percentile(norms, 95)),
         max=float(norms.max()),
-        axis_rms=() if errors.ndim == 1 else tuple(float(v) for v in np.sqrt(np.mean(errors**2, axis=0))),
+        axis_rms=axis,
         count=len(norms),
     )
 

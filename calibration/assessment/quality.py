@@ -488,7 +488,8 @@ def _chance(before: Array, after: Array, blocks: Rows | None) -> float:
         gain = np.bincount(which, gain) / np.bincount(which)
     if np.ptp(gain) <= SAME * np.max(np.abs(gain)):
         return 0.0 if gain[0] > 0 else 1.0
-    return float(stats.t.sf(math.sqrt(len(gain)) * float(np.mean(gain) / np.std(gain, ddof=1)), len(gain) - 1))
+    ratio = float(np.mean(gain) / np.std(gain, ddof=1))
+    return float(stats.t.sf(math.sqrt(len(gain)) * ratio, len(gain) - 1))
 
 
 def _cautions(

@@ -24,8 +24,11 @@ NARROW = 10
 
 LENGTHS_OF_KINDS = ("reflector", "anchor", "socket", "point", "tip", "plane_offset", "zero")
 NUMBERS_OF_KINDS = ("scale", "normal", "axis", "down")
-"""Name prefixes of unknowns without a unit, that is directions and scales. The unknowns are those that a kind of
-measurement adds to the arm's parameters. `LENGTHS_OF_KINDS` has the prefixes of unknowns that are lengths."""
+"""Name prefixes of unknowns without a unit, that is directions and scales.
+
+The unknowns are those that a kind of measurement adds to the arm's parameters. `LENGTHS_OF_KINDS` has the prefixes of
+unknowns that are lengths.
+"""
 
 
 def figure(value: float | None) -> str:

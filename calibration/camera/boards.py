@@ -65,15 +65,18 @@ def write_lens(lens: Lens, path: str | Path) -> Path:
     import yaml
 
     fx, fy, cx, cy, *distortion = (float(value) for value in lens.values)
+    matrix = [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]
+    width, height = lens.size
+    projection = [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]
     content: dict[str, Any] = {
-        "image_width": lens.size[0],
-        "image_height": lens.size[1],
+        "image_width": width,
+        "image_height": height,
         "camera_name": lens.name,
-        "camera_matrix": {"rows": 3, "cols": 3, "data": [fx, 0.0, cx, 0.0, fy, cy, 0.0, 0.0, 1.0]},
+        "camera_matrix": {"rows": 3, "cols": 3, "data": matrix},
         "distortion_model": "plumb_bob",
         "distortion_coefficients": {"rows": 1, "cols": COEFFICIENTS, "data": distortion},
         "rectification_matrix": {"rows": 3, "cols": 3, "data": np.eye(3).ravel().tolist()},
-        "projection_matrix": {"rows": 3, "cols": 4, "data": [fx, 0.0, cx, 0.0, 0.0, fy, cy, 0.0, 0.0, 0.0, 1.0, 0.0]},
+        "projection_matrix": {"rows": 3, "cols": 4, "data": projection},
     }
     return write_text(Path(path), yaml.safe_dump(content, sort_keys=False, default_flow_style=None))
 
@@ -174,12 +177,14 @@ class Board:
     @property
     def corners(self) -> Array:
         """Positions of the corners ``(K, 3)``, m: between squares, row by row, or the four of each tag, clockwise."""
-        inner = int(self.kind != "apriltags")  # the corners at a board's edge are of no use
-        x, y = np.meshgrid(np.arange(inner, self.columns), np.arange(inner, self.rows))
-        flat = (self.square + (self.gap or 0.0)) * np.stack([x.ravel(), y.ravel()], axis=1)
-        if not inner:
-            tag = self.square * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-            flat = (flat[:, None] + tag).reshape(-1, 2)
+        if self.kind != "apriltags":
+            x, y = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
+            return self.square * np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1).astype(float)
+        assert self.gap is not None
+        x, y = np.meshgrid(np.arange(self.columns), np.arange(self.rows))
+        first = (self.square + self.gap) * np.stack([x.ravel(), y.ravel()], axis=1)
+        tag = self.square * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
+        flat = (first[:, None] + tag).reshape(-1, 2)
         return np.column_stack([flat, np.zeros(len(flat))])
 
     @property
@@ -223,7 +228,8 @@ def opencv_board(board: Board) -> Any:
     cv2 = opencv()
     assert board.dictionary is not None
     markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARIES[board.dictionary]))
-    if board.columns * board.rows // (1 if board.kind == "apriltags" else 2) > len(markers.bytesList):
+    needed = board.columns * board.rows // (1 if board.kind == "apriltags" else 2)
+    if needed > len(markers.bytesList):
         raise InputError(
             f"dictionary {board.dictionary} has {len(markers.bytesList)} markers, too few for {board.columns} x "
             f"{board.rows}; give a larger one"
@@ -243,7 +249,8 @@ def board_picture(board: Board, pixels_per_square: int = PIXELS_PER_SQUARE) -> G
     if board.kind == "chessboard":
         x, y = np.meshgrid(np.arange(width), np.arange(height))
         return np.where((x // pixels_per_square + y // pixels_per_square) % 2 == 0, 0, 255).astype(np.uint8)
-    return np.asarray(opencv_board(board).generateImage((width, height), marginSize=0, borderBits=1), dtype=np.uint8)
+    picture = opencv_board(board).generateImage((width, height), marginSize=0, borderBits=1)
+    return np.asarray(picture, dtype=np.uint8)
 
 
 def write_board(board: Board, path: str | Path, margin: float = 0.01) -> Path:
@@ -299,15 +306,19 @@ WINDOW = 5
 """Half width, px, of the square around a corner whose gradients determine the corner's uncertainty."""
 
 LEAST_STD = {"charuco": 0.05, "chessboard": 0.05, "apriltags": 0.3}
-"""Least standard uncertainty of a corner, px, by kind of board, however low the picture's noise is. Chessboard corners,
-where edges cross, are more accurate than the outer corners of tags, which blur shifts (both measured on rendered
-pictures)."""
+"""Least standard uncertainty of a corner, px, by kind of board, however low the picture's noise is.
+
+Chessboard corners, where edges cross, are more accurate than the outer corners of tags, which blur shifts (both
+measured on rendered pictures).
+"""
 
 
 Corners = tuple[Array, NDArray[np.bool_], Array]
-"""The corners of a board in one picture: pixels, mask and standard uncertainties. Pixels ``(K, 2)`` are 0 for a corner
-that was not found. The mask ``(K,)`` is True for corners that were found. The standard uncertainty of each coordinate
-``(K,)`` is in px, 1 for a corner that was not found."""
+"""The corners of a board in one picture: pixels, mask and standard uncertainties.
+
+Pixels ``(K, 2)`` are 0 for a corner that was not found. The mask ``(K,)`` is True for corners that were found. The
+standard uncertainty of each coordinate ``(K,)`` is in px, 1 for a corner that was not found.
+"""
 
 
 def find_corners(board: Board, picture: Grey, where: str) -> Corners:
@@ -381,7 +392,9 @@ def _found(board: Board, picture: Grey) -> tuple[NDArray[np.int64], Array]:
         return (np.arange(inner[0] * inner[1]), _upright(picture, places.reshape(-1, 2), inner)) if complete else none
     if board.kind == "charuco":
         places, numbers, _, _ = cv2.aruco.CharucoDetector(opencv_board(board)).detectBoard(picture)
-        return none if numbers is None else (numbers.ravel().astype(np.int64), places.reshape(-1, 2).astype(float))
+        if numbers is None:
+            return none
+        return numbers.ravel().astype(np.int64), places.reshape(-1, 2).astype(float)
     corners, tags = _markers(board, picture)
     of_board = [i for i, tag in enumerate(tags) if tag < board.columns * board.rows]
     if not of_board:

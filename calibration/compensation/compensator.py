@@ -37,15 +37,19 @@ from pickenv.calibration.identification.extended_kalman_filter import FilterStat
 # lines run on NumPy arrays and torch tensors.
 
 RIDGE = 16.0
-"""Value added to the diagonal of J^T J, so that a singular J^T J can be factorised. It is in multiples of the rounding
-error of the trace of J^T J."""
+"""Value added to the diagonal of J^T J, so that a singular J^T J can be factorised.
+
+It is in multiples of the rounding error of the trace of J^T J.
+"""
 
 SETTLED = 1e-4
 """Largest rotation (1 - cosine) of the singular direction in the last inverse iteration that counts as converged."""
 
 START = (0.9, -0.4, 1.0, 0.7, -1.1, 0.6, -0.3)
-"""Start vector of the inverse iteration for the singular direction. It is far from the directions that are likely to be
-singular in a symmetric arm."""
+"""Start vector of the inverse iteration for the singular direction.
+
+It is far from the directions that are likely to be singular in a symmetric arm.
+"""
 
 Columns = Sequence[Sequence[Scalar]]
 """The n columns of a Jacobian J, each with six components ``(...)``; components that are the float 0.0 cost nothing."""
@@ -291,7 +295,8 @@ class Compensator:
         from pickenv.arm.kinematics.machine_code import FLAG, SYMBOLS, Compiled, Trace
 
         trace = Trace()
-        outputs = self._within_limits(SYMBOLS, self._corrected(SYMBOLS, trace.inputs("targets", self.nominal.joints)))
+        corrections = self._corrected(SYMBOLS, trace.inputs("targets", self.nominal.joints))
+        outputs = self._within_limits(SYMBOLS, corrections)
         doubt = reduce(or_, trace.exceptions, False)
         code = Compiled(trace, trace.outputs("commands", outputs) + trace.outputs("doubts", [doubt], FLAG), count)
 

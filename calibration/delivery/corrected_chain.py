@@ -43,8 +43,10 @@ from pickenv.calibration.pipeline.calibration import Calibration
 NEAR, TURNED = 1e-4, 2e-4
 """Largest distance, m, and angle, rad, between two axes that count as equal; rounding in a file causes so much."""
 LEAST_SHARE = 1e-3
-"""Deviation below which a relation of table and file (`SameChain`) counts as exact. It is a share of `NEAR` and
-`TURNED`, that is 0.1 micrometre."""
+"""Deviation below which a relation of table and file (`SameChain`) counts as exact.
+
+It is a share of `NEAR` and `TURNED`, that is 0.1 micrometre.
+"""
 
 GOLDEN = (math.sqrt(5.0) - 1.0) / 2.0
 POSES = 12
@@ -52,9 +54,11 @@ POSES = 12
 
 
 SameChain = tuple[Pose, Array, Array]
-"""The relation of an arm's DH table to a file of the same chain: root, sign and zero. The root is the pose of the
-table's world frame in the file's root link. The sign is 1 or -1 for each joint (n,). The zero is the table's joint
-values (n,), rad or m, at the pose where all joints of the file are zero."""
+"""The relation of an arm's DH table to a file of the same chain: root, sign and zero.
+
+The root is the pose of the table's world frame in the file's root link. The sign is 1 or -1 for each joint (n,). The
+zero is the table's joint values (n,), rad or m, at the pose where all joints of the file are zero.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -287,13 +291,15 @@ def corrected_chain(
     """
     root, sign, zero = same
     before, after = ([behind(root, pose) for pose in link_frames(geometry, zero)] for geometry in (nominal, identified))
-    origins, old, new = _moved_origins(before, after, joints, [float(sign[joint]) for joint in nominal.owners])
+    signs = [float(sign[joint]) for joint in nominal.owners]
+    origins, old, new = _moved_origins(before, after, joints, signs)
     hand = behind(after[-1], identified.tool)
     if joints and joints[-1].ratio:
         drawing, placed = behind(before[-1], nominal.tool), behind(inverse_pose(new), hand)
         axis, moved = joints[-1].axis, behind(placed, inverse_pose(behind(inverse_pose(old), drawing)))
         # The part of the tool's motion that shifts along the last axis and turns about it is the joint's.
-        along = Pose(axis * (axis @ moved.position), rotation_matrix(axis * (axis @ rotation_vector(moved.rotation))))
+        turn = rotation_matrix(axis * (axis @ rotation_vector(moved.rotation)))
+        along = Pose(axis * (axis @ moved.position), turn)
         origins[-1], new = behind(origins[-1], along), behind(new, along)
     return origins, behind(inverse_pose(new), hand)
 
@@ -381,7 +387,8 @@ def _laid_upon(laid: Pose, joint: ChainJoint, sign: float) -> Pose:
     """The pose of a file's joint in its link's frame, put exactly on the z axis: this removes the file's rounding."""
     axis = laid.rotation @ joint.axis
     turn = Rotation.align_vectors(sign * Z[None], axis[None])[0].as_matrix()
-    return Pose(laid.position if joint.slides else Z * laid.position[2], turn @ laid.rotation)
+    position = laid.position if joint.slides else Z * laid.position[2]
+    return Pose(position, turn @ laid.rotation)
 
 
 # What patching a robot's own file shares, whatever its format. Is it this arm, where do its joints stand now, what

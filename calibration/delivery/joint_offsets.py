@@ -153,7 +153,8 @@ def _deviation(calibration: Calibration, joints: Array, rows: slice, columns: ND
     identified = [nominal.parameter_names.index(sure.names[i]) for i in places]
     way, *_ = _way(nominal, joints, rows, columns)
     way = way @ parameter_jacobian(nominal, joints)[:, rows, identified].reshape(way.shape[1], -1)
-    variance = np.einsum("ij,jk,ik->i", way, sure.covariance[np.ix_(places, places)], way)
+    covariance = sure.covariance[np.ix_(places, places)]
+    variance = np.einsum("ij,jk,ik->i", way, covariance, way)
     return np.where(way.any(axis=1), np.sqrt(variance), np.nan)
 
 

@@ -180,7 +180,8 @@ def _behind_tip(
     joint = f"{frame}_joint"
     if any(tag.is_named("link", frame) for tag in tags):
         place = next((i for i, tag in enumerate(tags) if tag.is_named("joint", joint)), -1)
-        if [tag.attributes.get("link") for tag in tags if tag.name == "parent" and tag.parent == place] != [tip]:
+        parents = [tag.attributes.get("link") for tag in tags if tag.name == "parent" and tag.parent == place]
+        if parents != [tip]:
             raise InputError(f"{path} has a link '{shortened(frame)}' of its own, where the calibrated tool is written")
         return _moved(data, tags, place, pose)
     origin = f'<origin xyz="{numbers_text(pose.position)}" rpy="{_rpy(pose)}"/>'
@@ -498,7 +499,8 @@ def static_transforms(calibration: Calibration, order: document.Order) -> docume
 
 
 def _line(pose: Pose, frame: str, child: str) -> str:
-    numbers = np.concatenate([pose.position, Rotation.from_matrix(np.asarray(pose.rotation)).as_quat()]).tolist()
+    turn = Rotation.from_matrix(np.asarray(pose.rotation)).as_quat()
+    numbers = np.concatenate([pose.position, turn]).tolist()
     values = dict(zip(("x", "y", "z", "qx", "qy", "qz", "qw"), numbers, strict=True))
     program = ("ros2", "run", "tf2_ros", "static_transform_publisher")
     return command_line(*program, **values, frame_id=frame, child_frame_id=child)

@@ -400,12 +400,14 @@ def _enough_poses(
         links = model.some(model.columns < len(arm.geometry.parameter_names))
         tolerance, bare = np.concatenate([part.tolerances(), links.tolerance]), ArmModel.of(arm.geometry)
         matrix, names = _jacobian(links, [probe], bare, unknowns, tolerance), (*part.unknowns(), *links.names)
-        full = max(full, identifiable_parameters(links, [probe], bare, unknowns, matrix, names, tolerance).rank)
+        elsewhere = identifiable_parameters(links, [probe], bare, unknowns, matrix, names, tolerance)
+        full = max(full, elsewhere.rank)
     if rows <= full or (part.kind in ("pose", "position") and rank < full and rows < 2 * full):
         poses = sum(len(part.joints) for part in sets)
+        needed = -int(-2 * full // (rows / poses))
         raise InputError(
             f"{part.source}: {poses} poses give {rows} equations, too few for the {full} parameters that {part.kind} "
-            f"measurements identify; measure at least {-int(-2 * full // (rows / poses))} poses"
+            f"measurements identify; measure at least {needed} poses"
         )
 
 

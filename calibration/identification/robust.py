@@ -130,7 +130,8 @@ def registered(geometry: Geometry, tool: Pose, chain: Pose, measurements: Measur
         turn, _ = laid_onto(nominal, measured)
     else:
         turn = nearest_rotation(np.einsum("nij,nkj->ik", measurements.rotation, chain.rotation @ tool.rotation))
-    return replace(geometry, base=Pose(measured.mean(0) - turn @ nominal.mean(0), turn), tool=tool)
+    base = Pose(measured.mean(0) - turn @ nominal.mean(0), turn)
+    return replace(geometry, base=base, tool=tool)
 
 
 def _closed_form_tool(chain: Pose, measurements: Measurements, nominal: Pose) -> Pose:
@@ -139,24 +140,29 @@ def _closed_form_tool(chain: Pose, measurements: Measurements, nominal: Pose) ->
         return Pose(_offset_from_positions(chain, measurements.position), nominal.rotation)
     turn, tool_turn = _turns_from_attitudes(chain.rotation, measurements.rotation)
     # p = t + R o + R Q u is linear in t and u.
-    matrix = np.concatenate([np.broadcast_to(np.eye(3), chain.rotation.shape), turn @ chain.rotation], axis=2)
+    count = len(measurements)
+    matrix = np.concatenate([np.broadcast_to(np.eye(3), (count, 3, 3)), turn @ chain.rotation], axis=2)
     right = measurements.position - chain.position @ turn.T
-    return Pose(np.linalg.lstsq(matrix.reshape(-1, 6), right.ravel(), rcond=1e-9)[0][3:], tool_turn)
+    solution = np.linalg.lstsq(matrix.reshape(-1, 6), right.ravel(), rcond=1e-9)[0]
+    return Pose(solution[3:], tool_turn)
 
 
 def _offset_from_positions(chain: Pose, position: Array) -> Array:
     """The tool offset u from M p - s - Q u = o, which is linear in M = R^T, s = R^T t and u."""
     count, middle = len(position), position.mean(axis=0)
     by_rotation = np.einsum("ik,nj->nikj", np.eye(3), position - middle).reshape(count, 3, 9)
-    matrix = np.concatenate([by_rotation, np.broadcast_to(-np.eye(3), (count, 3, 3)), -chain.rotation], axis=2)
-    return np.asarray(np.linalg.lstsq(matrix.reshape(-1, 15), chain.position.ravel(), rcond=1e-6)[0][12:])
+    by_shift = np.broadcast_to(-np.eye(3), (count, 3, 3))
+    matrix = np.concatenate([by_rotation, by_shift, -chain.rotation], axis=2)
+    solution = np.linalg.lstsq(matrix.reshape(-1, 15), chain.position.ravel(), rcond=1e-6)[0]
+    return np.asarray(solution[12:])
 
 
 def _turns_from_attitudes(chain: Array, measured: Array) -> tuple[Array, Array]:
     """Base and tool rotation of measured = R chain T: the null vector of measured T^T - R chain = 0."""
     # Row-major vec: vec(A X) = (A kron 1) vec X, vec(Y B) = (1 kron B^T) vec Y. Of rotations the normal equations are
     # [[N, -S], [-S^T, N]] with the sum S of A^T kron B^T, so that the null vector is S's first pair of singular ones.
-    u, _, vt = np.linalg.svd(np.einsum("nji,nlk->ikjl", measured, chain).reshape(9, 9))
+    across = np.einsum("nji,nlk->ikjl", measured, chain)
+    u, _, vt = np.linalg.svd(across.reshape(9, 9))
     first, second = u[:, 0].reshape(3, 3), vt[0].reshape(3, 3)
     sign = np.sign(np.linalg.det(second)) or 1.0
     return nearest_rotation(second * sign), nearest_rotation(first * sign).T
@@ -189,7 +195,8 @@ def refuse_another_arm(
     spread = float(np.linalg.norm(measurements.position.std(axis=0)))
     if position * spread > MISFIT * max(spread, SPAN):
         whole = ArmModel.of(nominal or geometry).pose(measurements.joints, measurements.conditions)
-        ratio = spread / max(float(np.linalg.norm(whole.position.std(axis=0))), 1e-12)
+        reach = float(np.linalg.norm(whole.position.std(axis=0)))
+        ratio = spread / max(reach, 1e-12)
         if not 0.05 < ratio < 20:
             raise InputError(
                 f"{measurements.source}: positions spread {ratio:.3g} times as far as the "
@@ -314,7 +321,8 @@ def sizes_of(
     if scales is None:
         usual = np.sqrt(2.0 * gammaincinv(np.maximum(count, 1.0) / 2.0, 0.5) * coordinates / np.maximum(count, 1.0))
         apart = np.ones(len(data.joints)) if apart is None else apart
-        scales = np.maximum([_median(size / median, apart) for size, median in zip(errors, usual, strict=True)], 1.0)
+        medians = [_median(size / median, apart) for size, median in zip(errors, usual, strict=True)]
+        scales = np.maximum(medians, 1.0)
     errors = errors / scales[:, None]
     size = np.sqrt(np.nansum(errors**2, axis=0) / np.maximum(coordinates.sum(axis=0), 1))
     return np.fmax.reduce(errors, axis=0, initial=0.0), 1.0 / (1.0 + (size / CAUCHY) ** 2), scales
@@ -466,7 +474,8 @@ def scene_of(arm: Arm, data: Sequence[Observations]) -> Stacked:
     sensors_and_targets, owners = list(zip(*scenes, strict=True)), []
     for number, scene in enumerate(scenes[1:], start=2):
         pairs = zip(scene, sensors_and_targets, strict=True)
-        owners.append(dict(zip(OWN, [names.index(name) + 1 if name else number for name, names in pairs], strict=True)))
+        firsts = [names.index(name) + 1 if name else number for name, names in pairs]
+        owners.append(dict(zip(OWN, firsts, strict=True)))
     return _stations(arm, parts, owners)
 
 
@@ -582,7 +591,8 @@ def _criterion(arm: Arm, near: Mapping[int, tuple[Measurements, Geometry]], grou
         rows = rows_together([near[i][0] for i in members])
         sets.append(rows.select(equally_spaced(len(rows), SET_UP_ROWS)))
         start = near[members[0]][1]
-        stations.append(InstrumentStation(sets[-1], number, **{name: getattr(start, name) for name in own}))
+        frames = {name: getattr(start, name) for name in own}
+        stations.append(InstrumentStation(sets[-1], number, **frames))
     data = Stacked(tuple(stations))
     equations = sum(len(rows) * rows.rows_per_pose for rows in sets)
     model = fitted_model(arm.name, arm.nominal, False)
@@ -595,7 +605,8 @@ def _criterion(arm: Arm, near: Mapping[int, tuple[Measurements, Geometry]], grou
     owners = np.concatenate([origins_of(rows).file + 1000 * k for k, rows in enumerate(sets)])
     squares = data.residual(fit.arm_model, unknowns_of(fit, data)) ** 2
     files = owners[data.equations()[0]]
-    total, counted, spare = 0.0, 0, equations / max(fit.degrees_of_freedom, 1)
+    total, spare = 0.0, equations / max(fit.degrees_of_freedom, 1)
+    counted = 0
     for owner in np.unique(owners):
         count = 3 * min(int(np.count_nonzero(owners == owner)), COUNTED_ROWS)
         total += count * float(np.log(np.mean(squares[files == owner]) * spare))

@@ -145,7 +145,8 @@ def averaged_over_scales(
     for _ in range(STAGES if free else 1):
         logs = mean + std * nodes
         factor = np.exp(logs @ member)
-        lower = np.linalg.cholesky(np.eye(len(width)) + factor[:, :, None] * gram * factor[:, None, :])
+        precision = np.eye(len(width)) + factor[:, :, None] * gram * factor[:, None, :]
+        lower = np.linalg.cholesky(precision)
         half = np.linalg.solve(lower, (factor * right)[..., None])[..., 0]
         cost = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1) - 0.5 * np.sum(half**2, axis=1)
         cost += 0.5 * np.sum((logs / np.log(SPREAD)) ** 2, axis=1)
@@ -201,6 +202,7 @@ def _without_priors(model: PriorModel, data: Observations) -> Identification:
     """Solve by rank-aware least squares; only terms' coefficients have priors, weighed by the rows' scatter."""
     if not np.isfinite(model.std).any():
         return replace(identify_converged(model.parameters, model.start, [data]), prior=model)
-    scatter = identify_converged(model.parameters.some(~np.isfinite(model.std)), model.start, [data]).scatter
+    free = ~np.isfinite(model.std)
+    scatter = identify_converged(model.parameters.some(free), model.start, [data]).scatter
     weighed = model.prior(max(scatter, 1e-9))
     return replace(identify(model.parameters, model.start, [data, weighed], max_iterations=60), prior=model)

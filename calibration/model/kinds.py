@@ -142,7 +142,9 @@ class _Point:
         along = away / np.maximum(size, 1e-12)[:, None]
         return size, along, -along
 
-    start = staticmethod(_centre)
+    @staticmethod
+    def start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
+        return _centre(points, readings, zero, unknown)
 
     @staticmethod
     def gauge(values: Array) -> tuple[Array, Array]:
@@ -169,7 +171,8 @@ class _Plane(_Point):
         explains the readings better.
         """
         shortest = _normal(points)
-        slope = steady_solution(np.column_stack([points - points.mean(axis=0), np.ones(len(points))]), readings)[:3]
+        matrix = np.column_stack([points - points.mean(axis=0), np.ones(len(points))])
+        slope = steady_solution(matrix, readings)[:3]
         candidates = [shortest, *([slope / np.linalg.norm(slope)] if np.linalg.norm(slope) > 1e-9 else [])]
 
         def spread(normal: Array) -> float:
@@ -244,10 +247,13 @@ class SocketObservations(Observations):
     @cached_property
     def numbers(self) -> Stated:
         """Coordinates of the sockets, which are unknown, and of the tool point ``tip``."""
-        names = [f"{name}_{axis}" for name in self._names for axis in "xyz"]
-        values = np.array([*range(len(names)), *self.tip], dtype=float)
-        std = np.repeat([np.inf, self.tip_std], [len(names), 3])
-        return Stated((*names, *TIP), values, std, np.full(len(values), LENGTH_TOLERANCE))
+        count = 3 * len(self._names)
+        return Stated(
+            (*(f"{name}_{axis}" for name in self._names for axis in "xyz"), *TIP),
+            np.array([*range(count), *self.tip], dtype=float),
+            np.array([*[np.inf] * count, *[self.tip_std] * 3]),
+            np.full(count + 3, LENGTH_TOLERANCE),
+        )
 
     @property
     def groups(self) -> Rows:
@@ -357,10 +363,12 @@ class DistanceObservations(Observations):
     def numbers(self) -> Stated:
         """Numbers of the point or plane, then the instrument's zero, scale and tool point."""
         surface, zero_std = SURFACES[self.surface], 0.0 if self.surface == "plane" else self.zero_std
-        values = np.array([*np.ones(len(surface.names)), self.zero, 0.0, *self.tip])
-        std = np.repeat([np.inf, zero_std, self.scale_std, self.tip_std], [len(surface.names), 1, 1, 3])
-        scales = np.array([*surface.tolerances, LENGTH_TOLERANCE, SCALE_TOLERANCE, *[LENGTH_TOLERANCE] * 3])
-        return Stated((*surface.names, "zero", "scale", *TIP), values, std, scales)
+        return Stated(
+            (*surface.names, "zero", "scale", *TIP),
+            np.array([*np.ones(len(surface.names)), self.zero, 0.0, *self.tip]),
+            np.array([*[np.inf] * len(surface.names), zero_std, self.scale_std, *[self.tip_std] * 3]),
+            np.array([*surface.tolerances, LENGTH_TOLERANCE, SCALE_TOLERANCE, *[LENGTH_TOLERANCE] * 3]),
+        )
 
     def missed(self, model: ArmModel, numbers: Array) -> Array:
         """Measured minus predicted readings ``(N, 1)``, m."""
@@ -560,9 +568,12 @@ class TiltObservations(Observations):
         """Components of the axes, then of the down direction."""
         count = self.components.shape[1]
         names = [f"axis{i + 1}_{axis}" for i in range(count) for axis in "xyz"]
-        values = np.concatenate([np.eye(3)[:count].ravel(), DOWN])
-        std = np.repeat([self.axes_std, self.down_std], [3 * count, 3])
-        return Stated((*names, "down_x", "down_y", "down_z"), values, std, np.full(len(values), ANGLE_TOLERANCE))
+        return Stated(
+            (*names, "down_x", "down_y", "down_z"),
+            np.concatenate([np.eye(3)[:count].ravel(), DOWN]),
+            np.repeat([self.axes_std, self.down_std], [3 * count, 3]),
+            np.full(3 * count + 3, ANGLE_TOLERANCE),
+        )
 
     def readings(self) -> Array:
         """The measured components ``(N, K)``."""
@@ -584,7 +595,8 @@ class TiltObservations(Observations):
             sign = 1.0 if u[2, 0] < 0.0 else -1.0  # the other answer hangs the arm from the ceiling
             down, axes = sign * u[:, 0], sign * vt[0].reshape(count, 3)
         elif self.down_std:
-            down = steady_solution(np.concatenate([rotation @ axis for axis in axes]), self.components.T.ravel())
+            matrix = np.concatenate([rotation @ axis for axis in axes])
+            down = steady_solution(matrix, self.components.T.ravel())
         elif self.axes_std:
             local = np.swapaxes(rotation, 1, 2) @ down
             axes = np.array([steady_solution(local, reading) for reading in self.components.T])

@@ -262,9 +262,17 @@ def tracked(plant: Plant, instrument: Instrument, joints: Array, draws: NormalDr
     if noise is not None:
         ranges = np.linalg.norm(pose.position - instrument.stand, axis=-1)
         std, attitude_std = noise.position_std_at(float(ranges.mean()) if len(joints) else 0.0), noise.attitude_std
-    rows, stds = (joints, pose.position, pose.rotation), (std or POSITION_STD, attitude_std or ATTITUDE_STD)
-    source, stated = f"simulated {instrument.name.replace('_', ' ')} on plant {plant.name}", noise is not None
-    return Measurements(*rows, plant.geometry.prismatic, *stds, source, frames="known", std_stated=stated)
+    return Measurements(
+        joints=joints,
+        position=pose.position,
+        rotation=pose.rotation,
+        prismatic=plant.geometry.prismatic,
+        position_std=std or POSITION_STD,
+        attitude_std=attitude_std or ATTITUDE_STD,
+        source=f"simulated {instrument.name.replace('_', ' ')} on plant {plant.name}",
+        frames="known",
+        std_stated=noise is not None,
+    )
 
 
 # Several data sets of one arm in one fit: other instruments, other days, other targets on the tool. A station is a
@@ -421,11 +429,13 @@ class Stacked(Observations):
         """Files, lines and clocks of all rows, and the first station's scatter of repeated measurements."""
         parts = [origins_of(part) for part in self.parts]
         starts = _starts([len(origins.files) for origins in parts])
-        files = tuple(file for origins in parts for file in origins.files)
-        file = np.concatenate([origins.file + start for origins, start in zip(parts, starts, strict=True)])
-        line = np.concatenate([origins.line for origins in parts])
-        clocks = tuple(dict.fromkeys(clock for origins in parts for clock in origins.clocks))
-        return Origins(files, file, line, clocks, repeat=parts[0].repeat)
+        return Origins(
+            tuple(file for origins in parts for file in origins.files),
+            np.concatenate([origins.file + start for origins, start in zip(parts, starts, strict=True)]),
+            np.concatenate([origins.line for origins in parts]),
+            tuple(dict.fromkeys(clock for origins in parts for clock in origins.clocks)),
+            repeat=parts[0].repeat,
+        )
 
     @property
     def groups(self) -> Rows:
@@ -540,7 +550,8 @@ class Stacked(Observations):
         error, flange = np.concatenate(errors), expected.rotation @ tool.rotation.T
         position, rotation = expected.position + error[:, 0], None
         if wide:
-            position = position + np.cross(error[:, 1], (flange @ np.concatenate(levers)[..., None])[..., 0])
+            lever = (flange @ np.concatenate(levers)[..., None])[..., 0]
+            position = position + np.cross(error[:, 1], lever)
             rotation = rotation_matrix(error[:, 1]) @ expected.rotation
         return replace(rows, position=position, rotation=rotation)
 
@@ -571,10 +582,15 @@ def rows_together(parts: Sequence[Measurements]) -> Measurements:
         return first
     rows = Stacked(tuple(InstrumentStation(part) for part in parts))
     rotations = [part.rotation for part in parts if part.rotation is not None]
-    position = np.concatenate([part.position for part in parts])
-    rotation = np.concatenate(rotations) if rotations else None
-    others: dict[str, Any] = {name: getattr(rows, name) for name in ("joints", "source", "conditions", "origins")}
-    return replace(first, position=position, rotation=rotation, **others)
+    return replace(
+        first,
+        joints=rows.joints,
+        position=np.concatenate([part.position for part in parts]),
+        rotation=np.concatenate(rotations) if rotations else None,
+        source=rows.source,
+        conditions=rows.conditions,
+        origins=rows.origins,
+    )
 
 
 def frame_columns(geometry: Geometry, frame: str) -> Rows:

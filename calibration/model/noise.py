@@ -125,13 +125,14 @@ def noise_of(data: Observations, model: ArmModel, unknowns: Array, leverage: Arr
             sizes[channel] = np.sqrt((STATED + np.sum(residual[member] ** 2)) / (STATED + np.sum(spare[member])))
     scatter = np.where(read, sizes[channels], 1.0)
     if many.any():
-        by_tool, stated = data.by_tool(model, unknowns), RowNoise(scatter, sizes)
-        return _of_pictures(by_tool, residual, (rows, channels), many, leverage, stated)
+        tool = data.by_tool(model, unknowns)
+        return _of_pictures(tool, residual, rows, channels, many, leverage, scatter, sizes)
     share, length = _alike(data.joints, residual / scatter, rows)
     if not share:
         return RowNoise(scatter, sizes)
     like = neighbours(data.joints, length)
-    common = 1.0 - share + share * _usual(like, USUAL)
+    usual = _usual(like, USUAL)
+    common = 1.0 - share + share * usual
     closer = np.maximum((1.0 - share + share * like) / common, 1.0)
     return RowNoise(np.where(read, scatter * np.sqrt(closer)[rows], 1.0), sizes, share, length, common)
 
@@ -193,15 +194,21 @@ def _log_likelihood(covariance: Array, columns: Array) -> float:
 
 
 def _of_pictures(
-    tool: Array, errors: Array, equations: tuple[Rows, Rows], many: NDArray[np.bool_], leverage: Array, noise: RowNoise
+    tool: Array,
+    residual: Array,
+    rows: Rows,
+    channels: Rows,
+    many: NDArray[np.bool_],
+    leverage: Array,
+    scatter: Array,
+    sizes: Array,
 ) -> RowNoise:
     """Noise of rows with many equations each: the scatter of every channel, and the pose error that a row shares."""
-    (rows, channels), scatter, sizes = equations, noise.scatter.copy(), noise.channels.copy()
     places = [np.flatnonzero(many & (rows == row)) for row in np.unique(rows[many])]
     channel = np.array([channels[at[0]] for at in places])
     gram = np.stack([tool[at].T @ tool[at] for at in places])
-    right = np.stack([tool[at].T @ errors[at] for at in places])
-    square = np.array([errors[at] @ errors[at] for at in places])
+    right = np.stack([tool[at].T @ residual[at] for at in places])
+    square = np.array([residual[at] @ residual[at] for at in places])
     count = np.array([len(at) for at in places], dtype=float)
     spare = max(1.0 - leverage[many].sum() / (POSE * len(places)), LEAST_SPARE)
     white = sizes[channel] ** 2

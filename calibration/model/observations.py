@@ -450,7 +450,8 @@ def point_jacobian(pose_jacobian: Array, lever: Array) -> Array:
         pose_jacobian: Jacobian of the tool's pose ``(..., 6, P)``.
         lever: Vector from the tool's origin to the point ``(..., 3)``, m, world axes.
     """
-    return np.asarray(pose_jacobian[..., :3, :] + np.cross(pose_jacobian[..., 3:, :], lever[..., :, None], axis=-2))
+    turn = pose_jacobian[..., 3:, :]
+    return np.asarray(pose_jacobian[..., :3, :] + np.cross(turn, lever[..., :, None], axis=-2))
 
 
 def nearest_rotation(matrix: Array) -> Array:
@@ -509,7 +510,8 @@ def same_poses(joints: Array) -> Rows:
     least, most = np.full((count, joints.shape[1]), np.inf), np.full((count, joints.shape[1]), -np.inf)
     np.minimum.at(least, pose, low)
     np.maximum.at(most, pose, high)
-    pose = np.where(((most - least).max(axis=1) > PATH)[pose], count + np.arange(len(cells)), pose)[cell]
+    path = ((most - least).max(axis=1) > PATH)[pose]
+    pose = np.where(path, count + np.arange(len(cells)), pose)[cell]
     _, first, number = np.unique(pose, return_index=True, return_inverse=True)
     return np.argsort(np.argsort(first))[number]
 

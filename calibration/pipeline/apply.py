@@ -162,7 +162,8 @@ def apply_calibration(
         wanted_joints, poses = targets.joints, forward(calibration.nominal, targets.joints)
         outside = (wanted_joints < geometry.lower - 1e-9) | (wanted_joints > geometry.upper + 1e-9)
         for i in np.flatnonzero(outside.any(axis=1)):
-            reasons[int(i)] = f"target of {geometry.joint_names[int(np.argmax(outside[i]))]} is outside its limits"
+            joint = int(np.argmax(outside[i]))
+            reasons[int(i)] = f"target of {geometry.joint_names[joint]} is outside its limits"
     else:
         solution = inverse(geometry, targets.pose)
         wanted_joints = solution.joints
@@ -185,7 +186,8 @@ def apply_calibration(
     remaining = pose_error(poses, compensator.predict(commands))
     weight = attitude_weight(arm.nominal.joints)
     impossible = noncompensable_error(calibration.identified, commands, remaining, weight=weight)
-    missed_position, missed_attitude = np.linalg.norm((remaining - impossible).reshape(-1, 2, 3), axis=2).T
+    removable = remaining - impossible
+    missed_position, missed_attitude = np.linalg.norm(removable.reshape(-1, 2, 3), axis=2).T
     reached = (missed_position <= POSITION_TOLERANCE) & (missed_attitude <= ATTITUDE_TOLERANCE)
     for i in np.flatnonzero(~reached):
         at = (commands[i] <= geometry.lower) | (commands[i] >= geometry.upper)

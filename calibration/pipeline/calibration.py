@@ -19,7 +19,7 @@ from pickenv.base.container import named_part, npz_path, part_of, read_container
 from pickenv.base.registry import Origin, get, origin
 from pickenv.calibration.assessment.screen import Block, figure
 from pickenv.calibration.compensation.compensator import Compensator
-from pickenv.calibration.identification.least_squares import Identification, rms_of
+from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.model.arm_model import ArmModel, Conditions
 from pickenv.calibration.model.measurements import InstrumentStation, Measurements, screen_unit
 from pickenv.calibration.model.observations import BLOCKS, Observations, Rows, equally_spaced, same_poses
@@ -33,13 +33,15 @@ from pickenv.calibration.residuals.residual_models import LearntResidual
 # in its record, so that a command can be given with its uncertainty later. SI units.
 
 NEARBY, SPACING = 0.3, 1.5
-"""Two numbers that set the largest distance between joint vectors at which two poses count as near each other. The
-distance is the first number, rad or m. If measured poses are sparse, it is the second number times the 95th percentile
-of their distances from the nearest neighbour."""
+"""Two numbers that set the largest distance between joint vectors at which two poses count as near each other.
+
+The distance is the first number, rad or m. If measured poses are sparse, it is the second number times the 95th
+percentile of their distances from the nearest neighbour.
+"""
 
 VAGUE = 2.0
-"""Largest position uncertainty that the parameters may cause at a pose of the measured region. It is in multiples of
-the 95th percentile of this uncertainty at the fitted rows."""
+"""Largest position uncertainty that the parameters may cause at a pose of the measured region, in multiples of the 95th
+percentile of this uncertainty at the fitted rows."""
 
 MEASURED_REGION = "measured_region"
 """Entry of a calibration's record that holds `PoseUncertainty.region`."""
@@ -177,9 +179,10 @@ class PoseUncertainty:
         Returns:
             The 5th, 50th and 95th percentiles of the bound, for "position" in mm and "attitude" in deg.
         """
+        radii = zip(QUANTITIES.items(), self._radii(standard), strict=True)
         return {
             quantity: np.percentile(radius * scale, [5, 50, 95]).tolist()
-            for (quantity, (_, scale)), radius in zip(QUANTITIES.items(), self._radii(standard), strict=True)
+            for (quantity, (_, scale)), radius in radii
             if radius is not None
         }
 
@@ -224,9 +227,12 @@ class PoseUncertainty:
         positions, attitudes = (np.zeros((0, 3)), errors) if unit == "deg" else (errors[:, :3], errors[:, 3:])
         names = set(found.arm_model.parameter_names)
         places = [i for i, name in enumerate(found.identifiability.kept_names) if name in names]
-        identified = tuple(found.identifiability.kept_names[i] for i in places)
-        position, attitude = (rms_of(part) if part.size else None for part in (positions, attitudes))
-        sure = PoseUncertainty(identified, found.covariance[np.ix_(places, places)], position or 0.0, attitude)
+        sure = PoseUncertainty(
+            names=tuple(found.identifiability.kept_names[i] for i in places),
+            covariance=found.covariance[np.ix_(places, places)],
+            position_repeat=float(np.sqrt(np.mean(positions**2))) if positions.size else 0.0,
+            attitude_repeat=float(np.sqrt(np.mean(attitudes**2))) if attitudes.size else None,
+        )
         if joints is None or not np.isfinite(sure.covariance).all():
             return sure
         parametric = replace(sure, position_repeat=0.0, attitude_repeat=None)
@@ -275,7 +281,8 @@ def variance_by_station(found: Identification, data: Observations) -> Array:
         for frame in station.frames:
             label = f"{frame}{station.owners.get(frame, station.number)}"
             names = [name.replace(f"{frame}_", f"{label}_") if name.startswith(f"{frame}_") else name for name in names]
-        columns, places = np.array([(names.index(name), kept.index(name)) for name in kept if name in names]).T
+        pairs = [(names.index(name), kept.index(name)) for name in kept if name in names]
+        columns, places = np.array(pairs).T
         jacobian = model.jacobian(station.data.joints, station.data.conditions)[..., columns]
         parts.append(np.einsum("nip,pq,niq->ni", jacobian, found.covariance[np.ix_(places, places)], jacobian))
     return np.concatenate(parts)
@@ -655,9 +662,14 @@ def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -
         raise InputError("its nominal geometry differs from its arm's by more than base and tool")
     terms = tuple(term_from(term) for term in header["terms"])
     count = sum(len(term.names(identified)) for term in terms)
-    model = ArmModel(identified, terms, finite(arrays, "coefficients", (count,), "terms"))
-    learnt = _learnt(header["residual"], part_of(arrays, "learnt/"), identified)
-    calibration = Calibration(str(header["arm"]), arm, nominal, model, learnt, dict(record))
+    calibration = Calibration(
+        arm_name=str(header["arm"]),
+        arm=arm,
+        nominal=nominal,
+        model=ArmModel(identified, terms, finite(arrays, "coefficients", (count,), "terms")),
+        learnt=_learnt(header["residual"], part_of(arrays, "learnt/"), identified),
+        record=dict(record),
+    )
     uncertainty = record.get("uncertainty")
     if uncertainty is not None:
         size = len(uncertainty["parameters"])

@@ -186,16 +186,24 @@ def fit_remainder(
         "generator": json.loads(json.dumps(rng.bit_generator.state, default=lambda value: value.tolist())),
     }
     paper = None if settings is None else partial(train_bpnn, settings=settings, progress=progress)
-    rows = data.joints, data.difference(found.calibration.model), data.prismatic
-    span = PERIODIC_SPAN if paper is None else np.inf
-    model = fit_residual(kind, *rows, rng, conditions=data.conditions.inputs(), fitter=paper, periodic_span=span)
+    model = fit_residual(
+        kind,
+        data.joints,
+        data.difference(found.calibration.model),
+        data.prismatic,
+        rng,
+        conditions=data.conditions.inputs(),
+        fitter=paper,
+        periodic_span=PERIODIC_SPAN if paper is None else np.inf,
+    )
     full_record = {**found.calibration.record, "residual": record, "versions": versions("scipy", "torch")}
     return replace(found, calibration=replace(found.calibration, learnt=model, record=full_record))
 
 
 def _refuse_misfit(found: Identification, data: Observations) -> None:
     """Refuse rows of wires, sockets and other kinds whose misses stay a large share of their span after the fit."""
-    rms = position_rms(data.misses(found.arm_model, unknowns_of(found, data)))
+    misses = data.misses(found.arm_model, unknowns_of(found, data))
+    rms = float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))
     span = data.span(ArmModel.of(found.geometry).pose(data.joints, data.conditions).position)
     if rms > MISFIT * max(span, SPAN):
         missed = f"{rms * MISS_UNITS[data.miss_unit]:.0f} {data.miss_unit}"
@@ -255,7 +263,8 @@ class HeldOut:
             fitted: Number of rows that the calibration was fitted to.
         """
         if self.blocks is None:
-            return f"{rows} {self.rows} held out, {fitted} fitted; interval over rows{self._reason()}"
+            counted = f"{rows} {self.rows} held out, {fitted} fitted"
+            return f"{counted}; interval over rows{self._reason()}"
         counts = Counter(self.used).most_common()
         models = ", ".join(name if len(counts) == 1 else f"{name} ({count})" for name, count in counts)
         return (
@@ -338,7 +347,9 @@ def pooled(names: Sequence[str], parts: Sequence[HeldOut]) -> HeldOut:
         names: Names of the models of the calibration of all rows: the geometry alone, then each with one part more.
         parts: The held-out errors of each block.
     """
-    added = list(names[1:]) or ([AS_CHOSEN] if any(len(part.errors) > 2 for part in parts) else [])
+    added = list(names[1:])
+    if not added and any(len(part.errors) > 2 for part in parts):
+        added = [AS_CHOSEN]
     errors = {name: np.concatenate([part.errors[name] for part in parts]) for name in (NOMINAL, GEOMETRIC)}
     parametric = np.concatenate([part.parametric for part in parts])
     errors |= dict.fromkeys(added[:-1], parametric)
@@ -410,7 +421,9 @@ def pixel_block(figures: Mapping[str, Any], names: Sequence[str]) -> Block:
     """Return the values of `pixel_figures` as a table; ``names`` are the names of the held-out views."""
     by_view, ends = figures["leave_one_out_view_rms_px"], figures["leave_one_out_mean_ci95_px"]
     worst = int(np.argmax(by_view))
-    between = "no interval: too few views" if ends is None else f"95 % between views {' to '.join(map(figure, ends))}"
+    between = "no interval: too few views"
+    if ends is not None:
+        between = f"95 % between views {figure(ends[0])} to {figure(ends[1])}"
     rows = [
         ("views, corners", f"{figures['views']}, {figures['corners']}"),
         ("RMS of the fit to all views", f"{figure(figures['rms_px'])} px"),
@@ -425,8 +438,9 @@ def view_names(views: PixelObservations) -> tuple[str, ...]:
     """Return the name of each view: that of its picture, or else the file and row where its corners begin."""
     if views.pictures is not None:
         return tuple(Path(path).name for path in views.pictures)
-    places = map(origins_of(views).place, range(len(views.joints)))
-    return tuple(f"{Path(file).name}: row {line}" for file, line in places)
+    return tuple(
+        f"{Path(file).name}: row {line}" for file, line in map(origins_of(views).place, range(len(views.joints)))
+    )
 
 
 def lens_of(fit: Fit, data: Observations) -> Lens:

@@ -124,7 +124,8 @@ class Result:
     @cached_property
     def position(self) -> dict[str, ErrorStatistics]:
         """Statistics of held-out position errors by model, in `miss_unit`."""
-        blocks, scale = self.held_out.together, MISS_UNITS[self.miss_unit]
+        blocks = self.held_out.together
+        scale = MISS_UNITS[self.miss_unit]
         return {name: error_statistics(values[:, :3] * scale, blocks) for name, values in self.errors.items()}
 
     @cached_property
@@ -199,8 +200,9 @@ class Result:
             return "each sensor's and each target's place was fitted; errors are of the motion of one against the other"
         words = "base and tool are known; in the robot's own base frame the mean error at poses like those held out is "
         if self.own_mean_ci95 is None:
-            mean = screen.figure(self.best.mean)
-            return f"{words}{mean} mm ({self.held_out.no_interval}; with the instrument's noise)"
+            return (
+                words + f"{screen.figure(self.best.mean)} mm ({self.held_out.no_interval}; with the instrument's noise)"
+            )
         low, high = map(screen.figure, self.own_mean_ci95)
         return f"{words}{low} to {high} mm (95 % interval; the lower end without the instrument's noise)"
 
@@ -220,22 +222,24 @@ class Result:
         blocks.append(self._parameters())
         if self.left_out:
             places = tuple((item.text(),) for item in self.left_out)
-            fate = "far off, and kept" if any(item.kept for item in self.left_out) else "left out"
+            any_kept = any(item.kept for item in self.left_out)
             note = "" if self.pixels is not None else "too far off to be measurements of these poses"
-            blocks.append(screen.Block(f"{self.held_out.rows.capitalize()} {fate}", (), places, note, "left_out"))
+            title = self.held_out.rows.capitalize()
+            title = f"{title} far off, and kept" if any_kept else f"{title} left out"
+            blocks.append(screen.Block(title, (), places, note, "left_out"))
         if self.terms is not None:
+            scale = MISS_UNITS[self.miss_unit]
             names, blocked_rms, _ = self.terms
-            rows = tuple((name, screen.figure(rms * MISS_UNITS[self.miss_unit])) for name, rms in blocked_rms.items())
-            heads, note = (
-                ("terms", f"RMS on blocks ({self.miss_unit})"),
-                f"{names}, chosen on blocks of the training rows",
+            rows = tuple((name, screen.figure(value * scale)) for name, value in blocked_rms.items())
+            note = f"{names}, chosen on blocks of the training rows"
+            blocks.append(
+                screen.Block("Further terms", ("terms", f"RMS on blocks ({self.miss_unit})"), rows, note, "terms")
             )
-            blocks.append(screen.Block("Further terms", heads, rows, note, "terms"))
         blocks += [screen.stiffness_block(self.stiffnesses), screen.harmonic_block(self.harmonics)]
         blocks += [self._gate()] if self.gate else []
         blocks += [] if self.pixels is None else [fitting.pixel_block(self.pixels, fitting.view_names(self.test.views))]
-        blocks += [self.uncertainty.block(self._standard), self._facts()]
-        return tuple(block for block in blocks if block.rows)
+        sure = self.uncertainty.block(self._standard)
+        return tuple(block for block in (*blocks, sure, self._facts()) if block.rows)
 
     def __str__(self) -> str:
         """Return `summary`."""
@@ -340,8 +344,10 @@ class Result:
         figures = ("RMS", "mean", "95 % interval", "p95", "max")
         header: tuple[str, ...] = ("model", *(f"{name} ({self.miss_unit})" for name in figures))
         header += ("attitude mean (deg)",) if self.attitude else ()
-        nominal = "nominal" if self.known_frames else "nominal, base and tool fitted"
-        labels = {fitting.NOMINAL: nominal, fitting.GEOMETRIC: "geometry"}
+        labels = {
+            fitting.NOMINAL: "nominal" if self.known_frames else "nominal, base and tool fitted",
+            fitting.GEOMETRIC: "geometry",
+        }
         rows = []
         for name, s in self.position.items():
             if name == fitting.NOMINAL and not self.has_nominal:
@@ -421,11 +427,13 @@ class Result:
 
     def _facts(self) -> screen.Block:
         solution = self.geometric.identification
-        effort = f"{len(solution.residual_rms) - 1} iterations, {screen.figure(1e3 * solution.solve_seconds)} ms"
         rows = [
             ("measured", self.train.kind),
             ("condition number of the geometry", screen.figure(self.quality.observability["condition"])),
-            ("least squares", effort),
+            (
+                "least squares",
+                f"{len(solution.residual_rms) - 1} iterations, {screen.figure(1e3 * solution.solve_seconds)} ms",
+            ),
         ]
         rows += [("recording", clock.text()) for clock in self.clocks]
         if (repeat := origins_of(self.train).repeat) is not None:
@@ -590,8 +598,9 @@ def assess(
     rows_of = test.rows_of_misses
     joints, conditions = test.joints[rows_of], test.conditions.select(rows_of)
     variance = None if arm.nominal.tree is None else variance_by_station(fit.identification, test)[rows_of]
-    unit, with_conditions = train.miss_unit, learnt is not None and learnt.inputs.conditions > 0
-    uncertainty = PoseUncertainty.of(fit.identification, after, joints, held_out.blocks, conditions, unit, variance)
+    uncertainty = PoseUncertainty.of(
+        fit.identification, after, joints, held_out.blocks, conditions, train.miss_unit, variance
+    )
     base_frame = None
     rows = len(train.joints) + (held_out.blocks is None) * len(test.joints)
     if aligned is not None and arm.nominal.tree is None:
@@ -602,7 +611,9 @@ def assess(
         if train.miss_unit != "mm":
             remaining = np.full_like(remaining, np.nan)
         base_frame = instrument.base_frame_error(arm.nominal, bare.calibration.nominal, test.joints, remaining, tracked)
-    pixels = None if train.views is None else fitting.pixel_figures(bare, train.views, held_out)
+    pixels = None
+    if train.views is not None:
+        pixels = fitting.pixel_figures(bare, train.views, held_out)
     name, region = workspace or workspace_joints(None, arm.nominal)
     remains = position_rms(after) if train.miss_unit == "mm" else 0.0
     between = train.conditions.between
@@ -625,7 +636,9 @@ def assess(
             *diagnosis.said_of_files(left_out, (train, test)),
             *diagnosis.said_of_stations(bare.identification, train),
             *instrument.said_of_instruments(model, bare.identification, train),
-            *instrument.said_of_conditions(fit.calibration.model, with_conditions, train),
+            *instrument.said_of_conditions(
+                fit.calibration.model, learnt is not None and learnt.inputs.conditions > 0, train
+            ),
         ),
         unit=train.miss_unit,
         rows=(len(test.joints), held_out.rows),

@@ -122,8 +122,10 @@ Data = Observations | str | Path | Sequence[str | Path] | Sequence[Observations]
 """Measured rows: one data set (`Observations`, such as `Measurements`) or several, or the paths of files with them."""
 
 Columns = str | Path | Sequence[str | Path] | None
-"""Name or path of a description of the files' columns, or several of these, one for each file. None means our own
-columns."""
+"""Name or path of a description of the files' columns, or several of these, one for each file.
+
+None means our own columns.
+"""
 
 STATIONS: dict[str, tuple[str, ...]] = {"none": (), "base": ("base",), "tool": ("tool",), "base,tool": OWN}
 """Values of the option ``stations``, each with the frames that then differ from station to station."""
@@ -193,7 +195,8 @@ def given_rows(
         raise InputError(
             f"{len(layouts)} column descriptions are given for {len(items)} files; give one, or one per file"
         )
-    sets = [items] if len(layouts) == 1 and stations is None else [[file] for file in items]
+    together = len(layouts) == 1 and stations is None
+    sets = [items] if together else [[file] for file in items]
     layouts = layouts if len(layouts) > 1 else layouts * len(sets)
     rows = [read_observations(part, arm.nominal, layout) for part, layout in zip(sets, layouts, strict=True)]
     return _joined(arm, rows, stations, known, like)
@@ -218,7 +221,9 @@ def pool_of(path: str | Path, geometry: Geometry, columns: str | Path | None = N
 
 
 def _each(columns: Columns) -> list[str | Path]:
-    return [] if columns is None else [columns] if isinstance(columns, str | Path) else list(columns)
+    if columns is None:
+        return []
+    return [columns] if isinstance(columns, str | Path) else list(columns)
 
 
 def _joined(
@@ -262,7 +267,8 @@ def _same_scene(like: Observations, data: Observations) -> InstrumentStation:
 def _files(data: Measurements) -> list[Measurements]:
     """Split measurements by file."""
     origins = origins_of(data)
-    return [replace(data.select(origins.file == i), source=origins.files[i]) for i in np.unique(origins.file).tolist()]
+    numbers = np.unique(origins.file)
+    return [replace(data.select(origins.file == i), source=origins.files[i]) for i in numbers.tolist()]
 
 
 def _refuse_no_numbers(arm: Arm, data: Observations) -> None:
@@ -297,8 +303,10 @@ GEOMETRY = "geometry"
 SPLITS = ("random", "blocked")
 
 FEW_VIEWS, FEW_ROWS = 60, 20
-"""Largest numbers of pictures, and of poses, that are held out one by one. Each is then judged by a fit to the rows of
-all other poses."""
+"""Largest numbers of pictures, and of poses, that are held out one by one.
+
+Each is then judged by a fit to the rows of all other poses.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -416,18 +424,20 @@ def calibrate(
         arm = replace(arm, nominal=arm.nominal.between(*between[0].tolist()))
     rng = rng or np.random.default_rng(choices.seed)
     few = test is None and test_rows is None and train.poses is not None
-    few, judge = few and pose_count(train.joints) < ENOUGH_FOR_BLOCKS, _judged_once
+    few = few and pose_count(train.joints) < ENOUGH_FOR_BLOCKS
     if test is None and (split == "blocked" or few or train.kind == "pixels"):
         if test_rows is not None:
             raise InputError("`test_rows` is for the random split; here every row, or picture, is held out once")
-        judge, held_out = _judged_by_blocks, train.select(np.arange(0))
+        result = _judged_by_blocks(Draft(arm, choices, train, train.select(np.arange(0)), rng, progress))
     elif test is None:
         rows = observations.choose(train, test_rows, np.random.default_rng(choices.seed))
         train, held_out = (train.select(np.sort(part)) for part in rows)
+        result = _judged_once(Draft(arm, choices, train, held_out, rng, progress))
     else:
         held_out = given_rows(arm, test, columns, stations, known=known_frames, like=train)
         refuse_trained(train, held_out)
-    return replace(judge(Draft(arm, choices, train, held_out, rng, progress)), unit=unit, stations=stations)
+        result = _judged_once(Draft(arm, choices, train, held_out, rng, progress))
+    return replace(result, unit=unit, stations=stations)
 
 
 def _through(stages: Sequence[Callable[[Draft], Draft]], draft: Draft) -> Draft:
@@ -529,7 +539,8 @@ def _check(draft: Draft) -> Draft:
     else:
         refuse_options(train, choices)
         train, left_out = without_blind_views(train)
-    train, test, far = checked_rows(draft.arm, train, test, known=choices.frames == "known", robust=choices.robust)
+    known_frames = choices.frames == "known"
+    train, test, far = checked_rows(draft.arm, train, test, known=known_frames, robust=choices.robust)
     return replace(draft, choices=choices, train=train, test=test, left_out=(*left_out, *far))
 
 

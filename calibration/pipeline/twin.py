@@ -30,8 +30,10 @@ from pickenv.calibration.residuals.gaussian_process import GaussianProcess, feat
 from pickenv.calibration.residuals.residual_models import JointInputs, fit_residual
 
 SMOOTH, ROUGH = 256, 8
-"""Numbers of waves, each a cosine and a sine, whose sum is one coordinate of the error. The first number is for the
-Gaussian process, the second for the arm's own scatter."""
+"""Numbers of waves, each a cosine and a sine, whose sum is one coordinate of the error.
+
+The first number is for the Gaussian process, the second for the arm's own scatter.
+"""
 
 ROUGH_LENGTH = 1e-2
 """Distance between joint vectors, rad or m, beyond which the arm's own scatter is independent."""
@@ -43,8 +45,10 @@ SCATTER = "scatter"
 SCATTER_PARTS = ("position_std", "attitude_std", "source")
 
 Scatter = tuple[float, float, str]
-"""The instrument's share of a measurement's scatter. It is the standard deviation of a position coordinate, m, that of
-an attitude coordinate, rad, and the source in words."""
+"""The instrument's share of a measurement's scatter.
+
+It is the standard deviation of a position coordinate, m, that of an attitude coordinate, rad, and the source in words.
+"""
 
 ASSUMED: Scatter = (POSITION_STD, ATTITUDE_STD, "what is assumed of an instrument of which nothing is stated")
 
@@ -109,7 +113,8 @@ def twin(
     """
     calibration.refuse_another(arm)
     if geometry_only:
-        calibration = replace(calibration, model=ArmModel(calibration.identified), learnt=None)
+        model = ArmModel(calibration.identified)
+        calibration = replace(calibration, model=model, learnt=None)
     elif calibration.arm.coupling is not None:
         raise InputError(f"a joint of arm '{arm.name}' moves several links, which no effect of a plant knows yet")
     sure = uncertainty_from(calibration.record)
@@ -292,4 +297,5 @@ def _field(frequency: Array, mean: Array, offset: Array, inputs: JointInputs, tu
     weight[..., : scaled.shape[-1]] = mean.reshape(outputs, 2, -1)
     middle, periodic = tuple(inputs.mean[:joints].tolist()), tuple(inputs.periodic.tolist())
     features = Features(np.ascontiguousarray(waves, dtype=np.float32), middle, periodic, outputs)
-    return ResidualField(features, weight.astype(np.float32), tuple(offset.tolist()), tuple(map(tuple, turn.tolist())))
+    axes = tuple(map(tuple, turn.tolist()))
+    return ResidualField(features, weight.astype(np.float32), tuple(offset.tolist()), axes)

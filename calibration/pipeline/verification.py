@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection, Iterator
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Any, Literal
 
 import numpy as np
@@ -40,31 +39,40 @@ REFIT_ROWS = 6
 """Default number of rows to which base and tool are refitted."""
 
 CHANGE_STD = (1.0, np.pi / 6)
-"""Prior standard deviations of the change of a refitted frame (base or tool): shift, m, and turn, rad. In directions
-that the rows do not determine, the frame does not change."""
+"""Prior standard deviations of the change of a refitted frame (base or tool): shift, m, and turn, rad.
+
+In directions that the rows do not determine, the frame does not change.
+"""
 
 NO_RANK = 1e-12
 """Rank tolerance of the refit, so small that no parameter counts as redundant, since each has a prior."""
 
 TOLD = 0.1
-"""Limit up to which the rows determine a direction of a frame's shift or turn. It is a limit on the posterior standard
-deviation along the direction, as a share of the prior one (`CHANGE_STD`)."""
+"""Limit up to which the rows determine a direction of a frame's shift or turn.
+
+It is a limit on the posterior standard deviation along the direction, as a share of the prior one (`CHANGE_STD`).
+"""
 
 CANDIDATES = 1000
 """Largest number of rows, taken at equal steps, from which the rows for the refit are chosen."""
 
 
 Moves = dict[str, tuple[float, float, int, int]]
-"""Change of each refitted frame, by the frame's name, as four values. These are the shift, m, and the turn, rad. Then
-follow two counts of directions that the rows do not determine: of the three directions of shift, and of the three of
-turn."""
+"""Change of each refitted frame, by the frame's name, as four values.
+
+These are the shift, m, and the turn, rad. Then follow two counts of directions that the rows do not determine: of the
+three directions of shift, and of the three of turn.
+"""
 
 
 Restationed = tuple[Calibration, Rows, Rows, Array, Moves]
-"""The result of `restationed`, five values. The first is the calibration with the base and tool of another station. The
-second and third are indices of rows: those to which the frames were fitted, and all rows of other poses. The fourth
-holds the expected mean square errors ``(R,)``, m^2, of those other rows. They come from the scatter of a single motion
-to a pose and from the uncertainty of the frames. The last says how far the frames moved."""
+"""The result of `restationed`, five values.
+
+The first is the calibration with the base and tool of another station. The second and third are indices of rows: those
+to which the frames were fitted, and all rows of other poses. The fourth holds the expected mean square errors ``(R,)``,
+m^2, of those other rows. They come from the scatter of a single motion to a pose and from the uncertainty of the
+frames. The last says how far the frames moved.
+"""
 
 
 def frames_and_rows(text: str | None, rows: int | None) -> tuple[tuple[str, ...], int]:
@@ -123,12 +131,14 @@ def restationed(
     few = data.select(used)
     std = np.tile(np.repeat(CHANGE_STD, 3), len(model.names) // 6)
     before = Prior(calibration.model, model.columns, std)
-    refit = partial(identify, model, max_iterations=100, rank_tolerance=NO_RANK)
-    fits = [refit(start, [few, before]) for start in _starts(calibration.model, few, own)]
+    fits = [
+        identify(model, start, [few, before], max_iterations=100, rank_tolerance=NO_RANK)
+        for start in _starts(calibration.model, few, own)
+    ]
     near = min(fits, key=lambda fit: fit.chi_square).arm_model
     # Expected where they were found, what rows tell is pulled by nothing, and what they do not tell still stays.
     settled: list[Observations] = [few, replace(before, reference=near)]
-    model_there = refit(near, settled).arm_model
+    model_there = identify(model, near, settled, max_iterations=100, rank_tolerance=NO_RANK).arm_model
     poses = same_poses(data.joints)
     others = np.flatnonzero(~np.isin(poses, poses[used]))
     jacobian = model_there.jacobian(data.joints[others], data.conditions.select(others))
@@ -232,8 +242,10 @@ def near_rows(
 
 
 GROWN = 1.5
-"""Ratio of the RMS error to the promised one above which a calibration is no longer as good as promised. On four data
-sets of one robot, the RMS error in another region of the workspace is up to 1.3 times larger."""
+"""Ratio of the RMS error to the promised one above which a calibration is no longer as good as promised.
+
+On four data sets of one robot, the RMS error in another region of the workspace is up to 1.3 times larger.
+"""
 
 ELSEWHERE = 20.0
 """Ratio of the RMS error to the promised one above which another region of the workspace cannot be the cause."""
@@ -306,9 +318,15 @@ class Verification:
         gain = f"{'no' if self.no_gain else 'yes'}: {figure(self.calibrated.rms)} of {figure(self.nominal.rms)} mm RMS"
         promise = f"{'yes' if self.ratio <= GROWN else 'no'}: {figure(self.ratio)} times the RMS expected"
         region = "not known" if self.measured is None else f"{100 * self.measured:.0f} % of the rows lie where it was"
-        questions = ("does it beat the nominal arm", "is it as good as promised", "was this region measured")
-        answers = tuple(zip(questions, (gain, promise, region), strict=True))
-        blocks = [Block("Three questions", (), answers), Block(f"Errors on {self.rows} rows", heads, tuple(rows), how)]
+        questions = (
+            ("does it beat the nominal arm", gain),
+            ("is it as good as promised", promise),
+            ("was this region measured", region),
+        )
+        blocks = [
+            Block("Three questions", (), questions),
+            Block(f"Errors on {self.rows} rows", heads, tuple(rows), how),
+        ]
         if self.moved:
             moves = tuple((name, *self._moved(name)) for name in self.moved)
             blocks.append(Block("Moved since the calibration", ("frame", "by (mm)", "turned (deg)"), moves, ""))
@@ -424,7 +442,8 @@ def _since(rest: Rows, errors: Array, expected: Array) -> int | None:
     large = np.array([position_rms(errors[part]) > GROWN * np.sqrt(expected[part].mean()) for part in parts])
     if not large[-1] or large.all():
         return None
-    return int(parts[int(np.flatnonzero(~large)[-1]) + 1][0])
+    first = int(np.flatnonzero(~large)[-1]) + 1
+    return int(parts[first][0])
 
 
 Cause = Literal["frames", "elsewhere", "joints", "unknown"]
@@ -488,9 +507,10 @@ def _verdict(found: Verification, cause: Callable[[], Cause]) -> tuple[Status, s
         return "still good", f"{sizes}, and {figure(theirs)} mm with the nominal arm{place}"
     why = cause()
     if why == "frames":
-        begin, rows = ("", "") if since is None else (f"{since} ", "those rows alone, and ")
-        remedy = f"{begin}base and tool elsewhere explain it; give {rows}`refit='base,tool'`"
-        return "another station", f"{sizes}, and {remedy}"
+        elsewhere = "base and tool elsewhere explain it; give"
+        if since is not None:
+            return "another station", f"{sizes}, and {since} {elsewhere} those rows alone, and `refit='base,tool'`"
+        return "another station", f"{sizes}, and {elsewhere} `refit='base,tool'`"
     if why == "elsewhere":
         worse = f", worse than the nominal arm's {figure(theirs)} mm" if found.no_gain is not None else ""
         return "outside what was measured", (

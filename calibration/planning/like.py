@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from pickenv.arm import Arm, Array, Geometry
 from pickenv.base import InputError, check_limit, single_threaded
 from pickenv.calibration.identification.diagnosis import without_blind_views
-from pickenv.calibration.identification.least_squares import identifiable_parameters, rms_of, unknowns_of
+from pickenv.calibration.identification.least_squares import identifiable_parameters, unknowns_of
 from pickenv.calibration.identification.robust import align, robust_identify, rough_start
 from pickenv.calibration.identification.solve import UNKNOWN_STD
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, complete_model, frames_model
@@ -169,7 +169,7 @@ def readings_at(first: First, joints: Array) -> Observations:
     rows = data.imagined(joints)  # not stations, which `first_rows` refuses
     if rows.views is None:
         return rows
-    margin = WARY * rms_of(data.views.pixel_errors(*found))
+    margin = WARY * float(np.sqrt(np.mean(data.views.pixel_errors(*found) ** 2)))
     visible: Observations = replace(rows.views, seen=rows.views.visible(*found, margin))
     return visible
 
@@ -252,8 +252,12 @@ def plan_like(
         where="at the candidates" if test_joints is None else "at the test poses",
         sizes=plan.plan_sizes(count, least, len(joints)) if curve else (),
     )
-    lines = None if lines is None else lines[pose_plan.chosen]
-    return replace(pose_plan, first=len(rows.joints), lines=lines, seconds=time.perf_counter() - begin)
+    return replace(
+        pose_plan,
+        first=len(rows.joints),
+        lines=None if lines is None else lines[pose_plan.chosen],
+        seconds=time.perf_counter() - begin,
+    )
 
 
 def _design(geometry: Geometry, first: First, joints: Array, prior: PriorModel | None) -> plan.Design:
@@ -277,12 +281,16 @@ def _design(geometry: Geometry, first: First, joints: Array, prior: PriorModel |
     else:
         columns = np.arange(len(scale))
         information = np.diag((scale / np.r_[np.full(count, UNKNOWN_STD), prior.width]) ** 2)
-    rows = np.concatenate([_by_pose(first, part, model, scale)[..., columns] for part in parts])
-    model = model.some(np.isin(np.arange(count, len(scale)), columns))
-    known = information + measured[:, columns].T @ measured[:, columns]
-    own = tuple(data.unknowns()[column] for column in columns[columns < count])
-    framed = prior is not None and bool((prior.group == FRAMES).any())
-    return plan.Design(joints, rows, model, np.zeros(0), data.kind, known, own, framed)
+    return plan.Design(
+        joints,
+        np.concatenate([_by_pose(first, part, model, scale)[..., columns] for part in parts]),
+        model.some(np.isin(np.arange(count, len(scale)), columns)),
+        np.zeros(0),
+        data.kind,
+        information + measured[:, columns].T @ measured[:, columns],
+        names=tuple(data.unknowns()[column] for column in columns[columns < count]),
+        framed=prior is not None and bool((prior.group == FRAMES).any()),
+    )
 
 
 def _scaled(first: First, data: Observations, model: ErrorModel, scale: Array) -> Array:

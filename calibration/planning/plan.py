@@ -105,7 +105,8 @@ def gains(rows: Array, information: Array, weight: Array | None) -> Array:
     inner[..., np.arange(rows.shape[1]), np.arange(rows.shape[1])] += 1.0
     if weight is None:
         return np.asarray(2.0 * np.log(np.linalg.cholesky(inner).diagonal(axis1=-2, axis2=-1)).sum(axis=-1))
-    outer = half @ (root.T @ weight @ root) @ np.swapaxes(half, -1, -2)
+    aimed = half @ (root.T @ weight @ root)
+    outer = aimed @ np.swapaxes(half, -1, -2)
     return np.asarray(np.trace(np.linalg.solve(inner, outer), axis1=-2, axis2=-1))
 
 
@@ -367,7 +368,8 @@ def design_of(
     if isinstance(model, PriorModel):
         information = np.diag((parameters.tolerance / model.width) ** 2)
         return Design(joints, rows, parameters, weight, kind, information, framed=bool((model.group == FRAMES).any()))
-    r, order = qr(np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r"), mode="r", pivoting=True)
+    triangle = np.linalg.qr(rows.reshape(-1, rows.shape[-1]), mode="r")
+    r, order = qr(triangle, mode="r", pivoting=True)
     diagonal = np.abs(np.diag(r))
     columns = np.sort(order[: int(np.sum(diagonal > REDUNDANCY_TOLERANCE * diagonal[0]))])
     base = parameters.some(np.isin(np.arange(len(order)), columns))
@@ -472,9 +474,12 @@ def plan_poses(
     if test_joints is None and not design.known.any():
         plan = replace(plan, predicted_error=None, random_predicted_error=None)
     links, sets = design_of(geometry, link_model(geometry), joints, kind, position_std), drawn(count)
-    by_parameters = _against_chance(geometry, design, plan.chosen, sets)
-    alone = None if count < _least(links) else _against_chance(geometry, links, plan.chosen, sets)
-    return replace(plan, model=by_parameters, arm=alone, seconds=time.perf_counter() - begin)
+    return replace(
+        plan,
+        model=_against_chance(geometry, design, plan.chosen, sets),
+        arm=None if count < _least(links) else _against_chance(geometry, links, plan.chosen, sets),
+        seconds=time.perf_counter() - begin,
+    )
 
 
 def finished_plan(
@@ -547,7 +552,8 @@ def finished_plan(
 def _observed(design: Design, rows: Array) -> dict[str, float]:
     """Observability of the parameters by rows ``(M, r, p)`` together with the information known beforehand."""
     stacked = np.vstack([rows.reshape(-1, rows.shape[-1]), np.sqrt(design.known)])
-    return observability(np.linalg.svd(stacked, compute_uv=False), len(rows))
+    values = np.linalg.svd(stacked, compute_uv=False)
+    return observability(np.asarray(values, dtype=float), len(rows))
 
 
 def _against_chance(geometry: Geometry, design: Design, chosen: NDArray[np.int64], sets: Array) -> dict[str, Any]:

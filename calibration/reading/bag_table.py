@@ -17,20 +17,22 @@ from pickenv.calibration.reading import csv_table
 from pickenv.calibration.reading.csv_table import Table
 
 JOINTS = "sensor_msgs/msg/JointState"
-
-
-def _axes(place: str, turn: str = "") -> tuple[str, ...]:
-    return (*(f"{place}.{axis}" for axis in "xyz"), *(f"{turn}.{axis}" for axis in "xyzw" if turn))
-
-
 FIELDS: dict[str, tuple[str, ...]] = {
     JOINTS: (),
-    "geometry_msgs/msg/PointStamped": _axes("point"),
-    "geometry_msgs/msg/PoseStamped": _axes("pose.position", "pose.orientation"),
-    "geometry_msgs/msg/TransformStamped": _axes("transform.translation", "transform.rotation"),
+    "geometry_msgs/msg/PointStamped": ("point.x", "point.y", "point.z"),
+    "geometry_msgs/msg/PoseStamped": (
+        *("pose.position.x", "pose.position.y", "pose.position.z"),
+        *("pose.orientation.x", "pose.orientation.y", "pose.orientation.z", "pose.orientation.w"),
+    ),
+    "geometry_msgs/msg/TransformStamped": (
+        *("transform.translation.x", "transform.translation.y", "transform.translation.z"),
+        *("transform.rotation.x", "transform.rotation.y", "transform.rotation.z", "transform.rotation.w"),
+    ),
 }
-"""Types of messages that are read, and the fields of each that become columns. The columns of a JointState are named
-after its joints. All types have a header with a stamp."""
+"""Types of messages that are read, and the fields of each that become columns.
+
+The columns of a JointState are named after its joints. All types have a header with a stamp.
+"""
 
 
 def read_log(

@@ -52,8 +52,10 @@ SAME_AS = {
 """Attitude conventions of robot makers: for each name, the name of the equal convention in `GENERAL`."""
 
 CONVENTIONS = GENERAL | {maker: GENERAL[general] for maker, general in SAME_AS.items()}
-"""Attitude conventions by name, each with a kind of unit ("angle" or "none") and a function. The function turns values
-(N, 3 or 4), angles in rad, into rotations."""
+"""Attitude conventions by name, each with a kind of unit ("angle" or "none") and a function.
+
+The function turns values (N, 3 or 4), angles in rad, into rotations.
+"""
 
 
 def columns_of(convention: str) -> int:

@@ -73,8 +73,10 @@ class Files:
 
 
 QUANTITIES = {"temperature": "temperature_K", "payload": "payload_kg", "torque": "torque_Nm"}
-"""For each recorded condition, the name of its limits in `pickenv.base.limits`. Temperatures are relative to the
-reference."""
+"""For each recorded condition, the name of its limits in `pickenv.base.limits`.
+
+Temperatures are relative to the reference.
+"""
 
 FARTHEST = 1e4
 """Largest distance at which an instrument can see a tool, m."""
@@ -228,8 +230,10 @@ UNIT_LENGTH = 0.02
 """Largest allowed difference of a direction vector's length from 1."""
 
 EXPLAINED, UNEXPLAINED = 0.2, 0.5
-"""Limits of the misfit of a wire's lengths to the best anchor, as a share of the lengths' spread. The misfit is below
-the first limit if the unit is right, and at or above the second if it is wrong."""
+"""Limits of the misfit of a wire's lengths to the best anchor, as a share of the lengths' spread.
+
+The misfit is below the first limit if the unit is right, and at or above the second if it is wrong.
+"""
 
 
 @register("instrument", "reflectors")
@@ -456,11 +460,12 @@ def read_views(
         rows = list(range(len(table.lines)))
     if (poses := file.poses) is None:
         every = read_joints(table, file, where, geometry)
-        refuse_repeated_joints(file, where, every[rows], geometry)
+        joints = every[rows]
+        refuse_repeated_joints(file, where, joints, geometry)
     else:
         turned = rotations(poses.convention, read_attitudes(table, poses.attitudes))
         every = joints_of_finished_poses(Pose(table.values(poses.columns) * TO_SI[poses.unit], turned))
-    joints = every[rows]
+        joints = every[rows]
     if file.pixels.view is not None and file.pixels.columns:
         _refuse_moved(table, table.texts(file.pixels.view), every)
     corners, visible, std = map(np.stack, zip(*views, strict=True))

@@ -82,7 +82,7 @@ def read_observations(
     if given is not None and given.recording is not None:
 
         def read(table: csv_table.Table, layout: description.DescriptionFile) -> Observations:
-            rows: Observations = _rows([table], [layout], where, geometry)
+            rows: Observations = _rows([table], [layout], where, geometry, "fitted")
             return rows
 
         parts = [
@@ -90,8 +90,7 @@ def read_observations(
             for table, path in zip(tables, paths, strict=True)
         ]
         tables, layouts, clocks = [part[0] for part in parts], [part[1] for part in parts], tuple(p[2] for p in parts)
-    frames: dict[str, Frames] = {"frames": "known"} if given is None and _frames(tables) == "known" else {}
-    rows = replace(_rows(tables, layouts, where, geometry), **frames)
+    rows = _rows(tables, layouts, where, geometry, "fitted" if given is not None else _frames(tables))
     if not repeats:
         kind_readers.refuse_duplicates(rows.joints, rows, origins_of(rows))
     rows = replace(rows, origins=replace(origins_of(rows), clocks=clocks, repeat=_repeat(logged, described)))
@@ -131,7 +130,11 @@ def _in_scene(rows: Any, geometry: Geometry, names: tuple[str, str]) -> Any:
 
 
 def _rows(
-    tables: list[csv_table.Table], layouts: list[description.DescriptionFile], where: str, geometry: Geometry
+    tables: list[csv_table.Table],
+    layouts: list[description.DescriptionFile],
+    where: str,
+    geometry: Geometry,
+    frames: Frames,
 ) -> Any:
     """Read the rows of tables of one layout, of any kind except pixels."""
     pairs = zip(tables, layouts, strict=True)
@@ -144,7 +147,8 @@ def _rows(
     files = Files(tables, layouts, where, geometry, joints, source, origins)
     kind_readers.refuse_repeated_joints(files.first, where, joints, geometry)
     rows: Any = get("instrument", files.first.kind)(files, files.first.measured)
-    return replace(rows, source=source, conditions=_conditions(files), origins=origins)
+    known: dict[str, Frames] = {} if frames == "fitted" else {"frames": frames}
+    return replace(rows, source=source, conditions=_conditions(files), origins=origins, **known)
 
 
 def _frames(tables: list[csv_table.Table]) -> Frames:
@@ -206,8 +210,9 @@ def _poses(files: Files, _section: Any) -> Measurements:
                 "own (`columns`), or remove the attitudes"
             )
     if attitudes is not None:
-        parts = [kind_readers.read_attitudes(table, layout.rotation) for table, layout in files.pairs()]
-        values = np.concatenate(parts)
+        values = np.concatenate(
+            [kind_readers.read_attitudes(table, layout.rotation) for table, layout in files.pairs()]
+        )
         if attitudes.convention is None:
             fits = csv_table.convention_table(files.geometry, files.joints, position, values, files.source)
             raise InputError(
@@ -216,8 +221,9 @@ def _poses(files: Files, _section: Any) -> Measurements:
                 "name one of them, or the maker's, as convention in [rotation]"
             )
         rotation = csv_table.rotations(attitudes.convention, values)
-    prismatic, stated = files.geometry.prismatic, first.measured.std is not None
-    rows = Measurements(files.joints, position, rotation, prismatic, first.std, std_stated=stated)
+    rows = Measurements(
+        files.joints, position, rotation, files.geometry.prismatic, first.std, std_stated=first.measured.std is not None
+    )
     return rows if attitudes is None else replace(rows, attitude_std=attitudes.std)
 
 

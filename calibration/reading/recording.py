@@ -35,8 +35,10 @@ from pickenv.calibration.reading.bag_table import read_log
 from pickenv.calibration.reading.csv_table import Table
 
 STEM = "{file}"
-"""Placeholder in the joint log's path. It stands for the name of the instrument's file without its ending, or for the
-whole name of a bag folder."""
+"""Placeholder in the joint log's path.
+
+It stands for the name of the instrument's file without its ending, or for the whole name of a bag folder.
+"""
 
 LEAST_SAMPLES = 50
 """Smallest number of an instrument's samples within the joint log from which the clocks can be identified."""
@@ -46,11 +48,15 @@ CHORD = 0.1
 
 LEAST_OVERLAP, LEAST_CORRELATION = 0.3, 0.4
 """Two conditions on a clock offset to be tried: smallest overlap of the logs, and smallest correlation of the speeds.
-The overlap is a share of the shorter log."""
+
+The overlap is a share of the shorter log.
+"""
 
 PEAKS, CLEAR = 5, 0.7
-"""Number of clock offsets that are tried by fits, and a limit on the best offset's median misfit. The limit is a share
-of the median misfit of each other offset. Above it, the best offset is ambiguous."""
+"""Number of clock offsets that are tried by fits, and a limit on the best offset's median misfit.
+
+The limit is a share of the median misfit of each other offset. Above it, the best offset is ambiguous.
+"""
 
 TRIED, FITTED = 300, 1500
 """Largest numbers of samples: in a fit that tries a clock offset, and in the final fit of the clocks."""
@@ -65,15 +71,19 @@ REST, SETTLING = 0.4, 0.3
 """Shortest standstill of the arm that gives a row, s, and the time at its start in which the arm may still swing, s."""
 
 SPREADS, FINEST, COARSEST = 8.0, 2e-5, 3e-3
-"""Largest range of a resting joint's values, in standard deviations of the joint log's noise. The other two values are
-the lower and upper bound of this range, rad or m."""
+"""Largest range of a resting joint's values, in standard deviations of the joint log's noise.
+
+The other two values are the lower and upper bound of this range, rad or m.
+"""
 
 PATH, MOST_ROWS = 0.02, 2000
 """Path length in joint space between two rows of a motion, rad and m together, and the largest number of such rows."""
 
 Read = Callable[[Table, description.DescriptionFile], Observations]
-"""Function that reads a table of joints and readings by its column description. It treats each row as a measurement of
-the arm at rest."""
+"""Function that reads a table of joints and readings by its column description.
+
+It treats each row as a measurement of the arm at rest.
+"""
 
 
 @dataclass(frozen=True, eq=False)
@@ -278,9 +288,18 @@ def read_recording(
     unknowns = len(complete_model(geometry).names) + len(timed.rows.unknowns())
     still = len(rests) * equations >= 2 * unknowns
     groups = rests if still else _thinned(logs, times, usable)
-    error, rate_std = (float(std[name]) for name in ("clock_offset", "clock_rate"))
-    moment, ahead = logs.first + middle, logs.began + first + offset
-    clocks = Clocks(table.where, moment, ahead, error, rate, rate_std, RATE_STD, still, len(groups))
+    error = float(std["clock_offset"])
+    clocks = Clocks(
+        table.where,
+        logs.first + middle,
+        logs.began + first + offset,
+        error,
+        rate,
+        float(std["clock_rate"]),
+        RATE_STD,
+        still,
+        len(groups),
+    )
     if not still:
         drift = timed.drift(solution.arm_model, unknowns_of(solution, timed)) * error
         channels = timed.rows.equations()[1]
@@ -317,17 +336,25 @@ def _logs(table: Table, path: Path, layout: description.DescriptionFile, where: 
     table = _seen(table, layout, names)
     if layout.reflectors is not None:
         layout = replace(layout, reflectors=replace(layout.reflectors, lost=()))
-    stamps, log_stamps = _times(table, told.time, told.unit), _times(log, told.joints_time, told.joints_unit)
+    stamps, entries = _times(table, told.time, told.unit), _times(log, told.joints_time, told.joints_unit)
     joints = kind_readers.read_joints(log, layout, where, geometry)
     jumps = np.abs(np.diff(joints, axis=0)) > np.pi
     if jumps[:, ~np.array(geometry.prismatic)].any():
         row, joint = np.argwhere(jumps)[0]
         place = log.cell(row + 1, layout.joint_columns[joint])
         raise InputError(f"{place} jumps by more than half a turn; write the joints without jumps of 360 deg")
-    times, log_times = stamps - stamps[0], log_stamps - log_stamps[0]
-    values, entries = (names, table.values(names)), (columns, log.values(columns))
-    first, began = float(stamps[0]), float(stamps[0] - log_stamps[0])
-    return Logs(table, layout, geometry, times, values, log_times, joints, entries, first, began)
+    return Logs(
+        table,
+        layout,
+        geometry,
+        stamps - stamps[0],
+        (names, table.values(names)),
+        entries - entries[0],
+        joints,
+        (columns, log.values(columns)),
+        float(stamps[0]),
+        float(stamps[0] - entries[0]),
+    )
 
 
 def _seen(table: Table, layout: description.DescriptionFile, names: tuple[str, ...]) -> Table:
@@ -336,7 +363,8 @@ def _seen(table: Table, layout: description.DescriptionFile, names: tuple[str, .
     for name in {part for text in names for part in _plain(text, table.header)}:
         lost |= table.fill_blanks(name)
     if layout.kind in ("position", "reflectors"):
-        lost |= (table.values(layout.columns).reshape(len(lost), -1, 3) == 0.0).all(axis=2).any(axis=1)
+        places = table.values(layout.columns).reshape(len(lost), -1, 3)
+        lost |= (places == 0.0).all(axis=2).any(axis=1)
     rows = np.flatnonzero(~lost).tolist()
     if len(rows) < LEAST_SAMPLES:
         raise InputError(f"{table.where} has {len(rows)} samples; a recording needs at least {LEAST_SAMPLES}")
@@ -411,7 +439,8 @@ def _lags(one: Array, other: Array) -> tuple[Array, Array]:
     one, other = (part - part.mean() for part in (one, other))
 
     def summed(left: Array, right: Array) -> Array:
-        return np.asarray(irfft(rfft(left, size) * rfft(right[::-1], size), size)[: len(one) + len(other) - 1])
+        product = irfft(rfft(left, size) * rfft(right[::-1], size), size)
+        return np.asarray(product[: len(one) + len(other) - 1])
 
     here, there = np.ones(len(one)), np.ones(len(other))
     count = np.maximum(np.rint(summed(here, there)), 1.0)
@@ -535,6 +564,7 @@ def _rests(logs: Logs, times: Array, usable: Rows) -> list[Rows]:
 
 def _thinned(logs: Logs, times: Array, usable: Rows) -> list[Rows]:
     """Return indices of single samples, spaced by a path length in joint space (`PATH`)."""
-    way = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(logs.joint_spline(times[usable]), axis=0), axis=1))]
+    joints = logs.joint_spline(times[usable])
+    way = np.r_[0.0, np.cumsum(np.linalg.norm(np.diff(joints, axis=0), axis=1))]
     _, first = np.unique(np.floor(way / max(PATH, way[-1] / MOST_ROWS)), return_index=True)
     return [usable[[i]] for i in first]

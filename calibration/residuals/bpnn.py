@@ -161,7 +161,9 @@ class Bpnn:
     @cached_property
     def _code(self) -> CompiledNetwork | None:
         """The network's machine code; None unless ``fast`` is set and llvmlite is installed."""
-        return CompiledNetwork(self._scaled) if self.fast and is_there("llvmlite") else None
+        if not (self.fast and is_there("llvmlite")):
+            return None
+        return CompiledNetwork(self._scaled)
 
     def arrays(self) -> dict[str, Array]:
         """Return all arrays by name, for saving."""
@@ -345,7 +347,8 @@ def _arranged(layer: Layer, inputs: int, outputs: int) -> NDArray[np.float32]:
     matrix, bias = layer
     padded = np.zeros((inputs + 1, outputs), dtype=np.float32)
     padded[: len(matrix), : len(bias)], padded[-1, : len(bias)] = matrix, bias
-    return np.concatenate([padded[:-1].reshape(inputs, -1, TILE).swapaxes(0, 1).ravel(), padded[-1]])
+    tiles = padded[:-1].reshape(inputs, -1, TILE).swapaxes(0, 1)
+    return np.concatenate([tiles.ravel(), padded[-1]])
 
 
 def _network_code(poses: int, starts: Sequence[int], shapes: Sequence[tuple[int, int]]) -> str:

@@ -128,12 +128,14 @@ def gate_residuals(
     if not models:
         raise InputError(f"no residual model was named; give some of {', '.join(names('residual'))}")
     seeds = {name: int(rng.integers(2**63)) for name in models}
-    blocked = _trial(measurements, refit, *blocked_split(same_poses(measurements.joints), len(measurements) // 5))
+    blocks = blocked_split(same_poses(measurements.joints), len(measurements) // 5)
+    blocked = _trial(measurements, refit, *blocks)
     rows, _, _, untouched, counts = blocked
 
     @cache
     def inner() -> list[Trial]:
-        return [_trial(rows, refit, *fold) for fold in contiguous_folds(rows.groups, same_poses(rows.joints), FOLDS)]
+        folds = contiguous_folds(rows.groups, same_poses(rows.joints), FOLDS)
+        return [_trial(rows, refit, *fold) for fold in folds]
 
     bare = GateVerdict("", None, position_rms(untouched, counts), None, _attitude_rms(untouched, counts))
     verdicts: dict[str, GateVerdict] = {}

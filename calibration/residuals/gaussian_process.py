@@ -195,7 +195,9 @@ amplitude; in the second, a twentieth."""
 
 DRAWN_STARTS = ((1.0, 1.0), (0.7, 5.0), (0.1, 0.7))
 """Bounds between which amplitude, each input's length scale and the noise are drawn for further starts of the search.
-From shorter length scales a search ends with noise alone, from longer ones with inputs ignored."""
+
+From shorter length scales a search ends with noise alone, from longer ones with inputs ignored.
+"""
 
 JITTER = 1e-10
 """Variance added to that of the noise, so that a kernel matrix can be factorised."""
@@ -300,7 +302,8 @@ def _most_likely(inputs: Array, target: Array, rng: np.random.Generator, drawn: 
     count = np.array([1, inputs.shape[1], 1])
     plain = [np.log(np.repeat(start, count)) for start in PLAIN_STARTS]
     low, high = np.log(np.repeat(DRAWN_STARTS, count, axis=0)).T
-    starts = [*plain, *rng.uniform(low, high, (drawn, len(low)))]
+    random_starts = rng.uniform(low, high, (drawn, len(low)))
+    starts = [*plain, *random_starts]
     some = np.linspace(0, len(inputs) - 1, min(len(inputs), START_ROWS)).astype(int)
     optima = sorted((_search(start, inputs[some], target[some], COARSE) for start in starts), key=itemgetter(1))
     finalists = [optimum for optimum, _ in optima[:2]]
@@ -345,7 +348,8 @@ def negative_log_likelihood(theta: Array, inputs: Array, target: Array) -> tuple
     # (dual dual^T - inverse), times the kernel element by element, times columns
     weighted = dual[:, None] * (smooth @ (dual[:, None] * columns)) - half @ columns - half.T @ columns
     by_length = weighted[:, 0] @ scaled**2 - np.sum(scaled * weighted[:, 1:], axis=0)
-    return float(value), -np.concatenate([[weighted[:, 0].sum()], by_length, [noise**2 * trace]])
+    slope = np.concatenate([[weighted[:, 0].sum()], by_length, [noise**2 * trace]])
+    return float(value), -slope
 
 
 def _factor(smooth: Array, noise: float) -> Array:
@@ -387,7 +391,8 @@ def feature_process(process: GaussianProcess, count: int, rng: np.random.Generat
     """
     from scipy.stats import norm, qmc
 
-    normal = norm.ppf(np.clip(qmc.Sobol(process.rows.shape[1], rng=rng).random(count), 1e-9, 1.0 - 1e-9))
+    points = qmc.Sobol(process.rows.shape[1], rng=rng).random(count)
+    normal = norm.ppf(np.clip(points, 1e-9, 1.0 - 1e-9))
     parts = [_of_output(process, output, normal) for output in range(len(process.noise))]
     frequency, mean, factor = (np.stack(arrays) for arrays in zip(*parts, strict=True))
     return frequency, mean, factor
