@@ -297,7 +297,8 @@ class BendingTerm(Term):
     """Deflection of joints across their axes, about x and y of their links' frames, under the weight of known masses.
 
     Each link has three coefficients (rad/(N*m)), of a symmetric matrix from torques to turns where it is joined: xx, yy
-    and xy. Where across the axis x lies is a matter of the table, so xy cannot be left out.
+    and xy. Where across the axis x lies is a matter of the table, so xy cannot be left out. A recorded payload is not
+    part of the masses.
 
     Attributes:
         links: Indices of the links that yield where they are joined, from 0.
