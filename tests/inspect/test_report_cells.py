@@ -63,7 +63,7 @@ def built(make: Callable[[], object]) -> SimpleNamespace:
         return ""
 
     with pytest.MonkeyPatch.context() as patch:
-        for module in (report_page, calibration_report):
+        for module in (report_page, calibration_report, demo_report):
             patch.setattr(module, "html_of", keep)
         make()
     return pages[0]
