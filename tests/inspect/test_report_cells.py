@@ -428,7 +428,7 @@ def test_intervals_may_be_open_or_missing() -> None:
         ("compliance4", "yielding of  under load"),
         ("periodic2_sin1", "periodic error of the drive of J2"),
         ("reflector_x", "reflector on the tool"),
-        ("bending", "bending of the boom J1"),
+        ("bending2_xy", "yielding across the axis of J2 under load"),
         ("zeta1", ""),
         ("7", ""),
     ],
