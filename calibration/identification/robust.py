@@ -26,7 +26,6 @@ from pickenv.calibration.model.observations import (
     equally_spaced,
     nearest_rotation,
     origins_of,
-    pose_count,
 )
 from pickenv.calibration.model.terms import weight_of
 
@@ -374,11 +373,9 @@ within one set-up."""
 ROBUST_ROWS = 2000
 """Largest number of rows of the robust fit, equally spaced; all rows are judged by this fit."""
 
-ENOUGH_FOR_WEIGHT = 40
-"""Smallest number of poses with which a robust fit has compliances under the weight of known masses."""
-
 SPARE = 3
-"""Least ratio of equations to parameters at which the arm's geometry is fitted too; below it only frames are fitted."""
+"""Least ratio of equations to parameters at which the arm's geometry is fitted beside its frames, or its compliance
+beside its geometry."""
 
 
 def rough_start(nominal: Geometry, data: Observations) -> Geometry:
@@ -434,9 +431,11 @@ def robust_fit(arm: Arm, data: Observations, known: bool = False) -> tuple[Ident
     data = data.select(equally_spaced(len(data.joints), ROBUST_ROWS))
     start = ArmModel.of(arm.nominal if known else robust_frames(arm, data))
     model = fitted_model(arm.name, arm.nominal, known)
-    if arm.load is not None and pose_count(data.joints) >= ENOUGH_FOR_WEIGHT:
-        start = ArmModel.of(start.geometry, (weight_of(arm.nominal).with_masses(arm.nominal, arm.load),))
-        model = with_terms(model, start)
+    if arm.load is not None:
+        yielding = ArmModel.of(start.geometry, (weight_of(arm.nominal).with_masses(arm.nominal, arm.load),))
+        wider = with_terms(model, yielding)
+        if len(data.equations()[0]) >= SPARE * (len(wider.names) + len(data.unknowns())):
+            model, start = wider, yielding
     return robust_identify(model, start, data)
 
 
