@@ -7,7 +7,7 @@ draw markers.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array
-from pickenv.base import InputError, read_text, require, toml_tables, write_text, write_whole, yaml_content
+from pickenv.base import InputError, listed, read_text, require, toml_tables, write_text, write_whole, yaml_content
 from pickenv.calibration.model.pixels import Lens
 
 # A camera's lens in the files that others write: ROS camera_info YAML, in and out, and OpenCV's own YAML. Written
@@ -219,6 +219,12 @@ def opencv() -> Any:
     return cv2
 
 
+def _dictionary(name: str) -> Any:
+    """OpenCV's object of a dictionary of markers, by its name here."""
+    aruco = opencv().aruco
+    return aruco.getPredefinedDictionary(getattr(aruco, DICTIONARIES[name]))
+
+
 def opencv_board(board: Board) -> Any:
     """Return the board as an OpenCV object; the board must have markers, which plain chessboards have not.
 
@@ -227,7 +233,7 @@ def opencv_board(board: Board) -> Any:
     """
     cv2 = opencv()
     assert board.dictionary is not None
-    markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, DICTIONARIES[board.dictionary]))
+    markers = _dictionary(board.dictionary)
     needed = board.columns * board.rows // (1 if board.kind == "apriltags" else 2)
     if needed > len(markers.bytesList):
         raise InputError(
@@ -338,6 +344,28 @@ def find_corners(board: Board, picture: Grey, where: str) -> Corners:
     return corners_at(len(board.corners), numbers, places, corner_std(picture, places, LEAST_STD[board.kind]))
 
 
+def find_tags(dictionary: str, numbers: Sequence[int], picture: Grey, where: str) -> Corners:
+    """Detect points of a body with tags in a picture, such as the corners of a cube's tags.
+
+    Args:
+        dictionary: Dictionary of the tags, a key of `DICTIONARIES`.
+        numbers: Number of each point: the corners of tag k, clockwise as OpenCV finds them, are 4 k to 4 k + 3.
+        picture: Grey values ``(h, w)``.
+        where: The picture's name, for messages.
+
+    Raises:
+        InputError: If no point is found; the message says which tags the picture shows instead.
+    """
+    seen, places = _tag_corners(dictionary, picture)
+    of_body = np.isin(seen, numbers)
+    if not of_body.any():
+        tags = listed(map(str, np.unique(seen // 4))) if len(seen) else "none"
+        raise InputError(f"{where}: no tag of the target was found; of {dictionary} it shows {tags}; check [target]")
+    index_of = {number: i for i, number in enumerate(numbers)}
+    rows, places = [index_of[int(number)] for number in seen[of_body]], places[of_body]
+    return corners_at(len(numbers), rows, places, corner_std(picture, places, LEAST_STD["apriltags"]))
+
+
 def corners_at(count: int, numbers: ArrayLike, places: ArrayLike, std: ArrayLike) -> Corners:
     """Return all corners of a board, or points of another target, from the ones that a picture shows.
 
@@ -395,12 +423,10 @@ def _found(board: Board, picture: Grey) -> tuple[NDArray[np.int64], Array]:
         if numbers is None:
             return none
         return numbers.ravel().astype(np.int64), places.reshape(-1, 2).astype(float)
-    corners, tags = _markers(board, picture)
-    of_board = [i for i, tag in enumerate(tags) if tag < board.columns * board.rows]
-    if not of_board:
-        return none
-    numbers = np.concatenate([4 * tags[i] + np.arange(4) for i in of_board])
-    return numbers, np.concatenate([corners[i].reshape(-1, 2) for i in of_board]).astype(float)
+    opencv_board(board)  # refused if the dictionary has too few markers
+    numbers, places = _tag_corners(str(board.dictionary), picture)
+    of_board = numbers < 4 * board.columns * board.rows
+    return numbers[of_board], places[of_board]
 
 
 def _upright(picture: Grey, places: Array, inner: tuple[int, int]) -> Array:
@@ -420,13 +446,14 @@ def _grey_at(picture: Grey, place: Array) -> float:
     return float(picture[y, x])
 
 
-def _markers(board: Board, picture: Grey) -> tuple[list[Any], list[int]]:
-    """Corners and numbers of all markers in a picture that are of the board's dictionary."""
+def _tag_corners(dictionary: str, picture: Grey) -> tuple[NDArray[np.int64], Array]:
+    """Numbers ``(N,)`` of the corners of all markers of a dictionary in a picture, and their places ``(N, 2)``, px."""
     cv2 = opencv()
     how = cv2.aruco.DetectorParameters()
     how.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    corners, tags, _ = cv2.aruco.ArucoDetector(opencv_board(board).getDictionary(), how).detectMarkers(picture)
-    return list(corners), [] if tags is None else tags.ravel().tolist()
+    corners, tags, _ = cv2.aruco.ArucoDetector(_dictionary(dictionary), how).detectMarkers(picture)
+    numbers = np.zeros(0, dtype=np.int64) if tags is None else tags.ravel().astype(np.int64)
+    return (4 * numbers[:, None] + np.arange(4)).ravel(), np.reshape(corners, (-1, 2)).astype(float)
 
 
 def _reason(board: Board, picture: Grey) -> str:
@@ -435,7 +462,7 @@ def _reason(board: Board, picture: Grey) -> str:
         return "it is mirrored; give pictures as the camera makes them, not as a mirror shows them"
     if board.kind == "chessboard":
         return f"all {board.columns} x {board.rows} squares must be in it; check [board], light and focus"
-    tags = _markers(board, picture)[1]
+    tags = (_tag_corners(str(board.dictionary), picture)[0][::4] // 4).tolist()
     if tags and len(tags) <= FEW_MARKERS and max(tags) < board.columns * board.rows // 2:
         return f"it shows {len(tags)} of its markers, too few to tell a corner; have more of the board in it"
     if tags:

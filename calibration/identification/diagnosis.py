@@ -375,8 +375,8 @@ def without_blind_views(data: Observations) -> tuple[Observations, tuple[LeftOut
 
 
 def _blind_views(views: PixelObservations) -> dict[int, str]:
-    """Views that are left out, with the reason: no corner, or in a picture too few, or all near one line."""
-    counts, found = views.seen.sum(axis=1), views.pictures is not None
+    """Views that are left out, with the reason: no corner, or in a board's picture too few, or all near one line."""
+    counts, found = views.seen.sum(axis=1), views.pictures is not None and not views.board[:, 2].any()
     least, remarks = LEAST_CORNERS if found else 1, views.remarks
     reasons = {}
     for row in np.flatnonzero(counts < least).tolist():

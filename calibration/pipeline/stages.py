@@ -35,7 +35,7 @@ from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline import fitting
 from pickenv.calibration.pipeline.result import Result, assess, workspace_joints
 from pickenv.calibration.reading.description import load_description
-from pickenv.calibration.reading.read import joints_of, read_observations, read_targets
+from pickenv.calibration.reading.read import joints_of, read_observations, read_scene, read_targets
 from pickenv.calibration.residuals.bpnn import BpnnSettings
 from pickenv.calibration.residuals.gate import AUTO, GateVerdict, gate_residuals, position_rms, selected
 from pickenv.calibration.residuals.residual_models import TRIAL_FITTERS, require_residual
@@ -198,7 +198,11 @@ def given_rows(
     together = len(layouts) == 1 and stations is None
     sets = [items] if together else [[file] for file in items]
     layouts = layouts if len(layouts) > 1 else layouts * len(sets)
-    rows = [read_observations(part, arm.nominal, layout) for part, layout in zip(sets, layouts, strict=True)]
+    rows = [
+        data_set
+        for part, layout in zip(sets, layouts, strict=True)
+        for data_set in read_scene(part, arm.nominal, layout)
+    ]
     return _joined(arm, rows, stations, known, like)
 
 

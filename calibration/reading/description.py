@@ -16,17 +16,11 @@ from typing import Annotated, Any, get_args, get_type_hints
 
 import numpy as np
 
-from pickenv.arm import Array, Geometry
+from pickenv.arm import Array
 from pickenv.base import DEG, MM, NUMBER, WHOLE, Check, InputError, Key, Then, Unit, shortened, toml_table, toml_tables
 from pickenv.base.registry import load_all, names
-from pickenv.calibration.camera.boards import Board, one_of
-from pickenv.calibration.model.measurements import (
-    ATTITUDE_STD,
-    OWN_CONDITIONS,
-    POSITION_STD,
-    ROOM_TEMPERATURE,
-    joint_columns,
-)
+from pickenv.calibration.camera.boards import DICTIONARIES, Board, one_of
+from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, ROOM_TEMPERATURE
 from pickenv.calibration.model.pixels import Mount
 from pickenv.calibration.reading.csv_table import CONVENTIONS, columns_of, expression_tree
 
@@ -253,10 +247,13 @@ class TargetTable:
     """Section [target]: positions of points on a rigid target, in the target's own frame, and the points' numbers.
 
     For a body with tags on its faces, the points are the corners of all tags. Without ``numbers``, they count from 0.
+    If ``dictionary`` names the tags' kind, they are found in pictures: the four corners of tag k, clockwise as OpenCV
+    finds them, then have the numbers 4 k to 4 k + 3.
     """
 
     points: Annotated[tuple[float, ...], MM]
     numbers: Annotated[tuple[int, ...], WHOLE] = ()
+    dictionary: Annotated[str, one_of(DICTIONARIES)] | None = None
 
     def __post_init__(self) -> None:
         count, rest = divmod(len(self.points), 3)
@@ -448,6 +445,12 @@ class RecordingTable:
     joints_topic: Annotated[str, TOPIC] | None = None
 
 
+def _pairs(value: Any, _context: Any) -> tuple[tuple[str, str], ...]:
+    if not isinstance(value, dict) or not all(isinstance(link, str) for link in value.values()):
+        raise toml_tables.fault("names of sensors and targets, each with the name of its link")
+    return tuple(value.items())
+
+
 @toml_table
 class SceneTable:
     """Section [scene]: names of the sensor and of its target, and the links of a whole robot that carry them.
@@ -455,12 +458,19 @@ class SceneTable:
     Files that name the same sensor share one sensor pose. Files that name the same target share one target pose. A
     sensor or target without a name belongs to this file alone. One without a link is fixed in the world. An
     inclinometer has no target.
+
+    ``sensor_column`` and ``target_column`` hold the names row by row. If ``sensor`` is given as well, only the rows of
+    this sensor are read; otherwise the rows of each name are a data set. The same holds for targets. ``links`` are the
+    links of named sensors and targets; the others are on ``sensor_link`` and ``target_link``.
     """
 
     sensor: str = ""
     sensor_link: str = ""
+    sensor_column: Annotated[str, COLUMN] | None = None
     target: str = ""
     target_link: str = ""
+    target_column: Annotated[str, COLUMN] | None = None
+    links: Annotated[tuple[tuple[str, str], ...], Then(_pairs, Any)] = ()
 
 
 @toml_table
@@ -504,7 +514,7 @@ class DescriptionFile:
             raise InputError("[joints] is missing" if self.poses is None else "[joints] and [poses] are both given")
         if self.poses is not None and self.pixels is None:
             raise InputError("[poses] belongs to [pixels]; give the joints in [joints]")
-        links = self.scene.sensor_link or self.scene.target_link
+        links = self.scene.sensor_link or self.scene.target_link or self.scene.links
         if self.pixels is not None and (self.pixels.mount is None) != bool(links):
             mounts = " or ".join(get_args(Mount))
             where = "the links of [scene] say where the camera is; leave it out" if links else f"give {mounts}"
@@ -515,8 +525,11 @@ class DescriptionFile:
             if (table is None) != (self.pixels is None):
                 fault = "is missing; [pixels] needs it" if table is None else "belongs to [pixels]"
                 raise InputError(f"[{name}] {fault}")
-        if self.target is not None and (self.board is not None or (self.pixels and not self.pixels.columns)):
-            raise InputError("[target] stands in place of [board], for a table of corners; leave one of them out")
+        if self.target is not None and self.board is not None:
+            raise InputError("[target] stands in place of [board]; leave one of them out")
+        if self.target is not None and self.pixels and (self.target.dictionary is None) == (not self.pixels.columns):
+            fault = "belongs to pictures; leave it out" if self.pixels.columns else "is missing; pictures need it"
+            raise InputError(f"dictionary of [target] {fault}")
         fits, columns = COUNTS.get(sections[0], (lambda _: True, ""))
         count = len(self.columns)
         if not fits(count):
@@ -569,8 +582,9 @@ class DescriptionFile:
         The first end is the sensor, the second the target. For a camera that the arm carries, and for an inclinometer,
         the order is reversed.
         """
-        scene = self.scene
-        names, links = (scene.sensor, scene.target), (scene.sensor_link, scene.target_link)
+        scene, links_of = self.scene, dict(self.scene.links)
+        names = (scene.sensor, scene.target)
+        links = (links_of.get(scene.sensor, scene.sensor_link), links_of.get(scene.target, scene.target_link))
         back = self.tilt is not None or (self.pixels is not None and self.pixels.mount == "hand")
         return (names[::-1], links[::-1]) if back else (names, links)
 
@@ -654,47 +668,3 @@ def _refuse_repeats(description: DescriptionFile, path: Path) -> None:
                 f"{path}: '{shortened(text)}' is given for {roles_of[plain]} and for {role}; name each column once"
             )
         roles_of[plain] = role
-
-
-def own_description(geometry: Geometry, header: list[str], where: str) -> DescriptionFile:
-    """Make the column description of a file in our own CSV format.
-
-    Args:
-        geometry: The arm's nominal geometry, whose joints give the names of joint columns.
-        header: Column names of the file.
-        where: The file, for messages.
-
-    Raises:
-        InputError: If a joint column is missing or its unit unknown, or if a condition's column is not of our format.
-    """
-    expected = joint_columns(geometry.prismatic)
-    joints, units = [], []
-    for name in expected:
-        stem = name.rpartition("_")[0]
-        columns = [column for column in header if column.rpartition("_")[0] == stem]
-        unit = columns[0].rpartition("_")[2] if len(columns) == 1 else ""
-        if unit not in LENGTHS + ANGLES:
-            faults = ("is missing", f"has the unknown unit '{unit}'", "is given twice")
-            fault, ours = faults[min(len(columns), 2)], f"{', '.join(expected)}, x_mm, y_mm, z_mm"
-            raise InputError(f"{where}: joint column '{name}' {fault}; our format has {ours}")
-        joints.append(columns[0])
-        units.append(unit)
-    position_unit = "m" if "x_m" in header else "mm"
-    has_rotation = any(column.startswith(("rx_", "ry_", "rz_")) for column in header)
-    rotation_unit = "rad" if "rx_rad" in header else "deg"
-    for column in header:
-        if column.lower().startswith(("temp", "payload", "torque")) and column not in OWN_CONDITIONS:
-            raise InputError(
-                f"{where}: column '{shortened(column)}' is none of our format's, which records "
-                f"{' and '.join(OWN_CONDITIONS)}; rename it, describe it in [conditions] of `columns`, or remove it"
-            )
-    angles, (warmth, mass) = tuple(f"r{axis}_{rotation_unit}" for axis in "xyz"), OWN_CONDITIONS
-    return DescriptionFile(
-        joints=JointsTable(tuple(joints), units=tuple(units)),
-        position=LengthsTable(columns=tuple(f"{axis}_{position_unit}" for axis in "xyz"), unit=position_unit),
-        rotation=RotationTable(angles, rotation_unit, "rotation_vector") if has_rotation else None,
-        conditions=ConditionsTable(
-            TemperatureTable(warmth, "degC") if warmth in header else None,
-            PayloadTable(mass, "kg") if mass in header else None,
-        ),
-    )

@@ -18,7 +18,7 @@ import numpy as np
 
 from pickenv.arm import Array, Geometry, Pose
 from pickenv.base import LIMITS, TO_SI, InputError, check_limit, listed, read_text, register, yaml_content
-from pickenv.calibration.camera.boards import Board, Corners, Grey, corners_at, find_corners, opencv, read_lens
+from pickenv.calibration.camera.boards import Corners, Grey, corners_at, find_corners, find_tags, opencv, read_lens
 from pickenv.calibration.model import kinds
 from pickenv.calibration.model.arm_model import ArmModel, joints_of_finished_poses
 from pickenv.calibration.model.observations import SAME_POSE, Observations, Origins, Rows
@@ -430,12 +430,13 @@ DEFAULT_STD = 0.3
 
 
 def read_views(
-    paths: Sequence[str | Path], geometry: Geometry, file: description.DescriptionFile, where: str
+    table: Table, home: Path, geometry: Geometry, file: description.DescriptionFile, where: str
 ) -> PixelObservations:
-    """Read views of a board: pictures, or a table of the corners detected in them.
+    """Read views of a board or another target: pictures, or a table of the corners detected in them.
 
     Args:
-        paths: A list of one CSV or YAML file, or of one folder whose files match the description's ``files``.
+        table: The views, one row each, or their corners.
+        home: Folder that the paths of pictures start from.
         geometry: The arm's nominal geometry, for joint count and types. It is not used if tool poses are given in
             place of joint values.
         file: The description, with [pixels], [board] and [camera].
@@ -445,18 +446,14 @@ def read_views(
         InputError: If something is wrong; the message names the file, row, column or picture.
     """
     assert file.pixels is not None and file.camera is not None
-    if len(paths) != 1:
-        raise InputError(f"views of a board are given as one file or folder, not as {len(paths)}; give one")
-    table, home = _table(Path(paths[0]), file.pixels, file)
     camera = _lens(file.camera, home)
     pictures: list[Path] = []
     if file.pixels.columns:
         rows, views = _found_in_table(table, file.pixels, file.target_points[1])
         remarks = [""] * len(rows)
     else:
-        assert file.board is not None
         pictures = _pictures(table, file.pixels, home)
-        views, remarks = _found_in_pictures(table, file.board, pictures, camera)
+        views, remarks = _found_in_pictures(table, file, pictures, camera)
         rows = list(range(len(table.lines)))
     if (poses := file.poses) is None:
         every = read_joints(table, file, where, geometry)
@@ -480,8 +477,22 @@ def read_views(
     return data
 
 
-def _table(path: Path, pixels: description.PixelsTable, layout: description.DescriptionFile) -> tuple[Table, Path]:
-    """The table of the views, one row each or one per corner, and the folder that the pictures' paths start from."""
+def views_table(
+    paths: Sequence[str | Path], pixels: description.PixelsTable, layout: description.DescriptionFile
+) -> tuple[Table, Path]:
+    """Read the table of views, one row each or one per corner, and the folder that the paths of pictures start from.
+
+    Args:
+        paths: A list of one CSV or YAML file, or of one folder whose files match the description's ``files``.
+        pixels: Section [pixels] of the description.
+        layout: The description.
+
+    Raises:
+        InputError: If there is more than one path, or if something is wrong with the file.
+    """
+    if len(paths) != 1:
+        raise InputError(f"views of a board are given as one file or folder, not as {len(paths)}; give one")
+    path = Path(paths[0])
     if not path.is_dir():
         return read_table(path, layout.separator, layout.decimal, layout.names), path.parent
     if pixels.files is None:
@@ -515,7 +526,7 @@ def _pictures(table: Table, pixels: description.PixelsTable, home: Path) -> list
 
 
 def _found_in_pictures(
-    table: Table, board: Board, pictures: Sequence[Path], camera: Lens
+    table: Table, file: description.DescriptionFile, pictures: Sequence[Path], camera: Lens
 ) -> tuple[list[Corners], list[str]]:
     """The corners in each row's picture, and for each picture the reason why it shows none (empty if it shows some).
 
@@ -524,7 +535,7 @@ def _found_in_pictures(
     Raises:
         InputError: If a picture is missing or of another size than the lens, or if more than `MANY_BLIND` show none.
     """
-    views, remarks = [], []
+    views, remarks, numbers = [], [], file.target_points[1]
     for path, line in zip(pictures, table.lines, strict=True):
         if not path.is_file():
             raise InputError(f"{table.where}: row {line}: picture {path} does not exist; correct or remove the row")
@@ -536,9 +547,13 @@ def _found_in_pictures(
                 f"{camera.size[0]} x {camera.size[1]}; give the camera's numbers at this resolution"
             )
         try:
-            views.append(find_corners(board, picture, str(path)))
+            if file.target is None:
+                assert file.board is not None
+                views.append(find_corners(file.board, picture, str(path)))
+            else:
+                views.append(find_tags(str(file.target.dictionary), numbers, picture, str(path)))
         except InputError as error:
-            views.append(corners_at(len(board.corners), [], np.zeros((0, 2)), []))
+            views.append(corners_at(len(numbers), [], np.zeros((0, 2)), []))
             remark = str(error)
         remarks.append(remark)
     faults = list(filter(None, remarks))

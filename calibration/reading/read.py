@@ -16,7 +16,14 @@ from pickenv.arm import Array, Geometry, Pose, inverse, rotation_matrix
 from pickenv.base import TO_SI, InputError, listed, register, shortened
 from pickenv.base.registry import get
 from pickenv.calibration.model.arm_model import Conditions
-from pickenv.calibration.model.measurements import FRAMES, FRAMES_COLUMN, Frames, Measurements, joint_columns
+from pickenv.calibration.model.measurements import (
+    FRAMES,
+    FRAMES_COLUMN,
+    OWN_CONDITIONS,
+    Frames,
+    Measurements,
+    joint_columns,
+)
 from pickenv.calibration.model.observations import Clocks, Observations, Origins, origins_of
 from pickenv.calibration.reading import csv_table, description, kind_readers, recording
 from pickenv.calibration.reading.bag_table import read_log
@@ -50,7 +57,7 @@ def read_measurements(
 def read_observations(
     paths: Sequence[str | Path], geometry: Geometry, columns: str | Path | None = None, *, repeats: bool = False
 ) -> Observations:
-    """Read measurements of any kind from one file, or from several files of one layout.
+    """Read measurements of any kind from one file, or from several files of one layout, as one data set.
 
     Without a socket column, each file of sockets holds one socket, and the two files of a folder are a pair.
 
@@ -62,6 +69,27 @@ def read_observations(
             such rows are refused.
 
     Raises:
+        InputError: Names the file, row, column or unit at fault, or says that the files hold several data sets.
+    """
+    sets = read_scene(paths, geometry, columns, repeats=repeats)
+    if len(sets) > 1:
+        pairs = listed(" of ".join(filter(None, origins_of(part).scene)) for part in sets)
+        raise InputError(f"{paths[0]}: has rows of {pairs}, of which one is needed here; name it in [scene]")
+    return sets[0]
+
+
+def read_scene(
+    paths: Sequence[str | Path], geometry: Geometry, columns: str | Path | None = None, *, repeats: bool = False
+) -> list[Observations]:
+    """Read measurements as `read_observations` does, as one data set for each sensor and target of their rows.
+
+    Args:
+        paths: The files.
+        geometry: The arm's nominal geometry, for joint count and types.
+        columns: Name or path of a column description, whose [scene] may name columns of sensors and targets.
+        repeats: Whether a row may equal another to the last digit.
+
+    Raises:
         InputError: Names the file, row, column or unit at fault.
     """
     if not paths:
@@ -69,15 +97,60 @@ def read_observations(
     csv_table.refuse_repeated(paths)
     given = None if columns is None else description.load_description(columns)
     where = "" if columns is None else str(description.description_path(columns))
-    names, links = (("", ""), ("", "")) if given is None else given.ends
-    geometry = _between(geometry, links, where or str(paths[0]))
     if given is not None and given.pixels is not None:
-        views: Observations = _in_scene(kind_readers.read_views(paths, geometry, given, where), geometry, names)
+        logs = [kind_readers.views_table(paths, given.pixels, given)]
+    else:
+        form = () if given is None else (given.separator, given.decimal, given.names)
+        topic = None if given is None or given.recording is None else given.recording.topic
+        logs = [(read_log(Path(path), topic, *form), Path(path)) for path in paths]
+    return [_data_set(part, geometry, layout, where, repeats) for layout, part in _by_scene(logs, given)]
+
+
+Log = tuple[csv_table.Table, Path]
+"""A file as a table, and its path; for views, the folder that the paths of pictures start from."""
+
+
+def _by_scene(
+    logs: list[Log], given: description.DescriptionFile | None
+) -> list[tuple[description.DescriptionFile | None, list[Log]]]:
+    """Split files by the sensor and target that their rows name; each part has the description of these two alone.
+
+    Raises:
+        InputError: If a row names none, or if no row names the sensor or target of the description.
+    """
+    if given is None or given.scene.sensor_column is given.scene.target_column is None:
+        return [(given, logs)]
+    scene, parts = given.scene, dict[tuple[str, ...], list[Log]]()
+    asked = (("sensor", scene.sensor_column, scene.sensor), ("target", scene.target_column, scene.target))
+    for table, path in logs:
+        rows_of, rows = dict[tuple[str, ...], list[int]](), list(range(len(table.lines)))
+        texts = [[name] * len(rows) if column is None else table.texts(column) for _, column, name in asked]
+        for i, (_, _, name) in enumerate(asked):
+            rows = [row for row in rows if texts[i][row] == name] if name else rows
+        for row in rows:
+            for (_, column, _), names in zip(asked, texts, strict=True):
+                if column is not None and not names[row]:
+                    raise InputError(f"{table.cell(row, column)} is empty; name the row's own, or remove the row")
+            rows_of.setdefault(tuple(names[row] for names in texts), []).append(row)
+        for pair, of_pair in rows_of.items():
+            parts.setdefault(pair, []).append((table.select(of_pair), path))
+    if not parts:
+        named = " and ".join(f"{what} '{shortened(name)}' in column '{column}'" for what, column, name in asked if name)
+        raise InputError(f"{logs[0][0].where}: no row names {named}; correct [scene]")
+    return [(replace(given, scene=replace(scene, sensor=s, target=t)), part) for (s, t), part in parts.items()]
+
+
+def _data_set(
+    logs: list[Log], geometry: Geometry, given: description.DescriptionFile | None, where: str, repeats: bool
+) -> Observations:
+    """Read files of one layout, whose rows are of one sensor and one target."""
+    tables, paths = [table for table, _ in logs], [path for _, path in logs]
+    names, links = (("", ""), ("", "")) if given is None else given.ends
+    geometry = _between(geometry, links, where or tables[0].where)
+    if given is not None and given.pixels is not None:
+        views: Observations = _in_scene(kind_readers.read_views(*logs[0], geometry, given, where), geometry, names)
         return views
-    form = () if given is None else (given.separator, given.decimal, given.names)
-    topic = None if given is None or given.recording is None else given.recording.topic
-    tables = [read_log(Path(path), topic, *form) for path in paths]
-    layouts = [given or description.own_description(geometry, table.header, table.where) for table in tables]
+    layouts = [given or own_description(geometry, table.header, table.where) for table in tables]
     logged, described, clocks = tables, layouts, tuple[Clocks, ...]()
     if given is not None and given.recording is not None:
 
@@ -86,7 +159,7 @@ def read_observations(
             return rows
 
         parts = [
-            recording.read_recording(table, Path(path), given, where, geometry, read)
+            recording.read_recording(table, path, given, where, geometry, read)
             for table, path in zip(tables, paths, strict=True)
         ]
         tables, layouts, clocks = [part[0] for part in parts], [part[1] for part in parts], tuple(p[2] for p in parts)
@@ -96,6 +169,52 @@ def read_observations(
     rows = replace(rows, origins=replace(origins_of(rows), clocks=clocks, repeat=_repeat(logged, described)))
     read_rows: Observations = _in_scene(rows, geometry, names)
     return read_rows
+
+
+def own_description(geometry: Geometry, header: list[str], where: str) -> description.DescriptionFile:
+    """Make the column description of a file in our own CSV format.
+
+    Args:
+        geometry: The arm's nominal geometry, whose joints give the names of joint columns.
+        header: Column names of the file.
+        where: The file, for messages.
+
+    Raises:
+        InputError: If a joint column is missing or its unit unknown, or if a condition's column is not of our format.
+    """
+    expected = joint_columns(geometry.prismatic)
+    joints, units = [], []
+    for name in expected:
+        stem = name.rpartition("_")[0]
+        columns = [column for column in header if column.rpartition("_")[0] == stem]
+        unit = columns[0].rpartition("_")[2] if len(columns) == 1 else ""
+        if unit not in description.LENGTHS + description.ANGLES:
+            faults = ("is missing", f"has the unknown unit '{unit}'", "is given twice")
+            fault, ours = faults[min(len(columns), 2)], f"{', '.join(expected)}, x_mm, y_mm, z_mm"
+            raise InputError(f"{where}: joint column '{name}' {fault}; our format has {ours}")
+        joints.append(columns[0])
+        units.append(unit)
+    position_unit = "m" if "x_m" in header else "mm"
+    has_rotation = any(column.startswith(("rx_", "ry_", "rz_")) for column in header)
+    rotation_unit = "rad" if "rx_rad" in header else "deg"
+    for column in header:
+        if column.lower().startswith(("temp", "payload", "torque")) and column not in OWN_CONDITIONS:
+            raise InputError(
+                f"{where}: column '{shortened(column)}' is none of our format's, which records "
+                f"{' and '.join(OWN_CONDITIONS)}; rename it, describe it in [conditions] of `columns`, or remove it"
+            )
+    angles, (warmth, mass) = tuple(f"r{axis}_{rotation_unit}" for axis in "xyz"), OWN_CONDITIONS
+    return description.DescriptionFile(
+        joints=description.JointsTable(tuple(joints), units=tuple(units)),
+        position=description.LengthsTable(
+            columns=tuple(f"{axis}_{position_unit}" for axis in "xyz"), unit=position_unit
+        ),
+        rotation=description.RotationTable(angles, rotation_unit, "rotation_vector") if has_rotation else None,
+        conditions=description.ConditionsTable(
+            description.TemperatureTable(warmth, "degC") if warmth in header else None,
+            description.PayloadTable(mass, "kg") if mass in header else None,
+        ),
+    )
 
 
 def _between(geometry: Geometry, links: tuple[str, str], where: str) -> Geometry:

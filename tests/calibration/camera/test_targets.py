@@ -1,14 +1,17 @@
 """Targets of points in space: where they stand in a view, and what a description may say of them."""
 
+import json
 from dataclasses import replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
-from pickenv.arm import Array, load_arm, rotation_matrix
+import pickenv
+from pickenv.arm import Array, forward, load_arm, rotation_matrix
 from pickenv.base import InputError
-from pickenv.calibration import Lens, PixelObservations, load_description, projected, read_observations
+from pickenv.calibration import Choices, Lens, PixelObservations, load_description, projected, read_observations
 from tests.calibration.whole_robots import DODECAHEDRON
 
 LENS = Lens(np.array([900.0, 900.0, 640.0, 480.0, -0.05, 0.01, 0.0, 0.0, 0.0]), (1280, 960))
@@ -82,8 +85,10 @@ POINTS = "points_mm = [0, 0, 0, 50, 0, 0, 0, 50, 0, 0, 0, 50]\n"
         (POINTS + "numbers = [1, 2, 3, 3]", "are not one for each of its 4 points"),
         (
             POINTS + '[board]\nkind = "chessboard"\ncolumns = 7\nrows = 6\nsquare_mm = 30',
-            "in place of .board., for a table",
+            "stands in place of .board.; leave one of them out",
         ),
+        (POINTS + 'dictionary = "apriltag_36h11"', "dictionary of .target. belongs to pictures; leave it out"),
+        (POINTS + 'dictionary = "qr"', "dictionary of .target. is 'qr'; give one of 4x4_50"),
     ],
 )
 def test_a_target_is_refused_by_what_is_wrong_with_it(tmp_path: Path, table: str, message: str) -> None:
@@ -128,3 +133,107 @@ height = 960
     (tmp_path / "v.csv").write_text("\n".join(rows), encoding="utf-8")
     with pytest.raises(InputError, match=r"v\.csv: rows 2 and 4 are of view 'A', but the arm stands otherwise in them"):
         read_observations([tmp_path / "v.csv"], load_arm("ur5").nominal, tmp_path / "v.toml")
+
+
+FACES = [
+    rotation_matrix(np.array(turn) * np.pi / 2) for turn in ([0, 0, 0], [0, 1, 0], [0, -1, 0], [1, 0, 0], [-1, 0, 0])
+]
+"""Attitude of each face of a cube; its tag's picture has x and y of the face, and z points into the cube."""
+SIDE, TAG = 0.06, 0.045
+WIDE = Lens(np.array([700.0, 700.0, 320.0, 240.0, 0.0, 0.0, 0.0, 0.0, 0.0]), (640, 480))
+
+
+def corners_of_face(turn: Array, side: float) -> Array:
+    """The corners ``(4, 3)`` of a square in the middle of a face, clockwise from its upper left, m."""
+    flat = 0.5 * np.array([[-side, -side, -SIDE], [side, -side, -SIDE], [side, side, -SIDE], [-side, side, -SIDE]])
+    return np.asarray(flat @ turn.T)
+
+
+def picture_of_cube(position: Array, rotation: Array) -> Array:
+    """A picture of a cube with one tag on each face, in the camera's frame, four samples along each side of a pixel."""
+    fine, tags = 4, cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
+    picture = np.full((480 * fine, 640 * fine), 120, dtype=np.uint8)
+    for number, turn in enumerate(FACES):
+        face = corners_of_face(turn, SIDE) @ rotation.T + position
+        if face.mean(0) @ (rotation @ turn[:, 2]) < 0.0:  # seen from within
+            continue
+        size, margin = 320, round(320 * (SIDE / TAG - 1.0) / 2.0)
+        drawn = np.pad(cv2.aruco.generateImageMarker(tags, 10 + number, size), margin, constant_values=255)
+        ends = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * len(drawn) - 0.5
+        places = (projected(WIDE.values, face) + 0.5) * fine - 0.5
+        warp = cv2.getPerspectiveTransform(ends.astype(np.float32), places.astype(np.float32))
+        shape = picture.shape[::-1]
+        cover = cv2.warpPerspective(np.full_like(drawn, 255), warp, shape, flags=cv2.INTER_NEAREST)
+        picture = np.where(cover > 0, cv2.warpPerspective(drawn, warp, shape, flags=cv2.INTER_AREA), picture)
+    return np.asarray(cv2.resize(picture, (640, 480), interpolation=cv2.INTER_AREA))
+
+
+@pytest.fixture
+def cube_in_hand(tmp_path: Path) -> Path:
+    """Pictures of a cube on a UR5's flange, as a camera in the world takes them, with the joints beside them."""
+    rng, nominal = np.random.default_rng(4), load_arm("ur5").nominal
+    joints, rows = np.array([0.3, -1.2, 1.4, -0.6, 1.2, 0.2]), ["picture," + ",".join(f"a{i}" for i in range(1, 7))]
+    middle = forward(nominal, joints).position
+    camera = rotation_matrix(np.array([1.9, 0.4, 0.3]))  # its axes in the world, as columns
+    for view in range(25):
+        row = joints + rng.uniform(-1.0, 1.0, 6) * (0.1, 0.1, 0.1, 0.5, 0.5, 0.5)
+        hand = forward(nominal, row)
+        place = (hand.position - middle) @ camera + (0.0, 0.0, 0.55)
+        cv2.imwrite(str(tmp_path / f"{view}.png"), picture_of_cube(place, camera.T @ hand.rotation))
+        rows.append(f"{view}.png," + ",".join(f"{np.degrees(angle):.9f}" for angle in row))
+    (tmp_path / "views.csv").write_text("\n".join(rows), encoding="utf-8")
+    points = np.concatenate([corners_of_face(turn, TAG) for turn in FACES])
+    lens = dict(zip(("fx", "fy", "cx", "cy", "width", "height"), [*WIDE.values[:4], *WIDE.size], strict=True))
+    sections = {
+        "joints": {"columns": [f"a{i}" for i in range(1, 7)], "unit": "deg"},
+        "pixels": {"mount": "world", "picture": "picture"},
+        "target": {
+            "points_mm": (1e3 * points).round(6).ravel().tolist(),
+            "numbers": list(range(40, 40 + len(points))),
+            "dictionary": "apriltag_36h11",
+        },
+        "camera": lens,
+    }
+    lines = [
+        f"[{name}]\n" + "".join(f"{key} = {json.dumps(value)}\n" for key, value in table.items())
+        for name, table in sections.items()
+    ]
+    (tmp_path / "views.toml").write_text("\n".join(lines), encoding="utf-8")
+    return tmp_path
+
+
+def test_a_cube_of_tags_is_found_in_pictures(cube_in_hand: Path) -> None:
+    """One tag makes a view; corners lie about as near as those of a board's tags, 0.3 px in each direction."""
+    result = pickenv.calibrate(
+        "ur5",
+        cube_in_hand / "views.csv",
+        columns=cube_in_hand / "views.toml",
+        choices=Choices(fit="offsets", terms="none"),
+    )
+    counts = result.train.seen.sum(axis=1)
+    assert (counts % 4 == 0).all() and set(counts) == {4, 8, 12} and len(result.left_out) == 0
+    assert result.as_dict()["rms_px"] < 1.5 * 0.3 * np.sqrt(2.0)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (('dictionary = "apriltag_36h11"', ""), "dictionary of .target. is missing; pictures need it"),
+        (("[40, ", "[60, "), None),
+        (
+            ("apriltag_36h11", "4x4_50"),
+            "0.png: no tag of the target was found; of 4x4_50 it shows none; check .target.",
+        ),
+    ],
+)
+def test_a_cube_that_is_not_in_the_pictures_is_refused(
+    cube_in_hand: Path, change: tuple[str, str], message: str | None
+) -> None:
+    path = cube_in_hand / "views.toml"
+    path.write_text(path.read_text(encoding="utf-8").replace(*change), encoding="utf-8")
+    if message is None:  # one corner of a tag is not looked for
+        rows = read_observations([cube_in_hand / "views.csv"], load_arm("ur5").nominal, path)
+        assert rows.seen.shape[1] == 20 and not rows.seen[:, 0].any() and rows.seen[:, 1].any()
+        return
+    with pytest.raises(InputError, match=message):
+        read_observations([cube_in_hand / "views.csv"], load_arm("ur5").nominal, path)

@@ -111,6 +111,41 @@ def test_other_rows_of_another_target_are_refused(tmp_path: Path) -> None:
         pickenv.calibrate(arm, [left, right], test=[other])
 
 
+def test_one_table_says_row_by_row_what_saw_what(tmp_path: Path) -> None:
+    """One table of both arms' balls ends where two files end, to the bit; rows of another sensor are not read."""
+    two_arms(tmp_path, 1)
+    by_file = calibrated(tmp_path, ARMS, terms="none")
+    tables = [(tmp_path / f"{link}.csv").read_text(encoding="utf-8").split() for link in ARMS]
+    rows = [f"tracker,{link},{row}" for link, (_, *some) in zip(ARMS, tables, strict=True) for row in some]
+    rows[60:60] = [f"gauge,,{row}" for row in tables[0][1:9]]
+    (tmp_path / "all.csv").write_text("\n".join([f"sensor,ball,{tables[0][0]}", *rows]), encoding="utf-8")
+    head, _, _ = (tmp_path / "left_tip.toml").read_text(encoding="utf-8").partition("[scene]")
+    links = "[scene.links]\n" + "".join(f'{link} = "{link}"\n' for link in ARMS)
+    scene = f'{head}[scene]\nsensor = "tracker"\nsensor_column = "sensor"\ntarget_column = "ball"\n{links}'
+    (tmp_path / "all.toml").write_text(scene, encoding="utf-8")
+    by_row = calibrated(tmp_path, ["all"], terms="none")
+    assert by_row.as_dict()["held_out"] == by_file.as_dict()["held_out"]
+    joints, moved = np.random.default_rng(5).uniform(-1.2, 1.2, (10, 14)), []
+    for result in (by_row, by_file):
+        geometry = result.calibration.identified
+        moved.append(forward(geometry.between(-1, load_left(geometry)), joints).position)
+    np.testing.assert_array_equal(*moved)
+    with pytest.raises(
+        InputError, match="has rows of tracker of left_tip, tracker of right_tip, of which one is needed"
+    ):
+        read_observations([tmp_path / "all.csv"], by_row.arm.nominal, tmp_path / "all.toml")
+    for change, message in (
+        (('sensor = "tracker"', 'sensor = "trakcer"'), "no row names sensor 'trakcer' in column 'sensor'; correct "),
+        (('sensor = "tracker"', 'sensor = "gauge"'), r"row 62, column 'ball' is empty; name the row's own, or remove"),
+        (('"ball"', '"prism"'), "column 'prism' is missing; the file has sensor, ball"),
+        (('right_tip = "right_tip"', 'right_tip = "tail"'), "names link 'tail', but the arm has left_tip, right_tip"),
+        ((links, 'links = "left_tip"'), "names of sensors and targets, each with the name of its link"),
+    ):
+        (tmp_path / "all.toml").write_text(scene.replace(*change), encoding="utf-8")
+        with pytest.raises(InputError, match=message):
+            calibrated(tmp_path, ["all"])
+
+
 def test_an_inclinometer_on_a_middle_link_is_one_more_file(tmp_path: Path) -> None:
     truth = two_arms(tmp_path, 8)
     rng, joints = np.random.default_rng(9), joints_of(truth, "left", "right")
