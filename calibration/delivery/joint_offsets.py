@@ -133,9 +133,7 @@ def _way(nominal: Geometry, joints: Array, rows: slice, columns: NDArray[np.int6
     count = len(joints) * rows.stop
     effect = joint_jacobian(nominal, joints)[:, rows].reshape(count, -1)
     frames = parameter_jacobian(nominal, joints)[:, rows, columns].reshape(count, len(columns))
-    parts = np.linalg.svd(frames, full_matrices=False)
-    basis = parts.U[:, LOST * parts.S.max(initial=0.0) < parts.S]
-    beyond = effect - basis @ (basis.T @ effect)
+    beyond = effect - frames @ np.linalg.lstsq(frames, effect, rcond=LOST)[0]
     size = np.linalg.norm(beyond, axis=0)
     large = size > LOST * size.max()
     way = np.zeros(beyond.T.shape)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import shlex
 import sys
 from collections.abc import Sequence
@@ -217,8 +216,7 @@ def evaluate(
         raise InputError(NO_CAMERA)
     require(*([] if out is None else ["pyarrow"]))
     long = workers is not None or any(models)  # else processes take longer to start than to work
-    workers = workers or os.cpu_count() or 1
-    backend = "loky" if workers > 1 and long else "serial"
+    backend = "loky" if workers != 1 and long else "serial"
     with progress_bars() as report:
         rows = pickenv.experiments.run_policies(
             settings, cache=cache, backend=backend, workers=workers, progress=report

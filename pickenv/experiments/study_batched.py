@@ -221,7 +221,7 @@ def identify_batch(
     geometry = _displaced_links(nominal, model, np.zeros((count, len(parameters))))
     history = _rms(weighted)
     running = torch.as_tensor(usual).to(history.device)
-    converged, steps = torch.zeros_like(running), torch.zeros_like(history, dtype=torch.int64)
+    converged, steps = torch.zeros_like(running), torch.zeros_like(running, dtype=torch.int64)
     for _ in range(STEPS):
         step, sound = _solve(matrix, weighted)
         stepped = _displaced_links(geometry, model, step.cpu().numpy() * model.tolerance)

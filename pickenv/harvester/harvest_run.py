@@ -402,7 +402,7 @@ class Measure:
 
     def __str__(self) -> str:
         text = f"{self.value:.4g}"
-        return text if self.low is None or self.high is None else f"{text} [{self.low:.4g}, {self.high:.4g}]"
+        return text if self.low is None else f"{text} [{self.low:.4g}, {self.high:.4g}]"
 
 
 def funnel(harvests: Sequence[Harvest]) -> dict[str, int]:

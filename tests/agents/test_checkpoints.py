@@ -309,14 +309,22 @@ def test_what_cannot_be_compared_is_said_before_anything_is_run(tmp_path, line, 
     assert list(tmp_path.iterdir()) == []
 
 
-@pytest.mark.parametrize(("workers", "backend"), [("2", "loky"), ("1", "serial"), (None, "serial")])
-def test_workers_that_are_asked_for_work(workers, backend, monkeypatch):
-    def told(settings, *, backend, **_):
-        raise InputError(f"it is {backend}")
+@pytest.mark.parametrize(
+    ("words", "how"),
+    [
+        ("ls --workers 3", "loky, 3"),
+        ("ls --workers 1", "serial, 1"),
+        ("ls", "serial, None"),  # processes would take longer to start than to work
+        ("ls_bpnn", "loky, None"),
+        ("ls_bpnn --workers 1", "serial, 1"),
+    ],
+)
+def test_workers_that_are_asked_for_work(words, how, monkeypatch):
+    def told(settings, *, backend, workers, **_):
+        raise InputError(f"{backend}, {workers}")
 
     monkeypatch.setattr(pickenv.experiments, "run_policies", told)
-    words = ["evaluate", "--compensation", "ls", *(["--workers", workers] if workers else [])]
-    assert str(command(*words).exception) == f"it is {backend}"
+    assert str(command("evaluate", "--compensation", *words.split()).exception) == how
 
 
 @pytest.mark.parametrize(

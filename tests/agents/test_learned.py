@@ -173,6 +173,7 @@ def test_shipped_baselines_are_small_and_have_cards():
     assert sum(path.stat().st_size for path in BASELINES.glob("*.npz")) < 5e6
     for name in names:
         policy = load_any(name)
+        assert policy.arm_fingerprint == load_arm(policy.arm).fingerprint(), "a file that was shipped stays readable"
         card = (BASELINES / f"{name}.md").read_text(encoding="utf-8")
         assert policy.algorithm.upper() in card and "95 %" in card
         json.dumps(dict(policy.record))

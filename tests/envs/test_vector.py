@@ -320,15 +320,28 @@ def test_no_torch_is_needed_on_numpy():
     subprocess.run([sys.executable, "-c", code], check=True)
 
 
-def test_copies_and_pickles_go_on_alike():
-    envs = native(4, arms="per_env", plant="orchard")
+@pytest.mark.parametrize("executor", ["numpy", "torch"])
+def test_copies_and_pickles_go_on_alike(executor, monkeypatch):
+    if executor == "torch":  # whose compiled functions cannot be pickled, and take a minute to make
+        monkeypatch.setattr(pytest.importorskip("torch"), "compile", lambda step, **_: lambda *values: step(*values))
+    envs = native(4, arms="per_env", plant="orchard", executor=executor)
     envs.reset(seed=0)
     actions = envs.action_space.sample()
     envs.step(actions)
     copies = [copy.deepcopy(envs), pickle.loads(pickle.dumps(envs))]
     wanted = envs.step(actions)
     for other in copies:
-        assert_same(wanted[0], other.step(actions)[0])
+        assert_same(np.asarray(wanted[0]), np.asarray(other.step(actions)[0]))
+
+
+def test_torch_begins_with_the_arms_and_joints_asked_for_as_numpy_does():
+    pytest.importorskip("torch")
+    envs = [native(3, arms="per_episode", population=4, executor=x, compiled=False) for x in ("numpy", "torch")]
+    box = np.random.default_rng(0).uniform(envs[0].unwrapped.task.lower, envs[0].unwrapped.task.upper, (2, 3, 6))
+    asked = {"arm": [3, 0, 2], "start_joints": box[0], "goal_joints": box[1]}
+    a, b = (env.reset(seed=0, options=asked)[1] for env in envs)
+    np.testing.assert_allclose(a["position_error_mm"], b["position_error_mm"].numpy(), rtol=0, atol=1e-8)
+    assert all(env.unwrapped.batch.arm.tolist() == asked["arm"] for env in envs)
 
 
 def test_memory_per_environment_is_below_two_kibibytes():

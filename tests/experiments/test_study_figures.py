@@ -28,9 +28,9 @@ def population(*tolerances):
         columns = {"setting": number, "tolerances": name, "it_grade": grade, "poses": poses, "noise_mm": noise}
         columns |= {"noise_deg": noise, "payload_kg": payload, "method": method, "status": "ok"}
         part = {key: [value] * ARMS for key, value in columns.items()} | {"arm": np.arange(ARMS)}
-        for quantity in ("mean", "rms", "p50", "p95", "max"):
-            part[f"error_{quantity}_mm"] = mean
-        part |= {"attitude_mean_deg": mean, "share_within": np.clip(1.95 - mean, 0, 1)}
+        for quantity, times in (("mean", 1.0), ("rms", 1.1), ("p50", 0.9), ("p95", 1.8), ("max", 2.5)):
+            part[f"error_{quantity}_mm"] = times * mean
+        part |= {"attitude_mean_deg": 0.1 * mean, "share_within": np.clip(1.95 - mean, 0, 1)}
         parts.append(pa.table(part | {"delta_a0_mm": deviation[:, 0], "delta_alpha1_deg": deviation[:, 1]}))
     return ds.dataset(pa.concat_tables(parts))
 
@@ -72,7 +72,7 @@ def test_a_curve_holds_what_it_does_not_show_at_its_middle_value(rows):
 def test_error_curves_are_medians(rows):
     quantiles = quantiles_of(rows).to_pylist()
     found = drawn(figures.error_curves(quantiles, "payload_kg"))
-    medians = [r["value"] for r in quantiles if r["probability"] == 0.5]
+    medians = [r["value"] for r in quantiles if r["probability"] == 0.5 and r["quantity"] == "error_mean_mm"]
     for points in found.values():
         assert set(points[:, 1]) <= set(medians)
         assert points[:, 0].tolist() == [0.0, 0.25] and points[1, 1] > points[0, 1]
@@ -82,6 +82,16 @@ def test_classes_have_a_panel_each():
     both = yields_of(population("fine", "medium"), REQUIRED).to_pylist()
     figure = figures.yield_curves(both, "it_grade", "")
     assert [axes.get_title(loc="left") for axes in figure.axes] == ["Tolerance class fine", "Tolerance class medium"]
+
+
+def test_a_setting_without_a_result_is_not_drawn(rows):
+    table = rows.to_table()
+    status = ["did not converge" if grade == 14 else "ok" for grade in table["it_grade"].to_pylist()]
+    failed = ds.dataset(table.set_column(table.column_names.index("status"), "status", pa.array(status)))
+    quantiles = quantiles_of(failed, ["error_mean_mm"]).to_pylist()
+    curves = drawn(figures.error_curves(quantiles, "it_grade")).values()
+    assert curves and all(points[:, 0].tolist() == [6, 10] for points in curves)
+    assert not any("IT14" in name for name in drawn(figures.distributions(quantiles, radius_mm=1.0)))
 
 
 def test_distributions_rise_to_one_hundred_percent(rows):

@@ -16,6 +16,7 @@ from pickenv.base import InputError
 from pickenv.harvester import (
     Controller,
     Grid,
+    Measure,
     Strategy,
     Tree,
     funnel,
@@ -92,6 +93,10 @@ def test_measures_lie_in_their_intervals_and_few_trees_have_none(true):
         assert (measure.low is None) == (measure.high is None) == alone, name
         assert alone or measure.low <= measure.value <= measure.high, name
     assert all(measure.low is measure.high is None for measure in measures(true, done[:9]).values())
+
+
+def test_a_measure_is_written_with_its_interval_where_it_has_one():
+    assert str(Measure(0.97)) == "0.97" and str(Measure(613.27, 590.0, 640.08)) == "613.3 [590, 640.1]"
 
 
 def test_every_measure_is_its_ratio_of_sums(true):

@@ -76,7 +76,7 @@ def error_fields(comparison: Comparison) -> Figure:
     view = _View(comparison)
     width, height = view.high - view.low
     height = min(0.93 * PANEL_WIDTH * height / width, PANEL_WIDTH)
-    look = {"axes.grid": False, "axes.titlelocation": "center"}
+    look = {"axes.titlelocation": "center"}
     with style.new_figure(PANEL_WIDTH * max(len(policies), 3), height + BESIDE_PANELS, **look) as figure:
         panels = figure.subplots(1, len(policies), squeeze=False)[0]
         means = {}

@@ -98,6 +98,15 @@ def test_what_is_wrong_with_pictures(change: tuple[str, str], words: str, ical: 
     assert "\n" not in str(caught.value)
 
 
+def test_views_come_in_the_order_of_their_numbers(tmp_path: Path) -> None:
+    (tmp_path / "poses").mkdir()
+    for number in (10, 9, 2):
+        pose = f"{{x: 0.{number}, y: 0, z: 1, qx: 0, qy: 0, qz: 0, qw: 1}}"
+        (tmp_path / f"poses/{number}.yaml").write_text(pose, encoding="utf-8")
+    with pytest.raises(InputError, match=r"row 1: picture .*images/2\.jpg does not exist"):
+        read_observations([tmp_path], pose_carrier().nominal, "ical_charuco")
+
+
 def test_a_mirrored_picture_is_named(ical: Path, tmp_path: Path) -> None:
     folder, description = views_folder(tmp_path, ical)
     picture = cv2.imread(str(folder / "images/3.jpg"))

@@ -8,7 +8,7 @@ import pytest
 
 from pickenv.arm import forward, load_arm
 from pickenv.calibration import ArmModel, Measurements, random_joints
-from pickenv.calibration.model.noise import RowNoise, counted, neighbours, noise_of, stated_noise
+from pickenv.calibration.model.noise import ALIKE, FREE, RowNoise, counted, neighbours, noise_of, stated_noise
 
 UR5 = load_arm("ur5").nominal
 ARM = ArmModel.of(UR5)
@@ -129,3 +129,6 @@ def test_a_row_far_from_others_counts_fully_and_no_row_counts_more_than_once():
     cluster = apart[0] + 1e-3 * rng.normal(size=(30, 6))
     weights = counted(np.vstack([apart[1:], cluster]))
     assert weights.max() <= 1.0 and weights[:29].min() > 3.0 * weights[29:].max()
+    facts = 1.0 / neighbours(plane := rng.normal(size=(300, 2)), ALIKE)
+    full = counted(plane) == 1.0  # of rows that thin out, a quarter counts fully: those with the most room
+    assert facts[full].sum() / facts.sum() == pytest.approx(FREE, abs=0.01)
