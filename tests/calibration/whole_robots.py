@@ -32,6 +32,14 @@ DODECAHEDRON = np.array(
 """The 20 points in the middle of an icosahedron's faces, m."""
 
 
+FACES = np.array([np.roll([a, 0.0, 0.0], k) for k in range(3) for a in (-1.0, 1.0)])
+CUBE = np.concatenate(
+    [0.03 * n + 0.022 * np.array([a * u + b * v for a, b in ((-1, -1), (1, -1), (1, 1), (-1, 1))])
+     for n, u, v in ((n, np.roll(n, 1), np.roll(n, 2)) for n in FACES)]
+)  # fmt: skip
+"""The corners of six tags of 44 mm on the faces of a cube of 60 mm, m; four for each face."""
+
+
 def matrix(position: Sequence[float] | Array = (0.0, 0.0, 0.0), rotation: Array | None = None) -> Array:
     """A pose as a matrix ``(4, 4)``."""
     pose = np.eye(4)
@@ -186,6 +194,7 @@ def watch(
     scene: str,
     views: int = 40,
     most: int = 0,
+    cube: bool = False,
 ) -> None:
     """Write the corners of a chessboard on a link that a camera sees, or points of a body, and their description.
 
@@ -202,8 +211,9 @@ def watch(
         scene: Lines of [scene].
         views: Number of views.
         most: If given, the link has a dodecahedron for a board, and 3 to so many of its points are seen in a view.
+        cube: Whether the link has a cube of tags for a board.
     """
-    pixel, places = 0.15, DODECAHEDRON if most else BOARD
+    pixel, places = 0.15, CUBE if cube else DODECAHEDRON if most else BOARD
     table: list[list[float]] = []
     view = 0
     while view < views:
@@ -212,11 +222,15 @@ def watch(
         stands = np.linalg.inv(poses[carrier] @ camera) @ poses[link] @ board
         points = places @ stands[:3, :3].T + stands[:3, 3]
         facing = stands[:3, 2] @ points.mean(0) > 0.5 * np.linalg.norm(points.mean(0))
-        if points[:, 2].min() < 0.15 or not (facing or most):
+        if points[:, 2].min() < 0.15 or not (facing or most or cube):
             continue
         seen = points[:, :2] / points[:, 2:] * 900.0 + (640.0, 480.0)
         inside = ((seen > 5.0) & (seen < (1275.0, 955.0))).all(axis=1)
-        if inside.sum() < 12:
+        if cube:  # whole tags, seen from without at 70 degrees or less
+            normals, middles = FACES @ stands[:3, :3].T, points.reshape(6, 4, 3).mean(axis=1)
+            slant = -np.sum(normals * middles, axis=1) / np.linalg.norm(middles, axis=1)
+            inside = np.repeat(inside.reshape(6, 4).all(axis=1) & (slant > np.cos(np.radians(70.0))), 4)
+        if inside.sum() < (4 if cube else 12):
             continue
         if most:  # of the near half, some
             near = np.argsort(np.linalg.norm(points, axis=1))[:10]
@@ -228,21 +242,26 @@ def watch(
     mount = "" if "_link" in scene else 'mount = "world"\n'
     section = f'[pixels]\n{mount}columns = ["u", "v"]\nview = "view"\ncorner = "corner"\nstd_px = {pixel}\n'
     board_text = '[board]\nkind = "chessboard"\ncolumns = 7\nrows = 6\nsquare_mm = 30'
-    if most:
+    if most or cube:
         board_text = f"[target]\npoints_mm = {(1e3 * places).ravel().tolist()}"
     section += f"[camera]\n{lens}\n{board_text}"
     _described(folder, name, joints, section, ",".join(["view", *joints, "corner", "u", "v"]), np.array(table), scene)
 
 
-def head_watches(robot: Robot, joints: Sequence[str], link: str, folder: Path, rng: np.random.Generator) -> None:
-    """Write what a camera on the head sees of a board on a link: camera.csv and camera.toml."""
+def head_watches(
+    robot: Robot, joints: Sequence[str], link: str, folder: Path, rng: np.random.Generator, cube: bool = False
+) -> None:
+    """Write what a camera on the head sees of a board or a cube of tags on a link: camera.csv and camera.toml."""
     at_zero = robot.poses({})
     there = np.linalg.inv(at_zero["head_tip"]) @ at_zero[link]
     camera = looking(rng.uniform(-0.05, 0.05, 3), there[:3, 3])
     facing = at_zero[link][:3, :3].T @ at_zero["head_tip"][:3, :3] @ camera[:3, :3]
     board = matrix(rng.uniform(-0.05, 0.05, 3), facing)
     scene = f'sensor_link = "head_tip"\ntarget_link = "{link}"'
-    watch(robot, joints, link, folder, rng, name="camera", carrier="head_tip", camera=camera, board=board, scene=scene)
+    watch(
+        robot, joints, link, folder, rng,
+        name="camera", carrier="head_tip", camera=camera, board=board, scene=scene, cube=cube,
+    )  # fmt: skip
 
 
 def two_cameras_watch(

@@ -273,11 +273,12 @@ def test_links_of_a_single_chain_are_refused(tmp_path: Path) -> None:
         )
 
 
-def test_a_head_camera_watches_the_wrist_of_its_own_robot(tmp_path: Path) -> None:
+@pytest.mark.parametrize("cube", [False, True], ids=["a board", "a cube of tags"])
+def test_a_head_camera_watches_the_wrist_of_its_own_robot(tmp_path: Path, cube: bool) -> None:
     rng = np.random.default_rng(6)
     robot = drawn_robot(rng)
     (tmp_path / "robot.urdf").write_text(robot.urdf(), encoding="utf-8")
-    head_watches(built(robot, rng), joints_of(robot, "left", "head"), "left_tip", tmp_path, rng)
+    head_watches(built(robot, rng), joints_of(robot, "left", "head"), "left_tip", tmp_path, rng, cube)
     result = calibrated(tmp_path, ["camera"], ("left_tip", "head_tip"))
     nominal, left = held_out(result)
     assert left < 0.4 * nominal
