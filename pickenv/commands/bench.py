@@ -84,6 +84,7 @@ def policies(
     seed: Annotated[int, Option(min=0)] = 0,
     seeds: int = 5,
     trainings: Annotated[int | None, Option(min=0)] = None,
+    learned: list[str] | None = None,
     quick: Annotated[bool, Option("--quick")] = False,
     executor: Literal["serial", "joblib"] = "serial",
     workers: Annotated[int | None, Option(min=1)] = None,
@@ -102,7 +103,8 @@ def policies(
         split: A rung's arms to judge on: test, or train for tuning and for checking these results.
         seed: The first seed.
         seeds: Number of seeds; at least 5.
-        trainings: Number of trainings of each learned policy, made first; 5 if left out.
+        trainings: Number of trainings of each learned policy, made first; 5 if left out. Their seeds begin at --seed.
+        learned: Learned policy of the leaderboard to train; all if left out; may be repeated.
         quick: Three policies on one arm per seed: a minute.
         executor: serial: in this process; joblib: in several processes, with the same results.
         workers: Number of processes; one per core if left out.
@@ -137,6 +139,6 @@ def policies(
             backend = "loky" if executor == "joblib" else executor
             count = (0 if quick else 5) if trainings is None else trainings
             how: dict[str, Any] = {"backend": backend, "workers": workers, "progress": report}
-            board = policy_tables.run_leaderboard(settings, out, count, **how)
+            board = policy_tables.run_leaderboard(settings, out, count, learned or (), **how)
         own = "put a policy of yours beside them: the same command with --policy FILE"
         deliver([(page, policy_tables.leaderboard_page(board)), (json_file, board)], show, own)

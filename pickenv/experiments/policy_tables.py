@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pickenv.agents import Training
 from pickenv.agents.evaluation.contenders import kind_of
-from pickenv.base import Estimate, InputError, command_line, estimate, refusing_damage, write_json
+from pickenv.base import Estimate, InputError, command_line, estimate, listed, refusing_damage, write_json
 from pickenv.envs.shared.difficulty import LADDER
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.experiments.engine import Experiment, Rows, piece_table, pivot, run, write_piece
@@ -394,26 +394,26 @@ def rungs(names: Sequence[str]) -> tuple[str, ...]:
     return tuple(plant for name in names for plant in (LEADERBOARD.plants if name == "all" else [f"{RUNG}{name}"]))
 
 
-def trained(folder: Path, trainings: int, picking: bool = True, **how: Any) -> tuple[str, ...]:
+def trained(folder: Path, seeds: range, recipes: Sequence[str], **how: Any) -> tuple[str, ...]:
     """Train the policies of `RECIPES` that the folder lacks, and return one folder per recipe.
 
     Args:
         folder: Folder in which trainings are stored.
-        trainings: Number of trainings of each recipe, each with another seed.
-        picking: Whether recipes of `pickenv/Pick-v0` are trained as well.
+        seeds: Seeds of the trainings of each recipe.
+        recipes: Names of the recipes.
         how: Arguments of `pickenv.experiments.run`, such as the backend.
 
     Raises:
-        InputError: If the folder holds more trainings of a recipe, all of which would be judged.
+        InputError: If the folder holds trainings of other seeds, which would be judged too.
     """
-    recipes = tuple(name for name, recipe in RECIPES.items() if picking or recipe.env_id != "pickenv/Pick-v0")
     for name in recipes:
-        if (kept := len(list((folder / name).glob("*/policy.npz")))) > trainings:
+        others = {path.parent.name for path in (folder / name).glob("*/policy.npz")} - set(map(str, seeds))
+        if others:
             raise InputError(
-                f"{folder / name} holds {kept} trainings, and {trainings} were asked for; give `trainings={kept}`, or "
-                "another `folder`"
+                f"{folder / name} holds trainings of the seeds {listed(sorted(others))}, which were not asked for; ask "
+                "for as many trainings from the same first seed, or give another folder"
             )
-    pieces = Experiment("trainings", {"training": range(trainings)}, {"policy": recipes}, partial(_train, folder))
+    pieces = Experiment("trainings", {"training": seeds}, {"policy": tuple(recipes)}, partial(_train, folder))
     run(pieces, **how)
     return tuple(str(folder / name) for name in recipes)
 
@@ -427,14 +427,17 @@ def _train(folder: Path, *, rng: np.random.Generator, policy: str, training: int
     return {"file": np.array([str(out)])}
 
 
-def run_leaderboard(settings: PolicySettings, folder: Path, trainings: int = 0, **how: Any) -> dict[str, Any]:
+def run_leaderboard(
+    settings: PolicySettings, folder: Path, trainings: int = 0, learned: Sequence[str] = (), **how: Any
+) -> dict[str, Any]:
     """Run the parts of a leaderboard that the folder lacks, and return the rows of its tables.
 
     Args:
         settings: The policies, compensations, plants and sizes of the leaderboard.
         folder: Folder in which trainings, calibrations and rows are stored.
-        trainings: Number of trainings of each of `RECIPES`, whose policies are judged besides those of ``settings``; 0
-            trains none.
+        trainings: Number of trainings of each recipe, whose policies are judged besides those of ``settings``; 0 trains
+            none. Their seeds begin with the first of ``settings``.
+        learned: Names of the `RECIPES` that are trained; all if empty. Without canopies none learns to pick.
         how: Further arguments of `run_policies`, such as the backend.
 
     Returns:
@@ -443,16 +446,21 @@ def run_leaderboard(settings: PolicySettings, folder: Path, trainings: int = 0, 
 
     Raises:
         InputError: If there are fewer than `LEAST_SEEDS` seeds or a seed twice, a policy picks but there are no
-            canopies, a name is unknown, a stored file is damaged, or the folder holds more trainings.
+            canopies, a name is unknown, a stored file is damaged, or the folder holds other trainings.
     """
     if len(set(settings.seeds)) < max(LEAST_SEEDS, len(settings.seeds)):
         raise InputError(f"seeds are {list(settings.seeds)}; give at least {LEAST_SEEDS}, each once")
     pickers = [name for name in settings.policies if kind_of(name).picks]
     if pickers and not settings.canopies:
         raise InputError(f"{pickers[0]} picks, but no canopy is picked; give at least one of `canopies`")
+    usual = [name for name, recipe in RECIPES.items() if settings.canopies or recipe.env_id != "pickenv/Pick-v0"]
+    if unknown := sorted(set(learned) - set(usual)):
+        picks = "" if settings.canopies else "; one that picks needs at least one of `canopies`"
+        raise InputError(f"'{unknown[0]}' is not trained for this leaderboard; give {listed(usual)}{picks}")
     if trainings:
-        learned = trained(folder / "trainings", trainings, bool(settings.canopies), **how)
-        settings = replace(settings, policies=(*settings.policies, *learned))
+        recipes, first = [name for name in usual if name in (learned or usual)], settings.seeds[0]
+        folders = trained(folder / "trainings", range(first, first + trainings), recipes, **how)
+        settings = replace(settings, policies=(*settings.policies, *folders))
     reaching = tuple(name for name in settings.policies if not kind_of(name).picks)
     reached = run_policies(replace(settings, policies=reaching), folder, fits=_worth_judging, **how)
     reach = evaluation_rows(settings, reached)

@@ -81,9 +81,29 @@ def test_trainings_that_nobody_asked_for_are_not_judged(tmp_path, monkeypatch):
     for number in range(3):
         (tmp_path / f"ppo/{number}").mkdir(parents=True)
         (tmp_path / f"ppo/{number}/policy.npz").touch()
-    with pytest.raises(InputError, match="ppo holds 3 trainings, and 2 were asked for; give `trainings=3`"):
-        policy_tables.trained(tmp_path, 2)
-    assert len(policy_tables.trained(tmp_path, 3)) == len(policy_tables.RECIPES)
+    for seeds, others in ((range(2), "2"), (range(1, 4), "0"), (range(7, 9), "0, 1, 2")):
+        with pytest.raises(InputError, match=rf"ppo holds trainings of the seeds {others}, which were not asked for"):
+            policy_tables.trained(tmp_path, seeds, list(policy_tables.RECIPES))
+    assert len(policy_tables.trained(tmp_path, range(3), list(policy_tables.RECIPES))) == len(policy_tables.RECIPES)
+
+
+@pytest.mark.parametrize(("first", "learned"), [(0, ["ppo"]), (7, ["her_camera", "ppo"]), (7, [])])
+def test_what_is_learnt_is_chosen_by_name_and_its_seeds_begin_at_the_first(tmp_path, monkeypatch, first, learned):
+    """Without canopies no policy learns to pick."""
+    trained = set()
+
+    def untrained(folder, **levels):
+        trained.add((levels["policy"], levels["training"]))
+        return {"file": np.array([""])}
+
+    monkeypatch.setattr(policy_tables, "_train", untrained)
+    monkeypatch.setattr(policy_tables, "run_policies", lambda settings, *_, **__: settings.policies)
+    monkeypatch.setattr(policy_tables, "kind_of", lambda _: policies.Kind())
+    monkeypatch.setattr(policy_tables, "evaluation_rows", lambda settings, reached: [])
+    settings = replace(SMALL, seeds=tuple(range(first, first + 5)))
+    policy_tables.run_leaderboard(settings, tmp_path, 3, learned)
+    recipes = learned or [name for name in policy_tables.RECIPES if name != "ppo_pick"]
+    assert trained == {(name, first + number) for name in recipes for number in range(3)}
 
 
 def test_workers_of_one_process_are_refused(tmp_path):
@@ -245,7 +265,10 @@ def test_a_policy_that_picks_enters_the_picking_alone(tmp_path, monkeypatch):
         policy_tables.run_leaderboard(
             replace(settings, canopies=0, policies=(str(tmp_path / "trainings/ppo_pick"),)), tmp_path
         )
-    assert not policy_tables.trained(tmp_path / "none", 2, picking=False)
+    with pytest.raises(InputError, match="'ppo_pick' is not trained for this leaderboard.* needs at least one of `can"):
+        policy_tables.run_leaderboard(replace(settings, canopies=0), tmp_path / "none", 2, ["ppo_pick"])
+    unpicked = policy_tables.run_leaderboard(replace(settings, canopies=0), tmp_path / "none", 2)
+    assert {row["policy"] for row in unpicked["reach"]} == {"scripted"}
     with pytest.raises(InputError, match="ppo_pick picks, and cannot be compared on reaches; judge it in pickenv/Pick"):
         run_policies(replace(settings, policies=(str(tmp_path / "trainings/ppo_pick"),)))
 
