@@ -12,12 +12,12 @@ measured rows are made again from the same rows: they must come out the same, an
 """
 
 import json
+import os
 import re
 import shlex
 import subprocess
 import sys
 import tempfile
-import time
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from pathlib import Path
@@ -86,18 +86,26 @@ def rows_of(result: Mapping[str, Any], certain: bool = False) -> list[Row]:
     return rows
 
 
+def rows_at(result: Mapping[str, Any], way: str) -> list[Row]:
+    """The rows of all lists that lie at the end of a way: keys with dots between, and `*` for every key."""
+    parts: list[Any] = [result]
+    for key in way.split("."):
+        parts = [part[name] for part in parts for name in (part if key == "*" else [key])]
+    return [row for rows in parts for row in rows]
+
+
 def rows_of_command(name: str, entry: Row, result: Mapping[str, Any]) -> list[Row]:
     """The rows of another command's JSON, which the entry says how to read.
 
     Args:
         name: The entry's.
-        entry: "rows", the key of the list of rows; "by", the keys of their levels; "numbers", for each title the keys
-            of a value and of both ends, or of a pair of ends; "words", the key of what a table says beside a number.
-            A row without a value has no such number.
+        entry: "rows", the way to the rows (`rows_at`); "by", the keys of their levels; "numbers", for each title the
+            keys of a value and of both ends, or of a pair of ends; "words", the key of what a table says beside a
+            number. A row without a value has no such number.
         result: What the command wrote.
     """
     rows = []
-    for row in result[entry["rows"]]:
+    for row in rows_at(result, entry["rows"]):
         for title, (value, *ends) in entry["numbers"].items():
             interval = row[ends[0]] if len(ends) == 1 else [row[end] for end in ends]
             if row[value] is not None:
@@ -150,12 +158,12 @@ def same(first: Mapping[str, Any], other: Mapping[str, Any]) -> bool:
 
 
 def made_again(row: Row, entry: Row, seed: int) -> Row:
-    """The same row at another seed and the cheap size.
+    """The same row at another seed and the cheap size, with the "seconds" of processor time that it took.
 
     Raises:
         InputError: If it is not made at that size.
     """
-    begin = time.perf_counter()
+    begin = sum(os.times()[:4])
     if "command" in entry:
         made_by, options = entry["command"], entry["cheap"].format(**row["levels"])
         rows = rows_of_command(row["experiment"], entry, run_command(entry, options, seed))
@@ -163,7 +171,7 @@ def made_again(row: Row, entry: Row, seed: int) -> Row:
         made_by, rows = entry["file"], rows_made_again(row, entry, seed)
     for again in rows:
         if key_of(again) == key_of(row):
-            return again | {"seconds": round(time.perf_counter() - begin, 1)}
+            return again | {"seconds": round(sum(os.times()[:4]) - begin, 1)}
     raise InputError(f"{made_by} makes no row '{key_of(row)}' at its cheap size; give more units in {LEDGER}")
 
 
@@ -250,10 +258,14 @@ def pages() -> None:
 
 
 def shown(row: Mapping[str, Any], digits: int | None = 2, scale: float = 1.0, sign: str = "", unit: str = "") -> str:
-    """A number with its interval; without ``digits`` it has three below 1, such as mm, and two above."""
+    """A number with its interval; without ``digits`` it has three below 1, such as mm, and two above.
+
+    A negative ``scale`` turns a difference round, and so its ends.
+    """
     if digits is None:
         digits = 3 if scale * row["value"] < 1.0 else 2
-    return said(row["value"], row["ci95"], digits, scale, sign, unit)
+    ends = row["ci95"][::-1] if row["ci95"] and scale < 0.0 else row["ci95"]
+    return said(row["value"], ends, digits, scale, sign, unit)
 
 
 def number_of(rows: Sequence[Row], asked: Mapping[str, Any]) -> str:

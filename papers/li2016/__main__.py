@@ -71,7 +71,7 @@ def main(
     command = "python -m papers.li2016" + (" --quick" if quick else f" --trees {trees} --sessions {count}")
     command += "" if vision == "measured_errors" else f" --vision {vision}"
     command += "" if seed == SEED else f" --seed {seed}"
-    trees, images, count = (min(trees, 12), 40, min(count, 100)) if quick else (trees, 400, count)
+    trees, images, count = (min(trees, 12), 40, min(count, 200)) if quick else (trees, 400, count)
     of_rest, of_equations, of_picture, of_sessions = np.random.SeedSequence(seed).spawn(4)
     rng, picture_rng = np.random.default_rng(of_rest), np.random.default_rng(of_picture)
     machine, exact = load_machine(), load_machine(spacing=EXACT)  # Fig. 9 is of section 4.2, as Table 2 is

@@ -16,6 +16,7 @@ from scipy.stats import spearmanr
 from papers.li2016.lab import work_images
 from papers.pages import judged
 from pickenv.arm import Array
+from pickenv.base.intervals import quantile_interval
 from pickenv.harvester import Picking, Strategy, TrueMachine, funnel, load_lab, load_picking
 
 
@@ -120,9 +121,8 @@ def sessions(
 
 def prediction(paper: Mapping[str, Any], found: Sessions) -> dict[str, Any]:
     """The predictive distribution of recovered apples, and whether the paper's number lies within."""
-    low, quarter, median, three, high = np.quantile(
-        found.recovered, (0.025, 0.25, 0.5, 0.75, 0.975), method="inverted_cdf"
-    ).tolist()
+    shares = (0.025, 0.25, 0.5, 0.75, 0.975)
+    low, quarter, median, three, high = ends = np.quantile(found.recovered, shares, method="inverted_cdf").tolist()
     own, located = int(paper["fruits_recovered"]), int(paper["fruits_located"])
     within, says = low <= own <= high, high - low <= HALF
     telling = {name: float(spearmanr(values, found.recovered).statistic) for name, values in found.constants.items()}
@@ -147,4 +147,10 @@ def prediction(paper: Mapping[str, Any], found: Sessions) -> dict[str, Any]:
         | {"why": each.why}
         for name, each in OPEN.items()
     ]
-    return judged(within and says, reason, [row], constants=constants, counts=[int(n) for n in counts])
+    quantiles = [
+        {"share": share, "apples": apples, "ci95": list(quantile_interval(found.recovered, share))}
+        for share, apples in zip(shares, ends, strict=True)
+    ]
+    return judged(
+        within and says, reason, [row], constants=constants, counts=[int(n) for n in counts], quantiles=quantiles
+    )

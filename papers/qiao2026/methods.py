@@ -47,6 +47,17 @@ from pickenv.calibration.identification.extended_kalman_filter import update
 from pickenv.calibration.residuals.residual_models import fit_residual
 
 METHODS = ("raw", "EKF", "LS", "RBF", "BPNN", "EKF+RBF", "EKF+BPNN", "LS+BPNN")
+CLAIMS = {
+    "LS+BPNN leaves less than LS": ("LS+BPNN", "LS"),
+    "LS+BPNN leaves less than BPNN alone": ("LS+BPNN", "BPNN"),
+    "LS+BPNN leaves less than EKF+BPNN": ("LS+BPNN", "EKF+BPNN"),
+    "EKF+BPNN leaves less than EKF+RBF": ("EKF+BPNN", "EKF+RBF"),
+    "LS leaves less than EKF": ("LS", "EKF"),
+    "LS leaves less than BPNN alone": ("LS", "BPNN"),
+    "LS leaves less than RBF alone": ("LS", "RBF"),
+}
+"""What the paper concludes from Table 4, and whose difference says so."""
+
 TOLERANCES = "medium"
 """Arms are drawn from this class: its deviations are as large as those of the paper's Table 1."""
 
@@ -125,7 +136,8 @@ def table_4_run(run: Protocol, settings: BpnnSettings, methods: Sequence[str] = 
         "LS": lambda data: identify(model, nominal, data).geometry,
         "EKF": lambda data: filtered(model, nominal, data),
     }
-    geometries = {name: find(run.identification) for name, find in finders.items() if name in methods}
+    first = {name.partition("+")[0] for name in methods}
+    geometries = {name: find(run.identification) for name, find in finders.items() if name in first}
 
     def network(kind: str, geometry: Geometry, data: Measurements) -> LearntResidual:
         fitter = (lambda x, y, rng: train_bpnn(x, y, rng, settings)) if kind == "BPNN" else None
@@ -133,7 +145,7 @@ def table_4_run(run: Protocol, settings: BpnnSettings, methods: Sequence[str] = 
         return fit_residual(kind.lower(), *rows, run.rng, fitter=fitter, periodic_span=np.inf)
 
     errors, r2 = {"raw": missed(run, run.test)}, {}
-    for name in methods[1:]:
+    for name in (name for name in methods if name != "raw"):
         start, _, kind = name.rpartition("+")
         if kind in finders:
             geometry, learnt = finders[kind](run.alone), None
@@ -174,6 +186,7 @@ def campaign(
     settings: BpnnSettings,
     counts: tuple[int, int, int],
     progress: Callable[[], object],
+    methods: Sequence[str] = METHODS,
 ) -> Campaign:
     """Run Table 4 on a plant; no two runs share a stream.
 
@@ -183,12 +196,13 @@ def campaign(
         settings: Of the BPNN.
         counts: Runs of Table 1's arm, drawn arms, seeds of each.
         progress: Called after each run.
+        methods: Those that are run, in the order of `METHODS`. They draw random numbers in turn.
     """
     of_runs, of_draws, of_arms = seed.spawn(3)
     drawn = draw_plants(plant, load_tolerances(TOLERANCES), counts[1], np.random.default_rng(of_draws))
 
     def worked(arm: Plant, each: np.random.SeedSequence) -> Left:
-        left = table_4_run(protocol(arm, each), settings)
+        left = table_4_run(protocol(arm, each), settings, methods)
         progress()
         return left
 
@@ -231,19 +245,43 @@ def beside_paper(paper: Sequence[float], raw: Sequence[float], errors: Array, ra
     return {"paper": list(paper), "ours": ours, "reduction_percent": reductions}
 
 
+def drawn_arms_row(done: Campaign, method: str) -> dict[str, Any]:
+    """What a method leaves on the drawn arms, mm: the mean, and its interval over arms."""
+    by_arm = done.by_arm(lambda left: left.mean_mm(method))
+    return {"arms_mm": float(by_arm.mean()), "arms_ci95_mm": mean_interval(by_arm)}
+
+
+def some_methods(campaigns: Mapping[str, Campaign], methods: Sequence[str]) -> dict[str, Any]:
+    """What some methods leave on the drawn arms of each plant, and their differences; of the layout of all results."""
+    claims = {claim: pair for claim, pair in CLAIMS.items() if set(pair) <= set(methods)}
+    return {
+        "tables": {
+            "4": {
+                "rows": [
+                    {"plant": plant, "method": method} | drawn_arms_row(done, method)
+                    for plant, done in campaigns.items()
+                    for method in methods
+                ]
+            }
+        },
+        "claims": {
+            claim: {"rows": [{"plant": plant} | difference(done, *pair) for plant, done in campaigns.items()]}
+            for claim, pair in claims.items()
+        },
+    }
+
+
 def table_4_rows(plant: str, done: Campaign) -> list[dict[str, Any]]:
     """Table 4 on one plant: its rows, without verdicts."""
     paper, rows = PAPER["table4"], []
     for name in METHODS:
-        by_arm = done.by_arm(lambda left, name=name: left.mean_mm(name))
         r2 = [left.r2[name] for left in done.runs if name in left.r2]
         rows.append(
             {"plant": plant, "method": name}
             | beside_paper(paper[name], paper["raw"], done.errors(name), done.errors("raw"))
             | {
                 "ci95_mm": mean_interval([left.mean_mm(name) for left in done.runs], LEAST_RUNS),
-                "arms_mm": float(by_arm.mean()),
-                "arms_ci95_mm": mean_interval(by_arm),
+                **drawn_arms_row(done, name),
                 "r2": np.mean(r2, axis=0).tolist() if r2 else None,
             }
         )

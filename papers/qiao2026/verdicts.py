@@ -181,18 +181,6 @@ def judged_reduction(row: Mapping[str, Any]) -> dict[str, str]:
     return {"why": why, "verdict": word(near)}
 
 
-CLAIMS = {
-    "LS+BPNN leaves less than LS": ("LS+BPNN", "LS"),
-    "LS+BPNN leaves less than BPNN alone": ("LS+BPNN", "BPNN"),
-    "LS+BPNN leaves less than EKF+BPNN": ("LS+BPNN", "EKF+BPNN"),
-    "EKF+BPNN leaves less than EKF+RBF": ("EKF+BPNN", "EKF+RBF"),
-    "LS leaves less than EKF": ("LS", "EKF"),
-    "LS leaves less than BPNN alone": ("LS", "BPNN"),
-    "LS leaves less than RBF alone": ("LS", "RBF"),
-}
-"""What the paper concludes from Table 4, and whose difference says so."""
-
-
 def claims(differences: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> dict[str, Any]:
     """The paper's conclusions on each plant: a claim holds where the interval over arms lies on the paper's side.
 

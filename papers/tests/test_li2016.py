@@ -102,6 +102,21 @@ def test_the_experiment_is_predicted_and_never_fitted(low: int, high: int, verdi
     assert row["paper"] == [46, 56] and low <= row["prediction_95_percent"][0] <= row["median"] <= high
 
 
+def test_each_quantile_of_the_sessions_has_an_interval_which_narrows_with_their_number() -> None:
+    """Those of all shares are bounded from 200 sessions on, as many as a quick run has."""
+    rng, widths = np.random.default_rng(3), []
+    for count in (200, 800, 3200):
+        recovered = rng.binomial(56, 0.6, count).astype(float)
+        quantiles = prediction(PAPER["picking"], sessions_of(recovered.tolist()))["quantiles"]
+        assert [row["share"] for row in quantiles] == [0.025, 0.25, 0.5, 0.75, 0.975]
+        for row in quantiles:
+            low, high = row["ci95"]
+            assert low <= row["apples"] <= high
+            assert row["apples"] == np.quantile(recovered, row["share"], method="inverted_cdf")
+        widths.append(sum(row["ci95"][1] - row["ci95"][0] for row in quantiles))
+    assert widths == sorted(widths, reverse=True) and widths[0] > 1.5 * widths[-1]
+
+
 def test_open_constants_fill_their_ranges_and_reach_the_model() -> None:
     for name, each in OPEN.items():
         assert each.at(np.array([0.0, 1.0])) == pytest.approx([each.low, each.high])

@@ -1,14 +1,18 @@
 """Verdicts on Qiao 2026 follow the numbers that stand beside them, and what the page says of the paper is true."""
 
+import importlib
+import json
 import tomllib
 
 import numpy as np
 import pytest
+import typer
 from scipy.stats import t as student_t
+from typer.testing import CliRunner
 
 from papers.qiao2026 import verdicts
 from papers.qiao2026.equations import PAPER, paper_eta, paper_model, paper_phi
-from papers.qiao2026.methods import METHODS, Campaign, Left, difference
+from papers.qiao2026.methods import CLAIMS, METHODS, Campaign, Left, difference, some_methods
 from papers.qiao2026.page import NOTES
 from pickenv.arm import forward, load_plant, pose_error
 from pickenv.calibration import random_joints
@@ -179,6 +183,46 @@ def test_an_arm_counts_once_however_many_seeds_and_poses_it_has():
         low, high = found["ci95_mm"]
         assert high - low == pytest.approx(2 * half, rel=0.1)  # beside what the skewness moves
     assert difference(Campaign([], done(5, 9).arms[:9]), "LS", "EKF")["ci95_mm"] is None
+
+
+def test_some_methods_have_their_rows_on_each_plant_and_the_differences_between_them():
+    rng = np.random.default_rng(4)
+
+    def done():
+        return Campaign([], [[Left({m: rng.normal(size=(3, 6)) for m in METHODS}, {}, {})] for _ in range(10)])
+
+    campaigns = {plant: done() for plant in ("smooth", "field")}
+    for methods in (("LS",), ("LS", "EKF"), ("BPNN", "LS", "LS+BPNN"), METHODS):
+        some = some_methods(campaigns, methods)
+        rows = some["tables"]["4"]["rows"]
+        assert [(row["plant"], row["method"]) for row in rows] == [(p, m) for p in campaigns for m in methods]
+        for row in rows:
+            mm = [left.mean_mm(row["method"]) for (left,) in campaigns[row["plant"]].arms]
+            assert row["arms_mm"] == pytest.approx(np.mean(mm))
+            assert row["arms_ci95_mm"][0] < row["arms_mm"] < row["arms_ci95_mm"][1]
+        assert set(some["claims"]) == {claim for claim, pair in CLAIMS.items() if set(pair) <= set(methods)}
+        for claim, part in some["claims"].items():
+            for row in part["rows"]:
+                assert row["methods"] == list(CLAIMS[claim])
+                assert row == {"plant": row["plant"]} | difference(campaigns[row["plant"]], *CLAIMS[claim])
+
+
+def test_rows_of_a_method_alone_are_made_by_name_and_seed(tmp_path):
+    app = typer.Typer()
+    app.command()(importlib.import_module("papers.qiao2026.__main__").main)
+
+    def made(*words):
+        path = tmp_path / "rows.json"
+        words = ("--arms", "2", "--seeds", "1", "--json", path, "--out", tmp_path, *words)
+        done = CliRunner().invoke(app, list(map(str, words)))
+        return json.loads(path.read_text(encoding="utf-8")) if not done.exit_code else str(done.exception)
+
+    first, again, other = (made("--method", "LS", "--plant", "qiao2026", "--seed", seed) for seed in (3, 3, 4))
+    assert first == again and first["seed"] == 3
+    (row,), (another,) = (each["tables"]["4"]["rows"] for each in (first, other))
+    assert [row["plant"], row["method"]] == ["qiao2026", "LS"] and row["arms_mm"] != another["arms_mm"]
+    assert "give one of raw, EKF, LS" in made("--method", "Kalman")
+    assert "give one of qiao2026, field" in made("--method", "LS", "--plant", "orchard")
 
 
 # Qiao 2026, Tables 1 and 2, as printed; nan: removed as redundant.

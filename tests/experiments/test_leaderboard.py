@@ -265,7 +265,7 @@ def test_a_policy_that_picks_enters_the_picking_alone(tmp_path, monkeypatch):
         policy_tables.run_leaderboard(
             replace(settings, canopies=0, policies=(str(tmp_path / "trainings/ppo_pick"),)), tmp_path
         )
-    with pytest.raises(InputError, match="'ppo_pick' is not trained for this leaderboard.* needs at least one of `can"):
+    with pytest.raises(InputError, match=r"'ppo_pick' is not trained for this leaderboard.*needs at least one of `can"):
         policy_tables.run_leaderboard(replace(settings, canopies=0), tmp_path / "none", 2, ["ppo_pick"])
     unpicked = policy_tables.run_leaderboard(replace(settings, canopies=0), tmp_path / "none", 2)
     assert {row["policy"] for row in unpicked["reach"]} == {"scripted"}

@@ -242,7 +242,7 @@ def check_lis_verdicts(result: Found) -> None:
     (row,) = experiment["rows"]
     counted = np.repeat(np.arange(57), experiment["counts"])
     low, high = np.quantile(counted, (0.025, 0.975), method="inverted_cdf")
-    assert row["prediction_95_percent"] == [low, high] and len(counted) == row["sessions"] == 100
+    assert row["prediction_95_percent"] == [low, high] and len(counted) == row["sessions"] == 200
     assert row["share_at_most_paper"] == pytest.approx(np.mean(counted <= 46))
     assert (experiment["verdict"] == "reproduced") == (low <= 46 <= high and high - low <= 28)
     eyes = result["experiments"]["own eyes"]

@@ -7,6 +7,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import typer
+from click import Context
+from typer.main import get_command
+
+from pickenv.cli import app
 
 ROOT = Path(__file__).parents[2]
 
@@ -48,6 +53,85 @@ def test_pages_print_the_ledger(claims):
     text = (ROOT / "docs/findings.md").read_text(encoding="utf-8")
     others = claims.INLINE.sub("", claims.MARK.sub("", text)).split("\n## ")
     assert not [section for section in others if re.search(r"\d \([-+]?\d[\d.]* to ", section)]
+
+
+def test_the_papers_page_prints_no_other_interval_but_that_of_all_methods_together(claims):
+    """It would take all networks on ten arms, which is more than is made again."""
+    text = (ROOT / "docs/papers.md").read_text(encoding="utf-8")
+    lines = [line for line in claims.INLINE.sub("", text).splitlines() if re.search(r"\d \([-+]?\d[\d.]* to ", line)]
+    assert [line.split(" | ")[0] for line in lines] == ["| rank correlation with the paper's order"]
+
+
+def test_a_negative_scale_shows_the_difference_the_other_way_round(claims):
+    rng = np.random.default_rng(5)
+    for _ in range(50):
+        low, value, high = np.sort(rng.normal(scale=3.0, size=3)).tolist()
+        row, turned = {"value": value, "ci95": [low, high]}, {"value": -value, "ci95": [-high, -low]}
+        scale, digits = float(rng.uniform(0.1, 100.0)), int(rng.integers(0, 4))
+        assert claims.shown(row, digits, -scale, "+") == claims.shown(turned, digits, scale, "+")
+        assert claims.shown(row | {"ci95": None}, digits, -scale) == claims.shown(
+            turned | {"ci95": None}, digits, scale
+        )
+
+
+def test_every_policy_of_the_leaderboard_stands_in_the_ledger_once_with_the_boards_numbers(claims):
+    """Learned or not: one row for each of a policy's lines on the board, for Li's cup."""
+    board = json.loads((ROOT / "docs/_static/leaderboard.json").read_text(encoding="utf-8"))
+    known, ledger = claims.entries(), claims.record()["rows"]
+    for task in ("reach", "pick"):
+        names = [name for name, entry in known.items() if entry.get("rows") == task]
+        rows = [row for row in ledger if row["experiment"] in names]
+        lines = [line for line in board[task] if line["gripper"] == "li_cup"]
+        titles = known[names[0]]["numbers"]
+        assert len(rows) == len(lines) * len(titles)
+        for title, (value, interval) in titles.items():
+            for line in lines:
+                levels = {name: line[name] for name in ("plant", "policy", "compensation")}
+                (row,) = (row for row in rows if row["title"] == title and levels.items() <= row["levels"].items())
+                assert [row["value"], row["ci95"]] == [line[value], line[interval]]
+
+
+def programs(claims):
+    """Each entry of a command with its program, as the command line sees it."""
+    for entry in (entry for entry in claims.entries().values() if "command" in entry):
+        first, *words = entry["command"].split()
+        if first == "pickenv":
+            program = get_command(app)
+            for word in words:
+                program = program.get_command(Context(program), word)
+        else:
+            main = typer.Typer()
+            main.command()(importlib.import_module(f"{words[-1]}.__main__").main)
+            program = get_command(main)
+        yield entry, {word: option for option in program.params for word in option.opts}
+
+
+def test_every_command_takes_the_options_of_its_cheap_size_and_a_seed(claims):
+    """No option is misspelt, and each of a row's levels is named or is made with the others."""
+    for entry, options in programs(claims):
+        asked = re.findall(r"--[a-z]+", entry["cheap"])
+        assert asked and {*asked, "--seed", "--json", "--out"} <= set(options), entry["name"]
+        assert {level.split("[")[0] for level in re.findall(r"{([^}]+)}", entry["cheap"])} <= set(entry["by"])
+
+
+@pytest.mark.parametrize("depth", [0, 1, 3])
+def test_rows_lie_at_the_end_of_a_way_in_their_order(claims, depth):
+    """A star is every key there; without one the way leads to a single list."""
+    rng = np.random.default_rng(depth)
+    count = iter(range(1000))
+    rows = []
+
+    def tree(levels):
+        if levels:
+            return {
+                f"{i}. key"[-3:] + str(i): {"skipped": [], "next": tree(levels - 1)} for i in range(rng.integers(1, 4))
+            }
+        made = [{"row": next(count)} for _ in range(rng.integers(0, 4))]
+        rows.extend(made)
+        return made
+
+    result = {"first": tree(depth), "second": [{"row": -1}]}
+    assert claims.rows_at(result, "first" + ".*.next" * depth) == rows
 
 
 def test_a_number_that_is_not_meant_alone_is_refused(claims):
@@ -138,6 +222,38 @@ def test_a_row_is_made_again_from_its_levels_alone_at_another_seed(claims, tmp_p
     other = claims.made_again(row, {"file": "claimed_toy.toml", "cheap": {"arm": 20}}, 6)
     assert again["levels"] == row["levels"] and 0.0 < again["value"] < 2.0 and again["value"] != other["value"]
     assert again["ci95"][0] < again["value"] < again["ci95"][1]
+
+
+PROGRAM = """
+import argparse, json, random
+parser = argparse.ArgumentParser()
+for name in ("pair", "load", "seed", "out", "json"):
+    parser.add_argument(f"--{name}", action="append" if name == "pair" else "store")
+asked = parser.parse_args()
+value = random.Random(asked.seed + asked.load).random()
+rows = [{"pair": asked.pair, "load": float(asked.load), "mm": value, "low": value - 1.0, "high": value + 1.0}]
+open(asked.json, "w").write(json.dumps({"parts": {"a part": {"rows": rows}}}))
+"""
+
+
+def test_a_row_of_a_command_is_made_again_from_its_levels_alone_at_another_seed(claims, tmp_path, monkeypatch):
+    """A level may be a pair, each half of which the command asks for."""
+    (tmp_path / "toy.py").write_text(PROGRAM, encoding="utf-8")
+    monkeypatch.setattr(claims, "ROOT", tmp_path)
+    entry = {"command": "python toy.py", "rows": "parts.*.rows", "by": ["pair", "load"]}
+    entry |= {"numbers": {"Error (mm)": ["mm", "low", "high"]}}
+    entry |= {"cheap": "--pair {pair[0]} --pair {pair[1]} --load {load}"}
+    values = set()
+    for pair in (["a", "b"], ["b", "a"]):
+        for load, seed in ((1.0, 5), (2.0, 5), (2.0, 6)):
+            row = {"experiment": "toy", "title": "Error (mm)", "levels": {"pair": pair, "load": load}}
+            again = claims.made_again(row, entry, seed)
+            assert claims.key_of(again) == claims.key_of(row) and again == again | row
+            assert again["sampled95"] == again["ci95"] == [again["value"] - 1.0, again["value"] + 1.0]
+            values.add(again["value"])
+    assert len(values) == 3
+    with pytest.raises(claims.InputError, match=r"toy\.py: .*unrecognized arguments: --lod"):
+        claims.made_again(row, entry | {"cheap": "--lod 3"}, 5)
 
 
 def test_a_level_that_a_measurement_adds_is_made_again(claims, tmp_path, monkeypatch):
