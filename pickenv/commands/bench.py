@@ -104,7 +104,7 @@ def policies(
         seed: The first seed.
         seeds: Number of seeds; at least 5.
         trainings: Number of trainings of each learned policy, made first; 5 if left out. Their seeds begin at --seed.
-        learned: Learned policy of the leaderboard to train; all if left out; may be repeated.
+        learned: Learned policy of the leaderboard to train, and to judge beside the oracle alone; may be repeated.
         quick: Three policies on one arm per seed: a minute.
         executor: serial: in this process; joblib: in several processes, with the same results.
         workers: Number of processes; one per core if left out.
@@ -120,7 +120,7 @@ def policies(
     usual = policy_tables.QUICK if quick else policy_tables.LEADERBOARD
     settings = replace(
         usual,
-        policies=(*usual.policies, *dict.fromkeys(policy or [])),
+        policies=(*(("oracle",) if learned else usual.policies), *dict.fromkeys(policy or [])),
         plants=(*(plant or ()), *policy_tables.rungs(rung or ())) or usual.plants,
         seeds=tuple(range(seed, seed + seeds)),
         split=split,

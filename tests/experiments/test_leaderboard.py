@@ -106,6 +106,23 @@ def test_what_is_learnt_is_chosen_by_name_and_its_seeds_begin_at_the_first(tmp_p
     assert trained == {(name, first + number) for name in recipes for number in range(3)}
 
 
+@pytest.mark.parametrize(
+    ("words", "policies"), [("", policy_tables.LEADERBOARD.policies), ("--learned ppo", ("oracle",))]
+)
+def test_one_learned_policy_is_judged_beside_the_oracle_alone(tmp_path, monkeypatch, words, policies):
+    """The oracle runs on raw arms, so that no arm is calibrated for a policy with a camera."""
+    asked = []
+
+    def board(settings, out, count, learned, **how):
+        asked.append((settings.policies, list(learned)))
+        raise InputError("enough")
+
+    monkeypatch.setattr(policy_tables, "run_leaderboard", board)
+    monkeypatch.chdir(tmp_path)
+    CliRunner().invoke(app, ["bench", "policies", *words.split()])
+    assert asked == [(policies, words.split()[1:])] and policy_tables.kind_of("oracle").raw_only
+
+
 def test_workers_of_one_process_are_refused(tmp_path):
     words = ["bench", "policies", "--quick", "--workers", "4", "--out", str(tmp_path / "out")]
     done = CliRunner().invoke(app, words)
