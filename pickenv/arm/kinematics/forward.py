@@ -209,6 +209,20 @@ def frames(m: ModuleType, chain: Chain, q: Scalars, flexure: Flexure | None = No
         q: The n joint displacements, rad or m: floats, or arrays of one shape.
         flexure: Function that bends a link's frame before the next link is attached (boom bending), or None.
     """
+    result = _from_the_base(m, chain, q, flexure)
+    if chain.tree is not None and chain.tree.sensor >= 0:
+        result = [_from_the_sensor(chain, result, frame) for frame in result]
+    return result
+
+
+def _from_the_sensor(chain: Chain, links: list[Frame], frame: Frame) -> Frame:
+    """Return a frame where the chain's base is the pose of the sensor's link; ``links`` are of the same chain."""
+    assert chain.tree is not None
+    return attach(chain.base, frame_within(links[chain.tree.sensor + 1], frame))
+
+
+def _from_the_base(m: ModuleType, chain: Chain, q: Scalars, flexure: Flexure | None = None) -> list[Frame]:
+    """Compute the frames of base and links, the base at the chain's base; the arguments are those of `frames`."""
     sin, cos = m.sin, m.cos
     if chain.coupling is not None:
         q = chain.coupling.displacements(q)
@@ -241,8 +255,6 @@ def frames(m: ModuleType, chain: Chain, q: Scalars, flexure: Flexure | None = No
             frame = flexure(i, frame)
             xx, xy, xz, yx, yy, yz, zx, zy, zz, px, py, pz = frame
         result.append(frame)
-    if chain.tree is not None and chain.tree.sensor >= 0:
-        result = [attach(chain.base, frame_within(result[chain.tree.sensor + 1], frame)) for frame in result]
     return result
 
 
@@ -272,7 +284,11 @@ def attach(frame: Frame, tool: Frame | None) -> Frame:
 
 def tool_frame(m: ModuleType, chain: Chain, q: Scalars, flexure: Flexure | None = None) -> Frame:
     """Compute the frame of the tool in world axes; the arguments are those of `frames`."""
-    return attach(chain.hand(frames(m, chain, q, flexure)), chain.tool)
+    links = _from_the_base(m, chain, q, flexure)
+    hand = chain.hand(links)
+    if chain.tree is not None and chain.tree.sensor >= 0:
+        hand = _from_the_sensor(chain, links, hand)
+    return attach(hand, chain.tool)
 
 
 def split_joints(geometry_joints: int, q: ArrayLike) -> list[Array]:
