@@ -110,8 +110,12 @@ def same_chain(arm: Geometry, file: Geometry, name: str, arm_name: str) -> SameC
         )
     mine, theirs = _axes(arm), _axes(file)
     worst = {0: mine[0].apart(theirs[0])}
-    fits = list(_fits(arm, mine, theirs, worst))
-    share = [max(np.array(frames_apart(arm, file, *fit)) / (NEAR, TURNED)) for fit in fits]
+    fits, share = [], []
+    for fit in _fits(arm, mine, theirs, worst):
+        fits.append(fit)
+        share.append(max(np.array(frames_apart(arm, file, *fit)) / (NEAR, TURNED)))
+        if share[-1] <= LEAST_SHARE:  # no later fit changes the choice
+            break
     if fits and min(share) <= 10.0:
         # The plainest that is no farther off than the file's digits leave the others: by chance one may come near.
         return next(fit for fit, off in zip(fits, share, strict=True) if off <= 10.0 * max(min(share), LEAST_SHARE))

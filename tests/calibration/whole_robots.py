@@ -249,7 +249,13 @@ def watch(
 
 
 def head_watches(
-    robot: Robot, joints: Sequence[str], link: str, folder: Path, rng: np.random.Generator, cube: bool = False
+    robot: Robot,
+    joints: Sequence[str],
+    link: str,
+    folder: Path,
+    rng: np.random.Generator,
+    views: int = 40,
+    cube: bool = False,
 ) -> None:
     """Write what a camera on the head sees of a board or a cube of tags on a link: camera.csv and camera.toml."""
     at_zero = robot.poses({})
@@ -260,7 +266,7 @@ def head_watches(
     scene = f'sensor_link = "head_tip"\ntarget_link = "{link}"'
     watch(
         robot, joints, link, folder, rng,
-        name="camera", carrier="head_tip", camera=camera, board=board, scene=scene, cube=cube,
+        name="camera", carrier="head_tip", camera=camera, board=board, scene=scene, views=views, cube=cube,
     )  # fmt: skip
 
 

@@ -5,9 +5,12 @@ import os
 import re
 import subprocess
 import sys
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+
+from tests.conftest import Ended
 
 ROOT = Path(__file__).parents[2]
 PAGE = (ROOT / "docs" / "learning.md").read_text(encoding="utf-8")
@@ -54,12 +57,16 @@ def test_a_policy_that_feels_its_fruit_picks_through_the_day_what_the_page_says(
     assert abs(collected - promised[0]) <= 2 and abs(by_script - promised[2]) <= 2
 
 
-def test_on_the_ladder_the_reference_controllers_are_worth_comparing_with(tmp_path: Path) -> None:
-    """From one command; simulated, ten arms that nothing is learnt on, where readings and actions are late."""
-    command = ["evaluate", "--policy", "scripted", "--policy", "servo", "--compensation", "raw", "--arms", "10"]
-    rungs = ["--plant", "rung:orchard", "--plant", "rung:own_eyes", "--episodes", "2", "--json", "found.json"]
-    printed("from pickenv.cli import main; main()", tmp_path, *command, *rungs)
-    rows = json.loads((tmp_path / "found.json").read_text(encoding="utf-8"))["rows"]
+def test_on_the_ladder_the_reference_controllers_are_worth_comparing_with(
+    tmp_path: Path, typed: Callable[..., Ended]
+) -> None:
+    """From one command; simulated, five arms that nothing is learnt on, where readings and actions are late."""
+    report = tmp_path / "found.json"
+    command = ["evaluate", "--policy", "scripted", "--policy", "servo", "--compensation", "raw", "--arms", "5"]
+    rungs = ["--plant", "rung:orchard", "--plant", "rung:own_eyes", "--episodes", "2", "--json", report]
+    done = typed(*command, *rungs)
+    assert done.returncode == 0, done.stderr
+    rows = json.loads(report.read_text(encoding="utf-8"))["rows"]
     left = {(row["plant"], row["policy"]): row["mean_mm"] for row in rows}
     assert set(left) == {(plant, policy) for plant in rungs[1:4:2] for policy in ("scripted", "servo")}
     assert left["rung:orchard", "scripted"] < 6.0, "it swung at 71 mm"

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import re
 from collections.abc import Iterator
-from functools import partial
+from functools import cache, partial, wraps
 from pathlib import Path
 from typing import Any
 
@@ -32,16 +32,18 @@ SETS = {
 }
 
 
-@pytest.fixture(autouse=True)
-def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """An empty folder to work in."""
-    monkeypatch.chdir(tmp_path)
-    return tmp_path
+@pytest.fixture(scope="module", autouse=True)
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A folder for the files of all tests, which are named apart."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder := tmp_path_factory.mktemp("screens"))
+        yield folder
 
 
-def screen(*words: object, width: int = WIDTH) -> list[str]:
-    """The lines that a command prints where COLUMNS is this width."""
-    done = CliRunner().invoke(app, [str(word) for word in words], env={"COLUMNS": str(width)})
+@cache
+def screen(*words: object) -> list[str]:
+    """The lines that a command prints on a screen of this width; nothing changes them, and a command runs once."""
+    done = CliRunner().invoke(app, [str(word) for word in words], env={"COLUMNS": str(WIDTH)})
     assert done.exit_code == 0, done.output
     return done.stdout.rstrip("\n").splitlines()
 
@@ -74,31 +76,48 @@ def leaves(told: Any) -> Iterator[Any]:
         yield told
 
 
-@pytest.mark.parametrize("name", ["ur5", "ur10", pytest.param("panda", marks=pytest.mark.slow), "ur10e"])
+@cache
+def calibrated(data: Path, name: str) -> tuple[list[str], pickenv.Result]:
+    """What `pickenv calibrate` prints where it saves {name}.npz, {name}.json and {name}.html, and its result."""
+    results, calibrate = [], pickenv.calibrate
+
+    @wraps(calibrate)
+    def noted(*arguments: Any, **options: Any) -> pickenv.Result:
+        results.append(calibrate(*arguments, **options))
+        return results[-1]
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(pickenv, "calibrate", noted)
+        saves = ["--out", f"{name}.npz", "--json", f"{name}.json", "--report", f"{name}.html"]
+        return screen(*calibration(data, name), *saves), results[-1]
+
+
+SLOW = [pytest.param(name, marks=pytest.mark.slow) for name in ("ur10", "panda", "ur10e")]
+"""A camera's calibration fits a screen in `test_camera`, too."""
+
+
+@pytest.mark.parametrize("name", ["ur5", *SLOW])
 def test_a_measured_robots_calibration_fits_a_screen_and_its_verdict_names_the_error(
     data_folder: Path, name: str
 ) -> None:
-    saves = ["--out", "arm.npz", "--json", "arm.json", "--report", "page.html"]
-    lines = screen(*calibration(data_folder, name), *saves)
+    lines, _ = calibrated(data_folder, name)
     check(lines)
-    held_out = json.loads(Path("arm.json").read_text(encoding="utf-8"))["held_out"]
+    held_out = json.loads(Path(f"{name}.json").read_text(encoding="utf-8"))["held_out"]
     assert figure(held_out["best_rms_mm"]) in lines[0] and figure(held_out["nominal_rms_mm"]) in lines[0]
     (step,) = [line for line in lines if line.startswith("next: ")]
-    assert "pickenv apply arm.npz targets.csv" in step and lines[-1].startswith("more: --details")
+    assert f"pickenv apply {name}.npz targets.csv" in step and lines[-1].startswith("more: --details")
 
 
 @pytest.mark.parametrize("name", ["ur5", pytest.param("ur10e", marks=pytest.mark.slow)])
 def test_every_number_of_the_details_is_in_the_json_and_on_the_page(data_folder: Path, name: str) -> None:
-    options, pattern = SETS[name]
-    (file,) = data_folder.glob(pattern)
-    result = pickenv.calibrate(options[1], [file], columns=[options[3].format(data_folder)])
+    _, result = calibrated(data_folder, name)
     told = list(leaves(json.loads(json.dumps(result.as_dict()))))
     words = " ".join(leaf for leaf in told if isinstance(leaf, str))
     shown = {"95", "100"}  # of intervals
     for number in (leaf for leaf in told if isinstance(leaf, int | float)):
         shown |= {f"{number:.2f}", f"{number:.5f}", f"{100 * number:.0f}", f"{100 * number:.1f}", f"{number:g}"}
         shown |= {figure(number), figure(1e3 * number)}
-    page = re.sub(r"\s+", " ", result.write_page("page.html").read_text(encoding="utf-8"))
+    page = re.sub(r"\s+", " ", Path(f"{name}.html").read_text(encoding="utf-8"))
     for block in result.blocks():
         for cell in (cell for row in block.rows for cell in row):
             numbers = re.findall(r"(?<![\w.])[-+]?\d+\.?\d*(?:e-\d+)?(?!\w)", cell)
@@ -107,10 +126,16 @@ def test_every_number_of_the_details_is_in_the_json_and_on_the_page(data_folder:
     assert all(line in result.report().replace("  ", " ") for line in result.summary().splitlines()[:1])
 
 
+PLAIN = ("--terms", "none", "--residual", "none", "--out", "a.npz")
+VERIFY = ("verify", "a.npz", "--columns", "ur5_jacobi2025")
+CONDITIONS = ("conditions", "qiao2026", "--arms", 2, "--poses", 20, "--sessions", 2)
+EVALUATE = ("evaluate", "--policy", "scripted", "--compensation", "raw", "--compensation", "ls", "--arms", 2,
+            "--episodes", 2, "--json", "rows.json")  # fmt: skip
+
+
 def test_a_calibration_is_verified_on_a_screen(data_folder: Path) -> None:
-    screen(*calibration(data_folder, "ur5"), "--terms", "none", "--residual", "none", "--out", "a.npz")
-    file = data_folder / UR5.format("random")
-    check(lines := screen("verify", "a.npz", file, "--columns", "ur5_jacobi2025"))
+    screen(*calibration(data_folder, "ur5"), *PLAIN)
+    check(lines := screen(*VERIFY, data_folder / UR5.format("random")))
     assert "next: correct targets: pickenv apply a.npz targets.csv --arm ur5 --out commands.csv" in lines
 
 
@@ -120,17 +145,14 @@ EDGES = "╭─╮│╰╯"
 def test_on_a_terminal_the_verdict_stands_in_a_panel_and_in_a_pipe_it_is_plain_text(
     data_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    saves = ["--terms", "none", "--residual", "none", "--out", "arm.npz"]
-    verify = ["verify", "arm.npz", data_folder / UR5.format("random"), "--columns", "ur5_jacobi2025"]
-    sizes = ("--arms", 2, "--poses", 20, "--sessions", 2)
-    few = ("--policy", "scripted", "--compensation", "raw", "--compensation", "ls", "--arms", 2, "--episodes", 2)
-    commands: list[list[object]] = [[*calibration(data_folder, "ur5"), *saves], verify]
-    commands += [["effects", "--reaches", 20], ["conditions", "qiao2026", *sizes], ["evaluate", *few]]
+    commands: list[tuple[object, ...]] = [(*calibration(data_folder, "ur5"), *PLAIN)]
+    commands += [(*VERIFY, data_folder / UR5.format("random"))]
+    commands += [("effects", "--reaches", 20), (*CONDITIONS, "--json", "c.json"), EVALUATE]
     for words in commands:
         plain = screen(*words)
         with monkeypatch.context() as patch:
             patch.setattr("rich.console.Console", partial(Console, force_terminal=True, width=WIDTH))
-            lines = [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in screen(*words)]
+            lines = [re.sub(r"\x1b\[[0-9;]*m", "", line) for line in screen.__wrapped__(*words)]
         assert not set(EDGES) & set("".join(plain)) - {"─"}  # which rich rules tables with
         ends = [i for i, line in enumerate(lines) if line.startswith("╰")]
         assert lines[0].startswith("╭") and len(ends) == 1
@@ -146,9 +168,8 @@ def test_on_a_terminal_the_verdict_stands_in_a_panel_and_in_a_pipe_it_is_plain_t
 
 def test_simulations_fit_a_screen(folder: Path) -> None:
     check(screen("effects", "--plant", "orchard", "--reaches", 20))
-    sizes = ("--arms", 2, "--poses", 20, "--sessions", 2)
-    check(lines := screen("conditions", "qiao2026", *sizes, "--json", "c.json"))
-    more = screen("conditions", "qiao2026", *sizes, "--details")
+    check(lines := screen(*CONDITIONS, "--json", "c.json"))
+    more = screen(*CONDITIONS, "--details")
     assert len(more) > len(lines) and any(line.startswith("Mean error (mm) by payload") for line in more)
     told = json.loads(Path("c.json").read_text(encoding="utf-8"))
     numbers = {f"{leaf:.3f}" for leaf in leaves(told) if isinstance(leaf, float)}
@@ -178,8 +199,7 @@ def test_many_arms_fit_a_screen(folder: Path) -> None:
 
 
 def test_an_evaluations_table_has_a_line_for_each_policy_and_plant(folder: Path) -> None:
-    few = ("--policy", "scripted", "--compensation", "raw", "--compensation", "ls", "--arms", 2, "--episodes", 2)
-    lines = screen("evaluate", *few, "--json", "rows.json")
+    lines = screen(*EVALUATE)
     check(lines)
     rows = json.loads(Path("rows.json").read_text(encoding="utf-8"))["rows"]
     for plant in {row["plant"] for row in rows}:

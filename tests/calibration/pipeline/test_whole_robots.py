@@ -57,6 +57,14 @@ def calibrated(folder: Path, files: Sequence[str], links: Sequence[str] = ARMS, 
     return pickenv.calibrate(name, paths, columns=columns, choices=Choices(**choices))
 
 
+@pytest.fixture(scope="module")
+def second(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Robot, Result]:
+    """Folder, truth and calibration without terms of one robot; neither its files nor its result is changed."""
+    folder = tmp_path_factory.mktemp("second")
+    truth = two_arms(folder, 2)
+    return folder, truth, calibrated(folder, ARMS, terms="none")
+
+
 def motion(geometry: Geometry, joints: Array) -> Array:
     """Poses ``(N, 4, 4)`` of the target's link against the sensor's."""
     bare = replace(geometry, base=identity_pose(), tool=identity_pose())
@@ -169,17 +177,20 @@ def test_an_inclinometer_on_a_middle_link_is_one_more_file(tmp_path: Path) -> No
 
 
 @pytest.mark.parametrize("ending", ["urdf", "xml"])
-def test_the_robots_own_file_moves_as_the_model(tmp_path: Path, ending: str) -> None:
-    truth = two_arms(tmp_path, 2)
-    own, new = tmp_path / f"robot.{ending}", tmp_path / f"new.{ending}"
+def test_the_robots_own_file_moves_as_the_model(
+    second: tuple[Path, Robot, Result], tmp_path: Path, ending: str
+) -> None:
+    folder, truth, result = second
+    own, new = folder / "robot.urdf", tmp_path / f"new.{ending}"
     if ending == "xml":
         mujoco = pytest.importorskip("mujoco")
-        text = (tmp_path / "robot.urdf").read_text(encoding="utf-8")
+        text = own.read_text(encoding="utf-8")
         start = '<mujoco><compiler fusestatic="false"/></mujoco><link name="base"/>'
         model = mujoco.MjModel.from_xml_string(text.replace('<link name="base"/>', start, 1))
+        own = tmp_path / "robot.xml"
         mujoco.mj_saveLastXML(str(own), model)
-    files, columns = ([tmp_path / f"{link}.{end}" for link in ARMS] for end in ("csv", "toml"))
-    result = pickenv.calibrate(f"{own}#{','.join(ARMS)}", files, columns=columns, choices=Choices(terms="none"))
+        files, columns = ([folder / f"{link}.{end}" for link in ARMS] for end in ("csv", "toml"))
+        result = pickenv.calibrate(f"{own}#{','.join(ARMS)}", files, columns=columns, choices=Choices(terms="none"))
     saved = result.save(tmp_path / "robot.npz")
     found = Calibration.load(saved, whole=True)
     done = pickenv.calibration.export(found, new, onto=own)
@@ -192,9 +203,8 @@ def test_the_robots_own_file_moves_as_the_model(tmp_path: Path, ending: str) -> 
         assert apart(*(motion(arm.between(*ends), joints) for arm in (found.identified, patched))) < 1e-8
 
 
-def test_a_whole_robot_compensates_no_tool(tmp_path: Path) -> None:
-    two_arms(tmp_path, 2)
-    result = calibrated(tmp_path, ARMS, terms="none")
+def test_a_whole_robot_compensates_no_tool(second: tuple[Path, Robot, Result], tmp_path: Path) -> None:
+    _, _, result = second
     path = result.save(tmp_path / "robot.npz")
     with pytest.raises(InputError, match="is of a whole robot, which `export` writes onto its URDF"):
         Calibration.load(path)
@@ -278,7 +288,7 @@ def test_a_head_camera_watches_the_wrist_of_its_own_robot(tmp_path: Path, cube: 
     rng = np.random.default_rng(6)
     robot = drawn_robot(rng)
     (tmp_path / "robot.urdf").write_text(robot.urdf(), encoding="utf-8")
-    head_watches(built(robot, rng), joints_of(robot, "left", "head"), "left_tip", tmp_path, rng, cube)
+    head_watches(built(robot, rng), joints_of(robot, "left", "head"), "left_tip", tmp_path, rng, cube=cube, views=24)
     result = calibrated(tmp_path, ["camera"], ("left_tip", "head_tip"))
     nominal, left = held_out(result)
     assert left < 0.4 * nominal

@@ -71,8 +71,8 @@ def wandering(qiao: Arm, blocks: int, rows: int, rng: np.random.Generator) -> tu
 
 def test_noise_is_no_gain(qiao: Arm, displaced: Displaced) -> None:
     rng = np.random.default_rng(0)
-    joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (200, 6))
-    data = displaced(joints, 1e-4 * rng.normal(size=(200, 6)))
+    joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (80, 6))
+    data = displaced(joints, 1e-4 * rng.normal(size=(80, 6)))
     gate = gate_residuals(data, lambda _: qiao.nominal, rng, models=("rbf", "gp"))
     assert selected(gate) is None
     assert not any(verdict.accepted for verdict in gate)

@@ -104,7 +104,7 @@ def test_a_full_turn_later_the_residual_is_the_same(learnt: LearntResidual) -> N
 def test_equal_generators_give_equal_models(name: str) -> None:
     joints = drawn(100)
     first, second = (
-        fit_residual(name, joints, field(joints), PRISMATIC, np.random.default_rng(7), fitter=QUICK[name])
+        fit_residual(name, joints, field(joints, 2), PRISMATIC, np.random.default_rng(7), fitter=QUICK[name])
         for _ in range(2)
     )
     np.testing.assert_array_equal(first.predict(joints), second.predict(joints))
@@ -116,11 +116,9 @@ def test_a_condition_that_changes_is_learnt_only_where_it_is_given(name: str) ->
     rng = np.random.default_rng(8)
     joints, payload = drawn(200), rng.uniform(0.0, 1.0, (200, 1))
     later, heavier = drawn(200, seed=9), np.ones((200, 1))
-    truth = field(later) * 2.0
-    blind = fit_residual(name, joints, field(joints) * 2.0 * payload, PRISMATIC, rng, fitter=QUICK[name])
-    knowing = fit_residual(
-        name, joints, field(joints) * 2.0 * payload, PRISMATIC, rng, conditions=payload, fitter=QUICK[name]
-    )
+    truth, seen = field(later, 3) * 2.0, field(joints, 3) * 2.0 * payload
+    blind = fit_residual(name, joints, seen, PRISMATIC, rng, fitter=QUICK[name])
+    knowing = fit_residual(name, joints, seen, PRISMATIC, rng, conditions=payload, fitter=QUICK[name])
     missed = [np.sqrt(np.mean((truth - p) ** 2)) for p in (blind.predict(later), knowing.predict(later, heavier))]
     assert missed[1] < 0.7 * missed[0]
     with pytest.raises(InputError, match="needs 1 conditions"):
