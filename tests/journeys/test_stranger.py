@@ -10,11 +10,13 @@ import os
 import subprocess
 import sys
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from tests.conftest import Ended
 from tests.journeys.pages import ENVIRONMENT, ROOT
 
 PACKAGE = Path(__file__).parent / "stranger"
@@ -66,26 +68,42 @@ def test_it_is_written_in_under_80_lines() -> None:
     assert sum(len(path.read_text(encoding="utf-8").splitlines()) for path in PACKAGE.iterdir() if path.is_file()) < 80
 
 
-@pytest.mark.parametrize(
-    ("words", "names"),
-    [
-        (("calibrate", "--help"), ["bpnn, rbf, gp, forest"]),
-        (("compare", "--help"), ["adaptive, patient", "cup, hand, funnel"]),
-        pytest.param(("evaluate", "--help"), ["adaptive, patient", "cup, hand, funnel"], marks=pytest.mark.slow),
-        (("schema", "plant"), ['"soft_ground"', '"sink_mm"']),
-        pytest.param(("schema", "gripper"), ['"mouth_mm"'], marks=pytest.mark.slow),
-    ],
-)
-def test_its_names_stand_in_help_and_schemas(folder: Path, words: tuple[str, ...], names: list[str]) -> None:
-    said = " ".join(made(folder, *words).split())
-    assert [name for name in names if name not in said] == []
+SEVERAL = """
+import sys
+from pickenv.cli import main
+sys.stderr = sys.stdout
+for line in sys.argv[1:]:
+    sys.argv = ["pickenv", *line.split()]
+    print("$", line)
+    try:
+        main()
+    except SystemExit as error:
+        print("exit", error.code)
+"""
+"""Several commands in one process, and the exit code of each."""
 
 
-def test_without_it_they_do_not(folder: Path) -> None:
-    code, said = run(folder, "compare", "patient", installed=False)
-    assert code == 2 and "random, scripted, oracle, servo, adaptive, a shipped baseline" in said
-    code, said = run(folder, "compare", "impatient")
-    assert code == 2 and "adaptive, patient, a shipped baseline" in said
+def test_its_names_stand_in_help_and_schemas(folder: Path) -> None:
+    """They stand in every list; without the package they do not, and a name that is none is refused with the others."""
+    wanted = {
+        "calibrate --help": ["bpnn, rbf, gp, forest"],
+        "compare --help": ["adaptive, patient", "cup, hand, funnel"],
+        "evaluate --help": ["adaptive, patient", "cup, hand, funnel"],
+        "schema plant": ['"soft_ground"', '"sink_mm"'],
+        "schema gripper": ['"mouth_mm"'],
+        "compare impatient": ["adaptive, patient, a shipped baseline", "exit 2"],
+    }
+    said = made(folder, "-c", SEVERAL, *wanted).split("$ ")[1:]
+    told = {line: " ".join(rest.split()) for line, _, rest in (part.partition("\n") for part in said)}
+    assert list(told) == list(wanted)
+    for line, names in wanted.items():
+        assert [name for name in names if name not in told[line]] == [], line
+
+
+def test_without_it_they_do_not(typed: Callable[..., Ended]) -> None:
+    done = typed("compare", "patient")
+    assert done.returncode == 2
+    assert "random, scripted, oracle, servo, adaptive, a shipped baseline" in done.stdout + done.stderr
 
 
 def written_rows(folder: Path) -> Path:

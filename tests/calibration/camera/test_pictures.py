@@ -134,9 +134,10 @@ def test_the_same_view_twice_is_refused(ical: Path, tmp_path: Path) -> None:
 
 
 def test_an_arm_beside_finished_poses_and_a_lens_without_pictures_are_refused(ical: Path, tmp_path: Path) -> None:
+    folder, _ = views_folder(tmp_path, ical)
     for words, said in (
-        (["calibrate", ical, "--columns", "ical_charuco", "--arm", "ur5"], "leave the arm out"),
-        (["calibrate", ical, "--columns", "ical_charuco", "--test-rows", "3"], "every row, or picture, is held out"),
+        (["calibrate", folder, "--columns", "ical_charuco", "--arm", "ur5"], "leave the arm out"),
+        (["calibrate", folder, "--columns", "ical_charuco", "--test-rows", "3"], "every row, or picture, is held out"),
         (["calibrate", tmp_path / "x.csv"], "no arm is given"),
     ):
         with pytest.raises(InputError, match=said):
@@ -145,9 +146,10 @@ def test_an_arm_beside_finished_poses_and_a_lens_without_pictures_are_refused(ic
 
 def test_a_table_of_corners_is_the_pictures(ical: Path, tmp_path: Path) -> None:
     """The same corners from a table: the same views."""
-    whole = read_observations([ical], pose_carrier().nominal, "ical_charuco")
+    folder, _ = views_folder(tmp_path, ical)
+    whole = read_observations([folder], pose_carrier().nominal, "ical_charuco")
     lines = ["view,corner,u,v,x,y,z,qx,qy,qz,qw"]
-    poses = [json.loads(json.dumps(_pose(ical / f"poses/{i}.yaml"))) for i in range(16)]
+    poses = [json.loads(json.dumps(_pose(folder / f"poses/{i}.yaml"))) for i in range(6)]
     for view, (pose, seen, corners) in enumerate(zip(poses, whole.seen, whole.corners, strict=True)):  # type: ignore[attr-defined]
         for number in np.flatnonzero(seen):
             u, v = corners[number].tolist()

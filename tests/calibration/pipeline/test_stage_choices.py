@@ -1,6 +1,7 @@
 """From how many rows the stages choose terms and residual models, among which, and how those are ranked."""
 
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -29,12 +30,21 @@ def sets(dynamic):
     return [simulated_tracker(dynamic, random_joints(dynamic.geometry, n, rng), rng) for n in (40, 10)]
 
 
-def identified(dynamic, sets, rows=40, choices=AUTO):
-    """The draft before terms."""
-    train = sets[0].select(np.arange(rows))
-    draft = stages.Draft(dynamic.arm, choices, train, sets[1], np.random.default_rng(0))
-    for stage in stages.STAGES[:3]:
-        draft = stage(draft)
+@pytest.fixture(scope="module")
+def identified(dynamic, sets):
+    """``identified(rows, choices)``: the draft before terms, which depends on no choice of terms or residual model."""
+
+    @cache
+    def draft_of(rows):
+        train = sets[0].select(np.arange(rows))
+        draft = stages.Draft(dynamic.arm, AUTO, train, sets[1], np.random.default_rng(0))
+        for stage in stages.STAGES[:3]:
+            draft = stage(draft)
+        return draft
+
+    def draft(rows=40, choices=AUTO):
+        return replace(draft_of(rows), choices=choices, rng=np.random.default_rng(0))
+
     return draft
 
 
@@ -43,7 +53,7 @@ def gravity(dynamic):
 
 
 @pytest.mark.parametrize(("rows", "asked"), [(39, False), (40, True)])
-def test_forty_training_rows_are_enough_to_choose_terms_on_blocks(dynamic, sets, rows, asked, monkeypatch):
+def test_forty_training_rows_are_enough_to_choose_terms_on_blocks(dynamic, identified, rows, asked, monkeypatch):
     calls = []
 
     weight = (gravity(dynamic),)
@@ -54,19 +64,19 @@ def test_forty_training_rows_are_enough_to_choose_terms_on_blocks(dynamic, sets,
         return ("gravity", {"none": 2e-3, "gravity": 1e-3}, weight)
 
     monkeypatch.setattr(stages, "choose_terms", choosing)
-    draft = stages._add_terms(identified(dynamic, sets, rows))
+    draft = stages._add_terms(identified(rows))
     assert calls == ([rows] if asked else [])
     assert list(draft.fits) == ["geometry"] + ["geometry+gravity"] * asked
     assert (draft.term_choice is not None) == asked and len(draft.best[1].calibration.model.terms) == asked
     if asked:
         assert draft.best[1].calibration.record["terms"] == ["gravity"]
         assert draft.best[1].calibration.model.terms == weight
-    told = stages._add_terms(identified(dynamic, sets, 39, replace(AUTO, terms="gravity")))
+    told = stages._add_terms(identified(39, replace(AUTO, terms="gravity")))
     assert list(told.fits) == ["geometry", "geometry+gravity"] and told.term_choice is None
 
 
-def test_of_terms_that_do_not_converge_the_last_is_given_up_first(dynamic, sets, monkeypatch):
-    draft = identified(dynamic, sets, choices=replace(AUTO, terms="gravity+periodic"))
+def test_of_terms_that_do_not_converge_the_last_is_given_up_first(dynamic, identified, monkeypatch):
+    draft = identified(choices=replace(AUTO, terms="gravity+periodic"))
     wave = PeriodicTerm((0,), (4.0,))
     monkeypatch.setattr(stages, "terms_of", lambda *_: (gravity(dynamic), wave))
     tried, real = [], stages.identify_terms
@@ -89,7 +99,7 @@ def verdict(name, blocked=1e-3, inner=1e-3, accepted=True):
 
 
 @pytest.mark.parametrize(("rows", "asked"), [(39, False), (40, True)])
-def test_and_to_judge_residual_models(dynamic, sets, rows, asked, monkeypatch):
+def test_and_to_judge_residual_models(identified, rows, asked, monkeypatch):
     calls = []
 
     def judging(data, refit, rng, *, models, fitters, progress):
@@ -98,18 +108,18 @@ def test_and_to_judge_residual_models(dynamic, sets, rows, asked, monkeypatch):
         return (verdict("gp"),)
 
     monkeypatch.setattr(stages, "gate_residuals", judging)
-    draft = stages._learn(identified(dynamic, sets, rows))
+    draft = stages._learn(identified(rows))
     assert list(draft.fits) == ["geometry"] + ["geometry+gp"] * asked and bool(draft.gate) == asked
     if asked:
         ((count, models, state),) = calls
         assert (count, models) == (40, OURS)
         assert state == np.random.default_rng(5).bit_generator.state
-    named = stages._learn(identified(dynamic, sets, rows, replace(AUTO, residual="rbf")))
+    named = stages._learn(identified(rows, replace(AUTO, residual="rbf")))
     assert calls[-1][1] == ("rbf",) if asked else calls == []
     assert list(named.fits)[1:] == (["geometry+gp"] if asked else [])
 
 
-def test_a_model_that_does_not_win_is_used_only_by_force(dynamic, sets, monkeypatch):
+def test_a_model_that_does_not_win_is_used_only_by_force(dynamic, sets, identified, monkeypatch):
     monkeypatch.setattr(stages, "gate_residuals", lambda *_, **__: (verdict("rbf", accepted=False),))
     named = replace(AUTO, residual="rbf")
     for choices, fits in (
@@ -118,15 +128,15 @@ def test_a_model_that_does_not_win_is_used_only_by_force(dynamic, sets, monkeypa
         (replace(AUTO, force=True), ["geometry"]),
         (replace(AUTO, residual="none", force=True), ["geometry"]),
     ):
-        assert list(stages._learn(identified(dynamic, sets, choices=choices)).fits) == fits
+        assert list(stages._learn(identified(choices=choices)).fits) == fits
     with pytest.raises(InputError, match="there is no residual 'magic'; give one of bpnn, rbf, gp"):
         stages.calibrate(dynamic.arm, sets[0], choices=replace(AUTO, residual="magic"))
 
 
-def test_residual_models_are_judged_on_3000_rows_at_most(dynamic, sets, monkeypatch):
+def test_residual_models_are_judged_on_3000_rows_at_most(sets, identified, monkeypatch):
     rows = []
     monkeypatch.setattr(stages, "gate_residuals", lambda data, *_, **__: rows.append(data.joints[:, 0]))
-    draft = identified(dynamic, sets)
+    draft = identified()
     many = sets[0].select(np.arange(3100) % 40)
     many = replace(many, joints=np.arange(3100.0)[:, None] * np.ones(6))
     stages._verdicts(draft, many, ("rbf",))

@@ -74,6 +74,11 @@ def result(ur5: Arm, true: Geometry) -> Result:
     return calibrate(ur5, seen(true, 1, rows=150), choices=PLAIN)
 
 
+@pytest.fixture(scope="module")
+def of_poses(ur5: Arm, true: Geometry) -> Result:
+    return calibrate(ur5, seen(true, 1, rows=150, poses=True), choices=PLAIN)
+
+
 @pytest.mark.parametrize(
     "moved", [{}, {"base": (0.0123, 0.25, 0, 0), "tool": (4.5e-4, 0.01, 0, 0)}], ids=["as it was", "moved"]
 )
@@ -125,9 +130,9 @@ def test_terms_are_the_calibrated_arm_s_alone(dynamic: Plant, refit: tuple[str, 
 @pytest.mark.parametrize("poses", [False, True], ids=["positions", "poses"])
 @pytest.mark.parametrize("seed", range(3))
 def test_at_another_station_the_frames_are_found_from_a_few_rows(
-    ur5: Arm, true: Geometry, seed: int, poses: bool
+    request: pytest.FixtureRequest, true: Geometry, seed: int, poses: bool
 ) -> None:
-    calibration = calibrate(ur5, seen(true, 1, rows=150, poses=poses), choices=PLAIN).calibration
+    calibration = request.getfixturevalue("of_poses" if poses else "result").calibration
     data = seen(true, 10 + seed, THERE, OTHER_TARGET, poses=poses)
     raw = verify(calibration, data)
     assert raw.status == "another station" and "`refit='base,tool'`" in raw.reason
@@ -361,10 +366,10 @@ def along_a_line(geometry: Geometry, rows: int) -> np.ndarray:
 
 @pytest.mark.parametrize("poses", [False, pytest.param(True, marks=pytest.mark.slow)], ids=["positions", "poses"])
 def test_frames_that_a_line_at_one_attitude_does_not_tell_stay_where_they_were(
-    ur5: Arm, true: Geometry, poses: bool
+    request: pytest.FixtureRequest, true: Geometry, poses: bool
 ) -> None:
     """How base and tool share a shift no such rows tell; errors are as promised all the same."""
-    calibration = calibrate(ur5, seen(true, 1, rows=150, poses=poses), choices=PLAIN).calibration
+    calibration = request.getfixturevalue("of_poses" if poses else "result").calibration
     rng, joints = np.random.default_rng(3), along_a_line(true, 60)
     pose = forward(replace(true, base=HERE, tool=TARGET), joints)
     turned = rotation_matrix(2e-4 * rng.normal(size=(60, 3))) @ pose.rotation if poses else None

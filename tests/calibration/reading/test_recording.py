@@ -122,7 +122,7 @@ def test_a_shifted_clock_shifts_the_offset_and_nothing_else(tmp_path: Path) -> N
     read_at = []
     for offset in (0.0, 12.5):
         rng = np.random.default_rng(5)
-        file = written(tmp_path, moving(rng, 15.0), 15.0, rng, geometry=UR5, offset=offset)
+        file = written(tmp_path, moving(rng, 30.0), 30.0, rng, geometry=UR5, offset=offset)
         read_at.append(read(file))
     (rows, clocks), (later, shifted) = read_at
     assert shifted.offset - clocks.offset == pytest.approx(12.5, abs=1e-7)
@@ -148,10 +148,10 @@ def test_intervals_hold_of_offset_and_rate(tmp_path: Path) -> None:
 
 def test_rests_are_the_rows_that_a_person_would_write(tmp_path: Path) -> None:
     rng = np.random.default_rng(1)
-    true, way = erring(rng), resting(rng, 20)
-    rows, clocks = read(written(tmp_path, way, 50.0, rng, geometry=true))
-    assert clocks.still and clocks.rows == len(rows.joints) == 20
-    places = way(np.arange(20) * 2.5 + 0.7)
+    true, way = erring(rng), resting(rng, 40)
+    rows, clocks = read(written(tmp_path, way, 100.0, rng, geometry=true))
+    assert clocks.still and clocks.rows == len(rows.joints) == 40
+    places = way(np.arange(40) * 2.5 + 0.7)
     np.testing.assert_allclose(rows.joints, places, atol=6 * ENCODER)
     pose = forward(true, places)
     np.testing.assert_allclose(rows.readings(), pose.position + pose.rotation @ TARGET, atol=5 * NOISE)
@@ -204,7 +204,7 @@ def test_faults_are_named_by_file_and_row(
 
 def test_lost_samples_are_left_out(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
-    file = written(tmp_path, moving(rng, 10.0), 10.0, rng, geometry=UR5)
+    file = written(tmp_path, moving(rng, 20.0), 20.0, rng, geometry=UR5)
     for row, text in ((30, ""), (31, "nan")):
         changed(file, row, 2, text)
     for column in (1, 2, 3):
@@ -215,17 +215,17 @@ def test_lost_samples_are_left_out(tmp_path: Path) -> None:
 
 def test_logs_that_tell_no_offset_are_refused(tmp_path: Path) -> None:
     rng = np.random.default_rng(2)
-    file = written(tmp_path, lambda times: np.tile(UR5.lower * 0.1, (len(times), 1)), 10.0, rng, geometry=UR5)
+    file = written(tmp_path, lambda times: np.tile(UR5.lower * 0.1, (len(times), 1)), 20.0, rng, geometry=UR5)
     with pytest.raises(InputError, match=r"tracker.csv: .*(nothing moves|at no offset)"):
         read(file)
-    file = written(tmp_path, moving(rng, 10.0), 10.0, rng, geometry=UR5)
+    file = written(tmp_path, moving(rng, 20.0), 20.0, rng, geometry=UR5)
     readings = file.read_bytes()
-    written(tmp_path, moving(rng, 10.0), 10.0, rng, geometry=UR5)
+    written(tmp_path, moving(rng, 20.0), 20.0, rng, geometry=UR5)
     file.write_bytes(readings)
     with pytest.raises(InputError, match=r"tracker.csv: (at no offset|at the best offset|two offsets)"):
         read(file)
     way = moving(rng, 5.0)
-    file = written(tmp_path, lambda times: way(2.0 + np.sin(2.0 * times)), 15.0, rng, geometry=UR5)
+    file = written(tmp_path, lambda times: way(2.0 + np.sin(2.0 * times)), 30.0, rng, geometry=UR5)
     with pytest.raises(InputError, match="two offsets"):
         read(file)
 
@@ -240,7 +240,7 @@ def test_contacts_have_no_recording(tmp_path: Path) -> None:
 def test_parquet_reads_as_csv(tmp_path: Path) -> None:
     pyarrow, parquet = pytest.importorskip("pyarrow"), pytest.importorskip("pyarrow.parquet")
     rng = np.random.default_rng(2)
-    file = written(tmp_path, moving(rng, 10.0), 10.0, rng, geometry=UR5)
+    file = written(tmp_path, moving(rng, 20.0), 20.0, rng, geometry=UR5)
     rows, clocks = read(file)
     names, *_ = file.read_text(encoding="utf-8").splitlines()
     columns = dict(zip(names.split(","), np.loadtxt(file, delimiter=",", skiprows=1).T, strict=True))

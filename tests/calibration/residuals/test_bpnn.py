@@ -11,7 +11,7 @@ from pickenv.base import InputError, is_there
 from pickenv.calibration import Bpnn, BpnnSettings, train_bpnn
 from pickenv.calibration.residuals.bpnn import CompiledNetwork, _folded, _network
 
-SHORT = BpnnSettings(epochs=40)
+SHORT, BRIEF = BpnnSettings(epochs=40), BpnnSettings(epochs=6)
 
 
 def smooth(count=64, seed=0):
@@ -64,17 +64,17 @@ def test_the_folded_network_is_the_evaluated_one():
 
 
 def test_equal_generators_give_equal_networks_to_the_bit():
-    assert same(trained(3), trained(3))
-    assert not same(trained(3), trained(4))
+    assert same(trained(3, BRIEF), trained(3, BRIEF))
+    assert not same(trained(3, BRIEF), trained(4, BRIEF))
 
 
 def test_torchs_own_state_plays_no_part_and_is_left_alone():
     torch.manual_seed(1)
     before, threads = torch.get_rng_state(), torch.get_num_threads()
-    one = trained(3)
+    one = trained(3, BRIEF)
     assert torch.equal(torch.get_rng_state(), before) and torch.get_num_threads() == threads
     torch.manual_seed(2)
-    assert same(one, trained(3))
+    assert same(one, trained(3, BRIEF))
 
 
 def test_the_loss_falls_and_the_residual_is_learnt():
@@ -87,7 +87,7 @@ def test_the_loss_falls_and_the_residual_is_learnt():
 
 
 def test_predictions_keep_leading_dimensions():
-    network, q = trained(), smooth()[0]
+    network, q = trained(settings=BRIEF), smooth()[0]
     batch = network.predict(q.reshape(4, 16, 6))
     assert batch.shape == (4, 16, 6)
     np.testing.assert_allclose(batch[2, 3], network.predict(q[35]), atol=1e-15)
@@ -96,15 +96,15 @@ def test_predictions_keep_leading_dimensions():
 def test_a_joint_that_never_moved_and_an_axis_without_residual_are_no_obstacle():
     q, residual = smooth()
     q[:, 2], residual[:, 4] = 0.3, 0.0
-    network = train_bpnn(q, residual, np.random.default_rng(0), SHORT)
+    network = train_bpnn(q, residual, np.random.default_rng(0), BRIEF)
     assert np.isfinite(network.predict(q)).all()
     np.testing.assert_allclose(network.predict(q)[:, 4], 0.0, atol=1.0)
 
 
 def test_progress_counts_epochs():
     seen = []
-    trained(progress=lambda done, of: seen.append((done, of)))
-    assert seen == [(i, 40) for i in range(1, 41)]
+    trained(settings=BRIEF, progress=lambda done, of: seen.append((done, of)))
+    assert seen == [(i, 6) for i in range(1, 7)]
 
 
 @pytest.mark.parametrize("count", [0, 1, 31])

@@ -19,6 +19,7 @@ from pickenv.calibration import (
     identify,
 )
 from pickenv.calibration.residuals.gate import selected, verdicts_record
+from pickenv.calibration.residuals.residual_models import TRIAL_FITTERS
 
 
 class Nearest:
@@ -73,7 +74,7 @@ def test_noise_is_no_gain(qiao: Arm, displaced: Displaced) -> None:
     rng = np.random.default_rng(0)
     joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (80, 6))
     data = displaced(joints, 1e-4 * rng.normal(size=(80, 6)))
-    gate = gate_residuals(data, lambda _: qiao.nominal, rng, models=("rbf", "gp"))
+    gate = gate_residuals(data, lambda _: qiao.nominal, rng, models=("rbf", "gp"), fitters=TRIAL_FITTERS)
     assert selected(gate) is None
     assert not any(verdict.accepted for verdict in gate)
     assert all("no gain" in verdict.reason for verdict in gate)
@@ -83,7 +84,8 @@ def test_a_smooth_residual_is_accepted(qiao: Arm, displaced: Displaced) -> None:
     rng = np.random.default_rng(1)
     joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (120, 6))
     error = 1e-3 * np.sin(joints) + 1e-5 * rng.normal(size=(120, 6))
-    gate = gate_residuals(displaced(joints, error), lambda _: qiao.nominal, rng, models=("rbf", "gp"))
+    data = displaced(joints, error)
+    gate = gate_residuals(data, lambda _: qiao.nominal, rng, models=("rbf", "gp"), fitters=TRIAL_FITTERS)
     assert selected(gate) == "gp"
     chosen = next(verdict for verdict in gate if verdict.model == "gp")
     assert chosen.accepted

@@ -29,6 +29,8 @@ from pickenv.calibration.residuals.residual_models import joint_inputs
 PRISMATIC = (False, True, False)
 QUICK: dict[str, Fitter] = {name: get("residual", name).fit for name in names("residual")}
 QUICK["bpnn"] = lambda x, y, rng: train_bpnn(x, y, rng, BpnnSettings(epochs=60))
+BRIEF = QUICK | {"bpnn": lambda x, y, rng: train_bpnn(x, y, rng, BpnnSettings(epochs=6))}
+"""Where nothing need be learnt well."""
 
 
 def field(joints: np.ndarray, outputs: int = 6) -> np.ndarray:
@@ -100,11 +102,11 @@ def test_a_full_turn_later_the_residual_is_the_same(learnt: LearntResidual) -> N
     )
 
 
-@pytest.mark.parametrize("name", QUICK)
+@pytest.mark.parametrize("name", BRIEF)
 def test_equal_generators_give_equal_models(name: str) -> None:
     joints = drawn(100)
     first, second = (
-        fit_residual(name, joints, field(joints, 2), PRISMATIC, np.random.default_rng(7), fitter=QUICK[name])
+        fit_residual(name, joints, field(joints, 2), PRISMATIC, np.random.default_rng(7), fitter=BRIEF[name])
         for _ in range(2)
     )
     np.testing.assert_array_equal(first.predict(joints), second.predict(joints))
@@ -127,11 +129,11 @@ def test_a_condition_that_changes_is_learnt_only_where_it_is_given(name: str) ->
         blind.predict(later, heavier)
 
 
-@pytest.mark.parametrize("name", QUICK)
+@pytest.mark.parametrize("name", BRIEF)
 def test_a_joint_that_never_moved_does_no_harm(name: str) -> None:
     joints = drawn(100)
     joints[:, 1] = 0.4
-    model = fit_residual(name, joints, np.zeros((100, 3)), PRISMATIC, np.random.default_rng(0), fitter=QUICK[name])
+    model = fit_residual(name, joints, np.zeros((100, 3)), PRISMATIC, np.random.default_rng(0), fitter=BRIEF[name])
     np.testing.assert_allclose(model.predict(joints), 0.0, atol=1e-6)
 
 
@@ -147,8 +149,9 @@ def test_only_joints_that_turn_far_enter_by_sine_and_cosine() -> None:
 @pytest.mark.parametrize("name", ["rbf", "gp"])
 def test_far_from_its_data_a_smooth_model_predicts_the_mean(name: str) -> None:
     joints = drawn(200)
-    model = fit_residual(name, joints, field(joints), PRISMATIC, np.random.default_rng(0))
-    np.testing.assert_allclose(model.predict([0.0, 1e4, 0.0]), field(joints).mean(axis=0), atol=1e-9)
+    seen = field(joints, 2)
+    model = fit_residual(name, joints, seen, PRISMATIC, np.random.default_rng(0))
+    np.testing.assert_allclose(model.predict([0.0, 1e4, 0.0]), seen.mean(axis=0), atol=1e-9)
 
 
 def test_centres_are_means_of_their_points() -> None:
