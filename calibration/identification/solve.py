@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from pickenv.arm import Array
@@ -117,7 +118,7 @@ class ScalePosterior:
 
     Attributes:
         solution: The solution at which the model is linearised.
-        columns: Which parameters the model fits, among all of the arm's.
+        columns: Which parameters the model fits, as places among all of the arm's ``(P,)``.
         width: Prior standard deviation of each unknown that is kept, at a scale of 1 where the scale is free ``(K,)``.
         offset: Prior mean minus solution of each unknown, the rows' own unknowns first ``(own + P,)``.
         upper: Triangle of the rows, in units of ``width`` ``(R, K)``.
@@ -129,7 +130,7 @@ class ScalePosterior:
     """
 
     solution: Identification
-    columns: Array
+    columns: NDArray[np.int64]
     width: Array
     offset: Array
     upper: Array

@@ -234,7 +234,7 @@ def test_residuals_and_the_counted_share_run_over_all_stations(ur5: Arm, true: G
     for other in (HERE, THERE):
         days = []
         for seed, base in ((1, HERE), (2, other)):
-            seen = day(true, seed, base, rows=80, poses=False)
+            seen = day(true, seed, base, rows=150, poses=False)
             wave = 1e-3 * np.sin(2.0 * seen.joints[:, :3])
             days.append(replace(seen, position=seen.position + wave @ base.rotation.T))
         runs[other is THERE] = days
@@ -252,4 +252,4 @@ def test_residuals_and_the_counted_share_run_over_all_stations(ur5: Arm, true: G
         assert share is not None and 0.88 <= share["covered"] <= 1.0
         assert {len(errors) for errors in result.errors.values()} == {len(result.test.joints)}
     blocks = plain.held_out.blocks
-    assert blocks is not None and np.all(np.diff(blocks[:80]) >= 0) and np.all(np.diff(blocks[80:]) >= 0)
+    assert blocks is not None and np.all(np.diff(blocks[:150]) >= 0) and np.all(np.diff(blocks[150:]) >= 0)
