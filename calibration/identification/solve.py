@@ -8,11 +8,11 @@ likelihood on a grid (MacKay 1992). Without priors the solution is the rank-awar
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable
+from dataclasses import replace
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
 from pickenv.arm import Array
@@ -102,110 +102,75 @@ def solve(
             weights = noise_of(data, start, unknowns, leverage)
         residual = weights.whiten(data.residual(start, unknowns))
         columns = weights.whiten(stated)
-        posterior = ScalePosterior.of(weighed, solution, columns, residual, free)
-        scales = {**scales, **posterior.means}
+        means, averaged = averaged_over_scales(weighed, solution, columns, residual, free)
+        scales = {**scales, **means}
         if _settled(before, (weights, scales)):
             break
-    return posterior.averaged(weights.common)
+    return averaged(weights.common)
 
 
-@dataclass(frozen=True, eq=False)
-class ScalePosterior:
-    """Posterior of the scales of prior widths on a grid, for the model linearised at a solution.
+def averaged_over_scales(
+    model: PriorModel, solution: Identification, columns: Array, residual: Array, free: list[str]
+) -> tuple[dict[str, float], Callable[[float], Identification]]:
+    """Average the posterior of the linearised model over the scales of prior widths.
 
     The scales are weighed by their marginal likelihood and by a prior near 1. With fixed scales the uncertainties would
     be too small, because few rows hardly show how accurately an arm was made.
 
-    Attributes:
+    Args:
+        model: The model, with the scales of the solution.
         solution: The solution at which the model is linearised.
-        columns: Which parameters the model fits, as places among all of the arm's ``(P,)``.
-        width: Prior standard deviation of each unknown that is kept, at a scale of 1 where the scale is free ``(K,)``.
-        offset: Prior mean minus solution of each unknown, the rows' own unknowns first ``(own + P,)``.
-        upper: Triangle of the rows, in units of ``width`` ``(R, K)``.
-        right: Product of the triangle and the residuals at the prior mean ``(K,)``.
-        means: Geometric mean of each free scale, by group.
-        weight: Weight of each node of the last grid ``(N,)``.
-        factor: Scale of each unknown at the nodes ``(N, K)``.
-        lower: Cholesky factors of the posterior's precision at the nodes ``(N, K, K)``.
+        columns: Whitened derivatives of the rows at the solution ``(E, own + P)``, with respect to their own unknowns
+            first.
+        residual: Whitened residuals at the solution ``(E,)``.
+        free: Groups whose scales are averaged over.
+
+    Returns:
+        The geometric mean of the scales by group, and a function that returns the solution moved to the mean of that
+        posterior, with its covariance. The function's argument is the factor on variances of rows that carry less
+        information than independent ones (`pickenv.calibration.model.noise.RowNoise.common`).
     """
+    count, base = columns.shape[1] - len(model.std), solution.identifiability.kept
+    scale = np.array([1.0 if name in free else model.scales.get(name, 1.0) for name in model.group])
+    width = np.r_[np.full(count, UNKNOWN_STD), model.std * scale][base]
+    group = np.r_[np.full(count, ""), model.group][base]
+    offset = np.zeros(columns.shape[1])
+    offset[count:] = model.start.difference(solution.arm_model)[model.parameters.columns]
+    upper, right = least_squares.triangle(columns, residual)
+    upper, right = upper[:, base] * width, right + upper @ offset
+    gram, right = upper.T @ upper, upper.T @ right
+    member = np.array([group == name for name in free]).reshape(len(free), len(group))
+    mean, std = np.zeros(len(free)), np.full(len(free), np.log(SPREAD))
+    nodes = np.array(list(product(NODES, repeat=len(free))))
+    for _ in range(STAGES if free else 1):
+        logs = mean + std * nodes
+        factor = np.exp(logs @ member)
+        precision = np.eye(len(width)) + factor[:, :, None] * gram * factor[:, None, :]
+        lower = np.linalg.cholesky(precision)
+        half = np.linalg.solve(lower, (factor * right)[..., None])[..., 0]
+        cost = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1) - 0.5 * np.sum(half**2, axis=1)
+        cost += 0.5 * np.sum((logs / np.log(SPREAD)) ** 2, axis=1)
+        weight = np.exp(cost.min() - cost)
+        weight /= weight.sum()
+        mean = weight @ logs
+        std = np.maximum(np.sqrt(weight @ (logs - mean) ** 2), NARROWEST * std)
 
-    solution: Identification
-    columns: NDArray[np.int64]
-    width: Array
-    offset: Array
-    upper: Array
-    right: Array
-    means: dict[str, float]
-    weight: Array
-    factor: Array
-    lower: Array
-
-    @staticmethod
-    def of(
-        model: PriorModel, solution: Identification, columns: Array, residual: Array, free: list[str]
-    ) -> ScalePosterior:
-        """Weigh the scales of some groups.
-
-        Args:
-            model: The model, with the scales of the solution.
-            solution: The solution at which the model is linearised.
-            columns: Whitened derivatives of the rows at the solution ``(E, own + P)``, with respect to their own
-                unknowns first.
-            residual: Whitened residuals at the solution ``(E,)``.
-            free: Groups whose scales are averaged over.
-        """
-        count, base = columns.shape[1] - len(model.std), solution.identifiability.kept
-        scale = np.array([1.0 if name in free else model.scales.get(name, 1.0) for name in model.group])
-        width = np.r_[np.full(count, UNKNOWN_STD), model.std * scale][base]
-        group = np.r_[np.full(count, ""), model.group][base]
-        offset = np.zeros(columns.shape[1])
-        offset[count:] = model.start.difference(solution.arm_model)[model.parameters.columns]
-        upper, right = least_squares.triangle(columns, residual)
-        upper, right = upper[:, base] * width, right + upper @ offset
-        gram, right = upper.T @ upper, upper.T @ right
-        member = np.array([group == name for name in free]).reshape(len(free), len(group))
-        mean, std = np.zeros(len(free)), np.full(len(free), np.log(SPREAD))
-        nodes = np.array(list(product(NODES, repeat=len(free))))
-        for _ in range(STAGES if free else 1):
-            logs = mean + std * nodes
-            factor = np.exp(logs @ member)
-            precision = np.eye(len(width)) + factor[:, :, None] * gram * factor[:, None, :]
-            lower = np.linalg.cholesky(precision)
-            half = np.linalg.solve(lower, (factor * right)[..., None])[..., 0]
-            cost = np.log(np.diagonal(lower, axis1=1, axis2=2)).sum(axis=1) - 0.5 * np.sum(half**2, axis=1)
-            cost += 0.5 * np.sum((logs / np.log(SPREAD)) ** 2, axis=1)
-            weight = np.exp(cost.min() - cost)
-            weight /= weight.sum()
-            mean = weight @ logs
-            std = np.maximum(np.sqrt(weight @ (logs - mean) ** 2), NARROWEST * std)
-        means = dict(zip(free, np.exp(mean).tolist(), strict=True))
-        fitted = model.parameters.columns
-        return ScalePosterior(solution, fitted, width, offset, upper, right, means, weight, factor, lower)
-
-    def averaged(self, common: float) -> Identification:
-        """Return the solution moved to the mean over all scales, with its covariance.
-
-        Args:
-            common: Factor on variances of rows that carry less information than independent ones
-                (`pickenv.calibration.model.noise.RowNoise.common`).
-        """
-        solution, width = self.solution, self.width
-        some = self.weight > LIGHT * self.weight.max()
-        weight, factor = self.weight[some] / self.weight[some].sum(), self.factor[some]
-        root = np.linalg.inv(self.lower[some])
+    def averaged(common: float) -> Identification:
+        """Return the solution at the mean over all scales, with its covariance."""
+        some = weight > LIGHT * weight.max()
+        share, scaled, root = weight[some] / weight[some].sum(), factor[some], np.linalg.inv(lower[some])
         inverse = root.transpose(0, 2, 1) @ root
-        means = factor * (inverse @ (factor * self.right)[..., None])[..., 0]
-        # Rows and priors apart, each as a square: of metres that no row tells, rounding must not leave less than
-        # nothing.
-        rows = self.upper * factor[:, None, :] @ root.transpose(0, 2, 1) @ root
+        means = scaled * (inverse @ (scaled * right)[..., None])[..., 0]
+        # Rows and priors apart, each as a square: where no row tells, rounding must not leave less than nothing.
+        rows = upper * scaled[:, None, :] @ root.transpose(0, 2, 1) @ root
         spread = common * rows.transpose(0, 2, 1) @ rows + inverse @ inverse
-        centre = weight @ means
-        covariance = np.einsum("n,ni,nij,nj->ij", weight, factor, spread, factor)
-        covariance += np.einsum("n,ni,nj->ij", weight, means - centre, means - centre)
-        change = -self.offset
-        change[solution.identifiability.kept] += centre * width
-        delta, count = np.zeros(len(solution.arm_model.parameter_names)), len(solution.unknowns)
-        delta[self.columns] = change[count:]
+        centre = share @ means
+        covariance = np.einsum("n,ni,nij,nj->ij", share, scaled, spread, scaled)
+        covariance += np.einsum("n,ni,nj->ij", share, means - centre, means - centre)
+        change = -offset
+        change[base] += centre * width
+        delta = np.zeros(len(solution.arm_model.parameter_names))
+        delta[model.parameters.columns] = change[count:]
         unknowns = np.array([*solution.unknowns.values()]) + change[:count]
         return replace(
             solution,
@@ -214,6 +179,8 @@ class ScalePosterior:
             delta=solution.delta + change,
             covariance=np.asarray(covariance * np.outer(width, width)),
         )
+
+    return dict(zip(free, np.exp(mean).tolist(), strict=True)), averaged
 
 
 def leverages(columns: Array) -> Array:
