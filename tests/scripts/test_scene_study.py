@@ -16,14 +16,14 @@ PICKED = "Fruit picked (%)"
 
 @pytest.fixture(scope="module")
 def rows() -> Rows:
-    """One UR5e, exact and off by 10 mm, two fruit each."""
+    """One UR5e, exact and off by 10 mm, one fruit."""
     pytest.importorskip("mujoco")
-    small = {"arm": 1, "fruit": 2, "robot": ["ur5e"], "error_mm": [0.0, 10.0]}
+    small = {"arm": 1, "fruit": 1, "robot": ["ur5e"], "error_mm": [0.0, 10.0]}
     return run(load_experiment(STUDY, changes=small).experiment)
 
 
 def test_error_moves_the_cup_beside_the_fruit_and_a_calibration_or_eyes_bring_it_back(rows: Rows) -> None:
-    assert len(rows) == 16 and rows.where(use="LS")["met"].all()
+    assert len(rows) == 8 and rows.where(use="LS")["met"].all()
 
     def lateral(error: float, use: str) -> float:
         return float(rows.where(error_mm=error, use=use)["lateral_mm"].max())
@@ -36,7 +36,7 @@ def test_error_moves_the_cup_beside_the_fruit_and_a_calibration_or_eyes_bring_it
 
 
 def test_the_same_arm_and_fruit_come_again(rows: Rows) -> None:
-    changes = {"arm": 1, "fruit": 2, "robot": ["ur5e"], "error_mm": [10.0]}
+    changes = {"arm": 1, "fruit": 1, "robot": ["ur5e"], "error_mm": [10.0]}
     again, before = run(load_experiment(STUDY, changes=changes).experiment), rows.where(error_mm=10.0)
     for name in before.columns:
         np.testing.assert_array_equal(before[name], again[name])

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -218,6 +219,7 @@ class PickSceneEnv(ReachEnv):
             eye=fitted_eye(self._places(), VIEW, (self.pixels, self.pixels)),
         )
         self._within = None if within_mm is None else 1e-3 * float(within_mm)
+        self._pair: tuple[int, tuple[Array, Array]] | None = None
         self.scene = ContactScene(task.plant.arm, around)
         self.obs_type, self.cameras = obs_type, tuple(cameras)
         self.task_description = "pick the fruit that hangs from the branch"
@@ -229,13 +231,19 @@ class PickSceneEnv(ReachEnv):
     def _places(self) -> Array:
         """Return places where fruit may hang, and last the place of the arm's base, ``(k + 1, 3)``, m."""
         tries = (simulation.goal_attempt(FLOATS, self.task, 0, attempt) for attempt in range(ATTEMPTS))
-        joints: Array = np.array([pose for pose, fits in tries if fits][:SPREAD])
+        joints: Array = np.array(list(islice((pose for pose, fits in tries if fits), SPREAD)))
         geometry = self.task.plant.arm.nominal
         self._favoured = joints[np.argmax(np.linalg.svd(joint_jacobian(geometry, joints), compute_uv=False)[:, -1])]
         return np.concatenate([forward(geometry, joints).position, [geometry.base.position]])
 
-    def _before_fruit(self, within: float) -> tuple[Array, Array]:
+    def _placed(self, within: float) -> tuple[Array, Array]:
         """Return the joints with the tool at this episode's fruit, and the joints at the start, ``(n,)`` each."""
+        if self._pair is None or self._pair[0] != int(self._key):
+            self._pair = int(self._key), self._before_fruit(within)
+        return self._pair[1]
+
+    def _before_fruit(self, within: float) -> tuple[Array, Array]:
+        """Draw the joints that `_placed` returns."""
         rng, geometry = np.random.default_rng([int(self._key), 1]), self.task.plant.arm.nominal
         place, attitude = forward(geometry, self._favoured)
         how: dict[str, Any] = {"restarts": 0, "position_only": geometry.joints < 6}
@@ -248,6 +256,8 @@ class PickSceneEnv(ReachEnv):
                 turn = Rotation.from_rotvec(self.turned * rng.normal(size=3)).as_matrix()
                 starts.append(Pose(fruit[-1] + attitude @ off * self.scene.around.scale, attitude @ turn))
             goal = inverse(geometry, Pose(np.array(fruit), attitude), self._favoured, **how)
+            if not goal.reached.any():
+                continue
             begin = inverse(geometry, Pose(*map(np.array, zip(*starts, strict=True))), goal.joints, **how)
             if (reached := np.flatnonzero(goal.reached & begin.reached)).size:
                 return goal.joints[reached[0]], begin.joints[reached[0]]
@@ -255,12 +265,12 @@ class PickSceneEnv(ReachEnv):
 
     def _start(self, joints: Any) -> Scalars:
         if joints is None and self._within is not None:
-            joints = self._before_fruit(self._within)[1]
+            joints = self._placed(self._within)[1]
         return super()._start(joints)
 
     def _wanted(self, options: dict[str, Any]) -> Frame:
         if self._within is not None and not any(options.get(name) is not None for name in GOALS):
-            options = {"goal_joints": self._before_fruit(self._within)[0]}
+            options = {"goal_joints": self._placed(self._within)[0]}
         return super()._wanted(options)
 
     def _use_arm(self, number: int) -> None:
