@@ -2,7 +2,8 @@
 
 import gc
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
 from typing import NamedTuple
 
@@ -55,6 +56,20 @@ def typed(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -
         return Ended(code, *capsys.readouterr())
 
     return run
+
+
+@contextmanager
+def unwritten_figures() -> Iterator[None]:
+    """A context in which figures are drawn, and pages have empty pictures in their places."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("pickenv.inspect.reports.report_page.inline_svg", lambda figure, name: ("", 1.0, 1.0))
+        yield
+
+
+@pytest.fixture(scope="session")
+def unwritten() -> Callable[[], AbstractContextManager[None]]:
+    """`unwritten_figures` itself, for tests that ask about a page's words alone."""
+    return unwritten_figures
 
 
 def pytest_collection_finish() -> None:
