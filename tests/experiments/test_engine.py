@@ -1,6 +1,7 @@
 """The engine: equal rows on every backend, however often it was interrupted, and a folder that notices every damage."""
 
 import os
+import runpy
 import signal
 import subprocess
 import sys
@@ -199,7 +200,7 @@ KILLED = """
 """
 
 
-def test_an_experiment_killed_at_any_moment_goes_on_and_ends_equal(tmp_path):
+def test_an_experiment_killed_at_any_moment_goes_on_and_ends_equal(tmp_path, monkeypatch):
     script = tmp_path / "slow_arms.py"
     script.write_text(textwrap.dedent(KILLED), encoding="utf-8")
     folder, whole = tmp_path / "killed", tmp_path / "whole"
@@ -211,7 +212,8 @@ def test_an_experiment_killed_at_any_moment_goes_on_and_ends_equal(tmp_path):
     begun = len(list(folder.glob("slow*.parquet")))
     assert begun < 12
     for place in (folder, whole):
-        subprocess.run([sys.executable, str(script), str(place)], check=True)
+        monkeypatch.setattr(sys, "argv", [str(script), str(place)])
+        runpy.run_path(str(script), run_name="__main__")
     assert_same(kept_rows(folder), kept_rows(whole))
 
 

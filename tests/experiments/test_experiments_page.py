@@ -14,13 +14,13 @@ def blocks(language):
     return re.findall(rf"^```{language}\n(.*?)^```$", PAGE, re.MULTILINE | re.DOTALL)
 
 
-def test_the_file_and_the_function_of_the_page_give_numbers_with_intervals(tmp_path):
+def test_the_file_and_the_function_of_the_page_give_numbers_with_intervals(tmp_path, typed, monkeypatch):
     (file,), (function, _), (command,) = blocks("toml"), blocks("python"), blocks("sh")
     (tmp_path / "noise_cost.toml").write_text(file, encoding="utf-8")
     (tmp_path / "noise_cost.py").write_text(function, encoding="utf-8")
-    words = command.split()
-    run = [sys.executable, "-m", "pickenv.cli", *words[1:], "--executor", "serial"]
-    done = subprocess.run(run, cwd=tmp_path, check=True, capture_output=True, text=True)
+    monkeypatch.chdir(tmp_path)
+    done = typed(*command.split()[1:], "--executor", "serial")
+    assert done.returncode == 0, done.stderr
     means, more = json.loads((tmp_path / "noise_cost.json").read_text(encoding="utf-8"))["tables"]
     values = [row["value"] for row in means["rows"]]
     assert values == sorted(values) and values[0] < 0.02 < 0.1 < values[-1]

@@ -2,8 +2,6 @@
 
 import json
 import re
-import subprocess
-import sys
 from pathlib import Path
 
 import pytest
@@ -11,16 +9,12 @@ from typer.testing import CliRunner
 
 from pickenv.cli import app
 
-ROOT = Path(__file__).parents[2]
 
-
-def study(*arguments: object, cwd: Path) -> subprocess.CompletedProcess[str]:
-    command = [sys.executable, "-c", "from pickenv.cli import main; main()", "study", *map(str, arguments)]
-    return subprocess.run(command, cwd=cwd, capture_output=True, text=True, env={"PYTHONPATH": str(ROOT)})
-
-
-def test_a_study_prints_writes_and_sums_up(study_file, tmp_path):
-    ran = study(
+def test_a_study_prints_writes_and_sums_up(study_file, tmp_path, typed, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("COLUMNS", "80")
+    ran = typed(
+        "study",
         study_file(),
         "--details",
         "--executor",
@@ -30,7 +24,6 @@ def test_a_study_prints_writes_and_sums_up(study_file, tmp_path):
         "run",
         "--json",
         "summary.json",
-        cwd=tmp_path,
     )
     assert ran.returncode == 0, ran.stderr
     summary = json.loads((tmp_path / "summary.json").read_text(encoding="utf-8"))

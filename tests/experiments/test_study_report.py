@@ -51,7 +51,7 @@ poses = [12]
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    """A finished study of 320 arms."""
+    """A finished study of 480 arms."""
     path = tmp_path_factory.mktemp("study")
     (path / "config.toml").write_text(STUDY, encoding="utf-8")
     run_study(load_study(path / "config.toml"), path / "out", executor="batched")
