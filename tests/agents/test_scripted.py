@@ -118,7 +118,7 @@ def test_alone_and_in_a_vector_it_counts_alike():
 def test_noisy_late_readings_cost_less_than_swinging_about_the_goal():
     """The ladder's rung with every effect: the script is as good there as its first reading and the arm allow."""
     env = gym.make("pickenv/Reach-v0", difficulty="orchard", split="test")
-    ends = run_reaches(env, ScriptedReach(env), episode_seeds(0, 60)).position_error_mm
+    ends = run_reaches(env, ScriptedReach(env), episode_seeds(0, 30)).position_error_mm
     assert np.median(ends) < 5.0
     camera = gym.make("pickenv/Reach-v0", difficulty="orchard", split="test", feedback="camera", camera_noise_mm=1.0)
-    assert run_reaches(camera, ServoReach(camera), episode_seeds(0, 60)).position_error_mm.max() < 1.5
+    assert run_reaches(camera, ServoReach(camera), episode_seeds(0, 30)).position_error_mm.max() < 1.5

@@ -113,6 +113,12 @@ def comparison() -> Comparison:
 
 
 @pytest.fixture(scope="session")
+def few() -> Comparison:
+    """The same with five reaches and 27 cells."""
+    return synthetic_comparison(reaches=5, cells_per_axis=3)
+
+
+@pytest.fixture(scope="session")
 def make_comparison() -> Callable[..., Comparison]:
     """`synthetic_comparison` itself, for tests that need another seed."""
     return synthetic_comparison

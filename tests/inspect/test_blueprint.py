@@ -29,7 +29,7 @@ def test_every_include_rule_matches_a_logged_entity(reading: Any) -> None:
 
 
 def test_a_misspelt_include_rule_is_noticed(
-    comparison: Comparison, reader: Callable[[Path], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    few: Comparison, reader: Callable[[Path], Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     whole = comparison_recording.space
 
@@ -37,8 +37,8 @@ def test_a_misspelt_include_rule_is_noticed(
         return whole(comparison, name, [rule.replace("/field/", "/fields/") for rule in contents], **options)
 
     monkeypatch.setattr(comparison_recording, "space", misspell)
-    broken = reader(record_comparison(comparison, tmp_path / "errors.rrd"))
-    misspelt = [f"/world/fields/{p.key}/{kind}" for p in comparison.policies for kind in ("vectors", "voxels")]
+    broken = reader(record_comparison(few, tmp_path / "errors.rrd"))
+    misspelt = [f"/world/fields/{p.key}/{kind}" for p in few.policies for kind in ("vectors", "voxels")]
     assert sorted(broken.unmatched_rules()) == sorted([*misspelt, "/world/fields/removed/vectors"])
 
 
@@ -73,11 +73,11 @@ def test_all_views_of_the_workspace_start_with_the_same_eye(reading: Any, compar
 
 @pytest.mark.parametrize("count", [1, 5])
 def test_any_number_of_policies_is_laid_out(
-    count: int, comparison: Comparison, reader: Callable[[Path], Any], tmp_path: Path
+    count: int, few: Comparison, reader: Callable[[Path], Any], tmp_path: Path
 ) -> None:
-    first = comparison.policies[0]
+    first = few.policies[0]
     policies = tuple(replace(first, key=f"policy_{i}", label=f"policy {i}") for i in range(count))
-    reading = reader(record_comparison(replace(comparison, policies=policies), tmp_path / "errors.rrd"))
+    reading = reader(record_comparison(replace(few, policies=policies), tmp_path / "errors.rrd"))
     assert reading.unmatched_rules() == []
     fields = [title for title in titles(reading) if title.endswith("arrows ×20") and "policy" in title]
     assert len(fields) == count
