@@ -426,7 +426,8 @@ def calibrate(
         if choices.residual not in ("auto", "none"):
             raise InputError(f"`residual='{choices.residual}'` is for a single arm; leave it out for a whole robot")
         arm = replace(arm, nominal=arm.nominal.between(*between[0].tolist()))
-    workspace_joints(choices.workspace, arm.nominal)  # what cannot be used is refused now, and not after the work
+    if choices.workspace is not None:
+        workspace_joints(choices.workspace, arm.nominal)  # what cannot be used is refused now, and not after the work
     rng = rng or np.random.default_rng(choices.seed)
     few = test is None and test_rows is None and train.poses is not None
     few = few and pose_count(train.joints) < ENOUGH_FOR_BLOCKS

@@ -41,7 +41,7 @@ def test_both_arms_of_a_robot_are_calibrated_at_once(tmp_path: Path) -> None:
     tables = {side: (tmp_path / f"{side}.csv").read_text(encoding="utf-8").split() for side in ("left", "right")}
     rows = [f"tracker,{side},{row}" for side, (_, *some) in tables.items() for row in some]
     (tmp_path / "all.csv").write_text("\n".join([f"sensor,ball,{tables['left'][0]}", *rows]), encoding="utf-8")
-    (tmp_path / "rows.toml").write_text(described.partition("[scene]")[0] + by_row, encoding="utf-8")
+    (tmp_path / "rows.toml").write_text(described.partition("[position]")[0] + by_row, encoding="utf-8")
     at_once = ["calibrate", "all.csv", "--columns", "rows.toml", *calibrate[-4:-1], "all.npz", "--json", "all.json"]
     for words in ([*calibrate, "--json", "robot.json"], ["check", "robot.npz"], export, at_once):
         command = [sys.executable, "-m", "pickenv.cli", *words]
