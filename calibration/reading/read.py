@@ -116,15 +116,18 @@ def _by_scene(
     """Split files by the sensor and target that their rows name; each part has the description of these two alone.
 
     Raises:
-        InputError: If a row names none, or if no row names the sensor or target of the description.
+        InputError: If a row names none, if no row names the sensor or target of the description, or if a link is of
+            neither.
     """
-    if given is None or given.scene.sensor_column is given.scene.target_column is None:
+    if given is None or given.scene == description.SceneTable():
         return [(given, logs)]
     scene, parts = given.scene, dict[tuple[str, ...], list[Log]]()
     asked = (("sensor", scene.sensor_column, scene.sensor), ("target", scene.target_column, scene.target))
+    known = {scene.sensor, scene.target}
     for table, path in logs:
         rows_of, rows = dict[tuple[str, ...], list[int]](), list(range(len(table.lines)))
         texts = [[name] * len(rows) if column is None else table.texts(column) for _, column, name in asked]
+        known.update(*texts)
         for i, (_, _, name) in enumerate(asked):
             rows = [row for row in rows if texts[i][row] == name] if name else rows
         for row in rows:
@@ -134,6 +137,10 @@ def _by_scene(
             rows_of.setdefault(tuple(names[row] for names in texts), []).append(row)
         for pair, of_pair in rows_of.items():
             parts.setdefault(pair, []).append((table.select(of_pair), path))
+    for name, _ in scene.links:
+        if name not in known:
+            where, names = logs[0][0].where, listed(sorted(known - {""})) or "none"
+            raise InputError(f"{where}: [scene.links] has '{shortened(name)}', but sensors and targets are {names}")
     if not parts:
         named = " and ".join(f"{what} '{shortened(name)}' in column '{column}'" for what, column, name in asked if name)
         raise InputError(f"{logs[0][0].where}: no row names {named}; correct [scene]")

@@ -147,6 +147,10 @@ def test_one_table_says_row_by_row_what_saw_what(tmp_path: Path) -> None:
         (('sensor = "tracker"', 'sensor = "gauge"'), r"row 62, column 'ball' is empty; name the row's own, or remove"),
         (('"ball"', '"prism"'), "column 'prism' is missing; the file has sensor, ball"),
         (('right_tip = "right_tip"', 'right_tip = "tail"'), "names link 'tail', but the arm has left_tip, right_tip"),
+        (
+            ("\nright_tip = ", "\nrigth_tip = "),
+            "has 'rigth_tip', but sensors and targets are gauge, left_tip, right_tip",
+        ),
         ((links, 'links = "left_tip"'), "names of sensors and targets, each with the name of its link"),
     ):
         (tmp_path / "all.toml").write_text(scene.replace(*change), encoding="utf-8")
