@@ -139,8 +139,10 @@ def _by_scene(
             parts.setdefault(pair, []).append((table.select(of_pair), path))
     for name, _ in scene.links:
         if name not in known:
-            where, names = logs[0][0].where, listed(sorted(known - {""})) or "none"
-            raise InputError(f"{where}: [scene.links] has '{shortened(name)}', but sensors and targets are {names}")
+            named = listed(sorted(known - {""})) or "without names"
+            raise InputError(
+                f"{logs[0][0].where}: [scene.links] has '{shortened(name)}', but sensors and targets are {named}"
+            )
     if not parts:
         named = " and ".join(f"{what} '{shortened(name)}' in column '{column}'" for what, column, name in asked if name)
         raise InputError(f"{logs[0][0].where}: no row names {named}; correct [scene]")
