@@ -54,7 +54,7 @@ from papers.qiao2026.methods import (
 )
 from papers.qiao2026.page import NOTES, drawings, sections
 from pickenv.arm import load_plant, noncompensable_error, shipped_plants
-from pickenv.base import mean_interval, write_text
+from pickenv.base import InputError, mean_interval, write_text
 from pickenv.base.intervals import LEAST
 from pickenv.calibration import BpnnSettings, identify, link_model
 from pickenv.envs.shared.task import check_choice
@@ -100,15 +100,17 @@ def main(
     options += "" if seed == SEED else f" --seed {seed}"
     of_plants, twin_arm, twin_run, of_tables, of_phi = np.random.SeedSequence(seed).spawn(5)
     campaigns, methods = {}, METHODS
-    for name in [*(method or ())]:
+    if plant and not method:
+        raise InputError("--plant chooses rows of --method; give both, or leave --plant out")
+    for name in method or ():
         check_choice("method", name, METHODS)
-    for name in [*(plant or ())]:
+    for name in plant or ():
         check_choice("plant", name, PLANTS)
     if method:
         methods, counts = tuple(name for name in METHODS if name in method), (0, *counts[1:])
     with Progress() as bars:
         for name, own in zip(PLANTS, of_plants.spawn(len(PLANTS)), strict=True):
-            if method and plant and name not in plant:
+            if plant and name not in plant:
                 continue
             task = bars.add_task(f"Table 4, plant {name}", total=counts[0] + counts[1] * counts[2])
             advance = partial(bars.advance, task)

@@ -223,6 +223,7 @@ def test_rows_of_a_method_alone_are_made_by_name_and_seed(tmp_path):
     assert [row["plant"], row["method"]] == ["qiao2026", "LS"] and row["arms_mm"] != another["arms_mm"]
     assert "give one of raw, EKF, LS" in made("--method", "Kalman")
     assert "give one of qiao2026, field" in made("--method", "LS", "--plant", "orchard")
+    assert "give both, or leave --plant out" in made("--plant", "field")
 
 
 # Qiao 2026, Tables 1 and 2, as printed; nan: removed as redundant.
