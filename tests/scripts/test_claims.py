@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import typer
-from click import Context
 from typer.main import get_command
 
 from pickenv.cli import app
@@ -98,7 +97,7 @@ def programs(claims):
         if first == "pickenv":
             program = get_command(app)
             for word in words:
-                program = program.get_command(Context(program), word)
+                program = program.commands[word]
         else:
             main = typer.Typer()
             main.command()(importlib.import_module(f"{words[-1]}.__main__").main)
