@@ -203,6 +203,8 @@ def given_rows(
         for part, layout in zip(sets, layouts, strict=True)
         for data_set in read_scene(part, arm.nominal, layout)
     ]
+    if stations is not None:
+        rows = [series for data_set in rows for series in _files(data_set)]
     return _joined(arm, rows, stations, known, like)
 
 
@@ -268,8 +270,8 @@ def _same_scene(like: Observations, data: Observations) -> InstrumentStation:
     raise InputError(f"{data.source}: [scene] names {named}, as no fitted file of this kind does; name the same ones")
 
 
-def _files(data: Measurements) -> list[Measurements]:
-    """Split measurements by file."""
+def _files(data: Any) -> list[Any]:
+    """Split measurements by file, and by series of a file."""
     origins = origins_of(data)
     numbers = np.unique(origins.file)
     return [replace(data.select(origins.file == i), source=origins.files[i]) for i in numbers.tolist()]

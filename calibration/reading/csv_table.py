@@ -138,10 +138,10 @@ class Table:
                     "separator and the decimal sign, and name them in a column description"
                 )
 
-    def select(self, rows: Sequence[int]) -> Table:
-        """Return a table of the rows with the given indices."""
+    def select(self, rows: Sequence[int], where: str = "") -> Table:
+        """Return a table of the rows with the given indices; messages call it ``where``, by default as before."""
         cells, lines = [self.rows[row] for row in rows], [self.lines[row] for row in rows]
-        return Table(self.where, self.header, cells, lines, self.decimal)
+        return Table(where or self.where, self.header, cells, lines, self.decimal)
 
     def texts(self, name: str) -> list[str]:
         """Return the cells of a column as text without surrounding spaces; empty where a row is too short."""

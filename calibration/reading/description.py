@@ -462,6 +462,9 @@ class SceneTable:
     ``sensor_column`` and ``target_column`` hold the names row by row. If ``sensor`` is given as well, only the rows of
     this sensor are read; otherwise the rows of each name are a data set. The same holds for targets. ``links`` are the
     links of named sensors and targets; the others are on ``sensor_link`` and ``target_link``.
+
+    ``series_column`` holds names of series. The rows of a series are read like a file of their own, so that the
+    instrument or the tool may have moved between two series. With ``series``, only that series is read.
     """
 
     sensor: str = ""
@@ -470,7 +473,19 @@ class SceneTable:
     target: str = ""
     target_link: str = ""
     target_column: Annotated[str, COLUMN] | None = None
+    series: str = ""
+    series_column: Annotated[str, COLUMN] | None = None
     links: Annotated[tuple[tuple[str, str], ...], Then(_pairs, Any)] = ()
+
+    def __post_init__(self) -> None:
+        names = self.sensor or self.target or self.sensor_column or self.target_column
+        if self.series and self.series_column is None:
+            raise InputError("series of [scene] is a name in its series_column, which is missing; give both")
+        if self.series_column and names and not self.series:
+            raise InputError(
+                "series_column of [scene] is for a sensor and target without names, for a name says what was moved; "
+                "leave it out, or name one series"
+            )
 
 
 @toml_table

@@ -73,8 +73,8 @@ def read_observations(
     """
     sets = read_scene(paths, geometry, columns, repeats=repeats)
     if len(sets) > 1:
-        pairs = listed(" of ".join(filter(None, origins_of(part).scene)) for part in sets)
-        raise InputError(f"{paths[0]}: has rows of {pairs}, of which one is needed here; name it in [scene]")
+        rows_of = listed(" of ".join(filter(None, origins_of(part).scene)) or part.source for part in sets)
+        raise InputError(f"{paths[0]}: has rows of {rows_of}, of which one is needed here; name it in [scene]")
     return sets[0]
 
 
@@ -113,30 +113,32 @@ Log = tuple[csv_table.Table, Path]
 def _by_scene(
     logs: list[Log], given: description.DescriptionFile | None
 ) -> list[tuple[description.DescriptionFile | None, list[Log]]]:
-    """Split files by the sensor and target that their rows name; each part has the description of these two alone.
+    """Split files by the sensor, target and series of their rows; each part has the description of its own alone.
 
     Raises:
-        InputError: If a row names none, if no row names the sensor or target of the description, or if a link is of
-            neither.
+        InputError: If a row names none, if no row names the sensor, target or series of the description, or if a link
+            is of no sensor or target.
     """
     if given is None or given.scene == description.SceneTable():
         return [(given, logs)]
     scene, parts = given.scene, dict[tuple[str, ...], list[Log]]()
-    asked = (("sensor", scene.sensor_column, scene.sensor), ("target", scene.target_column, scene.target))
+    asked = [(what, getattr(scene, f"{what}_column"), getattr(scene, what)) for what in ("sensor", "target", "series")]
     known = {scene.sensor, scene.target}
     for table, path in logs:
         rows_of, rows = dict[tuple[str, ...], list[int]](), list(range(len(table.lines)))
         texts = [[name] * len(rows) if column is None else table.texts(column) for _, column, name in asked]
-        known.update(*texts)
+        known.update(*texts[:2])
         for i, (_, _, name) in enumerate(asked):
             rows = [row for row in rows if texts[i][row] == name] if name else rows
         for row in rows:
-            for (_, column, _), names in zip(asked, texts, strict=True):
-                if column is not None and not names[row]:
+            for (_, column, _), cells in zip(asked, texts, strict=True):
+                if column is not None and not cells[row]:
                     raise InputError(f"{table.cell(row, column)} is empty; name the row's own, or remove the row")
-            rows_of.setdefault(tuple(names[row] for names in texts), []).append(row)
-        for pair, of_pair in rows_of.items():
-            parts.setdefault(pair, []).append((table.select(of_pair), path))
+            rows_of.setdefault(tuple(cells[row] for cells in texts), []).append(row)
+        for names, of_names in rows_of.items():
+            where = f"{table.where}, series {shortened(names[2])}" if names[2] else table.where
+            part = names[:2] if given.pixels is None else names  # a data set of views is one file
+            parts.setdefault(part, []).append((table.select(of_names, where), path))
     for name, _ in scene.links:
         if name not in known:
             named = listed(sorted(known - {""})) or "without names"
@@ -146,7 +148,9 @@ def _by_scene(
     if not parts:
         named = " and ".join(f"{what} '{shortened(name)}' in column '{column}'" for what, column, name in asked if name)
         raise InputError(f"{logs[0][0].where}: no row names {named}; correct [scene]")
-    return [(replace(given, scene=replace(scene, sensor=s, target=t)), part) for (s, t), part in parts.items()]
+    return [
+        (replace(given, scene=replace(scene, sensor=names[0], target=names[1])), part) for names, part in parts.items()
+    ]
 
 
 def _data_set(

@@ -175,6 +175,45 @@ def test_the_command_prints_set_ups_with_their_files_and_keeps_them(ur5: Arm, tr
     assert isinstance(both.test, Stacked) and [each.number for each in both.test.stations] == [1, 2]
 
 
+def test_series_of_one_table_are_read_as_files(ur5: Arm, true: Geometry, tmp_path: Path) -> None:
+    """Three days, row by row in turns, end where three files end; each may also be read alone."""
+    days = [day(true, 1), day(true, 2, THERE), day(true, 3)]
+    files = [each.write_csv(tmp_path / each.source) for each in days]
+    table, by_day, plain = (tmp_path / name for name in ("all.csv", "by_day.toml", "plain.toml"))
+    (header, *_), *_ = tables = [path.read_text(encoding="utf-8").splitlines() for path in files]
+    turns = zip(*(rows for _, *rows in tables), strict=True)
+    rows = [f"{name},{row}" for turn in turns for name, row in zip("abc", turn, strict=True)]
+    table.write_text("\n".join([f"day,{header}", *rows]), encoding="utf-8")
+    text = '[joints]\ncolumns = ["q1_deg", "q2_deg", "q3_deg", "q4_deg", "q5_deg", "q6_deg"]\nunit = "deg"\n'
+    text += '[position]\ncolumns = ["x_mm", "y_mm", "z_mm"]\nunit = "mm"\n'
+    text += '[rotation]\ncolumns = ["rx_deg", "ry_deg", "rz_deg"]\nunit = "deg"\nconvention = "rotation_vector"\n'
+    plain.write_text(text, encoding="utf-8")
+    by_day.write_text(f'{text}[scene]\nseries_column = "day"\n', encoding="utf-8")
+    a, b, c = (f"{table}, series {name}" for name in "abc")
+    for stations, parts in ((None, [[a, c], [b]]), ("base", [[a], [b], [c]])):
+        by_file = calibrate(ur5, files, columns=plain, stations=stations, choices=PLAIN)
+        by_row = calibrate(ur5, table, columns=by_day, stations=stations, choices=PLAIN)
+        assert by_row.best == by_file.best
+        assert [set_up["own"] for set_up in by_row.set_ups] == [set_up["own"] for set_up in by_file.set_ups]
+        assert [set_up["files"] for set_up in by_row.set_ups] == parts
+    with pytest.raises(InputError, match="left series"):
+        by_day.write_text(f'{text}[scene]\nseries_column = "day"\nseries = "left series"\n', encoding="utf-8")
+        read_observations([table], ur5.nominal, by_day)
+    by_day.write_text(f'{text}[scene]\nseries_column = "day"\nseries = "b"\n', encoding="utf-8")
+    alone, second = (
+        read_observations([path], ur5.nominal, layout) for path, layout in ((table, by_day), (files[1], plain))
+    )
+    np.testing.assert_array_equal(alone.readings(), second.readings())
+    for scene, message in (
+        ('series = "b"', "series_column, which is missing; give both"),
+        ('series_column = "day"\ntarget = "ball"', "is for a sensor and target without names"),
+        ('series_column = "date"', "column 'date' is missing; the file has day"),
+    ):
+        by_day.write_text(f"{text}[scene]\n{scene}\n", encoding="utf-8")
+        with pytest.raises(InputError, match=message):
+            calibrate(ur5, table, columns=by_day, choices=PLAIN)
+
+
 def findings(result: Result) -> str:
     return " ".join(": ".join(finding) for finding in result.quality.findings)
 
