@@ -16,7 +16,7 @@ import itertools
 import math
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -281,62 +281,46 @@ def frames_apart(arm: Geometry, file: Geometry, root: Pose, sign: Array, zero: A
 Z = np.array([0.0, 0.0, 1.0])
 
 
-def corrected_chain(
-    nominal: Geometry, identified: Geometry, joints: Sequence[ChainJoint], same: SameChain
-) -> tuple[list[Pose], Pose]:
-    """Compute the corrected origins of a file's joints, and the calibrated tool's pose in the last joint's frame.
+def corrected_origins(
+    nominal: Geometry, identified: Geometry, branches: Sequence[Sequence[ChainJoint]], same: SameChain
+) -> tuple[list[tuple[ChainJoint, Pose]], Pose]:
+    """Compute the corrected origin of each joint of a file, and the calibrated tool's pose in the last joint's frame.
+
+    A whole robot has no one tool: the second result is then the identity. The fitted places of its sensors and targets
+    are left out, since they are no part of the robot.
 
     Args:
         nominal: The arm's geometry before its calibration.
         identified: The calibrated geometry in the robot's own base. If base and tool were fitted, the base is that of
             ``nominal``.
-        joints: The joints of the file.
+        branches: The file's joints from root to tip; for a whole robot, those up to each named part of its tree.
         same: The relation of ``nominal`` to the file.
     """
     root, sign, zero = same
-    before, after = ([behind(root, pose) for pose in link_frames(geometry, zero)] for geometry in (nominal, identified))
+    tree, arms = nominal.tree, [nominal, identified]
+    ways = [list(range(nominal.links))]
+    if tree is not None:
+        arms = [geometry.between(-1, 0) for geometry in arms]
+        ways = [[link for link in reversed(tree.carry(end)) if nominal.ratios[link]] for end in tree.carriers]
+    before, after = ([behind(root, pose) for pose in link_frames(geometry, zero)] for geometry in arms)
     signs = [float(sign[joint]) for joint in nominal.owners]
-    origins, old, new = _moved_origins(before, after, joints, signs)
-    hand = behind(after[-1], identified.tool)
-    if joints and joints[-1].ratio:
+    moves: dict[str, tuple[ChainJoint, Pose]] = {}
+    for way, joints in zip(ways, branches, strict=True):
+        drawn, fitted = ([frames_of[link] for link in way] for frames_of in (before, after))
+        corrected, senses = {name: origin for name, (_, origin) in moves.items()}, [signs[link] for link in way]
+        origins, old, new = _moved_origins(drawn, fitted, joints, senses, corrected)
+        moves |= {joint.name: (joint, origin) for joint, origin in zip(joints, origins, strict=True)}
+    if tree is not None:
+        return list(moves.values()), identity_pose()
+    hand, last = behind(after[-1], identified.tool), joints[-1]
+    if last.ratio:
         drawing, placed = behind(before[-1], nominal.tool), behind(inverse_pose(new), hand)
-        axis, moved = joints[-1].axis, behind(placed, inverse_pose(behind(inverse_pose(old), drawing)))
+        axis, moved = last.axis, behind(placed, inverse_pose(behind(inverse_pose(old), drawing)))
         # The part of the tool's motion that shifts along the last axis and turns about it is the joint's.
         turn = rotation_matrix(axis * (axis @ rotation_vector(moved.rotation)))
         along = Pose(axis * (axis @ moved.position), turn)
-        origins[-1], new = behind(origins[-1], along), behind(new, along)
-    return origins, behind(inverse_pose(new), hand)
-
-
-def corrected_tree(calibration: Calibration, rows: Sequence[JointRow], path: Path) -> list[tuple[ChainJoint, Pose]]:
-    """Compute the corrected origins of a whole robot's joints, and return each joint with its new origin.
-
-    The fitted places of sensors and targets are left out, since they are no part of the robot.
-
-    Args:
-        calibration: The calibration.
-        rows: For each named part of the robot's kinematic tree, the file's joints up to it, in the tree's order.
-        path: The file, for messages.
-
-    Raises:
-        InputError: If the file is of another robot.
-    """
-    calibration.refuse_another(arm_of(rows, path, "whole robot"), str(path))
-    nominal, identified = (
-        replace(geometry.between(-1, 0), base=calibration.arm.base)
-        for geometry in (calibration.arm, calibration.identified)
-    )
-    all_before, all_after = (link_frames(geometry, np.zeros(geometry.joints)) for geometry in (nominal, identified))
-    tree = nominal.tree
-    assert tree is not None
-    corrected: dict[str, tuple[ChainJoint, Pose]] = {}
-    for row, carrier in zip(rows, tree.carriers, strict=True):
-        line = [link for link in reversed(tree.carry(carrier)) if nominal.ratios[link]]
-        before, after = ([frames[link] for link in line] for frames in (all_before, all_after))
-        earlier = {name: new for name, (_, new) in corrected.items()}
-        moved, *_ = _moved_origins(before, after, row.joints, [1.0] * len(line), earlier)
-        corrected |= {joint.name: (joint, new) for joint, new in zip(row.joints, moved, strict=True)}
-    return list(corrected.values())
+        moves[last.name], new = (last, behind(origins[-1], along)), behind(new, along)
+    return list(moves.values()), behind(inverse_pose(new), hand)
 
 
 def _moved_origins(
@@ -344,7 +328,7 @@ def _moved_origins(
     after: Sequence[Pose],
     joints: Sequence[ChainJoint],
     signs: Sequence[float],
-    corrected: Mapping[str, Pose] | None = None,
+    corrected: Mapping[str, Pose],
 ) -> tuple[list[Pose], Pose, Pose]:
     """Compute the corrected origins of a file's joints, and the pose after the last joint in the file and corrected.
 
@@ -363,7 +347,7 @@ def _moved_origins(
         old = behind(old, joint.origin)
         stood = behind(new, joint.origin)
         link = places.get(joint.name)
-        if corrected and joint.name in corrected:
+        if joint.name in corrected:
             stood = behind(new, corrected[joint.name])
         elif link is not None:
             laid = behind(inverse_pose(before[link]), old)
@@ -445,17 +429,18 @@ def correction(calibration: Calibration, rows: Sequence[JointRow], path: Path, f
     Raises:
         InputError: If the file is of another arm.
     """
-    if calibration.arm.tree is not None:
-        moves = corrected_tree(calibration, rows, path)
+    arm, robot, own = calibration.arm, calibration.in_own_base, rows[0]
+    if arm.tree is not None:
+        calibration.refuse_another(arm_of(rows, path, "whole robot"), str(path))
+        alike = identity_pose(), np.ones(arm.joints), np.zeros(arm.joints)
+        moves, _ = corrected_origins(arm, robot, [row.joints for row in rows], alike)
         return Correction(moves, (moved_words(moves), *left_out(calibration, RIGID)))
-    own = rows[0]
     with in_file(path):
         geometry, *_ = geometry_of(rows)
-    same = same_chain(calibration.arm, geometry, path.name, calibration.arm_name)
+    same = same_chain(arm, geometry, path.name, calibration.arm_name)
+    moves, tool_mount = corrected_origins(arm, robot, [own.joints], same)
     root, _, zero = same
     fitted = calibration.record.get("frames") == "fitted"
-    origins, tool_mount = corrected_chain(calibration.arm, calibration.in_own_base, own.joints, same)
-    moves = list(zip(own.joints, origins, strict=True))
     hand = behind(inverse_pose(own.tool), tool_mount)
     retooled = max(apart(calibration.arm.tool, calibration.identified.tool)) > NOTHING
     tool, tip = behind(root, forward(calibration.arm, zero)), forward(geometry, np.zeros(geometry.joints))

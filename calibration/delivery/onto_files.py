@@ -443,9 +443,8 @@ def _new_kinematics_yaml(calibration: Calibration) -> document.Document:
     alike = identity_pose(), np.ones(len(UR_LINKS)), np.zeros(len(UR_LINKS))
     robot = calibration.in_own_base
     robot = replace(robot, base=behind(inverse_pose(arm.base), robot.base))
-    origins, _ = corrected_chain.corrected_chain(based, robot, joints, alike)
-    for link, origin in zip(UR_LINKS, origins, strict=True):
-        lines.append(f"  {link}:")
+    for joint, origin in corrected_chain.corrected_origins(based, robot, [joints], alike)[0]:
+        lines.append(f"  {joint.name}:")
         lines += [f"    {key}: {yaml_number(value)}" for key, value in _ur_values(origin).items()]
     lines.append(f"  hash: calib_pickenv_{calibration.arm_fingerprint}")
     notes = (
