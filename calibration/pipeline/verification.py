@@ -377,12 +377,17 @@ def verify(
     Args:
         calibration: The calibration.
         data: New poses or positions of the same robot.
-        refit: Which of "base" and "tool" are refitted first, because the instrument or its target was moved.
+        refit: Which of "base" and "tool" are refitted first, because the instrument or its target was moved. Of a whole
+            robot both always are, because its calibration does not hold where sensors and targets stood.
         refit_rows: Number of rows to which these frames are refitted. The calibration is judged on the other rows.
 
     Raises:
-        InputError: If the data are not poses or positions, or too few.
+        InputError: If the data are not poses or positions, or too few. Also if one frame of a whole robot is named.
     """
+    if calibration.arm.tree is not None:
+        if len(refit) == 1:
+            raise InputError("the place of sensor and target on a whole robot is always found anew; leave `refit` out")
+        refit = OWN
     poses: Measurements | None = data.poses
     if poses is None:
         raise InputError(f"{data.source} holds {data.kind}; a calibration is verified on poses or positions")

@@ -146,7 +146,8 @@ def verify(
         calibration: Calibration file (.npz).
         files: New poses or positions of the same robot.
         columns: Column description, by name or path; pickenv's own if left out.
-        refit: Fit base, tool or base,tool again before judging, because the instrument or its target was moved.
+        refit: Fit base, tool or base,tool again before judging, because the instrument or its target was moved. Both
+            are always fitted again for a whole robot.
         refit_rows: Number of new rows to fit base and tool from; the other rows judge. 6 if left out.
         json_file: Write the results to this file.
 
@@ -158,10 +159,12 @@ def verify(
     from pickenv.calibration.pipeline.verification import frames_and_rows, verify as verified
 
     separate({"CALIBRATION": calibration, "FILES": files, "--columns": columns}, {"--json": json_file})
-    old = pickenv.Calibration.load(calibration)
+    old = pickenv.Calibration.load(calibration, whole=True)
     data = pickenv.calibration.read_observations(files, old.arm, columns)
     verdict = verified(old, data, *frames_and_rows(refit, refit_rows))
     good, arm = verdict.status == "still good", old.arm_name if old.arm_name in pickenv.arm.shipped_arms() else "ARM"
+    if old.arm.tree is not None:
+        arm = f"ROBOT.urdf#{','.join(old.arm.tree.names)}"
     step = next_step(arm, calibration, not good)
     if verdict.status == "another station":
         rows: list[Any] = files if verdict.since is None else ["THOSE_ROWS"]

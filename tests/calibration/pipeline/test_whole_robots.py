@@ -1,14 +1,15 @@
 """One fit of a whole robot: two arms on a torso that bends, a head camera that watches a wrist, and its own URDF."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import pickenv
-from pickenv.arm import Array, Geometry, forward, identity_pose, load_arm
+from pickenv.arm import Array, Geometry, forward, identity_pose, load_arm, rotation_matrix
 from pickenv.base import InputError
 from pickenv.calibration import (
     Calibration,
@@ -19,6 +20,7 @@ from pickenv.calibration import (
     identify_terms,
     missed_by,
     read_observations,
+    verify,
     weight_of,
 )
 from tests.calibration.whole_robots import (
@@ -219,6 +221,31 @@ def test_a_whole_robot_compensates_no_tool(second: tuple[Path, Robot, Result], t
     (tmp_path / "other.urdf").write_text(drawn_robot(np.random.default_rng(9)).urdf(), encoding="utf-8")
     with pytest.raises(InputError, match="another geometry"):
         pickenv.calibration.export(result.calibration, tmp_path / "new.urdf", onto=tmp_path / "other.urdf")
+
+
+def test_a_later_day_tells_which_part_of_a_robot_changed(
+    second: tuple[Path, Robot, Result], tmp_path: Path, typed: Callable[..., Any]
+) -> None:
+    """Rows of either arm from another station, before and after a motor of the left arm was set 2 mrad off."""
+    folder, truth, result = second
+    saved, joints = result.save(tmp_path / "robot.npz"), joints_of(truth, "left", "right")
+    third = next(joint for joint in truth.joints if joint.name == "left_j3")
+    reset = replace(third, origin=third.origin @ matrix(rotation=rotation_matrix(2e-3 * third.axis)))
+    changed = replace(truth, joints=tuple(reset if joint is third else joint for joint in truth.joints))
+    screens = {}
+    for when, robot in (("before", truth), ("after", changed)):
+        for link in ARMS:
+            track(robot, joints, link, tmp_path, np.random.default_rng(50), matrix((2.0, 0.4, 0.0)))
+            done = typed("verify", saved, tmp_path / f"{link}.csv", "--columns", folder / f"{link}.toml")
+            screens[when, link] = done.returncode, " ".join(done.stdout.split())
+    for told, (code, screen) in screens.items():
+        off = told == ("after", "left_tip")
+        assert code == (3 if off else 0), screen
+        assert screen.startswith("verdict: DRIFTED" if off else "verdict: STILL GOOD"), screen
+    assert "the joints' zeros explain it" in screens["after", "left_tip"][1]
+    rows = read_observations([tmp_path / "left_tip.csv"], result.arm.nominal, folder / "left_tip.toml")
+    with pytest.raises(InputError, match="always found anew; leave `refit` out"):
+        verify(result.calibration, rows, ("base",))
 
 
 def test_a_wrist_that_is_left_out_leaves_the_other_as_it_was(tmp_path: Path) -> None:
