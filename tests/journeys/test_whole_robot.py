@@ -36,14 +36,16 @@ def test_both_arms_of_a_robot_are_calibrated_at_once(tmp_path: Path) -> None:
         text = described.replace('"left ball"', f'"{side} ball"').replace('"left_tip"', f'"{side}_tip"')
         (tmp_path / f"{side}.toml").write_text(text, encoding="utf-8")
     environment = os.environ | {"PYTHONPATH": str(ROOT), "MPLBACKEND": "Agg"}
-    calibrate, export = (shlex.split(line)[1:] for line in blocks["sh"].splitlines())
+    calibrate, export, verify = (shlex.split(line)[1:] for line in blocks["sh"].splitlines())
     screens = []
+    track(truth, joints, "left_tip", tmp_path, rng, matrix((2.0, 0.4, 0.0)))  # another day, another station
+    (tmp_path / "left_tip.csv").rename(tmp_path / "later.csv")
     tables = {side: (tmp_path / f"{side}.csv").read_text(encoding="utf-8").split() for side in ("left", "right")}
     rows = [f"tracker,{side},{row}" for side, (_, *some) in tables.items() for row in some]
     (tmp_path / "all.csv").write_text("\n".join([f"sensor,ball,{tables['left'][0]}", *rows]), encoding="utf-8")
     (tmp_path / "rows.toml").write_text(described.partition("[position]")[0] + by_row, encoding="utf-8")
     at_once = ["calibrate", "all.csv", "--columns", "rows.toml", *calibrate[-4:-1], "all.npz", "--json", "all.json"]
-    for words in ([*calibrate, "--json", "robot.json"], ["check", "robot.npz"], export, at_once):
+    for words in ([*calibrate, "--json", "robot.json"], ["check", "robot.npz"], export, at_once, verify):
         command = [sys.executable, "-m", "pickenv.cli", *words]
         done = subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True)
         assert done.returncode == 0, done.stdout + done.stderr
@@ -56,3 +58,4 @@ def test_both_arms_of_a_robot_are_calibrated_at_once(tmp_path: Path) -> None:
     assert nominal > 0.5 and left < 0.065  # of which the tracker's own noise is 0.052
     assert re.search(r"\d+ of 14 joint origins corrected: by up to", screens[2]), screens[2]
     assert (tmp_path / "robot_calibrated.urdf").is_file()
+    assert screens[4].startswith("verdict: STILL GOOD"), screens[4]
