@@ -619,7 +619,8 @@ def contiguous_folds(groups: Rows, poses: Rows, folds: int) -> list[tuple[Rows, 
     Args:
         groups: Group of each row ``(N,)``, such as its socket or station.
         poses: The pose of each row ``(N,)``, as `same_poses` numbers them.
-        folds: Number of folds.
+        folds: Number of folds, or more than the largest group has poses: then there are as many folds as it has poses,
+            so that none is empty. Groups of one pose each count as one group.
 
     Returns:
         Indices of the training rows and of the held-out rows, for each fold.
@@ -633,8 +634,12 @@ def contiguous_folds(groups: Rows, poses: Rows, folds: int) -> list[tuple[Rows, 
             f"{len(poses)} rows of {count} poses cannot be cut into {folds} folds; measure at least {max(folds, 2)}"
         )
     home, fold_of = home_groups(groups, poses), np.zeros(count, dtype=int)
-    for number in np.unique(home):
-        for i, part in enumerate(np.array_split(np.unique(poses[home == number]), folds)):
+    members = [np.unique(poses[home == number]) for number in np.unique(home)]
+    if max(map(len, members)) < 2:
+        members = [np.arange(count)]
+    folds = min(folds, max(map(len, members)))
+    for group in members:
+        for i, part in enumerate(np.array_split(group, folds)):
             fold_of[part] = i
     fold = fold_of[poses]
     return [(np.flatnonzero(fold != i), np.flatnonzero(fold == i)) for i in range(folds)]

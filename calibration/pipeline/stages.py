@@ -503,7 +503,10 @@ def _judged_by_blocks(draft: Draft) -> Result:
 
 
 def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
-    """Return for each block the rows to fit and the rows held out; with few pictures or poses, each is a block."""
+    """Return for each block the rows to fit and the rows held out.
+
+    With few pictures or poses, a block is one of them from each group.
+    """
     poses, count = observations.same_poses(train.joints), pose_count(train.joints)
     few = count <= (FEW_VIEWS if train.kind == "pixels" else FEW_ROWS)
     return observations.contiguous_folds(train.groups, poses, count if few else observations.BLOCKS)

@@ -67,6 +67,18 @@ def test_folds_hold_out_every_row_once(rows: int, data: st.DataObject) -> None:
         assert len(train) + len(held) == rows
 
 
+@given(st.lists(st.integers(0, 5), min_size=2, max_size=40), st.data())
+def test_no_fold_of_groups_is_empty(groups: list[int], data: st.DataObject) -> None:
+    """However many groups there are and however small, and no fold holds out more of a group than its share."""
+    folds = contiguous_folds(np.array(groups), np.arange(len(groups)), data.draw(st.integers(2, len(groups))))
+    assert len(folds) >= 2 and sorted(np.concatenate([out for _, out in folds])) == list(range(len(groups)))
+    sizes = np.bincount(groups)
+    for train, out in folds:
+        assert len(out) and sorted([*train, *out]) == list(range(len(groups)))
+        if sizes.max() > 1:
+            assert np.all(np.bincount(np.array(groups)[out], minlength=len(sizes)) <= np.ceil(sizes / len(folds)))
+
+
 def test_folds_that_cannot_be_are_refused() -> None:
     with pytest.raises(InputError, match="cannot be cut"):
         contiguous_folds(np.zeros(3, dtype=int), np.arange(3), 4)

@@ -223,6 +223,29 @@ def test_a_whole_robot_compensates_no_tool(second: tuple[Path, Robot, Result], t
         pickenv.calibration.export(result.calibration, tmp_path / "new.urdf", onto=tmp_path / "other.urdf")
 
 
+def test_a_camera_that_was_mounted_anew_is_another_series_of_its_table(tmp_path: Path) -> None:
+    """Few views in two series, whose views have equal numbers; each is held out once, and each has its own places."""
+    rng = np.random.default_rng(3)
+    robot = drawn_robot(rng)
+    truth = built(robot, rng)
+    joints = [*joints_of(truth, "left"), *(name for name in robot.moving if name.startswith("head"))]
+    (tmp_path / "robot.urdf").write_text(robot.urdf(), encoding="utf-8")
+    table: list[str] = []
+    for series, views in (("first", 14), ("second", 10)):
+        head_watches(truth, joints, "left_tip", tmp_path, rng, views)
+        header, *rows = (tmp_path / "camera.csv").read_text(encoding="utf-8").split()
+        table += [f"{series},{row}" for row in rows]
+    (tmp_path / "camera.csv").write_text("\n".join([f"mounted,{header}", *table]), encoding="utf-8")
+    text = (tmp_path / "camera.toml").read_text(encoding="utf-8")
+    (tmp_path / "camera.toml").write_text(f'{text}series_column = "mounted"\n', encoding="utf-8")
+    result = calibrated(tmp_path, ["camera"], ["left_tip", "head_tip"], terms="none")
+    first, second = result.set_ups
+    assert (first["rows"], second["rows"]) == (14, 10) == tuple(len(part.joints) for part in result.test.parts)
+    assert set(second["own"]) == {"base", "tool"} and second["own"]["base"]["mm"] > 1.0
+    nominal, left = held_out(result)
+    assert left < 0.7 * nominal
+
+
 def test_a_later_day_tells_which_part_of_a_robot_changed(
     second: tuple[Path, Robot, Result], tmp_path: Path, typed: Callable[..., Any]
 ) -> None:
