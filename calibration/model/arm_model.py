@@ -257,12 +257,13 @@ def link_model(geometry: Geometry) -> ErrorModel:
 def complete_model(geometry: Geometry) -> ErrorModel:
     """Return a model that is complete for any serial chain.
 
-    It has base and tool pose, the MDH parameters, and Hayati's beta between parallel axes.
+    It has base and tool pose, the MDH parameters, and Hayati's beta between parallel axes, or where the table has one.
     """
     names = geometry.parameter_names
     frames = [name for name in names if name.startswith(("base_", "tool_"))]
     links = _link_names(geometry)
-    betas = [f"beta{i}" for i in range(1, geometry.links) if abs(np.sin(geometry.alpha[i])) < NEARLY_PARALLEL]
+    parallel = (np.abs(np.sin(geometry.alpha)) < NEARLY_PARALLEL) | (geometry.beta != 0.0)
+    betas = [f"beta{i}" for i in range(1, geometry.links) if parallel[i]]
     return _model(geometry, frames + links + betas)
 
 

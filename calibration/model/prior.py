@@ -17,7 +17,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Array, Geometry, Tolerances, load_tolerances, standard_deviations
-from pickenv.arm.kinematics.forward import NEARLY_PARALLEL
 from pickenv.calibration.model import arm_model
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, Term, frames_model
 from pickenv.calibration.model.observations import Observations, worked_out
@@ -179,32 +178,11 @@ def prior_model(
     if fit == "offsets":
         parameters = zeros if known else frames_model(geometry).joined(zeros)
     group = _groups(parameters, geometry, known)
-    std = _widened(standard_deviations(expected, geometry), geometry)[parameters.columns]
+    std = standard_deviations(expected, geometry)[parameters.columns]
     angle = geometry.parameter_is_angle[parameters.columns]
     std = np.where(group == FRAMES, np.where(angle, FRAME_STD[1], FRAME_STD[0]), std)
     scales = {} if scale is None else dict.fromkeys(MADE, scale)
     return PriorModel(parameters, start, std, group, f"tolerance class {expected.name}", scales, tuple(scales))
-
-
-def _widened(std: Array, geometry: Geometry) -> Array:
-    """Standard deviations of a class's parts ``(5L + 12,)``, wider at joints whose axes meet at a small angle.
-
-    The feet of the common normal of two axes shift along both by offset / sin(alpha), and by a times the tilt of one
-    axis / sin(alpha)^2. The normal turns by the tilt / sin(alpha), and grows by the tilt times the feet's distance d
-    from where the parts meet. So a small tilt of a part is a large change of its table. Nothing is added at a right
-    angle, nor to nearly parallel axes, whose angle goes into beta.
-    """
-    links, std = geometry.links, std.copy()
-    twist, length, angle, offset, _ = (std[i * links : (i + 1) * links] for i in range(5))
-    sine = np.abs(np.sin(geometry.alpha[1:]))
-    sine = np.where(sine < NEARLY_PARALLEL, 1.0, sine)
-    tilt, skew = twist[1:], sine**-2 - 1.0
-    shift = length[1:] ** 2 * skew + (geometry.a[1:] * tilt) ** 2 * (sine**-4 - 1.0)
-    for part, more in ((angle, tilt**2 * skew), (offset, shift)):
-        part[:] = np.sqrt(part**2 + np.r_[more, 0.0] + np.r_[0.0, more])
-    feet = geometry.d[1:] ** 2 + geometry.d[:-1] ** 2
-    length[1:] = np.sqrt(length[1:] ** 2 + (1.0 - sine**2) * feet * tilt**2)
-    return std
 
 
 def expected_sizes(model: ArmModel) -> Array:

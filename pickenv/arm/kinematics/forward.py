@@ -32,6 +32,15 @@ Such small angles come from a file's rounding or a part's tolerance. The common 
 kilometres, if a file rounds half a turn to 3.1416.
 """
 
+SKEW, TILT_LEVER = 0.7, 0.15
+"""Axes with a shorter cross product are skew. Their angle goes into beta too if they are far apart.
+
+The feet of their common normal move far along both axes if one of them tilts by little: by the normal's length times
+the tilt / sine^2. Straight across, an axis that is displaced turns the link before by the displacement / distance. The
+distance from which on the second is less is the sine times `TILT_LEVER`, m: a part's tolerance of length over that of
+angle.
+"""
+
 
 def geometry_from_axes(
     joint_names: tuple[str, ...],
@@ -75,7 +84,7 @@ def geometry_from_axes(
         step, lean = origins[i] - origins[i - 1], float(z[i] @ x[i - 1])
         twist, turn = _angle(z[i - 1], z[i], x[i - 1]), _angle(x[i - 1], x[i], z[i])
         table[:, i] = twist, step @ x[i - 1], turn, step @ z[i], 0.0
-        if abs(lean) > PARALLEL:  # only where the next axis is nearly parallel, and leans along x
+        if abs(lean) > PARALLEL:  # only where the next axis is skew or nearly parallel, and leans along x
             along = (step @ z[i - 1]) / (z[i] @ z[i - 1])
             across = (x[i - 1] - lean * z[i]) / np.sqrt(1.0 - lean**2)
             table[:, i] = twist, step @ x[i - 1] - along * lean, _angle(across, x[i], z[i]), along, np.arcsin(lean)
@@ -93,9 +102,9 @@ def _common_normal(near: Array, z: Array, point: Array, next_z: Array, previous:
         across = point - near - z * (z @ (point - near))
         distance = float(np.linalg.norm(across))
         return near, across / distance if distance > PARALLEL else _perpendicular(z, previous)
-    if sine < NEARLY_PARALLEL:  # from ``near`` straight to the other axis
+    if sine < SKEW:  # from ``near`` straight to the other axis
         across = point - near - next_z * (z @ (point - near)) / (z @ next_z)
-        if (distance := float(np.linalg.norm(across))) > PARALLEL:
+        if (distance := float(np.linalg.norm(across))) > (PARALLEL if sine < NEARLY_PARALLEL else TILT_LEVER * sine):
             return near, across / distance
     # Distance along z from ``near`` to the foot: volume of (point - near, next_z, cross) over sine squared.
     along = float(np.cross(point - near, next_z) @ cross) / sine**2
