@@ -346,7 +346,7 @@ def _param(offset: float) -> str:
 # i. Standard (Denavit, Hartenberg): Rot(z, theta) Trans(z, d) Trans(x, a) Rot(x, alpha) Rot(y, beta): the same
 # factors, grouped anew, so alpha, a and beta stand a row earlier; what comes before the first and after the last is
 # the table's row 0 and, in the last row, what the tool holds of it (zero here). Hayati's beta is zero where no axes
-# are parallel.
+# are parallel or meet at a small angle.
 
 
 DH_TABLES_TABLE_FORMAT = "pickenv DH parameters 1"

@@ -211,7 +211,7 @@ class ArmModel:
 
 
 # The error model: which parameters of a geometry are identified, and on what scale. Complete for any serial chain:
-# four modified DH parameters per joint, Hayati's beta where consecutive axes are parallel, base and tool pose. Rows
+# four modified DH parameters per joint, Hayati's beta where axes are parallel or the table has it, base and tool pose. Rows
 # are weighted by the measurement's uncertainty and columns by a parameter's tolerance, because rank and redundancy
 # are meaningless in mixed units (Qiao 2026 digest, fact 2).
 
