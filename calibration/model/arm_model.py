@@ -211,9 +211,9 @@ class ArmModel:
 
 
 # The error model: which parameters of a geometry are identified, and on what scale. Complete for any serial chain:
-# four modified DH parameters per joint, Hayati's beta where axes are parallel or the table has it, base and tool pose. Rows
-# are weighted by the measurement's uncertainty and columns by a parameter's tolerance, because rank and redundancy
-# are meaningless in mixed units (Qiao 2026 digest, fact 2).
+# four modified DH parameters per joint, Hayati's beta where axes are parallel or the table has it, base and tool pose.
+# Rows are weighted by the measurement's uncertainty and columns by a parameter's tolerance, because rank and
+# redundancy are meaningless in mixed units (Qiao 2026 digest, fact 2).
 
 
 LENGTH_TOLERANCE = 1e-3

@@ -1,7 +1,8 @@
 """An arm as a serial chain of revolute and prismatic joints in modified DH parameters, with base and tool poses.
 
 Link i is T(i-1,i) = Rot(x, alpha) Trans(x, a) Rot(y, beta) Rot(z, theta) Trans(z, d): Qiao 2026 eq (1), with Hayati's
-beta added for consecutive axes that are parallel or meet at less than 45 degrees (zero in every shipped table). Units: metres and radians.
+beta added for consecutive axes that are parallel or meet at less than 45 degrees (zero in every shipped table). Units:
+metres and radians.
 
 One drive may move several links (a two-stage lift, a parallelogram), so there may be more links than joints. The link
 table has a row per link. Joint values, names and limits belong to the commanded joints (`Coupling`).
