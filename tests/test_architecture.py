@@ -364,6 +364,7 @@ IN_CODE = {
     "ROUNDING": "a rounding error",
     "OVERLAP": "where pushing fruit apart ends",
     "REVERSED": "where a formula changes",
+    "TILT_LEVER": "which of two tables of one arm is the steadier",
     "STIRRED": "a rounding error of joints that stand still",
 }
 """Numbers with a unit that belong to the code, and why; those of instruments, arms and fruit stand in TOML files."""
