@@ -32,14 +32,15 @@ Such small angles come from a file's rounding or a part's tolerance. The common 
 kilometres, if a file rounds half a turn to 3.1416.
 """
 
-SKEW, TILT_LEVER = 0.7, 0.15
-"""Axes with a shorter cross product are skew. Their angle goes into beta too if they are far apart.
+SKEW = 0.7
+"""Axes with a shorter cross product are skew; their angle goes into beta too if they are far apart.
 
 The feet of their common normal move far along both axes if one of them tilts by little: by the normal's length times
-the tilt / sine^2. Straight across, an axis that is displaced turns the link before by the displacement / distance. The
-distance from which on the second is less is the sine times `TILT_LEVER`, m: a part's tolerance of length over that of
-angle.
+the tilt / sine^2. Straight across, an axis that is displaced turns the link before by the displacement / distance.
 """
+
+TILT_LEVER = 0.15
+"""A part's tolerance of length over that of angle, m; times the sine, the distance from which on skew axes are far."""
 
 
 def geometry_from_axes(
