@@ -447,10 +447,8 @@ def no_gain(
     if count < ENOUGH:
         few = f"1 {called[:-1]} was" if count == 1 else f"{count} {called} were"
         yield f"only {few} held out, which judges nothing; measure more, or give others as `test`"
-    if before is None or count < ENOUGH:
-        return
-    was, now = _rms(before, unit), _rms(after, unit)
-    if _undecided(before, after, blocks):
+    elif before is not None and _undecided(before, after, blocks):
+        was, now = _rms(before, unit), _rms(after, unit)
         verb = "is no better than" if now >= was else "cannot be told from"
         yield (
             f"on {count} held-out {called} the calibrated arm ({now:#.4g} {unit} RMS) {verb} the nominal one "

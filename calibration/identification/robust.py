@@ -21,12 +21,7 @@ from pickenv.calibration.model.arm_model import ArmModel, ErrorModel, fitted_mod
 from pickenv.calibration.model.kinds import ReflectorObservations
 from pickenv.calibration.model.measurements import OWN, InstrumentStation, Measurements, Stacked, rows_together
 from pickenv.calibration.model.noise import counted
-from pickenv.calibration.model.observations import (
-    Observations,
-    equally_spaced,
-    nearest_rotation,
-    origins_of,
-)
+from pickenv.calibration.model.observations import Observations, equally_spaced, nearest_rotation, origins_of
 from pickenv.calibration.model.terms import weight_of
 
 # Base and tool pose from anywhere: closed-form starts, then least squares, and the refusal of what is no such arm.

@@ -16,16 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from pickenv.arm import (
-    Arm,
-    Array,
-    Geometry,
-    Pose,
-    displace_pose,
-    identity_pose,
-    joint_jacobian,
-    parameter_jacobian,
-)
+from pickenv.arm import Arm, Array, Geometry, Pose, displace_pose, identity_pose, joint_jacobian, parameter_jacobian
 from pickenv.arm.kinematics.forward import NEARLY_PARALLEL, forward
 from pickenv.base import InputError
 

@@ -91,24 +91,6 @@ def steady_solution(matrix: Array, right: Array) -> Array:
     return solution
 
 
-def _centre(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
-    """Fit the centre A ``(d,)`` of points p ``(N, d)`` whose distances r from A are read as l = r + z, and the zero z.
-
-    |p|^2 - l^2 = 2 p.A - 2 l z + a constant (z^2 less |A|^2), which is linear in A, z and the constant.
-    """
-    middle, begin = points.mean(axis=0), float(readings.mean()) if unknown else zero
-    p, length = points - middle, readings - begin
-    varied = unknown and float(np.ptp(readings)) > 0.0
-    columns = [2.0 * p, np.ones((len(p), 1)), *([-2.0 * length[:, None]] if varied else [])]
-    solution = steady_solution(np.hstack(columns), np.sum(p**2, axis=1) - length**2)
-    at, constant = solution[: p.shape[1]], float(solution[p.shape[1]])
-    if varied:
-        begin += float(solution[-1])
-    elif unknown:
-        begin -= float(np.sqrt(max(constant + float(at @ at), 0.0)))
-    return middle + at, begin
-
-
 def _normal(points: Array) -> Array:
     """The normal ``(3,)`` of the plane nearest to points ``(N, 3)``, fitted without those that lie far off it."""
     near, axes = np.ones(len(points), dtype=bool), np.eye(3)
@@ -144,7 +126,21 @@ class _Point:
 
     @staticmethod
     def start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
-        return _centre(points, readings, zero, unknown)
+        """First values of the centre A of points p whose distances r from A are read as l = r + z, and of the zero z.
+
+        |p|^2 - l^2 = 2 p.A - 2 l z + a constant (z^2 less |A|^2), which is linear in A, z and the constant.
+        """
+        middle, begin = points.mean(axis=0), float(readings.mean()) if unknown else zero
+        p, length = points - middle, readings - begin
+        varied = unknown and float(np.ptp(readings)) > 0.0
+        columns = [2.0 * p, np.ones((len(p), 1)), *([-2.0 * length[:, None]] if varied else [])]
+        solution = steady_solution(np.hstack(columns), np.sum(p**2, axis=1) - length**2)
+        at, constant = solution[: p.shape[1]], float(solution[p.shape[1]])
+        if varied:
+            begin += float(solution[-1])
+        elif unknown:
+            begin -= float(np.sqrt(max(constant + float(at @ at), 0.0)))
+        return middle + at, begin
 
     @staticmethod
     def gauge(values: Array) -> tuple[Array, Array]:

@@ -316,7 +316,7 @@ def held_out_of(fits: Mapping[str, Fit], test: Observations) -> HeldOut:
     errors = {NOMINAL: before} | {name: what_is_left(fit, test) for name, fit in steps}
     rows = test.rows_of_misses
     row = rows if len(np.unique(rows)) < len(rows) else None
-    return HeldOut(errors, what_is_left(without_residual(best), test), (used,), pixels=pixels, row=row)
+    return HeldOut(errors, missed_by(best.identification, test), (used,), pixels=pixels, row=row)
 
 
 def by_station(held_out: HeldOut, train: Observations, folds: Sequence[tuple[Rows, Rows]]) -> HeldOut:
@@ -358,11 +358,6 @@ def pooled(names: Sequence[str], parts: Sequence[HeldOut]) -> HeldOut:
     blocks = np.repeat(np.arange(len(parts)), [len(part.parametric) for part in parts])
     used = tuple(name for part in parts for name in part.used)
     return HeldOut(errors, parametric, used, blocks, pixels=tuple(view for part in parts for view in part.pixels))
-
-
-def without_residual(fit: Fit) -> Fit:
-    """Return a copy of the fit without its learnt residual."""
-    return replace(fit, calibration=fit.calibration.without_residual())
 
 
 def what_is_left(fit: Fit, data: Observations) -> Array:

@@ -580,9 +580,9 @@ def assess(
         workspace: Name of the workspace where the arm will work, and joints ``(M, n)``, rad or m, that represent it.
             If None, all poses within the joint limits.
     """
-    unlearnt = fitting.without_residual(fit)
     learnt = fit.calibration.learnt
     if fits is None:
+        unlearnt = replace(fit, calibration=fit.calibration.without_residual())
         fits = {fitting.GEOMETRIC: unlearnt} | ({} if learnt is None else {f"geometry+{learnt.kind}": fit})
     bare = next(iter(fits.values()))
     aligned = bare.aligned
@@ -621,7 +621,7 @@ def assess(
     model = fitted_model(arm.name, bare.calibration.nominal, aligned is None)
     quality = grade_quality(
         fit.identification,
-        fitting.what_is_left(unlearnt, train),
+        fitting.missed_by(fit.identification, train),
         before,
         after,
         over,

@@ -1,9 +1,9 @@
 """The calibration pipeline: from measured rows of any kind to a calibration result.
 
-`STAGES` lists its steps in order: check the rows, fit base and tool, identify the geometry, add terms, and learn the
-errors that remain. Reading comes before these steps, judgement after them. "Nominal" errors are those of the nominal
-arm after base and tool were fitted, so that they do not contain the instrument's placement. Terms and residual model
-are chosen within the training rows. Held-out errors therefore come from rows that no choice has used.
+`STAGES` lists its steps in order: fit base and tool, identify the geometry, add terms, and learn the errors that
+remain. Reading and checking the rows come before these steps, judgement after them. "Nominal" errors are those of the
+nominal arm after base and tool were fitted, so that they do not contain the instrument's placement. Terms and residual
+model are chosen within the training rows. Held-out errors therefore come from rows that no choice has used.
 """
 
 from __future__ import annotations
@@ -464,7 +464,7 @@ def _assessed(draft: Draft, held_out: fitting.HeldOut) -> Result:
 
 def _judged_once(draft: Draft) -> Result:
     """Judge the calibration on its held-out rows."""
-    draft = _through(STAGES[1:], _judgeable(_check(draft)))
+    draft = _through(STAGES, _check(draft))
     return _assessed(draft, fitting.held_out_of(draft.fits, draft.test))
 
 
@@ -474,8 +474,8 @@ def _judged_by_blocks(draft: Draft) -> Result:
     Terms are chosen anew without each block. Residual models are chosen only twice, on the odd and on the even blocks,
     since to choose one for every block would take ten times as long; a block takes the choice that it had no part in.
     """
-    checked = _judgeable(_check(draft))
-    complete = _through(STAGES[1:], checked)
+    checked = _check(draft)
+    complete = _through(STAGES, checked)
     if len(checked.train.joints) < 2:
         raise InputError(f"{checked.train.source} holds one row, and none to judge by; measure more, or give `test`")
     folds = _folds(checked.train)
@@ -518,7 +518,7 @@ def _chosen(checked: Draft, rows: Rows) -> str | None:
     if choices.residual == "none" or choices.learn_from is not None:
         return None
     try:
-        trial = _through(STAGES[1:], replace(checked, train=train, rng=np.random.default_rng(choices.seed)))
+        trial = _through(STAGES, replace(checked, train=train, rng=np.random.default_rng(choices.seed)))
     except InputError:
         return None
     learnt = trial.best[1].calibration.learnt
@@ -526,7 +526,10 @@ def _chosen(checked: Draft, rows: Rows) -> str | None:
 
 
 def _check(draft: Draft) -> Draft:
-    """Refuse options that do not apply, and leave out outlier rows."""
+    """Refuse options that do not apply, and leave out outlier rows.
+
+    A named residual model is refused, unless it is forced, if too few rows are left to judge it.
+    """
     choices, train, test = draft.choices, draft.train, draft.test
     if choices.frames is not None and choices.frames not in FRAMES:
         raise InputError(f"frames is '{choices.frames}'; give {' or '.join(FRAMES)}")
@@ -552,19 +555,13 @@ def _check(draft: Draft) -> Draft:
         train, left_out = without_blind_views(train)
     known_frames = choices.frames == "known"
     train, test, far = checked_rows(draft.arm, train, test, known=known_frames, robust=choices.robust)
-    return replace(draft, choices=choices, train=train, test=test, left_out=(*left_out, *far))
-
-
-def _judgeable(draft: Draft) -> Draft:
-    """Return the draft; refuse a named residual model if too few rows are left to judge it, and it is not forced."""
-    choices, count = draft.choices, pose_count(draft.train.joints)
     needs_rows = choices.residual not in ("auto", "none") and choices.learn_from is None and not choices.force
-    if needs_rows and count < ENOUGH_FOR_BLOCKS:
+    if needs_rows and (count := pose_count(train.joints)) < ENOUGH_FOR_BLOCKS:
         raise InputError(
-            f"{draft.train.source}: `residual='{choices.residual}'` cannot be judged on {count} fitted poses; measure "
+            f"{train.source}: `residual='{choices.residual}'` cannot be judged on {count} fitted poses; measure "
             f"{ENOUGH_FOR_BLOCKS} or more, or use it unjudged with `force`"
         )
-    return draft
+    return replace(draft, choices=choices, train=train, test=test, left_out=(*left_out, *far))
 
 
 def _align(draft: Draft) -> Draft:
@@ -648,5 +645,5 @@ def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> tupl
     return gate_residuals(data, refit, rng, models=names, fitters=TRIAL_FITTERS, progress=report)
 
 
-STAGES: tuple[Callable[[Draft], Draft], ...] = (_check, _align, _identify, _add_terms, _learn)
-"""The stages between reading and judgement, in order."""
+STAGES: tuple[Callable[[Draft], Draft], ...] = (_align, _identify, _add_terms, _learn)
+"""The stages between checking the rows and judgement, in order."""

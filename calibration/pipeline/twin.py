@@ -126,7 +126,8 @@ def twin(
     matrix = block_diag(np.eye(len(calibration.identified.parameter_names)), carry)
     places = [i for i, parameter in enumerate(sure.names) if parameter in names]
     factor = np.zeros((len(names), len(places)))
-    factor[[names.index(sure.names[i]) for i in places]] = _root(sure.covariance[np.ix_(places, places)])
+    values, vectors = np.linalg.eigh(sure.covariance[np.ix_(places, places)])  # which may be singular
+    factor[[names.index(sure.names[i]) for i in places]] = vectors * np.sqrt(np.maximum(values, 0.0))
     unseen, traces = _unseen(calibration, names)
     scatter = ASSUMED if rows is None else scatter_of(rows)
     if SCATTER in calibration.record:
@@ -161,12 +162,6 @@ def twin(
         notes=(process_note, scatter_note, *_missing(calibration)),
     )
     return twin_plant(name or f"{arm.name}_twin", arm, posterior, MeasurementNoise(position_std, attitude_std))
-
-
-def _root(covariance: Array) -> Array:
-    """The square root R, with C = R R^T, of a covariance C that may be singular."""
-    values, vectors = np.linalg.eigh(covariance)
-    return np.asarray(vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]:

@@ -11,14 +11,13 @@ from __future__ import annotations
 import ast
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from operator import attrgetter
 from pathlib import Path
 from typing import Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.fft import irfft, next_fast_len, rfft
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -240,13 +239,9 @@ class Logs:
             means.append(np.where(turned, part[alike.all(axis=1)].mean(axis=0), part.mean(axis=0)))
             joints.append(self.spline(times[group]).mean(axis=0))
             lines.append(self.table.lines[middle])
-        return _table(self.table.where, (*self.entries[0], *names), np.c_[np.stack(joints), np.stack(means)], lines)
-
-
-def _table(where: str, names: tuple[str, ...], numbers: Array, lines: list[int]) -> Table:
-    table = Table(where, list(names), [[] for _ in lines], lines, ".")
-    table.cache = dict(zip(names, numbers.T, strict=True))
-    return table
+        table = Table(self.table.where, [*self.entries[0], *names], [[] for _ in lines], lines, ".")
+        table.cache = dict(zip(table.header, np.c_[np.stack(joints), np.stack(means)].T, strict=True))
+        return table
 
 
 def read_recording(
@@ -435,13 +430,10 @@ def _lags(one: Array, other: Array) -> tuple[Array, Array]:
 
     Entry k is of ``one[i]`` with ``other[i - k + len(other) - 1]``.
     """
-    size = next_fast_len(len(one) + len(other) - 1, real=True)
+    from scipy.signal import correlate  # late: it takes half a second
+
     one, other = (part - part.mean() for part in (one, other))
-
-    def summed(left: Array, right: Array) -> Array:
-        product = irfft(rfft(left, size) * rfft(right[::-1], size), size)
-        return np.asarray(product[: len(one) + len(other) - 1])
-
+    summed = partial(correlate, method="fft")
     here, there = np.ones(len(one)), np.ones(len(other))
     count = np.maximum(np.rint(summed(here, there)), 1.0)
     left, right = summed(one, there), summed(here, other)
