@@ -381,7 +381,7 @@ def corners_at(count: int, numbers: ArrayLike, places: ArrayLike, std: ArrayLike
     return pixels, seen, stds
 
 
-def corner_std(picture: Grey, corners: Array, least: float, half: int = WINDOW) -> Array:
+def corner_std(picture: Grey, corners: Array, least: float) -> Array:
     """Standard uncertainty ``(N,)``, px, of corners along the direction in which it is largest.
 
     The covariance of a corner is s^2 (sum g g^T)^-1, with the standard deviation s of the noise and the gradients g
@@ -391,14 +391,13 @@ def corner_std(picture: Grey, corners: Array, least: float, half: int = WINDOW) 
         picture: Grey values ``(h, w)``.
         corners: Pixels of the corners ``(N, 2)``.
         least: Least standard uncertainty, px.
-        half: Half width of the square around a corner whose gradients are used, px.
     """
     grey = picture.astype(float)
     down, across = np.gradient(grey)
     noise = picture_noise(grey)
     stds = np.empty(len(corners))
     for i, (x, y) in enumerate(np.rint(corners).astype(int)):
-        window = (slice(max(y - half, 0), y + half + 1), slice(max(x - half, 0), x + half + 1))
+        window = tuple(slice(max(i - WINDOW, 0), i + WINDOW + 1) for i in (y, x))
         g = np.stack([across[window].ravel(), down[window].ravel()])
         stds[i] = noise / np.sqrt(max(float(np.linalg.eigvalsh(g @ g.T)[0]), 1e-9))
     return np.hypot(stds, least)

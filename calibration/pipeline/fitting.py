@@ -148,8 +148,8 @@ def fit_geometry(arm: Arm, data: Observations, aligned: Identification | None, m
     }
     if solution.unknowns:
         record["unknowns"] = solution.unknowns
-    nominal = arm.nominal if aligned is None else aligned.geometry
-    return Fit(Calibration(arm.name, arm.nominal, nominal, solution.arm_model, None, record), solution, aligned)
+    expected = model.start.geometry
+    return Fit(Calibration(arm.name, arm.nominal, expected, solution.arm_model, None, record), solution, aligned)
 
 
 def fit_remainder(

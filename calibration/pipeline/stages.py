@@ -1,9 +1,9 @@
 """The calibration pipeline: from measured rows of any kind to a calibration result.
 
-`STAGES` lists its steps in order: fit base and tool, identify the geometry, add terms, and learn the errors that
-remain. Reading and checking the rows come before these steps, judgement after them. "Nominal" errors are those of the
-nominal arm after base and tool were fitted, so that they do not contain the instrument's placement. Terms and residual
-model are chosen within the training rows. Held-out errors therefore come from rows that no choice has used.
+Its stages are, in order: check the rows, identify base, tool and geometry, add terms, and learn the errors that remain.
+Reading comes before these stages, judgement after them. "Nominal" errors are those of the nominal arm after base and
+tool were fitted, so that they do not contain the instrument's placement. Terms and residual model are chosen within the
+training rows. Held-out errors therefore come from rows that no choice has used.
 """
 
 from __future__ import annotations
@@ -21,7 +21,6 @@ from pickenv.arm import Arm, Array, Geometry, load_arm
 from pickenv.base import InputError
 from pickenv.base.registry import names
 from pickenv.calibration.identification.diagnosis import LeftOut, checked_rows, refuse_trained, without_blind_views
-from pickenv.calibration.identification.least_squares import Identification
 from pickenv.calibration.identification.robust import by_set_up, placed, scene_of, stations_of
 from pickenv.calibration.identification.solve import solve
 from pickenv.calibration.identification.term_choice import TermChoice, choose_terms, identify_terms, terms_of
@@ -317,7 +316,7 @@ Each is then judged by a fit to the rows of all other poses.
 
 @dataclass(frozen=True, eq=False)
 class Draft:
-    """The state of a calibration between two of the `STAGES`; each stage returns a new one.
+    """The state of a calibration between two of its stages; each stage returns a new one.
 
     Attributes:
         arm: The arm.
@@ -327,7 +326,6 @@ class Draft:
         rng: Random generator of the residual model that is used in the end.
         progress: Function that is called with the name of the work, the number of steps done and the total number.
         left_out: Outlier rows that were left out; with ``choices.robust`` off, they were kept and are only listed.
-        aligned: The identification of base and tool; None if these are known.
         fits: The fits so far, by name, in order. The last one is used.
         term_choice: The terms that were chosen, and the errors of each candidate; None if they were not chosen.
         gate: The verdicts on the residual models.
@@ -340,7 +338,6 @@ class Draft:
     rng: np.random.Generator
     progress: Callable[[str, int, int], None] | None = None
     left_out: tuple[LeftOut, ...] = ()
-    aligned: Identification | None = None
     fits: Mapping[str, fitting.Fit] = field(default_factory=dict)
     term_choice: TermChoice | None = None
     gate: tuple[GateVerdict, ...] = ()
@@ -448,12 +445,6 @@ def calibrate(
     return replace(result, unit=unit, stations=stations)
 
 
-def _through(stages: Sequence[Callable[[Draft], Draft]], draft: Draft) -> Draft:
-    for stage in stages:
-        draft = stage(draft)
-    return draft
-
-
 def _assessed(draft: Draft, held_out: fitting.HeldOut) -> Result:
     arm, fit, region = draft.arm, draft.best[1], workspace_joints(draft.choices.workspace, draft.arm.nominal)
     result = assess(
@@ -464,7 +455,7 @@ def _assessed(draft: Draft, held_out: fitting.HeldOut) -> Result:
 
 def _judged_once(draft: Draft) -> Result:
     """Judge the calibration on its held-out rows."""
-    draft = _through(STAGES, _check(draft))
+    draft = _fitted(_check(draft))
     return _assessed(draft, fitting.held_out_of(draft.fits, draft.test))
 
 
@@ -475,7 +466,7 @@ def _judged_by_blocks(draft: Draft) -> Result:
     since to choose one for every block would take ten times as long; a block takes the choice that it had no part in.
     """
     checked = _check(draft)
-    complete = _through(STAGES, checked)
+    complete = _fitted(checked)
     if len(checked.train.joints) < 2:
         raise InputError(f"{checked.train.source} holds one row, and none to judge by; measure more, or give `test`")
     folds = _folds(checked.train)
@@ -488,7 +479,7 @@ def _judged_by_blocks(draft: Draft) -> Result:
         training, testing = checked.train.select(rows), checked.train.select(rows_out)
         fold = replace(checked, train=training, test=testing, rng=np.random.default_rng(seed), progress=None)
         try:
-            fold = _through((_align, _identify, _add_terms), fold)
+            fold = _add_terms(_identify(fold))
             if fold.choices.learn_from is not None:
                 fold = _learn(fold)
             elif (residual := residuals[number % 2]) is not None and fold.tracked is not None:
@@ -518,7 +509,7 @@ def _chosen(checked: Draft, rows: Rows) -> str | None:
     if choices.residual == "none" or choices.learn_from is not None:
         return None
     try:
-        trial = _through(STAGES, replace(checked, train=train, rng=np.random.default_rng(choices.seed)))
+        trial = _fitted(replace(checked, train=train, rng=np.random.default_rng(choices.seed)))
     except InputError:
         return None
     learnt = trial.best[1].calibration.learnt
@@ -564,24 +555,26 @@ def _check(draft: Draft) -> Draft:
     return replace(draft, choices=choices, train=train, test=test, left_out=(*left_out, *far))
 
 
-def _align(draft: Draft) -> Draft:
-    """Fit base and tool, if they are not known."""
-    return replace(draft, aligned=fitting.fit_frames(draft.arm, draft.train, draft.choices.frames == "known"))
+def _fitted(draft: Draft) -> Draft:
+    """Go through all stages after the check of the rows."""
+    return _learn(_add_terms(_identify(draft)))
 
 
 def _identify(draft: Draft) -> Draft:
-    """Fit the geometry to the rows, with its priors."""
-    choices, known_frames = draft.choices, draft.aligned is None
-    start = draft.arm.nominal if draft.aligned is None else draft.aligned.geometry
-    tolerances, scale = choices.tolerances or draft.arm.tolerance_class, choices.prior_scale
-    model = prior_model(draft.arm.name, start, known=known_frames, fit=choices.fit, tolerances=tolerances, scale=scale)
-    return draft.with_fit(GEOMETRY, fitting.fit_geometry(draft.arm, draft.train, draft.aligned, model))
+    """Fit base and tool, if they are not known, and then the geometry with its priors."""
+    arm, choices = draft.arm, draft.choices
+    aligned = fitting.fit_frames(arm, draft.train, choices.frames == "known")
+    start = arm.nominal if aligned is None else aligned.geometry
+    tolerances, scale = choices.tolerances or arm.tolerance_class, choices.prior_scale
+    known = aligned is None
+    model = prior_model(arm.name, start, known=known, fit=choices.fit, tolerances=tolerances, scale=scale)
+    return draft.with_fit(GEOMETRY, fitting.fit_geometry(arm, draft.train, aligned, model))
 
 
 def _add_terms(draft: Draft) -> Draft:
     """Add the wanted terms, dropping the last one until the fit converges; "auto" chooses within the training rows."""
     (name, geometric), choice = draft.best, None
-    bare, known_frames = geometric.identification, draft.aligned is None
+    bare, known_frames = geometric.identification, geometric.aligned is None
     if draft.choices.terms != "auto":
         terms = terms_of(draft.choices.terms, draft.arm, bare, draft.train)
     else:
@@ -643,7 +636,3 @@ def _verdicts(draft: Draft, train: Measurements, names: tuple[str, ...]) -> tupl
         report = partial(draft.progress, f"{name} leaves {rms:.4g} mm of the rows fitted; judging residual models")
     rng = np.random.default_rng(draft.choices.seed)
     return gate_residuals(data, refit, rng, models=names, fitters=TRIAL_FITTERS, progress=report)
-
-
-STAGES: tuple[Callable[[Draft], Draft], ...] = (_align, _identify, _add_terms, _learn)
-"""The stages between checking the rows and judgement, in order."""

@@ -265,7 +265,7 @@ def _process(
         )
     if rows is None:
         joints = calibration.identified.joints
-        inputs = JointInputs(np.zeros(joints, dtype=bool), 0, np.zeros(joints), np.ones(joints))
+        inputs = JointInputs(0, np.zeros(joints, dtype=bool), np.zeros(joints), np.ones(joints))
         return None, inputs, "no residual was learnt: what geometry and terms leave is taken as scatter"
     fitted = fit_residual("gp", rows.joints, rows.difference(calibration.model), rows.prismatic, rng)
     assert isinstance(fitted.model, GaussianProcess)

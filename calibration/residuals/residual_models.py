@@ -19,25 +19,25 @@ from pickenv.arm import Array
 from pickenv.base import InputError, require
 from pickenv.base.container import named_part, part_of
 from pickenv.base.registry import get
-from pickenv.calibration.residuals.gaussian_process import Fitter, GaussianProcess, Regressor, column_std
+from pickenv.calibration.residuals.gaussian_process import Fitter, GaussianProcess, Regressor, SavedArrays, column_std
 
 PERIODIC_SPAN = 1.5 * np.pi
 """A revolute joint whose training values span more than this, rad, enters as sine and cosine, which are periodic."""
 
 
 @dataclass(frozen=True, eq=False)
-class JointInputs:
+class JointInputs(SavedArrays):
     """The mapping from joints and conditions to a regressor's inputs.
 
     Attributes:
-        periodic: Whether each joint enters as sine and cosine ``(n,)``.
         conditions: Number of further inputs c, such as temperature or payload.
+        periodic: Whether each joint enters as sine and cosine ``(n,)``.
         mean: Mean of each input over the training rows ``(F,)``.
         std: Standard deviation of each input over the training rows ``(F,)``.
     """
 
-    periodic: NDArray[np.bool_]
     conditions: int
+    periodic: NDArray[np.bool_]
     mean: Array
     std: Array
 
@@ -70,7 +70,7 @@ def joint_inputs(
     periodic = ~np.asarray(prismatic, dtype=bool) & (np.ptp(joints, axis=0) > periodic_span)
     raw = _raw_inputs(joints, conditions, periodic)
     count = 0 if conditions is None else conditions.shape[-1]
-    return JointInputs(periodic, count, raw.mean(axis=0), column_std(raw, 1.0))
+    return JointInputs(count, periodic, raw.mean(axis=0), column_std(raw, 1.0))
 
 
 def _raw_inputs(joints: Array, conditions: ArrayLike | None, periodic: NDArray[np.bool_]) -> Array:
@@ -116,15 +116,13 @@ class LearntResidual:
 
     def arrays(self) -> dict[str, NDArray[Any]]:
         """Return all arrays by name, for saving without pickle."""
-        arrays: dict[str, NDArray[Any]] = {"kind": np.array(self.kind), "conditions": np.array(self.inputs.conditions)}
-        arrays |= {name: getattr(self.inputs, name) for name in ("periodic", "mean", "std")}
-        return arrays | named_part("model_", self.model.arrays())
+        return {"kind": np.array(self.kind)} | self.inputs.arrays() | named_part("model_", self.model.arrays())
 
     @staticmethod
     def from_arrays(named: Mapping[str, NDArray[Any]]) -> LearntResidual:
         """Rebuild the residual from the arrays that `arrays` returns."""
         kind = str(named["kind"])
-        inputs = JointInputs(named["periodic"], int(named["conditions"]), named["mean"], named["std"])
+        inputs = JointInputs.from_arrays(named)
         return LearntResidual(kind, inputs, get("residual", kind).from_arrays(part_of(named, "model_")))
 
 

@@ -80,5 +80,5 @@ def learnt_by_hand(arm: Arm, rng: np.random.Generator, outputs: int = 3, periodi
     far = np.zeros(nominal.joints, dtype=bool)
     far[0] = periodic
     raw = np.concatenate([joints[:, ~far], np.sin(joints[:, far]), np.cos(joints[:, far])], axis=1)
-    inputs = JointInputs(far, 0, raw.mean(axis=0), raw.std(axis=0))
+    inputs = JointInputs(0, far, raw.mean(axis=0), raw.std(axis=0))
     return LearntResidual("gp", inputs, process_by_hand(inputs(joints), rng, outputs))
