@@ -38,9 +38,7 @@ def identified(dynamic, sets):
     def draft_of(rows):
         train = sets[0].select(np.arange(rows))
         draft = stages.Draft(dynamic.arm, AUTO, train, sets[1], np.random.default_rng(0))
-        for stage in stages.STAGES[:3]:
-            draft = stage(draft)
-        return draft
+        return stages._identify(stages._check(draft))
 
     def draft(rows=40, choices=AUTO):
         return replace(draft_of(rows), choices=choices, rng=np.random.default_rng(0))
@@ -164,7 +162,7 @@ def test_options_of_poses_are_refused_for_other_kinds_and_defaults_are_not(dynam
 def test_the_generator_of_a_calibration_is_that_of_its_seed(dynamic, sets, monkeypatch):
     """Rows are held out by one generator of the seed, and the residual model drawn from another."""
     seen = []
-    monkeypatch.setattr(stages, "STAGES", (*stages.STAGES[:3], lambda draft: seen.append(draft) or draft))
+    monkeypatch.setattr(stages, "_learn", lambda draft: seen.append(draft) or draft)
     stages.calibrate(dynamic.arm, sets[0], choices=replace(AUTO, seed=9, terms="none", residual="none"))
     (draft,) = seen
     assert draft.rng.bit_generator.state == np.random.default_rng(9).bit_generator.state
@@ -180,10 +178,8 @@ def test_a_result_carries_all_that_the_stages_found(dynamic, sets, monkeypatch):
     monkeypatch.setattr(stages, "choose_terms", lambda *_: choice)
     monkeypatch.setattr(stages, "gate_residuals", lambda *_, **__: gate)
     left = (LeftOut("tracker.csv", 7, False, 5e-3, None, 9.0),)
-    seen = []
-    monkeypatch.setattr(
-        stages, "STAGES", (*stages.STAGES, lambda draft: seen.append(replace(draft, left_out=left)) or seen[0])
-    )
+    seen, learn = [], stages._learn
+    monkeypatch.setattr(stages, "_learn", lambda draft: seen.append(replace(learn(draft), left_out=left)) or seen[0])
     found = stages.calibrate(dynamic.arm, sets[0], test=sets[1], choices=AUTO, unit="17")
     (draft,) = seen
     assert list(found.errors) == ["nominal", "geometric", "geometry+gravity", "geometry+gravity+rbf"]
