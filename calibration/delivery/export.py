@@ -112,9 +112,8 @@ def _onnx_model(learnt: LearntResidual, network: Bpnn, geometry: Geometry, words
 BY_ENDING = {".toml": "toml", ".urdf": "urdf", ".xml": "mjcf", ".onnx": "onnx"}
 """Kind of a new file by the ending of its name."""
 
-BY_OWN_ENDING = {".urdf": "urdf", ".xml": "mjcf", ".json": "lerobot"} | dict.fromkeys(
-    (".yaml", ".yml"), "kinematics-yaml"
-)
+YAML = "kinematics-yaml"
+BY_OWN_ENDING = {".urdf": "urdf", ".xml": "mjcf", ".json": "lerobot", ".yaml": YAML, ".yml": YAML}
 """Kind of the file to write by the ending of the robot's own file."""
 
 
@@ -164,7 +163,7 @@ def export(
         raise InputError("`sample` goes with a new MJCF; leave it and `onto` out, or give `kind='mjcf'`")
     if seed and not sample:
         raise InputError("`seed` is of the arms that `sample` draws; give `sample` with it, or leave `seed` out")
-    if tip is not None and (calibration.arm.tree is not None or kind in ("kinematics-yaml", "lerobot", "ros2-control")):
+    if tip is not None and (calibration.arm.tree is not None or kind in (YAML, "lerobot", "ros2-control")):
         raise InputError(f"{robot_file} needs no tip here, so leave #{tip} of `onto` out")
     if kind == "mjcf" and robot_file is None:
         out = mjcf_files(out, 0)[0]

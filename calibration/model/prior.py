@@ -30,8 +30,8 @@ unknown base and tool, "full" for all without priors."""
 TOLERANCE_CLASS = "cobot"
 """Default tolerance class of an arm's parts."""
 
-FRAME_STD = (10.0, 10.0)
-"""Standard deviations of a frame about its aligned pose, m and rad: so wide that they carry no information."""
+FRAME_STD = 10.0
+"""Standard deviation of a frame's coordinates about its aligned pose, m and rad: so wide that it tells nothing."""
 
 COEFFICIENT = 1.0
 """Prior standard deviation of a term's coefficient, in the coefficient's tolerances (1 mm or 1 mrad at the tool)."""
@@ -178,9 +178,7 @@ def prior_model(
     if fit == "offsets":
         parameters = zeros if known else frames_model(geometry).joined(zeros)
     group = _groups(parameters, geometry, known)
-    std = standard_deviations(expected, geometry)[parameters.columns]
-    angle = geometry.parameter_is_angle[parameters.columns]
-    std = np.where(group == FRAMES, np.where(angle, FRAME_STD[1], FRAME_STD[0]), std)
+    std = np.where(group == FRAMES, FRAME_STD, standard_deviations(expected, geometry)[parameters.columns])
     scales = {} if scale is None else dict.fromkeys(MADE, scale)
     return PriorModel(parameters, start, std, group, f"tolerance class {expected.name}", scales, tuple(scales))
 

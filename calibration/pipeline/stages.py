@@ -434,14 +434,15 @@ def calibrate(
         if test_rows is not None:
             raise InputError("`test_rows` is for the random split; here every row, or picture, is held out once")
         result = _judged_by_blocks(Draft(arm, choices, train, train.select(np.arange(0)), rng, progress))
-    elif test is None:
-        rows = observations.choose(train, test_rows, np.random.default_rng(choices.seed))
-        train, held_out = (train.select(np.sort(part)) for part in rows)
-        result = _judged_once(Draft(arm, choices, train, held_out, rng, progress))
     else:
-        held_out = given_rows(arm, test, columns, stations, known=known_frames, like=train)
-        refuse_trained(train, held_out)
-        result = _judged_once(Draft(arm, choices, train, held_out, rng, progress))
+        if test is None:
+            rows = observations.choose(train, test_rows, np.random.default_rng(choices.seed))
+            train, held_out = (train.select(np.sort(part)) for part in rows)
+        else:
+            held_out = given_rows(arm, test, columns, stations, known=known_frames, like=train)
+            refuse_trained(train, held_out)
+        draft = _fitted(_check(Draft(arm, choices, train, held_out, rng, progress)))
+        result = _assessed(draft, fitting.held_out_of(draft.fits, draft.test))
     return replace(result, unit=unit, stations=stations)
 
 
@@ -451,12 +452,6 @@ def _assessed(draft: Draft, held_out: fitting.HeldOut) -> Result:
         arm, fit, draft.train, draft.test, fits=draft.fits, held_out=held_out, left_out=draft.left_out, workspace=region
     )
     return replace(result, terms=draft.term_choice, gate=draft.gate)
-
-
-def _judged_once(draft: Draft) -> Result:
-    """Judge the calibration on its held-out rows."""
-    draft = _fitted(_check(draft))
-    return _assessed(draft, fitting.held_out_of(draft.fits, draft.test))
 
 
 def _judged_by_blocks(draft: Draft) -> Result:

@@ -128,8 +128,7 @@ def gate_residuals(
     if not models:
         raise InputError(f"no residual model was named; give some of {', '.join(names('residual'))}")
     seeds = {name: int(rng.integers(2**63)) for name in models}
-    blocks = blocked_split(same_poses(measurements.joints), len(measurements) // 5)
-    blocked = _trial(measurements, refit, *blocks)
+    blocked = _trial(measurements, refit, *blocked_split(same_poses(measurements.joints)))
     rows, _, _, untouched, counts = blocked
 
     @cache
