@@ -23,7 +23,7 @@ from pickenv.calibration.model import measurements
 from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANCE, ArmModel, ErrorModel, frames_model
 from pickenv.calibration.model.kinds import DistanceObservations
 from pickenv.calibration.model.observations import Observations, origins_of
-from pickenv.calibration.model.pixels import with_free_lens
+from pickenv.calibration.model.pixels import LENS_NAMES
 from pickenv.calibration.model.prior import ANGLES, FRAMES, LENGTHS, TERMS, ZEROS, PriorModel
 
 # What a calibration with fitted base and tool leaves open: the error in the robot's own base frame. An instrument
@@ -185,7 +185,7 @@ def said_of_instruments(model: ErrorModel, found: Identification, data: Observat
                 '"fitted" in [wire]',
             )
     if data.views is not None and not data.views.lens_std.any():
-        free = with_free_lens(data.views)
+        free = replace(data.views, lens_std=np.full(len(LENS_NAMES), np.inf))
         freed = identify(model, found.arm_model, [free])
         stated, fitted = (
             np.sqrt(np.mean(views.pixel_errors(fit.arm_model, np.array(list(fit.unknowns.values()))) ** 2))

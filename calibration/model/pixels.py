@@ -291,11 +291,6 @@ class PixelObservations(Observations):
         return by_point(numbers, points) @ by_arm * weight, by_values(numbers, points) * weight
 
 
-def with_free_lens(data: PixelObservations) -> PixelObservations:
-    """Return a copy of the views in which all numbers of the lens are fitted and their stated uncertainties ignored."""
-    return replace(data, lens_std=np.full(len(LENS_NAMES), np.inf))
-
-
 # Where a board or other points stand in a camera's frame, view by view. A first pose to start from, not a result: the
 # fit of the arm takes the corners themselves.
 
