@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -211,13 +211,11 @@ def _pose(named: Mapping[str, NDArray[Any]], key: str, which: str) -> Pose:
 
 def content_sha256(*parts: Any) -> str:
     """Return one SHA-256 hash over the values of all ``parts`` (dataclasses, arrays, numbers, text), in hexadecimal."""
-    return hashlib.sha256(json.dumps([plain(part) for part in parts], sort_keys=True).encode()).hexdigest()
+    return hashlib.sha256(json.dumps(parts, sort_keys=True, default=_plain).encode()).hexdigest()
 
 
-def plain(value: Any) -> Any:
-    """Convert a value for JSON: dataclasses to mappings of their fields, arrays and tuples to lists."""
-    if is_dataclass(value) and not isinstance(value, type):
-        return {field.name: plain(getattr(value, field.name)) for field in fields(value)}
-    if isinstance(value, tuple | list):
-        return [plain(entry) for entry in value]
-    return value.tolist() if isinstance(value, np.ndarray) else value
+def _plain(value: Any) -> Any:
+    """Convert what JSON lacks: an array to lists, a dataclass to a mapping of its fields."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return {field.name: getattr(value, field.name) for field in fields(value)}

@@ -35,10 +35,10 @@ from pickenv.arm.files.joint_chain import (
     link_origins,
 )
 from pickenv.arm.files.urdf import ROD_RADIUS, leading_links
-from pickenv.arm.files.xml_values import Element, numbers_text, unit_vector, xml_number, xml_numbers, xml_root
+from pickenv.arm.files.xml_values import Element, numbers_text, unit_vector, xml_mass, xml_number, xml_numbers, xml_root
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, behind, identity_pose
 from pickenv.arm.kinematics.pose_error import rotation_matrix
-from pickenv.base import DEG, KG, RAD, InputError, M, decimal_number, is_file, listed, one_line, register, shortened
+from pickenv.base import DEG, RAD, InputError, M, decimal_number, is_file, listed, one_line, register, shortened
 from pickenv.base.texts import in_file
 
 # MJCF out: any chain as a MuJoCo model with joints, limits, position drives and a site at the tool. Forward
@@ -400,9 +400,7 @@ def _inertial(body: Element, name: str) -> tuple[float, Array] | None:
         shapes = body.find("geom") is not None or body.find("frame/geom") is not None
         return (math.nan, np.zeros(3)) if shapes else None
     owner = f"body '{shortened(name)}'"
-    kg = xml_number(inertial.get("mass", ""), f"mass of {owner}", KG.most)
-    if kg < 0.0:
-        raise InputError(f"{owner} has a mass of {kg:g} kg; give one from 0")
+    kg = xml_mass(inertial.get("mass", ""), owner)
     return kg, xml_numbers(inertial.get("pos", "0 0 0"), f"centre of mass of {owner}", M.most)
 
 

@@ -28,9 +28,9 @@ from pickenv.arm.files.joint_chain import (
     flange,
     link_origins,
 )
-from pickenv.arm.files.xml_values import Element, numbers_text, unit_vector, xml_number, xml_numbers, xml_root
+from pickenv.arm.files.xml_values import Element, numbers_text, unit_vector, xml_mass, xml_number, xml_numbers, xml_root
 from pickenv.arm.kinematics.geometry import Array, Geometry, Pose, behind, identity_pose
-from pickenv.base import KG, M_PER_S, RAD, RAD_PER_S, InputError, M, in_file, one_line, register, shortened, write_text
+from pickenv.base import M_PER_S, RAD, RAD_PER_S, InputError, M, in_file, one_line, register, shortened, write_text
 
 # URDF out: a chain as rods from joint to joint, exact, so that forward kinematics agree to rounding. Lengths in
 # metres and angles in radians, as URDF has them; rpy is rotation about fixed x, y, z axes.
@@ -206,11 +206,10 @@ def _masses(root: Element, above: Mapping[str, Element]) -> Iterator[Mass]:
         if (inertial := link.find("inertial")) is None:
             continue
         name, mass, origin = str(link.get("name")), inertial.find("mass"), inertial.find("origin")
-        kg = xml_number("" if mass is None else mass.get("value", ""), f"mass of link '{shortened(name)}'", KG.most)
-        if kg < 0.0:
-            raise InputError(f"link '{shortened(name)}' has a mass of {kg:g} kg; give one from 0")
+        owner = f"link '{shortened(name)}'"
+        kg = xml_mass("" if mass is None else mass.get("value", ""), owner)
         text = "0 0 0" if origin is None else origin.get("xyz", "0 0 0")
-        point = xml_numbers(text, f"centre of mass of link '{shortened(name)}'", M.most)
+        point = xml_numbers(text, f"centre of mass of {owner}", M.most)
         path = []
         while name in above:
             path.append((str(above[name].get("name")), point))

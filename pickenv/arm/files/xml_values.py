@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from pickenv.arm.kinematics.forward import PARALLEL
 from pickenv.arm.kinematics.geometry import Array
-from pickenv.base import InputError, decimal_number, read_text, shortened
+from pickenv.base import KG, InputError, decimal_number, read_text, shortened
 from pickenv.base.texts import parsed
 
 Element = ElementTree.Element
@@ -76,6 +76,18 @@ def xml_number(text: str, owner: str, most: float) -> float:
     if abs(value) > most:
         raise InputError(f"the {owner} is {value:g}; no arm has more than {most:g} there")
     return value
+
+
+def xml_mass(text: str, owner: str) -> float:
+    """Return the mass of a link or body, kg, from an attribute's text; ``owner`` names it in error messages.
+
+    Raises:
+        InputError: If the text is no number, or the number is negative or too large.
+    """
+    kg = xml_number(text, f"mass of {owner}", KG.most)
+    if kg < 0.0:
+        raise InputError(f"{owner} has a mass of {kg:g} kg; give one from 0")
+    return kg
 
 
 def unit_vector(values: Array, what: str) -> Array:

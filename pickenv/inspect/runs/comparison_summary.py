@@ -137,72 +137,63 @@ def difference_cells(episodes: RecordedEpisodes) -> list[list[str]]:
     ]
 
 
-def _best(episodes: RecordedEpisodes) -> tuple[dict[str, Any] | None, str, dict[str, Any] | None]:
-    """The row of the best policy (least mean miss), the label of its rival, and the difference between the two.
+def _best(episodes: RecordedEpisodes) -> tuple[dict[str, Any] | None, dict[str, dict[str, Any]]]:
+    """The row of the best policy (least mean miss), and its differences from its rivals, by their labels.
 
-    The rival is the first other policy with which the best one shares fruit. Without a policy that closed the gripper
-    the row is None; without a second such policy the difference is None.
+    A rival is a policy that closed the gripper for some of the same fruit. ``lead_mm`` of a difference is by how much
+    the rival misses by more, mm. Without a policy that closed the gripper the row is None.
     """
     closed = [row for row in policy_rows(episodes) if row["mean_mm"] is not None]
     if not closed:
-        return None, "", None
-    best = min(closed, key=lambda row: row["mean_mm"])
-    if len(closed) == 1:
-        return best, "", None
-    lines = [line for line in policy_differences(episodes) if best["policy"] in (line["from"], line["to"])]
-    line = next((line for line in lines if line["difference_mm"] is not None), lines[0])
-    return best, line["from"] if line["to"] == best["policy"] else line["to"], line
-
-
-def _leads(episodes: RecordedEpisodes, name: str) -> dict[str, dict[str, Any]]:
-    """By how much every other policy that closed the gripper for the same fruit misses by more, mm, by its label."""
-    leads = {}
+        return None, {}
+    best, rivals = min(closed, key=lambda row: row["mean_mm"]), {}
     for line in policy_differences(episodes):
-        if name in (line["from"], line["to"]) and line["difference_mm"] is not None:
-            rival, sign = (line["to"], 1.0) if line["from"] == name else (line["from"], -1.0)
-            leads[rival] = {"lead_mm": sign * line["difference_mm"], "significant": line["significant"]}
-    return leads
+        before, after, difference = line["from"], line["to"], line["difference_mm"]
+        if best["policy"] in (before, after) and difference is not None:
+            rival, lead = (after, difference) if before == best["policy"] else (before, -difference)
+            rivals[rival] = line | {"lead_mm": lead}
+    return best, rivals
 
 
 def outcome_sentence(episodes: RecordedEpisodes) -> str:
     """Return the verdict in a few words: which policy is best, and its mean miss."""
-    best, _, line = _best(episodes)
+    best, rivals = _best(episodes)
     if best is None:
         return "No policy closed the gripper"
     name, mean = best["policy"], f"{best['mean_mm']:.3f} mm"
-    if line is None or line["difference_mm"] is None:
+    if not rivals:
         return f"{name} ends {mean} from the fruit"
-    leads = _leads(episodes, name)
-    farther = [rival for rival, lead in leads.items() if lead["significant"] and lead["lead_mm"] > 0.0]
-    if len(farther) == len(leads):
+    farther = [rival for rival, line in rivals.items() if line["significant"] and line["lead_mm"] > 0.0]
+    if len(farther) == len(rivals):
         return f"{name} ends nearest to the fruit: {mean}"
-    nearer = [rival for rival, lead in leads.items() if lead["significant"] and lead["lead_mm"] < 0.0]
+    nearer = [rival for rival, line in rivals.items() if line["significant"] and line["lead_mm"] < 0.0]
     if nearer:  # it closed the gripper for other fruit too, or for fewer
         return f"{name} has the least mean miss, {mean}, but {' and '.join(nearer)} ends nearer to the same fruit"
-    if all(lead["significant"] is None for lead in leads.values()):
+    if all(line["significant"] is None for line in rivals.values()):
         return f"{name} ends nearest in these few episodes, {mean}"
     if not farther:
         return f"No policy is told apart from {name} with {mean}"
-    alike = " and ".join(rival for rival in leads if rival not in farther)
+    alike = " and ".join(rival for rival in rivals if rival not in farther)
     return f"{name} ends nearest with {mean}, not told apart from {alike}"
 
 
 def explanation(episodes: RecordedEpisodes) -> str:
     """Return the reasons for the verdict in sentences.
 
-    The reasons are the best policy's lead over its rival, whether any gripper's picks change, and the picks in these
-    episodes.
+    The reasons are the best policy's lead over its first rival, whether any gripper's picks change, and the picks in
+    these episodes.
     """
-    best, rival, line = _best(episodes)
+    best, rivals = _best(episodes)
     if best is None:
         return f"In none of the {len(episodes.seeds)} episodes did any policy close the gripper."
-    if line is None or line["difference_mm"] is None:  # no fruit for which two of them closed the gripper
+    if not rivals:  # no fruit for which two of them closed the gripper
         return f"{_picking(episodes)}."
-    name, ends = best["policy"], line["ci95_mm"]
+    name, (rival, line) = best["policy"], next(iter(rivals.items()))
+    ends = line["ci95_mm"]
     if ends is not None and line["difference_mm"] < 0.0:
         ends = [-ends[1], -ends[0]]
     by = said(abs(line["difference_mm"]), ends, 3)
-    less = "less" if _leads(episodes, name)[rival]["lead_mm"] >= 0.0 else "more"
+    less = "less" if line["lead_mm"] >= 0.0 else "more"
     first = f"{name} misses by {by} mm {less} than {rival} for the same {line['pairs']} fruit"
     changes = _changes(episodes, rival, name)
     worth = matters(episodes.plant_name or episodes.env_id, changes, (f"with {rival}", f"with {name}"))
@@ -221,9 +212,10 @@ def policy_changes(episodes: RecordedEpisodes) -> dict[str, Any]:
     The best policy has the least mean miss. The rival is the first other policy in the list that closed the gripper for
     some of the same fruit; without a rival the result is empty. Only the part of a miss across the tool's axis counts.
     """
-    best, rival, line = _best(episodes)
-    if best is None or line is None or line["difference_mm"] is None:
+    best, rivals = _best(episodes)
+    if best is None or not rivals:
         return {}
+    rival = next(iter(rivals))
     return {"from": rival, "to": best["policy"], "changes": _changes(episodes, rival, best["policy"])}
 
 
