@@ -11,9 +11,9 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pickenv.arm import Array
+from pickenv.arm import Array, Geometry
 from pickenv.orchard import load_look, sample_leaves
-from pickenv.pictures.arm_shapes import JOINT, Solids
+from pickenv.pictures.arm_shapes import JOINT, Solids, arm_look
 from pickenv.pictures.solids import chequered, leaf_mesh, turned
 from pickenv.pictures.stage import Eye, Mesh, Rods, rgba, spheres
 
@@ -97,9 +97,10 @@ def ground_around(x: float, y: float, height: float, dark: bool) -> Mesh:
 
 
 @lru_cache(maxsize=8)
-def pedestal(x: float, y: float, ground: float, top: float, radius: float) -> Mesh:
-    """Return the mesh of the column under an arm's base, at x, y, from height ``ground`` to ``top``, m."""
-    across, high = radius * np.array([2.2, 2.2, 2.2, 1.5, 1.5, 1.5, 0.0]), top - ground
+def pedestal(geometry: Geometry, ground: float) -> Mesh:
+    """Return the mesh of the column under an arm's base, from height ``ground``, m. Equal arguments give the same."""
+    x, y, top = geometry.base.position.tolist()
+    across, high = arm_look(geometry).radius[0] * np.array([2.2, 2.2, 2.2, 1.5, 1.5, 1.5, 0.0]), top - ground
     outline = np.column_stack([across, [0.0, 0.03, 0.03, 0.06, high, high, high]])
     return turned(outline, np.array([x, y, ground]), np.array([0.0, 0.0, 1.0]), JOINT)
 

@@ -224,8 +224,8 @@ GHOST_WORDS = f"ghost: the arm as believed, deviation × {arm_shapes.GAIN}"
 
 def standing(geometry: Geometry, ground: float, dark: bool) -> tuple[Mesh, ...]:
     """Return the meshes of the ground and of the pedestal that the arm's base stands on."""
-    x, y, z = (float(value) for value in geometry.base.position)
-    return ground_around(x, y, ground, dark), pedestal(x, y, ground, z, float(arm_shapes.arm_look(geometry).radius[0]))
+    x, y, _ = geometry.base.position.tolist()
+    return ground_around(x, y, ground, dark), pedestal(geometry, ground)
 
 
 def ground_below(look: arm_shapes.ArmLook, geometry: Geometry) -> float:

@@ -24,7 +24,7 @@ from pickenv.inspect.colours import RED, in_words, policy_colours
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
 from pickenv.inspect.runs.run_folder import load_part, read_run
 from pickenv.pictures import arm_shapes, tree_shapes
-from pickenv.pictures.arm_shapes import Solids, arm_at_work, arm_look, cup_solids, hand_solids, joined_solids
+from pickenv.pictures.arm_shapes import Solids, arm_at_work, cup_solids, hand_solids, joined_solids
 from pickenv.pictures.drawers import painted, strip
 from pickenv.pictures.stage import Dial, Eye, Mesh, Pixels, Rgb, Stage, Words, fitted_eye
 
@@ -281,9 +281,7 @@ class Film:
         x, y, _ = self.points.mean(axis=0).tolist()
         parts: tuple[Mesh, ...] = (tree_shapes.ground_around(x, y, self.ground, self.dark),)
         if self.episodes.nominal is not None:
-            x, y, z = np.asarray(self.episodes.nominal.base.position).tolist()
-            radius = float(arm_look(self.episodes.nominal).radius[0])
-            parts += (tree_shapes.pedestal(x, y, self.ground, z, radius),)
+            parts += (tree_shapes.pedestal(self.episodes.nominal, self.ground),)
         if not self.reaching:
             fruit = np.concatenate(list(self.fruit.values()))
             low, high = fruit.min(axis=0) - AROUND, fruit.max(axis=0) + AROUND

@@ -21,7 +21,7 @@ import rerun.blueprint as rrb
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Geometry, drawn_parts, forward, nominal_points, true_points
-from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, in_words, lane, policy_colours
+from pickenv.inspect.colours import FRUIT, GREY, RED, STEEL, Rgb, in_words, lane
 from pickenv.inspect.recordings.scribe import Scribe, f32, layout, reading_columns, seen_from, view_of
 from pickenv.inspect.runs.comparison_summary import GAIN
 from pickenv.inspect.runs.recorded_episodes import POSITIONS
@@ -45,7 +45,6 @@ class Row(NamedTuple):
     """One recorded step of an environment.
 
     Attributes:
-        moment: Number of steps of this environment that were recorded before this one.
         episode: Number of the episode, from 0, counting those not recorded.
         within: Number of steps since the episode's reset.
         order: Number of earlier episodes of which steps were recorded.
@@ -53,7 +52,6 @@ class Row(NamedTuple):
             joint values at which the controller believes the arm to be, if the environment has them.
     """
 
-    moment: int
     episode: int
     within: int
     order: int
@@ -111,7 +109,7 @@ class EpisodeLog:
         last = self.rows[-1] if self.rows else None
         order = 0 if last is None else last.order + (last.episode != self._episode)
         told = {} if target is None else {"joint_target": target}
-        self.rows.append(Row(len(self.rows), self._episode, self._within, order, {**info, **told, "reward": reward}))
+        self.rows.append(Row(self._episode, self._within, order, {**info, **told, "reward": reward}))
 
 
 @dataclass(frozen=True)
@@ -122,17 +120,15 @@ class Scene:
         nominal: Geometry of the nominal arm; None for environments without one.
         period: Time between steps, s.
         tolerance_mm: Radius of the gripper's capture region, mm; None if there is none.
-        policy: Key of the policy.
         label: Name of the policy for readers.
-        colour: Colour of the policy, where others stand beside it; that of its key alone when None.
+        colour: Colour of the policy.
     """
 
     nominal: Geometry | None
     period: float
     tolerance_mm: float | None
-    policy: str
     label: str
-    colour: Rgb | None = None
+    colour: Rgb
 
     @cached_property
     def parts(self) -> list[int]:
@@ -237,8 +233,8 @@ def send_steps(
         begin: Index of the first step to send.
         root: Entity below which arms and fruit are placed.
     """
-    new, info = rows[begin:], rows[0].info
-    moments, seconds = _strung(scene, new)
+    new, info, colour = rows[begin:], rows[0].info, scene.colour
+    moments, seconds = _strung(scene, new, begin)
     times = [
         rr.TimeColumn("step", sequence=moments),
         rr.TimeColumn("sim_time", duration=seconds),
@@ -246,7 +242,6 @@ def send_steps(
         rr.TimeColumn("episode_time", duration=[scene.period * row.within for row in new]),
     ]
     scribe = Scribe(stream, times)
-    colour = scene.colour or policy_colours([scene.policy])[0]
     if has_arm(scene, info):
         nominal, true = _arms(scene, new)
         exaggerated = nominal + GAIN * (true - nominal)
@@ -273,14 +268,14 @@ def send_steps(
     if distance is not None and ends is not None:
         entity = f"distance/{lane(key)}"
         _name_curves(scribe, entity, rows, [f"{scene.label}: {ends.mean():.3f} mm"], colour)
-        _send_numbers(stream, scene, entity, new, decades(distance)[:, None])
+        _send_numbers(stream, scene, entity, new, begin, decades(distance)[:, None])
         if scene.tolerance_mm is not None:
             name, level = f"gripper's tolerance, {scene.tolerance_mm:g} mm", np.full(len(new), scene.tolerance_mm)
             scribe.curve("distance/tolerance", name, RED, decades(level), WIDTHS[0])
     for unit, names in number_groups(info).items():
         entity, labels = f"metrics/{unit}/{lane(key)}", [f"{scene.label}, {name.replace('_', ' ')}" for name in names]
         _name_curves(scribe, entity, rows, labels, colour)
-        _send_numbers(stream, scene, entity, new, np.stack([column(new, name) for name in names], axis=1))
+        _send_numbers(stream, scene, entity, new, begin, np.stack([column(new, name) for name in names], axis=1))
 
 
 def _name_curves(scribe: Scribe, entity: str, rows: Sequence[Row], names: list[str], colour: Rgb) -> None:
@@ -291,16 +286,18 @@ def _name_curves(scribe: Scribe, entity: str, rows: Sequence[Row], names: list[s
         scribe.still(entity + part, looks)
 
 
-def _strung(scene: Scene, rows: Sequence[Row]) -> tuple[NDArray[np.int64], Array]:
-    """Moments of rows ``(T,)``, and their times ``(T,)``, s, with all episodes strung together and gaps in between."""
-    moments = np.array([row.moment for row in rows])
+def _strung(scene: Scene, rows: Sequence[Row], begin: int) -> tuple[NDArray[np.int64], Array]:
+    """Numbers of rows from ``begin`` on ``(T,)``, and their times ``(T,)``, s, of all episodes with gaps in between."""
+    moments = np.arange(begin, begin + len(rows))
     return moments, scene.period * moments + GAP * np.array([row.order for row in rows])
 
 
-def _send_numbers(stream: rr.RecordingStream, scene: Scene, entity: str, rows: Sequence[Row], values: Array) -> None:
+def _send_numbers(
+    stream: rr.RecordingStream, scene: Scene, entity: str, rows: Sequence[Row], begin: int, values: Array
+) -> None:
     """Send numbers ``(T, k)`` on each time line: episodes strung with breaks, their ends, and episodes overlaid."""
     first = [i for i, row in enumerate(rows) if row.within == 0 and row.order > 0]
-    moments, seconds = _strung(scene, rows)
+    moments, seconds = _strung(scene, rows, begin)
     lengths = np.insert(np.full(len(rows), values.shape[1]), first, 0)  # a row without numbers ends a line
     times = [
         rr.TimeColumn("step", sequence=np.insert(moments, first, moments[first])),

@@ -138,5 +138,4 @@ def _grid_around(points: Array, joints: Array) -> FieldGrid:
     shape = np.maximum(np.ceil((high - low) / step).astype(int), 1)
     corner = (low + high - shape * step) / 2.0
     index = np.clip(((points - corner) / step).astype(np.int64), 0, shape - 1)
-    shape3 = (int(shape[0]), int(shape[1]), int(shape[2]))
-    return FieldGrid(shape3, corner + step / 2.0, step, index, points, joints)
+    return FieldGrid(tuple(shape.tolist()), corner + step / 2.0, step, index, points, joints)

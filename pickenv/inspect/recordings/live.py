@@ -7,6 +7,7 @@ import socket
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from urllib.parse import urlsplit
 
 import rerun as rr
@@ -83,11 +84,10 @@ def _start_viewer() -> None:
 
 def _listens() -> bool:
     """Whether a viewer listens on this machine."""
-    try:
+    with suppress(OSError):
         socket.create_connection((LOCAL, VIEWER_PORT), timeout=PATIENCE).close()
-    except OSError:
-        return False
-    return True
+        return True
+    return False
 
 
 def rerun_command(*words: object, **options: object) -> list[str]:

@@ -15,7 +15,7 @@ from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
 
 import pickenv
 from pickenv.base import InputError
-from pickenv.inspect.colours import check_key, policy_label
+from pickenv.inspect.colours import check_key, policy_colours, policy_label
 from pickenv.inspect.recordings import episode_entities as entities
 from pickenv.inspect.recordings.live import PATIENCE, open_live
 from pickenv.inspect.recordings.scribe import write_recording
@@ -71,8 +71,8 @@ class _Recorder:
             period=1.0 / inner.metadata.get("render_fps", 10),
             # Only where the fruit is a pose to be reached is this radius what counts.
             tolerance_mm=getattr(task, "tolerance_mm", None) if "pose_error" in info else None,
-            policy=self._policy,
             label=policy_label(self._policy),
+            colour=policy_colours([self._policy])[0],
         )
         name = type(inner).__name__ if inner.spec is None else inner.spec.id.rpartition("/")[2]
         self._identity = ":".join([name, *([] if plant is None else [plant.name]), f"seed{outer.np_random_seed}"])

@@ -70,7 +70,7 @@ def rows_of(policy: RecordedPolicy, *, arm: bool) -> list[entities.Row]:
     for e, moments in enumerate(policy.moments):
         for t in range(int(moments)):
             info = {name: values[e, t].item() if values.ndim == 2 else values[e, t] for name, values in told.items()}
-            rows.append(entities.Row(len(rows), e, t, e, info))
+            rows.append(entities.Row(e, t, e, info))
     return rows
 
 
@@ -79,9 +79,7 @@ def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> No
     low, high, step = _box(episodes)
     for number, (policy, colour) in enumerate(zip(episodes.policies, episodes.colours, strict=True)):
         rows = rows_of(policy, arm=episodes.nominal is not None)
-        scene = entities.Scene(
-            episodes.nominal, episodes.period, episodes.tolerance_mm, policy.key, policy.label, colour
-        )
+        scene = entities.Scene(episodes.nominal, episodes.period, episodes.tolerance_mm, policy.label, colour)
         root = f"side/{lane(policy.key)}"
         scribe.still(root, rr.Transform3D(translation=number * step))
         above = [(low[0] + high[0]) / 2.0, (low[1] + high[1]) / 2.0, high[2] + 0.1 * (high[2] - low[2])]

@@ -47,7 +47,7 @@ def conditions_in_words(result: Mapping[str, Any]) -> tuple[str, str]:
     least = min(
         figure["mean_mm"] for sweep in result["sweeps"].values() for figure in sweep["methods"][usual]
     )  # what it leaves where it was made
-    means = "; ".join(f"{name} {said(figure['mean_mm'], figure['ci95_mm'], 3)} mm" for name, figure in figures.items())
+    means = "; ".join(f"{name} {_mean(figure)} mm" for name, figure in figures.items())
     headline = f"{usual}: {figures[usual]['mean_mm']:.2f} mm over a working day, {least:.2f} mm where it was made"
     if best not in ("raw", usual):
         headline = f"best over a working day: {best}, {figures[best]['mean_mm']:.2f} mm; {headline}"

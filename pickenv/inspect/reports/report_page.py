@@ -32,8 +32,6 @@ PIXELS_PER_POINT, LEAST_PIXELS_PER_POINT = 1.75, 1.1
 """Scales of a figure at which its text is as large as the page's, and just legible, px per point. On smaller screens
 the figure scrolls."""
 HERE = Path(__file__).parent / "templates"
-TONES = ("good", "care", "bad", "note")
-"""Tones of a verdict. ``note`` is neither good nor bad, for runs without a stated requirement."""
 
 
 @dataclass(frozen=True)
@@ -41,7 +39,7 @@ class PageVerdict:
     """The verdict at the top of a page.
 
     Attributes:
-        tone: One of `TONES`.
+        tone: ``good``, ``care`` or ``bad``; ``note`` for runs without a stated requirement.
         headline: The verdict in a few words.
         text: Reasons for the verdict, in sentences with numbers; a paragraph per line.
         findings: Further findings: the weight of each (fail, caution or note), and a sentence.

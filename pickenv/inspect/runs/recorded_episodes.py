@@ -232,7 +232,7 @@ class FieldGrid:
         joints: Joint values that bring the nominal arm's tool upright to each centre ``(F, n)``, rad or m.
     """
 
-    shape: tuple[int, int, int]
+    shape: tuple[int, ...]
     origin: Array
     step: float
     index: NDArray[np.int64]
@@ -291,7 +291,7 @@ def field_grid(nominal: Geometry, step: float, seed: int) -> FieldGrid:
     solution = inverse(nominal, Pose(points, np.eye(3)), restarts=1)
     inside = solution.reached
     return FieldGrid(
-        shape=(int(shape[0]), int(shape[1]), int(shape[2])),
+        shape=tuple(shape.tolist()),
         origin=origin,
         step=step,
         index=index[inside],

@@ -29,7 +29,6 @@ from pickenv.base import (
     versions,
     write_text,
 )
-from pickenv.base.registry import get, load_all
 from pickenv.inspect.runs.calibration_trace import CalibrationTrace
 from pickenv.inspect.runs.harvest_trace import HarvestTrace
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes
@@ -100,7 +99,7 @@ def run_kind(name: str, **source: str) -> RunKind:
     Raises:
         InputError: If no kind of that name is registered.
     """
-    kind: RunKind = get("report", name, **source)()
+    kind: RunKind = registry.get("report", name, **source)()
     return kind
 
 
@@ -208,7 +207,7 @@ def read_run(folder: str | Path) -> Run:
     """
     folder = Path(folder)
     record = folder / RECORD
-    ways = "; ".join(f"`{kind().made_by}`" for kind in load_all("report").values())
+    ways = "; ".join(f"`{kind().made_by}`" for kind in registry.load_all("report").values())
     if not folder.is_dir():
         raise InputError(f"{folder} is no folder; make a run folder with one of {ways}")
     if not record.is_file():
