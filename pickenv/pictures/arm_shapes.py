@@ -113,14 +113,11 @@ def arm_at_work(
     """
     look = arm_look(geometry)
     true = arm_solids(look, true_points(geometry, command, tool), axis, accent)
-    return joined_solids(true, _ghost(look, true_points(geometry, command, tool + GAIN * (believed - tool))))
-
-
-def _ghost(look: ArmLook, points: Array) -> Solids:
-    """Return the solids of the ghost, a transparent arm along a polyline ``(K, 3)``, m."""
+    points = true_points(geometry, command, tool + GAIN * (believed - tool))
     start, end = points[look.parts], points[[i + 1 for i in look.parts]]
+    ghost = Rods(start, end, 0.8 * look.radius, rgba(GHOST, len(start), FAINT))
     tip = spheres(points[-1:], 0.95 * look.radius[-1:], rgba(GHOST, 1, FAINT))
-    return (Rods(start, end, 0.8 * look.radius, rgba(GHOST, len(start), FAINT)),), (tip,), ()
+    return joined_solids(true, ((ghost,), (tip,), ()))
 
 
 def cup_solids(tool: Array, axis: Array, radius: float) -> Solids:

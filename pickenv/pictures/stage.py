@@ -162,6 +162,19 @@ def fitted_eye(points: Array, direction: Array, size: tuple[int, int], angle_deg
     return Eye(middle + direction / np.linalg.norm(direction) * FIT * float(away.max()), middle, angle_deg)
 
 
+def seen_along(axis: Array, offset: Array, ahead: Array) -> Array:
+    """Return the components ``(2,)`` of an offset across the tool's axis: to the right, and away from the camera.
+
+    Args:
+        axis: Direction of the tool ``(3,)``.
+        offset: The offset ``(3,)``, m.
+        ahead: Direction in which the camera looks ``(3,)``.
+    """
+    right = np.cross(ahead, axis)
+    right /= max(float(np.linalg.norm(right)), 1e-9)
+    return np.array([offset @ right, offset @ np.cross(axis, right)])
+
+
 @dataclass(frozen=True, eq=False)
 class Stage:
     """Everything that one picture shows.

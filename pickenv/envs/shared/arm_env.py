@@ -18,7 +18,7 @@ from pickenv.envs.shared.situation import drawn_start
 from pickenv.envs.shared.spaces import PlainSpec
 from pickenv.envs.shared.task import Compensate, Task, check_choice, exact_plant
 from pickenv.pictures import arm_shapes
-from pickenv.pictures.stage import Dial, Mesh, Pixels, Rgb, Stage
+from pickenv.pictures.stage import Dial, Mesh, Pixels, Rgb, Stage, seen_along
 from pickenv.pictures.tree_shapes import ground_around, pedestal
 
 # What environments that can be drawn have in common: render modes, pictures, and the window that shows them.
@@ -241,7 +241,5 @@ def tool_dial(axis: Array, offset: Array, tolerance_mm: float) -> Dial:
         offset: The tool's true position minus the fruit's ``(3,)``, m, base frame.
         tolerance_mm: Radius of the ring on the dial, mm.
     """
-    right = np.cross([0.0, 1.0, 0.0], axis)
-    right /= max(float(np.linalg.norm(right)), 1e-9)
-    across_mm = 1e3 * np.array([offset @ -right, offset @ -np.cross(axis, right)])
+    across_mm = 1e3 * seen_along(axis, offset, np.array([0.0, -1.0, 0.0]))
     return Dial(across_mm[None], tolerance_mm, MARK)

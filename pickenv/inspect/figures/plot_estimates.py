@@ -66,6 +66,7 @@ def estimates_figure(
         groups.setdefault(row[panels] if panels else "", []).append(row)
     names = [name for name in free if name != colour]
     places = list(dict.fromkeys(tuple(row[name] for name in names) for row in rows))
+    labels = [", ".join(in_words(str(name)) for name in place) for place in places]
     height = 3.2 if x else 1.0 + LINE_INCHES * len(places) * len(keys)
     with style.new_figure(style.WIDTH, height) as figure:
         axes: Any = figure.subplots(1, len(groups), sharey=True, squeeze=False)[0]
@@ -75,7 +76,13 @@ def estimates_figure(
                 _lines(axis, some, x, free, colour, colours)
                 axis.set(xlabel=_in_words(x), yscale="log" if log else "linear")
             else:
-                _whiskers(axis, some, places, names, colour, colours)
+                for row in some:
+                    key, number = row.get(colour, ""), row["estimate"]
+                    line = places.index(tuple(row[name] for name in names))
+                    y = line + 0.8 * ((keys.index(key) + 0.5) / len(keys) - 0.5)
+                    style.whisker(axis, y, number.value, number.ci95, colours[key])
+                axis.set_yticks(range(len(places)), labels)
+                axis.set_ylim(len(places) - 0.5, -0.5)
                 axis.set_xscale("log" if log else "linear")
             if log:
                 style.plain_decades(axis.xaxis if x is None else axis.yaxis)
@@ -137,24 +144,6 @@ def _lines(
         axis.plot(places, [number.value for number in numbers], color=shade)
         ends = [[n.value if end is None else end for end in n.ci95 or (None, None)] for n in numbers]
         axis.fill_between(places, *np.transpose(ends), color=shade, alpha=0.2, linewidth=0)
-
-
-def _whiskers(
-    axis: Any,
-    rows: Sequence[Row],
-    places: Sequence[tuple[Any, ...]],
-    names: Sequence[str],
-    colour: str,
-    colours: Mapping[Any, Any],
-) -> None:
-    """Draw a whisker for each row at the height of its place, a combination of values in the columns ``names``."""
-    keys = list(colours)
-    for row in rows:
-        key, number = row.get(colour, ""), row["estimate"]
-        y = places.index(tuple(row[name] for name in names)) + 0.8 * ((keys.index(key) + 0.5) / len(keys) - 0.5)
-        style.whisker(axis, y, number.value, number.ci95, colours[key])
-    axis.set_yticks(range(len(places)), [", ".join(in_words(str(name)) for name in place) for place in places])
-    axis.set_ylim(len(places) - 0.5, -0.5)
 
 
 def error_by_condition(sweeps: Mapping[str, Mapping[str, Any]], names: Mapping[str, str]) -> Figure:

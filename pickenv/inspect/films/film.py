@@ -26,7 +26,7 @@ from pickenv.inspect.runs.run_folder import load_part, read_run
 from pickenv.pictures import arm_shapes, tree_shapes
 from pickenv.pictures.arm_shapes import Solids, arm_at_work, cup_solids, hand_solids, joined_solids
 from pickenv.pictures.drawers import painted, strip
-from pickenv.pictures.stage import Dial, Eye, Mesh, Pixels, Rgb, Stage, Words, fitted_eye
+from pickenv.pictures.stage import Dial, Eye, Mesh, Pixels, Rgb, Stage, Words, fitted_eye, seen_along
 
 MOST_MOMENTS = 3.0
 """Largest number of moments from one frame to the next. With more, viewers could not follow."""
@@ -377,21 +377,9 @@ def _marks_mm(film: Film, side: int, episode: int, now: int) -> Array:
     policy, attempts = film.policies[side], film.attempts[side]
     closed = [(e, close) for e in range(episode) for _, close, *_ in attempts[e]]
     closed += [(episode, close) for _, close, *_ in attempts[episode] if close <= now]
-    marks = [seen_along(tool_axis(policy, *at), grasp_offset(policy, *at), film.eye) for at in closed]
+    ahead = film.eye.axes()[2]
+    marks = [seen_along(tool_axis(policy, *at), grasp_offset(policy, *at), ahead) for at in closed]
     return 1e3 * np.reshape(marks, (-1, 2))
-
-
-def seen_along(axis: Array, offset: Array, eye: Eye) -> Array:
-    """Return the components ``(2,)`` of an offset across the tool's axis: to the right, and away from the camera.
-
-    Args:
-        axis: Direction of the tool ``(3,)``.
-        offset: The offset ``(3,)``, m.
-        eye: The camera.
-    """
-    right = np.cross(eye.axes()[2], axis)
-    right /= max(float(np.linalg.norm(right)), 1e-9)
-    return np.array([offset @ right, offset @ np.cross(axis, right)])
 
 
 def film(

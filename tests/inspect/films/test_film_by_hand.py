@@ -271,10 +271,10 @@ def test_the_ghost_stands_where_the_tool_of_the_believed_arm_would_be():
 
 
 def test_an_offset_is_seen_across_the_tool_from_where_the_eye_stands():
-    eye = Eye(np.array([0.0, -5.0, 0.0]), np.zeros(3))
-    np.testing.assert_allclose(seen_along(UP, np.array([1.0, 2.0, 3.0]), eye), [1.0, 2.0], atol=1e-12)
+    ahead = Eye(np.array([0.0, -5.0, 0.0]), np.zeros(3)).axes()[2]
+    np.testing.assert_allclose(seen_along(UP, np.array([1.0, 2.0, 3.0]), ahead), [1.0, 2.0], atol=1e-12)
     np.testing.assert_allclose(
-        seen_along(np.array([1.0, 0.0, 0.0]), np.array([1.0, 2.0, 3.0]), eye), [-3.0, 2.0], atol=1e-12
+        seen_along(np.array([1.0, 0.0, 0.0]), np.array([1.0, 2.0, 3.0]), ahead), [-3.0, 2.0], atol=1e-12
     )
     policy = of_tracks([[A] * 4], [{}], [{}])
     np.testing.assert_array_equal(tool_axis(policy, 0, 1), UP)
