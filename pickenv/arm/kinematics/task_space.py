@@ -89,16 +89,16 @@ def joint_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
         Array ``(..., 6, n)``: rows position (m) and rotation vector (rad) in world axes, per rad or m (eq (13)).
     """
     links, tool, shape = _frames(geometry, q)
-    return _stacked(jacobian_columns(geometry, links, tool), shape)
+    return np.moveaxis(_stacked(jacobian_columns(geometry, links, tool), shape), (0, 1), (-2, -1))
 
 
-def _stacked(columns: Sequence[Column], shape: tuple[int, ...]) -> Array:
-    """Columns of components ``shape`` as one Jacobian ``(..., 6, n)``."""
-    jacobian = np.empty((6, len(columns), *shape))
+def _stacked(columns: Sequence[Scalars], shape: tuple[int, ...]) -> Array:
+    """Columns or frames as one array ``(k, n, ...)``: n of them, of k components each that broadcast to ``shape``."""
+    stacked = np.empty((len(columns[0]), len(columns), *shape))
     for i, column in enumerate(columns):
         for row, value in enumerate(column):
-            jacobian[row, i] = value
-    return np.moveaxis(jacobian, (0, 1), (-2, -1))
+            stacked[row, i] = value
+    return stacked
 
 
 def pose_and_jacobian(geometry: Geometry, q: Array) -> tuple[Pose, Array]:
@@ -109,7 +109,8 @@ def pose_and_jacobian(geometry: Geometry, q: Array) -> tuple[Pose, Array]:
     """
     if len(q) > FEW:
         links, tool, shape = _frames(geometry, q)
-        return pose_of(tool), _stacked(jacobian_columns(geometry, links, tool), shape)
+        jacobian = _stacked(jacobian_columns(geometry, links, tool), shape)
+        return pose_of(tool), np.moveaxis(jacobian, (0, 1), (-2, -1))
     chain, tools, jacobian = chain_of(geometry), [], np.empty((len(q), geometry.joints, 6))
     for row, joints in enumerate(q.tolist()):
         links = frames(ONE, chain, joints)
@@ -132,11 +133,7 @@ def parameter_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
     """
     n = geometry.links
     frame_list, tool_frame, shape = _frames(geometry, q)
-    links, tool = np.empty((12, n + 1, *shape)), np.empty((3, *shape))  # components first
-    for i, frame in enumerate(frame_list):
-        for component, value in enumerate(frame):
-            links[component, i] = value
-    tool[0], tool[1], tool[2] = tool_frame[9:]
+    links, tool = _stacked(frame_list, shape), _stacked([tool_frame[9:]], shape)[:, 0]  # components first
     jacobian = np.zeros((6, 5 * n + 12, *shape))
     angles = np.cos(geometry.alpha), np.sin(geometry.alpha), geometry.a
     twist = [np.moveaxis(np.broadcast_to(values, (*shape, n)), -1, 0) for values in angles]

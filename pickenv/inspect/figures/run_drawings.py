@@ -126,13 +126,10 @@ def comparison_drawings(comparison: Comparison) -> Drawings:
 
 
 def _success(comparison: Comparison) -> Figure:
-    points = {
-        label: {
-            name: (float(lateral_mm.mean()), (float(p.mean()), clustered_share_interval(p, 1)))
-            for name, p in success.items()
-        }
-        for label, (lateral_mm, success) in gripped(comparison).items()
-    }
+    points = {}
+    for label, (lateral_mm, success) in gripped(comparison).items():
+        shares = {name: (float(p.mean()), clustered_share_interval(p, 1)) for name, p in success.items()}
+        points[label] = {name: (float(lateral_mm.mean()), share) for name, share in shares.items()}
     return plot_policies.success_against_misalignment(gripper_curves(), points)
 
 

@@ -255,15 +255,10 @@ def axis_table(
         say: Function that formats a number as text.
     """
     heads = ["axis", *(f"{label} {statistic}" for label in stages for statistic in ("mean", "std", "RMSE", "max"))]
-    rows = [
-        [
-            axis,
-            *(
-                cell
-                for axes in stages.values()
-                for cell in ("+" * (axes[axis][0] >= 0.0) + say(axes[axis][0]), *map(say, axes[axis][1:]))
-            ),
-        ]
-        for axis in next(iter(stages.values()))
-    ]
+    rows = []
+    for axis in next(iter(stages.values())):
+        rows.append([axis])
+        for axes in stages.values():
+            mean, *others = axes[axis]
+            rows[-1] += ["+" * (mean >= 0.0) + say(mean), *map(say, others)]
     return PageTable(caption, heads, rows, "dense")

@@ -125,13 +125,10 @@ def matters(plant: str, changes: Sequence[Change], between: tuple[str, str] = ("
         before, after = 100.0 * change["before"], 100.0 * change["after"]
         return f"{before:.0f} % taken {between[0]}, {after:.0f} % {between[1]}"
 
-    best = sorted(
-        (
-            max((c for c in changes if c["gripper"] == name), key=lambda c: abs(_gain(c)))
-            for name in dict.fromkeys(c["gripper"] for c in changes)
-        ),
-        key=lambda c: -abs(_gain(c)),
-    )
+    largest: dict[str, Change] = {}  # of each gripper
+    for change in sorted(changes, key=lambda c: -abs(_gain(c))):
+        largest.setdefault(change["gripper"], change)
+    best = list(largest.values())
     if abs(_gain(best[0])) < MATTERS:
         most = abs(np.ceil(100.0 * abs(_gain(best[0])) - 1e-9))  # no minus before a zero
         return (
