@@ -37,7 +37,8 @@ class Kind:
 
     Attributes:
         feedback: Feedback that the policy can use: "encoders", "camera".
-        sequential: Whether the policy learns from episode to episode.
+        sequential: Whether the policy learns from episode to episode. The registered function that makes it then also
+            takes ``camera_noise_mm``, mm per axis, and ``compensation``, the compensation between policy and arm.
         raw_only: Whether the policy is evaluated only without a compensator, which would disturb it.
         files: Policy files, one per training seed; empty for a registered policy.
         moves_tool: Whether the policy acts in `pickenv/ReachTool-v0`, where fruit lie elsewhere than for other

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import gymnasium as gym
@@ -82,23 +82,6 @@ class Moment(NamedTuple):
     target: Array | None = None
 
 
-def moments_of(env: gym.Env[Any, Any], policy: Policy, seed: int) -> Iterator[Moment]:
-    """Run one episode and yield a `Moment` after the reset and after each step.
-
-    Raises:
-        InputError: If the episode does not end within `LONGEST_EPISODE` steps.
-    """
-    observation, info = env.reset(seed=seed)
-    policy.reset()
-    yield Moment(0.0, info, believed_joints(env))
-    for _ in range(LONGEST_EPISODE):
-        observation, reward, terminated, truncated, info = env.step(policy.act(observation))
-        yield Moment(float(reward), info, believed_joints(env))
-        if terminated or truncated:
-            return
-    raise InputError(f"an episode did not end within {LONGEST_EPISODE} steps; give the environment a time limit")
-
-
 def run_episodes(
     env: gym.Env[Any, Any], policy: Policy, seeds: Sequence[int], progress: Callable[[int], None] | None = None
 ) -> list[list[Moment]]:
@@ -111,13 +94,25 @@ def run_episodes(
         progress: Called after each episode with the number of episodes done.
 
     Raises:
-        InputError: If there are no seeds, or an episode does not end.
+        InputError: If there are no seeds, or an episode does not end within `LONGEST_EPISODE` steps.
     """
     if not seeds:
         raise InputError("there are no episodes to run; give at least one seed")
     episodes = []
     for done, seed in enumerate(seeds, start=1):
-        episodes.append(list(moments_of(env, policy, seed)))
+        observation, info = env.reset(seed=seed)
+        policy.reset()
+        moments = [Moment(0.0, info, believed_joints(env))]
+        for _ in range(LONGEST_EPISODE):
+            observation, reward, terminated, truncated, info = env.step(policy.act(observation))
+            moments.append(Moment(float(reward), info, believed_joints(env)))
+            if terminated or truncated:
+                break
+        else:
+            raise InputError(
+                f"an episode did not end within {LONGEST_EPISODE} steps; give the environment a time limit"
+            )
+        episodes.append(moments)
         if progress is not None:
             progress(done)
     return episodes

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from pickenv.agents.policies.policy import ObservationParts, Policy, camera_of, read_observation, with_traits
+from pickenv.agents.policies.policy import Policy, camera_of, read_observation
 from pickenv.agents.policies.scripted import AT, ScriptedPick, ScriptedReach
 from pickenv.arm import Array, MeasurementNoise
 from pickenv.base import InputError, register
@@ -40,8 +40,8 @@ class LookingReach(ScriptedReach):
 
     def __init__(self, env: Any) -> None:
         """Read the nominal arm from ``env``."""
-        super().__init__(env)
         self._count: NDArray[np.int64] = np.zeros(0, dtype=np.int64)
+        super().__init__(env)
 
     def reset(self) -> None:
         """Learn from the last episode and prepare for the next."""
@@ -68,7 +68,10 @@ class LookingReach(ScriptedReach):
             self._joints: Array = np.zeros_like(reading.joints)
             self._sum: Array = np.zeros_like(camera)
         action = self.action(self._wanted - self.commanded(reading.joints))
-        self._note(reading, camera, (np.abs(action).max(axis=-1) < ARRIVED) & self.settled)
+        arrived = (np.abs(action).max(axis=-1) < ARRIVED) & self.settled
+        self._joints = np.where(arrived[:, None], reading.joints, self._joints)
+        self._sum += np.where(arrived[:, None], reading.seen - camera, 0.0)
+        self._count += arrived
         return action[0] if np.ndim(observation) == 1 else action
 
     def meet(self, arms: int) -> None:
@@ -94,12 +97,6 @@ class LookingReach(ScriptedReach):
             looks: Number of measurements averaged in each mean ``(r,)``.
         """
         raise NotImplementedError
-
-    def _note(self, reading: ObservationParts, camera: Array, arrived: NDArray[np.bool_]) -> None:
-        """Add one camera measurement to the averages of the arms that stand still."""
-        self._joints = np.where(arrived[:, None], reading.joints, self._joints)
-        self._sum += np.where(arrived[:, None], reading.seen - camera, 0.0)
-        self._count += arrived
 
 
 class AdaptiveReach(LookingReach):
@@ -193,7 +190,6 @@ class FeelingPick(ScriptedPick):
 
 
 @register("policy", "adaptive")
-@with_traits(("camera",), sequential=True)
 def adaptive(env: Any, seed: int, *, camera_noise_mm: float = 0.0, compensation: str = "raw") -> Policy:
     """Make an `AdaptiveReach` for a level of camera noise; with a compensation it assumes smaller arm errors.
 
@@ -205,3 +201,6 @@ def adaptive(env: Any, seed: int, *, camera_noise_mm: float = 0.0, compensation:
     """
     prior = 1.0 if compensation == "raw" else CALIBRATED_PRIOR
     return AdaptiveReach(env, camera_std=camera_noise_mm * 1e-3, prior=prior)
+
+
+vars(adaptive).update(feedback=("camera",), sequential=True)

@@ -6,16 +6,14 @@ policy therefore drives a single environment or a native vector environment.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array, Geometry, Pose, displace_pose, forward, pose_error
 from pickenv.base import InputError
-from pickenv.envs import FEEDBACK
 
 
 class Policy(Protocol):
@@ -26,30 +24,6 @@ class Policy(Protocol):
 
     def act(self, observation: NDArray[np.float32], /) -> NDArray[np.float32]:
         """Return the next action for one observation, or one action for each observation of a batch."""
-
-
-Maker = TypeVar("Maker", bound=Callable[..., Policy])
-
-
-def with_traits(
-    feedback: tuple[str, ...] = FEEDBACK, *, sequential: bool = False, raw_only: bool = False
-) -> Callable[[Maker], Maker]:
-    """Return a decorator that attaches properties of a policy to the function ``(env, seed)`` that makes it.
-
-    Comparisons read these attributes. A class that is registered as a policy defines them itself.
-
-    Args:
-        feedback: Feedback that the policy can use: "encoders", "camera".
-        sequential: Whether the policy learns from episode to episode. The function then also takes the keywords
-            ``camera_noise_mm``, mm per axis, and ``compensation``, the compensation between policy and arm.
-        raw_only: Whether the policy is compared only without a compensator, which would disturb it.
-    """
-
-    def keep(maker: Maker) -> Maker:
-        vars(maker).update(feedback=feedback, sequential=sequential, raw_only=raw_only)
-        return maker
-
-    return keep
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,14 +118,10 @@ class ReachController:
         situation = inner.task.situation
         self.lag = int(situation.latency.high + situation.delay.high)
         self.tolerance = COUNTS + 4.0 * situation.joint_noise.high
-        self.forget()
+        self.reset()
 
     def reset(self) -> None:
-        """Forget the last episode."""
-        self.forget()
-
-    def forget(self) -> None:
-        """Drop the predicted joints and start again from the next reading."""
+        """Forget the last episode: the next reading is where the predicted joints start again."""
         self._sent: Array | None = None
         self._still: Any = 0
 

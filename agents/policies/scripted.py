@@ -21,15 +21,10 @@ class ScriptedReach(policy.ReachController):
     It uses the observation only: joint readings, the measured fruit position and the rotation to the wanted attitude.
     """
 
-    def __init__(self, env: Any) -> None:
-        """Read the arm's nominal geometry and increments from ``env``, a `pickenv/Reach-v0`, wrapped or not."""
-        super().__init__(env)
-        self._wanted: Array | None = None
-
     def reset(self) -> None:
         """Forget the last episode's fruit."""
-        self._wanted = None
-        self.forget()
+        super().reset()
+        self._wanted: Array | None = None
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
         """Return the next action ``(n,)``, or actions ``(N, n)`` for N observations.
@@ -105,7 +100,6 @@ class ScriptedScene(ScriptedReach):
         super().__init__(env)
         self.lag = max(self.lag, 1)  # drives with inertia follow late: it goes by what it has sent
         self._scale = env.unwrapped.scene.around.scale
-        self.reset()
 
     def reset(self) -> None:
         """Forget the last episode's fruit."""
@@ -324,7 +318,6 @@ class ServoReach(ScriptedReach):
         if not 0 < gain <= 1:
             raise InputError(f"gain is {gain}; give a number above 0 and at most 1")
         self.gain = gain
-        self.reset()
 
     def reset(self) -> None:
         """Forget the last episode's fruit and measurements."""
@@ -411,11 +404,10 @@ class ScriptedPick(policy.ReachController):
         self.tool_speed = np.asarray(gentle if tool_speed is None else tool_speed, dtype=float)
         self.gain, self.arrived, self.patience = (np.asarray(value, dtype=float) for value in (gain, arrived, patience))
         self.iterations = iterations
-        self.reset()
 
     def reset(self) -> None:
         """Forget the last canopy."""
-        self.forget()
+        super().reset()
         self._begin(0)
 
     def _begin(self, count: int) -> None:
@@ -617,14 +609,12 @@ class ScriptedHarvest:
 
 
 @register("policy", "random")
-@policy.with_traits(("encoders",))
 def random(env: Any, seed: int) -> policy.Policy:
     """Make the policy of uniformly random actions."""
     return RandomReach(env, np.random.default_rng(seed))
 
 
 @register("policy", "scripted")
-@policy.with_traits(("encoders",))
 def scripted(env: Any, seed: int = 0) -> policy.Policy:
     """Make the scripted policy that fits an environment; it draws no random numbers and ignores ``seed``.
 
@@ -642,14 +632,19 @@ def scripted(env: Any, seed: int = 0) -> policy.Policy:
 
 
 @register("policy", "oracle")
-@policy.with_traits(("encoders",), raw_only=True)
 def oracle(env: Any, seed: int) -> policy.Policy:
     """Make the policy that knows the true arm; ``seed`` is not used."""
     return OracleReach(env)
 
 
 @register("policy", "servo")
-@policy.with_traits(("camera",))
 def servo(env: Any, seed: int) -> policy.Policy:
     """Make the visual-servoing policy with its default gain; ``seed`` is not used."""
     return ServoReach(env)
+
+
+# What an evaluation needs to know of each, as `pickenv.agents.evaluation.contenders.Kind` explains.
+vars(random).update(feedback=("encoders",))
+vars(scripted).update(feedback=("encoders",))
+vars(oracle).update(feedback=("encoders",), raw_only=True)
+vars(servo).update(feedback=("camera",))

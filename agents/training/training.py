@@ -18,7 +18,7 @@ from pickenv.agents.policies.learned import LearnedPolicy
 from pickenv.agents.policies.remembering import RememberingPolicy
 from pickenv.agents.training import training_setup
 from pickenv.agents.training.checkpoints import Evaluations, read_checkpoint, save_checkpoint, take_checkpoint
-from pickenv.agents.training.training_setup import Inputs, Training
+from pickenv.agents.training.training_setup import Training
 from pickenv.base import InputError, locked, torch_on_one_thread, write_json
 
 # What happens during a training: checkpoints between rollouts, and evaluations in millimetres.
@@ -41,37 +41,6 @@ class EverySoOften(BaseCallback):
 
     def _on_step(self) -> bool:
         return True
-
-
-def judged(
-    training: Training,
-    inputs: Inputs,
-    out: Path,
-    rows: Evaluations,
-    policy: LearnedPolicy | RememberingPolicy,
-    steps: int,
-) -> dict[str, float]:
-    """Evaluate a policy, and add the result to ``rows`` and to the run's `evaluations.json`.
-
-    Args:
-        training: Settings of the training.
-        inputs: Hashes of the calibration and the arms with which the training began.
-        out: Folder of the run.
-        rows: Evaluations so far, changed in place. Those at ``steps`` or later are dropped first.
-        policy: Actor to evaluate.
-        steps: Number of environment steps so far.
-
-    Returns:
-        The new evaluation.
-
-    Raises:
-        InputError: If the files with which the training began have changed.
-    """
-    training_setup.check_inputs(training, inputs)
-    rows[:] = [row for row in rows if row["steps"] < steps]
-    rows.append({"steps": float(steps)} | training_setup.judge(policy, training))
-    write_json(out / "evaluations.json", rows)
-    return rows[-1]
 
 
 CHECKPOINT = "checkpoint.pt"
@@ -122,9 +91,17 @@ def train(training: Training, out: str | Path, *, resume: bool = False, progress
         if resume:
             take_checkpoint(path, state, model, env)
 
+        def judged(policy: LearnedPolicy | RememberingPolicy, steps: int) -> dict[str, float]:
+            """Evaluate a policy after so many steps; the result replaces those at as many steps or more."""
+            training_setup.check_inputs(training, inputs)
+            rows[:] = [row for row in rows if row["steps"] < steps]
+            rows.append({"steps": float(steps)} | training_setup.judge(policy, training))
+            write_json(out / "evaluations.json", rows)
+            return rows[-1]
+
         def evaluate(at: BaseCallback) -> None:
             policy = training_setup.actor_of(at.model, training, env)
-            for key, value in judged(training, inputs, out, rows, policy, at.model.num_timesteps).items():
+            for key, value in judged(policy, at.model.num_timesteps).items():
                 at.logger.record(f"eval/{key}", value)
 
         def keep(at: BaseCallback) -> None:
@@ -140,7 +117,7 @@ def train(training: Training, out: str | Path, *, resume: bool = False, progress
         rate = (model.num_timesteps - first) / max(time.perf_counter() - begin, 1e-9)
         policy = training_setup.actor_of(model, training, env)
         policy.save(out / "policy.npz")
-        judged(training, inputs, out, rows, policy, model.num_timesteps)
+        judged(policy, model.num_timesteps)
         env.close()
     return Trained(policy, tuple(rows), rate, out)
 
