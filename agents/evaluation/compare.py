@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -134,8 +134,15 @@ def compare(
         def ran(done: int, stage: str = f"{contender.label}, episodes") -> None:
             report(stage, done, episodes)
 
-        own_seed = seed_words(stream(seed, "policy", number), 1)[0]
-        runs.append(_episodes(contender, env, arguments, seeds, own_seed, allow, ran))
+        world = _made(env, arguments)
+        if contender.compensator is not None:
+            world = CompensationWrapper(world, contender.compensator, allow)
+        policy = contender.make(world, seed_words(stream(seed, "policy", number), 1)[0])  # for its own random draws
+        runs.append(run_episodes(world, policy, seeds, ran))
+        for episode in runs[-1]:
+            if missing := missing_positions(episode[0].info):
+                raise InputError(f"{env} cannot be compared: {missing}")
+        world.close()
     longest = max(len(episode) for run in runs for episode in run)
     recorded = [
         _recorded_policy(contender.label, run, longest, plant, judge, chance)
@@ -175,27 +182,6 @@ def _arm_and_period(env_id: str, arguments: Arguments) -> tuple[Plant | None, fl
     features = {"gripper"} if hasattr(getattr(inner, "orchard", None), "gripper") else set()
     features |= {"field"} if plant is not None and "pose_error" in info else set()
     return plant, 1.0 / inner.metadata.get("render_fps", 10), features
-
-
-def _episodes(
-    contender: Contender,
-    env_id: str,
-    arguments: Arguments,
-    seeds: Sequence[int],
-    own_seed: int,
-    allow: Collection[str],
-    ran: Callable[[int], None],
-) -> list[list[Moment]]:
-    """Run a contender's episodes and return all their moments; ``own_seed`` seeds the policy's own random draws."""
-    env = _made(env_id, arguments)
-    if contender.compensator is not None:
-        env = CompensationWrapper(env, contender.compensator, allow)
-    episodes = run_episodes(env, contender.make(env, own_seed), seeds, ran)
-    for episode in episodes:
-        if missing := missing_positions(episode[0].info):
-            raise InputError(f"{env_id} cannot be compared: {missing}")
-    env.close()
-    return episodes
 
 
 def _made(env_id: str, arguments: Arguments) -> gym.Env[Any, Any]:

@@ -112,10 +112,10 @@ class ReachController:
 
     def __init__(self, env: Any) -> None:
         """Read the nominal geometry and the increments from ``env``, a `pickenv/Reach-v0`, single or native vector."""
-        inner = env.unwrapped
-        self.geometry: Geometry = inner.plant.arm.nominal
-        self.increment = np.array(inner.increment)
-        situation = inner.task.situation
+        self.env = env.unwrapped
+        self.geometry: Geometry = self.env.plant.arm.nominal
+        self.increment = np.array(self.env.increment)
+        situation = self.env.task.situation
         self.lag = int(situation.latency.high + situation.delay.high)
         self.tolerance = COUNTS + 4.0 * situation.joint_noise.high
         self.reset()

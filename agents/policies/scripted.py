@@ -96,10 +96,9 @@ class ScriptedScene(ScriptedReach):
     """Distance per step near the fruit, m at full scale, and joint error below which joints have arrived, rad or m."""
 
     def __init__(self, env: Any) -> None:
-        """Read the arm and the scene's scale from ``env``."""
+        """Read the arm from ``env``."""
         super().__init__(env)
         self.lag = max(self.lag, 1)  # drives with inertia follow late: it goes by what it has sent
-        self._scale = env.unwrapped.scene.around.scale
 
     def reset(self) -> None:
         """Forget the last episode's fruit."""
@@ -109,16 +108,16 @@ class ScriptedScene(ScriptedReach):
 
     def act(self, observation: Any) -> NDArray[np.float32]:
         """Return the next action ``(n + 1,)``: increments of the joints, and the gripper, which is open below 0."""
-        reading = self.present(np.asarray(_state_of(observation))[:-2])
+        reading, scale = self.present(np.asarray(_state_of(observation))[:-2]), self.env.scene.around.scale
         if self._wanted is None:
             self._wanted = self.wanted_joints(reading)
         end = (self.FAR, self.BEFORE, self.PRESS, self.PRESS, self.AWAY)[self._stage]
         step = self.SLOW if self._stage in (2, 3) else 3.0 * self.SLOW
         self._at += float(np.clip(end - self._at, -step, step))
         if self._stage < len(self._PATIENCE) - 1:
-            goal = self._along(self._wanted, self._at * self._scale)
+            goal = self._along(self._wanted, self._at * scale)
         else:
-            goal = self._drawn(reading.joints, min(self._at, 0.0) * self._scale)
+            goal = self._drawn(reading.joints, min(self._at, 0.0) * scale)
         if self._stage == 1 and self._waited > SETTLED and (gap := self._gap(observation, reading)) is not None:
             self._gaps.append(gap)
         if self._stage >= 2 and self._gaps:
@@ -177,9 +176,9 @@ class SeeingScene(ScriptedScene):
     """
 
     def __init__(self, env: Any) -> None:
-        """Read the arm, the scene's scale and the camera's pose on the tool from ``env``."""
+        """Read the arm and the camera's pose on the tool from ``env``."""
         super().__init__(env)
-        self._eye, self._eye_axes, self._slope = env.unwrapped.scene.wrist_eye
+        self._eye, self._eye_axes, self._slope = self.env.scene.wrist_eye
         self._detector = load_stereo_camera("li2016")
 
     def _gap(self, observation: Any, reading: policy.ObservationParts) -> Array | None:
@@ -220,21 +219,16 @@ class ServoScene(policy.ReachController):
     `FUNNEL` sets the lateral distance from tool axis to fruit at which the advance slows to 1/e. This distance is the
     larger of two: the first number, m at full scale, and the second number times the remaining gap."""
 
-    def __init__(self, env: Any) -> None:
-        """Read the arm and the scene's scale from ``env``."""
-        super().__init__(env)
-        self._scale = env.unwrapped.scene.around.scale
-
     def act(self, observation: Any) -> NDArray[np.float32]:
         """Return the next action ``(n + 1,)``, with suction on.
 
         Raises:
             InputError: If the observation holds no camera measurement, or no state.
         """
-        numbers = np.asarray(_state_of(observation))
+        numbers, scale = np.asarray(_state_of(observation)), self.env.scene.around.scale
         reading = self.present(numbers[:-2])
         attitude = forward(self.geometry, reading.joints).rotation
-        gap = attitude.T @ policy.camera_of(reading, "servo") / self._scale
+        gap = attitude.T @ policy.camera_of(reading, "servo") / scale
         turn = np.clip(self.SHARE * (attitude.T @ reading.turn), -self.TURNS, self.TURNS)
         gap[2] += self.PRESS
         step = np.clip(self.SHARE * gap, -self.MOST, self.MOST)
@@ -243,7 +237,7 @@ class ServoScene(policy.ReachController):
             step[2] *= np.exp(-(np.hypot(*gap[:2]) ** 2) / width**2)
         if numbers[-1] > 0.5:
             step, turn = np.array([0.0, 0.0, self.BACK]), np.zeros(3)
-        moves = np.concatenate([attitude @ step * self._scale, attitude @ turn])
+        moves = np.concatenate([attitude @ step * scale, attitude @ turn])
         joints = truncated_inverse(joint_jacobian(self.geometry, reading.joints)) @ moves
         return np.append(self.action(joints), 1.0).astype(np.float32)
 
@@ -268,17 +262,12 @@ class OracleReach(ScriptedReach):
     """Reach policy that solves the inverse kinematics of the true arm at rest, effects included, and drives there.
 
     It knows neither the state of backlash and friction nor the arm's temperature. Errors that depend on these states
-    remain.
+    remain. The environment's plant (the true arm with its errors) may change, and is read anew in every episode.
     """
-
-    def __init__(self, env: Any) -> None:
-        """Keep ``env``; its plant (the true arm with its errors) may change, and is read anew in every episode."""
-        super().__init__(env)
-        self._env = env.unwrapped
 
     def wanted_joints(self, reading: policy.ObservationParts) -> Array:
         """Return joint values ``(..., n)`` at which the true arm's tool has its target pose, rad or m."""
-        return _of_true_arm(self._env.plant, super().wanted_joints(reading), self.wanted_pose(reading))
+        return _of_true_arm(self.env.plant, super().wanted_joints(reading), self.wanted_pose(reading))
 
 
 def _of_true_arm(plant: Plant, joints: Array, pose: Pose) -> Array:
@@ -398,8 +387,8 @@ class ScriptedPick(policy.ReachController):
                 joints farther from mid-range.
         """
         super().__init__(env)
-        self.period: float = env.unwrapped.task.situation.period.high  # the increments are those of this period
-        gentle = GENTLE * env.unwrapped.orchard.station.bruise_speed
+        self.period: float = self.env.task.situation.period.high  # the increments are those of this period
+        gentle = GENTLE * self.env.orchard.station.bruise_speed
         self.settle, self.approach, self.aim = (np.asarray(value, dtype=float) for value in (settle, approach, aim))
         self.tool_speed = np.asarray(gentle if tool_speed is None else tool_speed, dtype=float)
         self.gain, self.arrived, self.patience = (np.asarray(value, dtype=float) for value in (gain, arrived, patience))
@@ -482,16 +471,11 @@ class ScriptedPick(policy.ReachController):
 class OraclePick(ScriptedPick):
     """`ScriptedPick` that solves the inverse kinematics of the true arm at rest, as `OracleReach` does.
 
-    It aims at the fruit position that the camera measured.
+    It aims at the fruit position that the camera measured. The true arms are read anew for every fruit.
     """
 
-    def __init__(self, env: Any, **how: Any) -> None:
-        """Keep ``env``; its true arms are read anew for every fruit. ``how`` goes to `ScriptedPick`."""
-        super().__init__(env, **how)
-        self._env = env.unwrapped
-
     def _corrected(self, rows: Any, at: Array) -> Array:
-        return _of_true_arm(plants_on(self._env.plant, lambda values: values[rows]), at, forward(self.geometry, at))
+        return _of_true_arm(plants_on(self.env.plant, lambda values: values[rows]), at, forward(self.geometry, at))
 
 
 # A scripted policy for the harvester: plan the zone once, pick by the plan, plan anew for what was missed. It uses

@@ -209,17 +209,15 @@ class PickEnv(ArmEnv):
         task, joints, arm = self.task, options.get("start_joints"), options.get("arm")
         if joints is not None:
             task.given_joints("start_joints", joints)  # refused before anything is drawn
-        before = None if seed is not None else self._arm
-        ((self.scene, number, key),) = draw_starts(
-            task, self.orchard, self._reach, [self.np_random], [before], [options.get("fruit")], [arm]
-        )
+        episode = self.np_random, None if seed is not None else self._arm, options.get("fruit"), arm
+        ((self.scene, number, key),) = draw_starts(task, self.orchard, self._reach, [episode])
         self._key = self._word(key)
         if number is not None and (task.arms != "fixed" or arm is not None):
             self._use_arm(number)
         target = self._start(joints)
         hours = None if options.get("hours") is None else float(given_hours(options["hours"]))
         command = self._command(target)
-        self._state = begin(self._x, task, self.plant, self._key, target, (), command, gripper=1, hours=hours)
+        self._state = begin(self._x, task, self.plant, self._key, target, (), command, hours)
         self.canopies = Canopies(task, self.orchard, 1)
         self._look(self.canopies, self._state, 0.0)
         self.canopies.adopt(0, self.scene)
@@ -232,7 +230,7 @@ class PickEnv(ArmEnv):
         Raises:
             InputError: If the action has another shape or invalid numbers, or if `reset` was not called before.
         """
-        values, canopies = checked_action(action, (self.task.joints + 1,), self.task.most_action), self.canopies
+        values, canopies = checked_action(action, (self.task.actions,), self.task.most_action), self.canopies
         if canopies is None or self._state is None:
             raise InputError("step was called before reset; call reset first")
         numbers, before = self._numbers(values.tolist()), canopies.sight[TOOL][9:].T.copy()

@@ -116,7 +116,7 @@ def look_at_arm(
     """
     plant_state, ended = plant.advance(x.m, state.plant, command, dt)
     read = simulation.nominal_readings(x, plant, plant_state, state.target, command)
-    arrived, late = situation.sensed(x, task.situation, state.drawn, state.sensed, key, moment, read, (), dt)
+    arrived, late = simulation.sensed(x, task, state, key, moment, read, (), dt)
     pose, tool = simulation.nominal_frames(x, task, list(arrived))[1], inexact(ended)
     tilt = simulation.DEGREES * x.m.acos(clipped(x.m, tool[8], -1.0, 1.0))
     turn, readings = upright_turn(x.m, pose[6:9]), simulation.scaled(x, task, arrived)

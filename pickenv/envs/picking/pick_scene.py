@@ -23,7 +23,7 @@ from pickenv.base import InputError, check_known, shown
 from pickenv.envs.picking.pick_arm import UP, Reach
 from pickenv.envs.shared.backends import Flags
 from pickenv.envs.shared.situation import MOST_HOURS
-from pickenv.envs.shared.spaces import box
+from pickenv.envs.shared.spaces import action_space, box
 from pickenv.envs.shared.task import Task, as_numbers, check_choice, check_count, check_number, make_task
 from pickenv.orchard import DRAWS
 
@@ -469,7 +469,7 @@ def make_pick(
         depth=min(station.depth, row.depth),
         top=min(row.bottom + station.height, row.top),
     )
-    return task, PickSetting(
+    return replace(task, gripper=1), PickSetting(
         canopy=section,
         fruit_map=crop.scaled(fruit / section.width),
         size=trees.load_fruit_size(fruit_size),
@@ -491,7 +491,7 @@ def pick_spaces(task: Task, orchard: PickSetting) -> tuple[spaces.Box, spaces.Bo
     felt = np.full(0 if orchard.felt is None else 3, MOST_FELT, np.float32)
     low = np.concatenate([bounds.low, np.zeros(5, np.float32), -felt])
     high = np.concatenate([bounds.high, np.ones(5, np.float32), felt])
-    return spaces.Box(low, high, dtype=np.float32), spaces.Box(-1.0, 1.0, (task.joints + 1,), np.float32)
+    return spaces.Box(low, high, dtype=np.float32), action_space(task)
 
 
 def pick_reward(collected: Scalar, damaged: Scalar) -> Scalar:
@@ -532,30 +532,21 @@ PickStart = tuple[PickScene, int | None, int]
 random streams for the situation."""
 
 
-def draw_starts(
-    task: Task,
-    orchard: PickSetting,
-    reach: Reach,
-    rngs: Sequence[np.random.Generator],
-    before: Sequence[int | None],
-    fruit: Sequence[Any],
-    arms: Sequence[int | None],
-) -> list[PickStart]:
-    """Draw the starts of episodes, each from its own generator; every sequence has one entry per episode.
+def draw_starts(task: Task, orchard: PickSetting, reach: Reach, episodes: Sequence[tuple[Any, ...]]) -> list[PickStart]:
+    """Draw the starts of episodes, each from its own generator.
 
     Args:
         task: The arm's task.
         orchard: The orchard, the camera and the gripper.
         reach: Test of what the arm reaches.
-        rngs: Random generators.
-        before: Number of the true arm in the environment's last episode, or None. With `arms="per_env"` this arm stays,
-            and an arm is drawn only for None.
-        fruit: Fruit positions (n, 3) in the base frame, m, or None to draw fruit.
-        arms: Number of the true arm that the user wants, or None.
+        episodes: For each episode its random generator, the number of the true arm in the environment's last episode or
+            None, fruit positions (n, 3) in the base frame, m, or None to draw fruit, and the number of the true arm
+            that the user wants or None. With `arms="per_env"` the last arm stays, and an arm is drawn only for None.
 
     Raises:
         InputError: If no fruit is within reach, or the population has no arm of a given number.
     """
+    rngs, before, fruit, arms = zip(*episodes, strict=True)
     starts = []
     for scene, rng, arm, number in zip(draw_scenes(orchard, reach, rngs, fruit), rngs, before, arms, strict=True):
         if (task.arms != "fixed" or number is not None) and (arm is None or task.arms == "per_episode"):

@@ -126,16 +126,11 @@ class PickVectorEnv(NativeVectorEnv):
         count = self.num_envs
         fruit, arms = _each(options, "fruit", count, 3), _each(options, "arm", count, 1)
         settled = self._armed & ~seeded
-        numbers = rows.tolist()
-        return pick_scene.draw_starts(
-            self.task,
-            self.orchard,
-            self._reach,
-            [self._rngs[row] for row in numbers],
-            [int(self.batch.arm[row]) if settled[row] else None for row in numbers],
-            [fruit[row] for row in numbers],
-            [arms[row] for row in numbers],
-        )
+        episodes = [
+            (self._rngs[row], int(self.batch.arm[row]) if settled[row] else None, fruit[row], arms[row])
+            for row in rows.tolist()
+        ]
+        return pick_scene.draw_starts(self.task, self.orchard, self._reach, episodes)
 
     def _draw_ahead(self) -> None:
         """Draw the start of the next episode for all environments that have none drawn yet.
@@ -184,7 +179,7 @@ class PickBatch(NumpyArms):
     """
 
     def __init__(self, task: Task, orchard: pick_scene.PickSetting, count: int) -> None:
-        super().__init__(task, count, task.joints + 1)
+        super().__init__(task, count)
         self.make_plants()
         self.make_room(0, 0)
         self.canopies = Canopies(task, orchard, count)
@@ -218,7 +213,7 @@ class PickBatch(NumpyArms):
             targets = self.starts(keys[a:b], None if joints is None else joints[a:b])
             plant = self.plant_of(some)
             command, on = self.commands(compensate, targets, some), None if hours is None else hours[a:b]
-            state = begin(x, task, plant, keys[a:b], targets, (), command, gripper=1, hours=on)
+            state = begin(x, task, plant, keys[a:b], targets, (), command, on)
             self._look(some, state, plant, compensate, 0.0)
         for row, scene in zip(rows.tolist(), scenes, strict=True):
             canopies.adopt(row, scene)

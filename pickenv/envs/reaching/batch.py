@@ -48,7 +48,7 @@ class Batch(ArmBatch, ABC):
     """
 
     def __init__(self, task: Task, count: int, goal_dict: bool, poses: bool) -> None:
-        super().__init__(task, count, task.moves)
+        super().__init__(task, count)
         self.goal_dict, self.poses = goal_dict, poses
 
     @abstractmethod

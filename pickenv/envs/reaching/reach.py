@@ -9,16 +9,16 @@ import numpy as np
 from gymnasium import spaces
 from numpy.typing import ArrayLike
 
-from pickenv.arm import IDEAL, Array, Frame, Geometry, forward
+from pickenv.arm import IDEAL, Array, Frame, forward
 from pickenv.base import InputError
 from pickenv.envs.shared import simulation
-from pickenv.envs.shared.arm_env import GHOST_WORDS, ArmEnv, Information, ground_below, standing, tool_dial
+from pickenv.envs.shared.arm_env import GHOST_WORDS, ArmEnv, Information, standing, tool_dial
 from pickenv.envs.shared.backends import GOAL, NUMPY, Scalar, episode_key, fresh_seed, seed_word, stream_key
 from pickenv.envs.shared.difficulty import on_ladder
 from pickenv.envs.shared.spaces import action_space, flat_space, given_goals, given_options, goal_space
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Task, checked_action, make_task
 from pickenv.pictures.arm_shapes import CUP_RADIUS, arm_at_work, arm_look, cup_solids, joined_solids
-from pickenv.pictures.stage import SIZE, Eye, Stage, Words, fitted_eye
+from pickenv.pictures.stage import SIZE, Stage, Words, fitted_eye
 from pickenv.pictures.tree_shapes import fruit_colours, fruit_solids, sprig
 
 # A reach as a stage to draw. Units: m; mm and degrees in words.
@@ -28,16 +28,18 @@ FRUIT = 0.06
 """Diameter with which fruit is drawn. The reach task itself has only the fruit's position."""
 
 
-def draw_reach(nominal: Geometry, scene: simulation.View, tolerance_mm: float, dark: bool) -> Stage:
+def draw_reach(task: Task, scene: simulation.View, dark: bool) -> Stage:
     """Return the stage to draw for a reach task: the true arm, a ghost of the believed arm, and the fruit.
 
+    The viewpoint shows the arm's whole workspace and its base. The ground is drawn where the arm does not reach it.
+
     Args:
-        nominal: The nominal arm, that is the arm as its controller believes it to be.
+        task: The task.
         scene: The view of the environment, whose numbers are floats.
-        tolerance_mm: Radius of the capture region, mm.
         dark: Whether the background is dark.
     """
-    look = arm_look(nominal)
+    nominal, tolerance_mm = task.plant.arm.nominal, task.tolerance_mm
+    look, base = arm_look(nominal), nominal.base.position
     command, tool, fruit = np.array(scene.command), np.array(scene.tool), np.array(scene.fruit)
     axis = forward(nominal, command).rotation[:, 2]
     distance_mm, angle_deg, *_ = scene.numbers
@@ -52,16 +54,11 @@ def draw_reach(nominal: Geometry, scene: simulation.View, tolerance_mm: float, d
         Words(f"green ring: {tolerance_mm:g} mm", "bottom left"),
         Words(GHOST_WORDS, "bottom left"),
     )
-    still = standing(nominal, ground_below(look, nominal), dark)
+    still = standing(nominal, float(min(look.low[2] - 0.1, base[2] - 0.35)), dark)
+    box = np.stack([np.minimum(look.low, base), np.maximum(look.high, base)], axis=-1)
+    eye = fitted_eye(np.array(np.meshgrid(*box)).reshape(3, -1).T, VIEW, SIZE)
     dial = tool_dial(axis, tool - fruit, tolerance_mm)
-    return Stage(reach_eye(nominal), *solids, still=still, words=words, dial=dial, dark=dark)
-
-
-def reach_eye(geometry: Geometry) -> Eye:
-    """Return a viewpoint (an `Eye`) that shows the arm's whole workspace and its base."""
-    look = arm_look(geometry)
-    low, high = np.minimum(look.low, geometry.base.position), np.maximum(look.high, geometry.base.position)
-    return fitted_eye(np.array(np.meshgrid(*np.stack([low, high], -1))).reshape(3, -1).T, VIEW, SIZE)
+    return Stage(eye, *solids, still=still, words=words, dial=dial, dark=dark)
 
 
 VIEW: Array = np.array([0.8, 1.0, 0.45])
@@ -226,8 +223,6 @@ class ReachEnv(ArmEnv):
 
     task_of: Callable[..., Task] = staticmethod(make_task)
     """Function that makes the task from the environment's arguments."""
-    gripper = 0
-    """Count of the gripper's numbers, which follow the arm's numbers in an action."""
 
     def __init__(self, *, executor: str = "auto", render_mode: str | None = None, **arguments: Any) -> None:
         """See the class for the arguments; raises `InputError` for values that are not allowed."""
@@ -258,7 +253,7 @@ class ReachEnv(ArmEnv):
             self._use_arm(task.given_arm(arm))
         start = self._start(options.get("start_joints"))
         goal = self._wanted(options)
-        self._state = simulation.begin(x, task, self.plant, self._key, start, goal, self._command(start), self.gripper)
+        self._state = simulation.begin(x, task, self.plant, self._key, start, goal, self._command(start))
         self._step = 0
         observation, _, information = self._look(0.0)
         return observation, information
@@ -270,7 +265,7 @@ class ReachEnv(ArmEnv):
             InputError: If the action has another shape or numbers that are not finite, if its numbers are beyond -1 to
                 1 with `out_of_range="refuse"`, or if `reset` was not called before.
         """
-        values = checked_action(action, (self.task.moves,), self.task.most_action)
+        values = checked_action(action, (self.task.actions,), self.task.most_action)
         if self._state is None:
             raise InputError("step was called before reset; call reset first")
         self._state = simulation.act(self._x, self.task, self._state, self._numbers(values.tolist()))
@@ -283,7 +278,7 @@ class ReachEnv(ArmEnv):
             return None
         parts = [self._plain(part) if isinstance(part, tuple) else self._plain((part,))[0] for part in self._scene]
         scene = simulation.View(*parts)  # type: ignore[arg-type]
-        return draw_reach(self.task.plant.arm.nominal, scene, self.task.tolerance_mm, self.dark)
+        return draw_reach(self.task, scene, self.dark)
 
     def _observe(self, scene: simulation.View) -> tuple[Any, float]:
         """Return the observation and the reward of a view; subclasses with other observations override this method."""

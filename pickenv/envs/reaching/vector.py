@@ -183,8 +183,7 @@ class ReachVectorEnv(NativeVectorEnv):
         return infos
 
     def _stage(self, row: int) -> Stage:
-        view = self.batch.scene(row, self.compensator)
-        return draw_reach(self.task.plant.arm.nominal, view, self.task.tolerance_mm, dark=False)
+        return draw_reach(self.task, self.batch.scene(row, self.compensator), dark=False)
 
 
 Settings = Mapping[str, Any]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import islice
 from typing import Any
 
@@ -21,7 +22,7 @@ from pickenv.envs.shared import simulation
 from pickenv.envs.shared.arm_env import RENDER_MODES, Information
 from pickenv.envs.shared.backends import FLOATS, Executor
 from pickenv.envs.shared.simulation import ArmState, View
-from pickenv.envs.shared.spaces import GOALS, flat_space
+from pickenv.envs.shared.spaces import GOALS, action_space, flat_space
 from pickenv.envs.shared.task import Task, check_choice, check_count, check_number, checked_action
 from pickenv.orchard import load_branch, load_detachment, load_fruit_size, load_gripper, load_suction
 from pickenv.orchard.gripper import misalignment
@@ -152,7 +153,6 @@ class PickSceneEnv(ReachEnv):
     * v0: First version.
     """
 
-    gripper = 1
     before, beside, turned = (0.06, 0.3), (0.02, 0.35), 0.1
     """Starts with `within_mm`, at full scale. `before` is the range of the tool's distance before the fruit, m. The
     largest distance beside it is `beside[0]`, m, plus `beside[1]` times the distance before it. `turned` is the
@@ -200,7 +200,7 @@ class PickSceneEnv(ReachEnv):
         super().__init__(executor="floats", control_period_s=control_period_s, **arguments)
         self.render_mode = render_mode
         self.plant = self._scaled(self.plant)
-        task = self.task
+        self.task = task = replace(self.task, gripper=1)
         if scale is None:
             scale = min(1.0, (task.reach - 1.0) / REACH_OF_APPLES)
         check_number("scale", scale, positive=True)
@@ -223,7 +223,7 @@ class PickSceneEnv(ReachEnv):
         self.scene = ContactScene(task.plant.arm, around)
         self.obs_type, self.cameras = obs_type, tuple(cameras)
         self.task_description = "pick the fruit that hangs from the branch"
-        self.action_space = spaces.Box(-1.0, 1.0, (task.joints + 1,), dtype=np.float32)
+        self.action_space = action_space(task)
         self.observation_space = self._space()
         self._grip = -1.0
         self._holding, self._closed = 0, (0.0, 0.0)
@@ -304,7 +304,7 @@ class PickSceneEnv(ReachEnv):
         Raises:
             InputError: If the action has another shape or invalid numbers, or if `reset` was not called before.
         """
-        values = checked_action(action, (self.task.joints + 1,), self.task.most_action)
+        values = checked_action(action, (self.task.actions,), self.task.most_action)
         if self._state is None:
             raise InputError("step was called before reset; call reset first")
         self._state, self._grip, _, period = act_arm(self._x, self.task, self._state, values.tolist())

@@ -51,7 +51,6 @@ class ArmBatch:
         block: Number of environments that begin an episode together.
         task: The task that all environments have in common.
         count: N.
-        actions: Count of numbers in an action.
         arm: Number of each environment's true arm in the population.
         plant: The true arms of the environments.
         population: The population that true arms are taken from.
@@ -66,8 +65,8 @@ class ArmBatch:
     population: Plant
     remade: tuple[str, ...] = ()
 
-    def __init__(self, task: Task, count: int, actions: int) -> None:
-        self.task, self.count, self.actions = task, count, actions
+    def __init__(self, task: Task, count: int) -> None:
+        self.task, self.count = task, count
         self.arm: NDArray[np.intp] = np.zeros(count, dtype=np.intp)
         self.keys: Scalar = self.words(np.zeros(count, dtype=np.uint64))
         self.columns: Columns = []
@@ -92,9 +91,10 @@ class ArmBatch:
             goal: Count of numbers in a goal.
             seen: Count of numbers in the goal position as the camera saw it.
         """
-        n, middle = self.task.joints, list(self.numbers(np.array([self.task.middle]).T))
+        task, middle = self.task, list(self.numbers(np.array([self.task.middle]).T))
         memory = [len(part) for part in self.plant_of(slice(0, 1)).initial_state(self.x.m, middle)]
-        self._widths = [n, goal, seen, *self.task.situation.widths(self.actions, n + 3 * self.task.camera), *memory]
+        late = task.situation.widths(task.actions, task.joints + 3 * task.camera)
+        self._widths = [task.joints, goal, seen, *late, *memory]
         self.columns = list(self.numbers(np.zeros((sum(self._widths), self.count))))
 
     @property
@@ -157,7 +157,7 @@ class ArmBatch:
             InputError: If actions have another shape or numbers that are not finite, or if the task refuses numbers
                 beyond -1 to 1.
         """
-        values, shape, most = self.given(actions), (self.count, self.actions), self.task.most_action
+        values, shape, most = self.given(actions), (self.count, self.task.actions), self.task.most_action
         if tuple(values.shape) != shape:
             raise InputError(f"actions have shape {tuple(values.shape)}; give {shape}, numbers between -1 and 1")
         numbers, low, high = self.components(values)

@@ -228,11 +228,6 @@ def standing(geometry: Geometry, ground: float, dark: bool) -> tuple[Mesh, ...]:
     return ground_around(x, y, ground, dark), pedestal(geometry, ground)
 
 
-def ground_below(look: arm_shapes.ArmLook, geometry: Geometry) -> float:
-    """Return a height for the drawn ground, m, at which the arm does not reach it."""
-    return float(min(look.low[2] - 0.1, geometry.base.position[2] - 0.35))
-
-
 def tool_dial(axis: Array, offset: Array, tolerance_mm: float) -> Dial:
     """Return the dial that shows the tool's true offset from the fruit, seen along the tool's axis.
 

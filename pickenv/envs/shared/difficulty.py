@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from pickenv.base import InputError, seed_words, stream
+from pickenv.envs.shared.task import check_choice
 
 _ARMS: dict[str, Any] = {"plant": "qiao2026", "arms": "per_episode"}
 _ORCHARD: dict[str, Any] = {
@@ -70,14 +71,12 @@ def on_ladder(task: str, *, difficulty: str | None = None, split: str = "train",
     Raises:
         InputError: If there is no such difficulty or split, or the user gave an argument that the difficulty fixes.
     """
-    if split not in SPLITS:
-        raise InputError(f"split is {split!r}; give one of {', '.join(SPLITS)}")
+    check_choice("split", split, SPLITS)
     if difficulty is None:
         if split != SPLITS[0]:
             raise InputError(f"split '{split}' needs a difficulty; give one of {', '.join(LADDER)}")
         return arguments
-    if difficulty not in LADDER:
-        raise InputError(f"difficulty is {difficulty!r}; give one of {', '.join(LADDER)}")
+    check_choice("difficulty", difficulty, tuple(LADDER))
     fixed = LADDER[difficulty] | (EYES[task] if difficulty == "own_eyes" else {})
     if "arms" in fixed:
         seed = seed_words(stream(0, "arms", SPLITS.index(split)), 1)[0]

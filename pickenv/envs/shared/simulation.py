@@ -12,13 +12,13 @@ import math
 from collections.abc import Sequence
 from itertools import accumulate, chain
 from types import ModuleType
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from pickenv.arm import Frame, Plant, PlantState, Scalar, attach, chosen, clipped, frame_error, frames, rotation_between
 from pickenv.arm.kinematics.forward import Scalars
 from pickenv.arm.kinematics.task_space import damped_step, jacobian_columns
 from pickenv.envs.shared import situation
-from pickenv.envs.shared.backends import ARM, CAMERA, FRUIT, Executor, episode_key, normal, stream_key, uniform
+from pickenv.envs.shared.backends import ARM, CAMERA, FRUIT, JOINTS, Executor, episode_key, normal, stream_key, uniform
 from pickenv.envs.shared.task import GOAL_MARGIN, Task, inexact
 
 DEGREES = 57.29577951308232
@@ -162,15 +162,7 @@ def drawn_arm(x: Executor, task: Task, seed: Scalar, key: Scalar) -> Scalar:
 
 
 def begin(
-    x: Executor,
-    task: Task,
-    plant: Plant,
-    key: Scalar,
-    start: Scalars,
-    goal: Frame,
-    command: Scalars,
-    gripper: int = 0,
-    hours: Scalar | None = None,
+    x: Executor, task: Task, plant: Plant, key: Scalar, start: Scalars, goal: Frame, command: Scalars, hours: Any = None
 ) -> ArmState:
     """Return the state of an arm at the start of an episode.
 
@@ -182,7 +174,6 @@ def begin(
         start: Joint target to start from.
         goal: Frame of the fruit with the wanted attitude, or empty.
         command: Joint command that the drives get for ``start``.
-        gripper: Count of the gripper's numbers, which follow the arm's numbers in an action.
         hours: Time for which the arm has been switched on, h; None for the time that the task's situation has.
     """
     setting, sighting = task.situation, goal[9:]
@@ -190,7 +181,7 @@ def begin(
         fruit = stream_key(x, key, FRUIT)
         sighting = tuple(v + task.fruit_noise * normal(x, fruit, i) for i, v in enumerate(sighting))
     values = situation.drawn_values(x, setting, key)
-    _, sent, late = setting.widths(task.moves + gripper, task.joints + 3 * task.camera)
+    _, sent, late = setting.widths(task.actions, task.joints + 3 * task.camera)
     zero = start[0] * 0.0
     memory = plant.initial_state(x.m, command)
     if hours is not None or setting.hours.high:
@@ -287,11 +278,8 @@ def viewed(
     if task.camera:
         camera = (-dx, -dy, -dz)
         if task.camera_noise:
-            stream = stream_key(x, key, CAMERA)
-            first = x.times(moment, 3)
-            noise = (normal(x, stream, x.plus(first, x.word(i))) for i in range(3))
-            camera = tuple(v + task.camera_noise * e for v, e in zip(camera, noise, strict=True))
-    arrived, late = situation.sensed(x, setting, state.drawn, state.sensed, key, moment, read, camera, dt)
+            camera = tuple(noisy(x, stream_key(x, key, CAMERA), moment, camera, task.camera_noise))
+    arrived, late = sensed(x, task, state, key, moment, read, camera, dt)
     readings, camera = list(arrived[: task.joints]), tuple(arrived[task.joints :])
     links, pose = nominal_frames(x, task, readings)
     lag = rotation_between(m, pose, goal)
@@ -317,6 +305,39 @@ def viewed(
         numbers=(distance_mm, angle_deg, noncompensable_deg, compensable_deg),
         success=in_capture_region(task, distance_mm, angle_deg),
     )
+
+
+def sensed(
+    x: Executor, task: Task, state: ArmState, key: Scalar, moment: Scalar, read: Scalars, camera: Components, dt: Scalar
+) -> tuple[Scalars, Components]:
+    """Return the readings that arrive now, and the delayed readings that are still pending, latest first.
+
+    Readings are those of the joints, with the encoders' noise, and of the camera. At the start of an episode, where
+    ``dt`` is the plain number 0.0, all pending readings equal the first one.
+
+    Args:
+        x: The executor.
+        task: The task.
+        state: The state, with the readings that were pending before.
+        key: Key of the episode.
+        moment: Number of the step in its episode, a 64-bit word.
+        read: Joint readings without noise, rad or m.
+        camera: What the camera measures, m; empty without a camera.
+        dt: Time that has passed, s.
+    """
+    setting, past = task.situation, state.sensed
+    if setting.joint_noise.high:
+        read = noisy(x, stream_key(x, key, JOINTS), moment, read, setting.value("joint_noise", state.drawn))
+    fresh = (*read, *camera)
+    if isinstance(dt, float) and dt == 0.0:
+        past = fresh * int(setting.latency.high)
+    return situation.late(x, setting, "latency", state.drawn, past, fresh)
+
+
+def noisy(x: Executor, stream: Scalar, moment: Scalar, values: Scalars, std: Scalar) -> list[Scalar]:
+    """Return ``values`` with the normal noise of step ``moment``, a 64-bit word, from the stream with this key."""
+    first = x.times(moment, len(values))
+    return [value + std * normal(x, stream, x.plus(first, x.word(i))) for i, value in enumerate(values)]
 
 
 def nominal_readings(x: Executor, plant: Plant, state: PlantState, target: Scalars, command: Scalars) -> list[Scalar]:

@@ -17,7 +17,7 @@ import numpy as np
 
 from pickenv.arm import Scalar, Scalars, chosen, clipped
 from pickenv.base import InputError, shown
-from pickenv.envs.shared.backends import DRAWN, JOINTS, START, Executor, normal, stream_key, uniform
+from pickenv.envs.shared.backends import DRAWN, START, Executor, stream_key, uniform
 
 CONTROL_PERIOD = 0.1
 """Default time between two actions, s: multiplied by a joint's speed in the arm file, it is the largest increment."""
@@ -164,43 +164,6 @@ def in_period(x: Executor, setting: Situation, drawn: Components, action: Scalar
         return action
     share = setting.value("period", drawn) / setting.period.high
     return [clipped(x.m, value, -1.0, 1.0) * share for value in action]
-
-
-def sensed(
-    x: Executor,
-    setting: Situation,
-    drawn: Components,
-    past: Components,
-    key: Scalar,
-    moment: Scalar,
-    joints: Scalars,
-    camera: Components,
-    dt: Scalar,
-) -> tuple[Scalars, Components]:
-    """Return the readings that arrive now, and the delayed readings that are still pending, latest first.
-
-    Readings are those of the joints, with the encoders' noise, and of the camera. At the start of an episode, where
-    ``dt`` is the plain number 0.0, all pending readings equal the first one.
-
-    Args:
-        x: The executor.
-        setting: The situation.
-        drawn: Numbers drawn for the episode.
-        past: Delayed readings that were pending before, latest first.
-        key: Key of the episode.
-        moment: Number of the step in its episode, a 64-bit word.
-        joints: Joint readings without noise, rad or m.
-        camera: What the camera measures, m; empty without a camera.
-        dt: Time that has passed, s.
-    """
-    if setting.joint_noise.high:
-        stream, most = stream_key(x, key, JOINTS), setting.value("joint_noise", drawn)
-        first = x.times(moment, len(joints))
-        joints = [q + most * normal(x, stream, x.plus(first, x.word(i))) for i, q in enumerate(joints)]
-    fresh = (*joints, *camera)
-    if isinstance(dt, float) and dt == 0.0:
-        past = fresh * int(setting.latency.high)
-    return late(x, setting, "latency", drawn, past, fresh)
 
 
 def late(

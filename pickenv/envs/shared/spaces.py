@@ -63,8 +63,8 @@ def goal_space(task: Task) -> spaces.Dict:
 
 
 def action_space(task: Task) -> spaces.Box:
-    """Return the space of actions, which are increments of the joints or of the tool."""
-    return spaces.Box(-1.0, 1.0, (task.moves,), dtype=np.float32)
+    """Return the space of actions, which are increments of the joints or of the tool, then the gripper's numbers."""
+    return spaces.Box(-1.0, 1.0, (task.actions,), dtype=np.float32)
 
 
 def box(high: Sequence[float]) -> spaces.Box:

@@ -163,6 +163,7 @@ class Task:
         box: Lower and upper bounds of the joints at which episodes start and goals are drawn, rad or m.
         tool: Largest increments of the tool's position and attitude in one action, m and rad, or of its position alone;
             empty where actions move joints.
+        gripper: Count of the gripper's numbers, which follow the arm's numbers in an action.
     """
 
     plant: Plant
@@ -185,6 +186,7 @@ class Task:
     situation: Situation
     box: tuple[Components, Components]
     tool: Components = ()
+    gripper: int = 0
 
     @property
     def joints(self) -> int:
@@ -195,6 +197,11 @@ class Task:
     def moves(self) -> int:
         """Count of the numbers in an action that move the arm."""
         return len(self.tool) or self.joints
+
+    @cached_property
+    def actions(self) -> int:
+        """Count of the numbers in an action."""
+        return self.moves + self.gripper
 
     @property
     def attitude(self) -> bool:
