@@ -18,7 +18,6 @@ import numpy as np
 from gymnasium import spaces
 from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import AutoresetMode, VectorEnv, VectorWrapper
-from gymnasium.vector.utils import batch_space
 from numpy.typing import NDArray
 
 from pickenv.arm import Array, Geometry, joint_jacobian, truncated_inverse
@@ -28,7 +27,7 @@ from pickenv.envs.picking.pick import PickEnv
 from pickenv.envs.picking.pick_scene import given_hours, pick_reward
 from pickenv.envs.shared.arm_env import Options
 from pickenv.envs.shared.backends import GOAL, NUMPY, episode_key, fresh_seed, seed_word, stream_key
-from pickenv.envs.shared.native_vector import Seeds, checked_seeds, final_rows
+from pickenv.envs.shared.native_vector import Seeds, checked_seeds, final_rows, set_spaces
 from pickenv.envs.shared.simulation import NUMBER_KEYS, gap_reward, goal_attempt
 from pickenv.envs.shared.spaces import flat_space, given_options
 from pickenv.envs.shared.task import GOAL_ATTEMPTS, Task, as_numbers, check_choice, check_count, check_number
@@ -240,10 +239,7 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         if most is not None and looks >= most:
             raise InputError(f"looks is {looks}, but episodes end after {most} steps; give a larger max_episode_steps")
         self.metadata = {**env.metadata, "autoreset_mode": AutoresetMode.SAME_STEP}
-        self.single_observation_space = self.run.memory.space()
-        self.observation_space = batch_space(self.single_observation_space, self.num_envs)
-        self.single_action_space = spaces.Box(-1.0, 1.0, (3,), np.float32)
-        self.action_space = batch_space(self.single_action_space, self.num_envs)
+        set_spaces(self, self.run.memory.space(), spaces.Box(-1.0, 1.0, (3,), np.float32))
         self._still = np.zeros((self.num_envs, task.joints))
         self._arms: NDArray[np.intp] = np.zeros(self.num_envs, dtype=np.intp)
 
@@ -282,8 +278,7 @@ class SameArmVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorArg
         run, parts = self.run, {key: value.copy() for key, value in part_of(state, "run/").items()}
         run.seeds, run.count, run.tokens, run.joints = (parts[key] for key in ("seeds", "count", "tokens", "joints"))
         run.pick, self._arms = int(parts["pick"]), parts["arms"]
-        inner: Any = self.env.unwrapped
-        inner.take_state_arrays({key: value for key, value in state.items() if not key.startswith("run/")})
+        cast(Any, self.env.unwrapped).take_state_arrays(state)
 
     def _begin(self) -> None:
         inner: Any = self.env.unwrapped
@@ -326,10 +321,7 @@ class SameArmMixture(VectorEnv[Any, Any, Any]):
         first, self.parts = parts[0], tuple(parts)
         self.task, self.run, self.metadata = first.run.task, first.run, first.metadata
         self.num_envs = sum(part.num_envs for part in parts)
-        self.single_observation_space = first.single_observation_space
-        self.single_action_space = first.single_action_space
-        self.observation_space = batch_space(first.single_observation_space, self.num_envs)
-        self.action_space = batch_space(first.single_action_space, self.num_envs)
+        set_spaces(self, first.single_observation_space, first.single_action_space)
         self._ends = np.cumsum([part.num_envs for part in parts])[:-1]
 
     def reset(self, *, seed: Seeds = None, options: Options = None) -> tuple[Any, dict[str, Any]]:

@@ -13,7 +13,7 @@ from pickenv.base import InputError
 from pickenv.envs.harvesting import harvest_task as batch
 from pickenv.envs.shared.arm_env import GHOST_WORDS, DrawnEnv, Information, Options
 from pickenv.envs.shared.backends import Flags, Rows
-from pickenv.envs.shared.native_vector import NativeVectorEnv
+from pickenv.envs.shared.native_vector import NativeVectorEnv, set_spaces
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.spaces import given_options
 from pickenv.envs.shared.task import Compensate, checked_action
@@ -196,7 +196,7 @@ class HarvestVectorEnv(NativeVectorEnv):
         """See the class."""
         super().__init__(num_envs, max_episode_steps, autoreset_mode, render_mode)
         self.task: batch.HarvestTask = batch.make_harvest_task(**arguments)
-        self._set_spaces(*batch.harvest_spaces(self.task))
+        set_spaces(self, *batch.harvest_spaces(self.task))
         self.state: batch.HarvestState
 
     def _checked(self, actions: ArrayLike) -> NDArray[Any]:

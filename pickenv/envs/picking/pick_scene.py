@@ -421,9 +421,12 @@ MOST_FELT = 0.1
 """Bound of observations of where a fruit lies in the gripper; the gripper misses fruit as far off as this."""
 
 
+OF_THE_ARM = ("without", "arms", "tolerances", "population", "population_seed", "out_of_range")
+"""Arguments of `pickenv.envs.make_task` that matter for picking too."""
+
+
 def make_pick(
     plant: str = "orchard",
-    without: Sequence[str] = (),
     gripper: str = "li_cup",
     camera: str = "laser_line",
     canopy: str = "li2016",
@@ -436,12 +439,7 @@ def make_pick(
     order: str = "nearest",
     feedback: str = "encoders",
     grip_noise_mm: float = 1.0,
-    arms: str = "fixed",
-    tolerances: str = "medium",
-    population: int = 256,
-    population_seed: int = 0,
-    out_of_range: str = "clip",
-    **situation: Any,
+    **arguments: Any,
 ) -> tuple[Task, PickSetting]:
     """Check the arguments of a picking environment, which `pickenv/Pick-v0` explains.
 
@@ -455,10 +453,9 @@ def make_pick(
     check_count("looks", looks)
     check_choice("feedback", feedback, PICK_FEEDBACK)
     check_number("grip_noise_mm", grip_noise_mm)
-    if idle := [name for name in signature(make_task).parameters if name in situation]:
+    if idle := [name for name in signature(make_task).parameters if name in arguments and name not in OF_THE_ARM]:
         raise InputError(f"`{idle[0]}` has no effect on picking; leave it out")
-    arguments: dict[str, Any] = {"tolerances": tolerances, "population": population, "population_seed": population_seed}
-    task = make_task(plant, without, arms=arms, out_of_range=out_of_range, **arguments, **situation)
+    task = make_task(plant, **arguments)
     check_choice("order", order, tuple(ORDERS))
     check_known("vision", vision, (PUBLISHED, *trees.VISIONS))
     row, crop = trees.load_canopy(canopy), trees.load_fruit_map(fruit_map)

@@ -18,7 +18,7 @@ from pickenv.envs.shared.arm_batch import NumpyArms
 from pickenv.envs.shared.arm_env import Information
 from pickenv.envs.shared.backends import Flags, Rows, Scalar, state_of_words, words_of_state
 from pickenv.envs.shared.difficulty import on_ladder
-from pickenv.envs.shared.native_vector import NativeVectorEnv
+from pickenv.envs.shared.native_vector import NativeVectorEnv, set_spaces
 from pickenv.envs.shared.simulation import ArmState, begin
 from pickenv.envs.shared.task import Compensators, Task
 from pickenv.pictures.stage import Stage
@@ -71,7 +71,7 @@ class PickVectorEnv(NativeVectorEnv):
         self.metadata["render_fps"] = task.situation.frames_per_second
         self._reach = reach_of(task.plant.arm.nominal, self.orchard.station.approach)
         observations, actions = pick_scene.pick_spaces(task, self.orchard)
-        self._set_spaces(observations, actions)
+        set_spaces(self, observations, actions)
         self._bounds = observations.low, observations.high
         self.batch = PickBatch(task, self.orchard, self.num_envs)
         self._armed = np.zeros(self.num_envs, dtype=np.bool_)

@@ -11,6 +11,7 @@ from pickenv.base import InputError
 from pickenv.envs.reaching.reach import ReachEnv
 from pickenv.envs.reaching.vector import ReachVectorEnv
 from pickenv.envs.shared.arm_env import Information
+from pickenv.envs.shared.native_vector import set_spaces
 from pickenv.envs.shared.scaling import scaling_of
 from pickenv.envs.shared.simulation import View
 from pickenv.envs.shared.tool_space import make_tool_task
@@ -105,7 +106,7 @@ class ReachScaledVectorEnv(ReachVectorEnv):
         if self.metadata["torch"]:
             raise InputError("scaled observations are made on NumPy; give executor='numpy'")
         self.scaling = scaling_of(self.task)
-        self._set_spaces(self.scaling.space, self.single_action_space)
+        set_spaces(self, self.scaling.space, self.single_action_space)
         self.raw: Any = np.zeros((self.num_envs, self.scaling.inputs), dtype=np.float32)
         """The latest observations, as `pickenv/Reach-v0` gives them."""
 

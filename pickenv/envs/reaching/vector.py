@@ -17,7 +17,7 @@ from pickenv.envs.reaching.batch import Batch, NumpyBatch, Views
 from pickenv.envs.reaching.reach import GOAL_KEYS, check_ideal, draw_reach, rewards_of_goals
 from pickenv.envs.shared.backends import Flags, Rows, fresh_seed, seed_word
 from pickenv.envs.shared.difficulty import on_ladder
-from pickenv.envs.shared.native_vector import NativeVectorEnv
+from pickenv.envs.shared.native_vector import NativeVectorEnv, set_spaces
 from pickenv.envs.shared.simulation import NUMBER_KEYS
 from pickenv.envs.shared.spaces import OPTIONS, action_space, flat_space, given_goals, goal_space
 from pickenv.envs.shared.task import Task, check_choice, make_task
@@ -96,7 +96,7 @@ class ReachVectorEnv(NativeVectorEnv):
         check_choice("executor", executor, ("auto", *names("backend")))
         self.task: Task = self.task_of(**on_ladder("Reach", **arguments))
         self.metadata |= {"render_fps": self.task.situation.frames_per_second, "torch": executor == "torch"}
-        self._set_spaces(goal_space(self.task) if self.goal_dict else flat_space(self.task), action_space(self.task))
+        set_spaces(self, goal_space(self.task) if self.goal_dict else flat_space(self.task), action_space(self.task))
         self._poses = bool(pose_infos)
         settings = {"device": device, "dtype": dtype, "compiled": compiled}
         make = get("backend", ("compiled" if is_there("llvmlite") else "numpy") if executor == "auto" else executor)

@@ -136,12 +136,6 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
             return None
         return tuple(drawn(self._stage(row) if self._begun else None) for row in range(self.num_envs))
 
-    def _set_spaces(self, observations: Space[Any], actions: Space[Any]) -> None:
-        """Set the spaces of a single environment, and the batched spaces of all N."""
-        self.single_observation_space, self.single_action_space = observations, actions
-        self.observation_space = batch_space(observations, self.num_envs)
-        self.action_space = batch_space(actions, self.num_envs)
-
     def _restart(self, rows: Rows, options: Information | None = None, seeded: Flags | None = None) -> None:
         self._begin(rows, options or {}, np.zeros(self.num_envs, np.bool_) if seeded is None else seeded)
         self._begun = True
@@ -193,6 +187,13 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
     @abstractmethod
     def _stage(self, row: int) -> Stage:
         """Return the stage to draw for environment ``row``."""
+
+
+def set_spaces(envs: VectorEnv[Any, Any, Any], observations: Space[Any], actions: Space[Any]) -> None:
+    """Set the spaces of a single environment of ``envs``, and the batched spaces of all N."""
+    envs.single_observation_space, envs.single_action_space = observations, actions
+    envs.observation_space = batch_space(observations, envs.num_envs)
+    envs.action_space = batch_space(actions, envs.num_envs)
 
 
 def checked_mask(mask: Any, count: int) -> Flags:
