@@ -9,11 +9,12 @@ from .evaluation.compare import PolicyComparison as PolicyComparison, compare as
 from .evaluation.contenders import maker_of as maker_of
 from .evaluation.reaches import (
     Reaches as Reaches,
+    Rollout as Rollout,
     episode_seeds as episode_seeds,
     pick_canopies as pick_canopies,
+    roll_out as roll_out,
     run_reaches as run_reaches,
 )
-from .evaluation.rollout import Rollout as Rollout, roll_out as roll_out
 from .policies.adaptive import AdaptiveReach as AdaptiveReach, FeelingPick as FeelingPick
 from .policies.foreign import foreign_policy as foreign_policy
 from .policies.learned import (

@@ -12,7 +12,7 @@ from inspect import signature
 from pathlib import Path
 from typing import Any, TypeAlias
 
-from pickenv.agents.evaluation.rollout import PolicyMaker
+from pickenv.agents.evaluation.reaches import PolicyMaker
 from pickenv.agents.policies import foreign
 from pickenv.agents.policies.learned import LearnedPolicy, LearnedReach, load_policy
 from pickenv.agents.policies.policy import Policy
@@ -22,7 +22,7 @@ from pickenv.base import InputError, obey, read_container
 from pickenv.base.registry import get, names
 from pickenv.calibration import Calibration
 from pickenv.envs import FEEDBACK, ReachToolVectorEnv, ReachVectorEnv
-from pickenv.envs.shared.tool_space import make_tool_task
+from pickenv.envs.shared.task import make_tool_task
 from pickenv.inspect.colours import policy_key, policy_rank
 from pickenv.inspect.runs.comparison_summary import stage_label
 from pickenv.wrappers import Compensate, ToolSteps

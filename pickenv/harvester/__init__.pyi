@@ -1,4 +1,3 @@
-from .arm_paths import slave_joints_at as slave_joints_at, ultrasonic_hold as ultrasonic_hold
 from .harvest_run import (
     Harvest as Harvest,
     Measure as Measure,
@@ -41,5 +40,11 @@ from .true_machine import (
     TrueMachine as TrueMachine,
     load_true_machine as load_true_machine,
 )
-from .work import Work as Work, timetable as timetable, zone_work as zone_work
+from .work import (
+    Work as Work,
+    slave_joints_at as slave_joints_at,
+    timetable as timetable,
+    ultrasonic_hold as ultrasonic_hold,
+    zone_work as zone_work,
+)
 from .zones import Grid as Grid, Zone as Zone, cut as cut, load_grid as load_grid

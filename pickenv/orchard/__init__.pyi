@@ -53,30 +53,28 @@ from .gripper import (
     misalignment as misalignment,
 )
 from .preset_files import shipped as shipped
-from .render import (
-    Leaves as Leaves,
-    Look as Look,
-    StereoPair as StereoPair,
-    load_look as load_look,
-    render_stereo as render_stereo,
-    sample_leaves as sample_leaves,
-    turned_leaves as turned_leaves,
-)
 from .sight import (
     DETECTORS as DETECTORS,
     VISIONS as VISIONS,
     Eyes as Eyes,
+    Leaves as Leaves,
+    Look as Look,
     Sight as Sight,
     SightErrors as SightErrors,
+    StereoPair as StereoPair,
     Viewpoint as Viewpoint,
     draw_chances as draw_chances,
     foliage as foliage,
     left_eye as left_eye,
     load_eyes as load_eyes,
+    load_look as load_look,
     load_sight_errors as load_sight_errors,
     next_picture as next_picture,
+    render_stereo as render_stereo,
+    sample_leaves as sample_leaves,
     see as see,
     sighted as sighted,
+    turned_leaves as turned_leaves,
 )
 from .vision import (
     CircleSearch as CircleSearch,

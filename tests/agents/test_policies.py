@@ -22,7 +22,7 @@ from pickenv.agents import (
     roll_out,
     run_reaches,
 )
-from pickenv.agents.evaluation.rollout import MOST_ROWS
+from pickenv.agents.evaluation.reaches import MOST_ROWS
 from pickenv.arm import InverseSolution, forward, inverse, joint_jacobian, load_arm
 from pickenv.base import InputError
 from pickenv.calibration import link_model, random_joints
@@ -365,7 +365,7 @@ class Still:
 @pytest.mark.parametrize("sequential", [True, False])
 def test_rows_are_every_arm_in_turn_whatever_runs_side_by_side(sequential, monkeypatch):
     """Three arms and five fruit: one round after the other, or as many as seven rows hold, two of three rows."""
-    monkeypatch.setattr("pickenv.agents.evaluation.rollout.MOST_ROWS", 7)
+    monkeypatch.setattr("pickenv.agents.evaluation.reaches.MOST_ROWS", 7)
     log = []
     found = roll_out(lambda env, seed: Still(env, seed, log), 3, 5, 11, steps=2, sequential=sequential)
     assert found.arm.tolist() == [0, 1, 2] * 5 and found.error_mm.shape == (2, 15) and len(found.reaches.seeds) == 15

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pickenv.harvester import assign, pick_point, slave_joints_at, timetable, ultrasonic_hold, zone_work
-from pickenv.harvester.arm_paths import echoes
+from pickenv.harvester.work import echoes
 
 MIDDLE = 1
 RADIUS = 0.04

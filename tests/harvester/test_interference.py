@@ -13,8 +13,8 @@ from pickenv.harvester import (
     ultrasonic_hold,
     zone_work,
 )
-from pickenv.harvester.arm_paths import closest_approach
 from pickenv.harvester.interference import excursion_distances, segment_distance
+from pickenv.harvester.work import closest_approach
 
 
 def zone(machine, rng, count):

@@ -14,7 +14,7 @@ from pickenv.envs.shared.arm_env import Information
 from pickenv.envs.shared.native_vector import set_spaces
 from pickenv.envs.shared.scaling import scaling_of
 from pickenv.envs.shared.simulation import View
-from pickenv.envs.shared.tool_space import make_tool_task
+from pickenv.envs.shared.task import make_tool_task
 
 
 class ReachScaledEnv(ReachEnv):
