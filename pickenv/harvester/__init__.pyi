@@ -17,7 +17,7 @@ from .machine import (
     travel_time as travel_time,
 )
 from .optimiser import assign as assign, lower_bound as lower_bound
-from .pick_points import pick_point as pick_point
+from .pick_points import Grid as Grid, Zone as Zone, cut as cut, load_grid as load_grid, pick_point as pick_point
 from .picking import (
     Luck as Luck,
     Picking as Picking,
@@ -47,4 +47,3 @@ from .work import (
     ultrasonic_hold as ultrasonic_hold,
     zone_work as zone_work,
 )
-from .zones import Grid as Grid, Zone as Zone, cut as cut, load_grid as load_grid

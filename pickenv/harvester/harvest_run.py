@@ -20,12 +20,11 @@ from pickenv.arm import Array
 from pickenv.base import InputError
 from pickenv.harvester.machine import Flags, Machine, master_time
 from pickenv.harvester.optimiser import assign
-from pickenv.harvester.pick_points import pick_point
+from pickenv.harvester.pick_points import Grid, Zone, cut, pick_point
 from pickenv.harvester.picking import Luck, Picking, attempt, displacements, draw_luck
 from pickenv.harvester.trees import Orchard, Tree, sample_tree, tree_leaves
 from pickenv.harvester.true_machine import Controller, TrueMachine
 from pickenv.harvester.work import Timetable, Work, closest_approach, timetable, ultrasonic_hold, zone_work
-from pickenv.harvester.zones import Grid, Zone, cut
 from pickenv.orchard import Eyes, draw_chances, load_eyes, next_picture, see
 
 

@@ -17,8 +17,8 @@ from scipy.optimize import Bounds, LinearConstraint, linear_sum_assignment, milp
 
 from pickenv.arm import Array
 from pickenv.base import NUMBER, check_known, read_toml, toml_table
+from pickenv.harvester.pick_points import SHIPPED
 from pickenv.harvester.work import Plan, Work, last_arm
-from pickenv.harvester.zones import SHIPPED
 
 
 def columns(work: Work, *, falling: bool) -> Plan:

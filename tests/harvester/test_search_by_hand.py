@@ -26,8 +26,7 @@ from pickenv.harvester import (
     timetable,
 )
 from pickenv.harvester.optimiser import local_search
-from pickenv.harvester.pick_points import Search, _heights, _point_costs, _search, pick_heading, searched
-from pickenv.harvester.zones import AHEAD
+from pickenv.harvester.pick_points import AHEAD, Search, _heights, _point_costs, _search, pick_heading, searched
 
 POINTS = sys.modules[searched.__module__]
 

@@ -18,9 +18,9 @@ from pickenv.envs.shared.backends import Flags
 from pickenv.envs.shared.situation import CONTROL_PERIOD
 from pickenv.envs.shared.task import MOST_ACTION, Compensate, as_numbers, check_choice, check_number
 from pickenv.harvester.interference import arm_distances, pair_distances, pairs_of
+from pickenv.harvester.pick_points import AHEAD
 from pickenv.harvester.picking import attempt, draw_luck, pushes
 from pickenv.harvester.trees import SHIPPED, lab_zone, tree_leaves
-from pickenv.harvester.zones import AHEAD
 from pickenv.orchard import Eyes, Sight, face, fruit_masses, load_eyes, sample_diameters, see, swing
 
 # The zone that a harvester begins with: fruit and how it is seen, drawn or as it is asked for. Units: m, rad.
