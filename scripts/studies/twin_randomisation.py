@@ -16,7 +16,7 @@ import gymnasium as gym
 import numpy as np
 from stable_baselines3 import PPO
 
-from pickenv.agents.training.history import HistoryPolicy
+from pickenv.agents.training.networks import HistoryPolicy
 from pickenv.arm import load_plant, write_twin
 from pickenv.base import seed_words, stream, torch_on_one_thread
 from pickenv.calibration import calibrate, random_joints, simulated_tracker

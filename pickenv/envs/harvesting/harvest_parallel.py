@@ -20,7 +20,6 @@ from pickenv.envs.harvesting.harvest_task import HarvestTask, harvest_spaces
 from pickenv.envs.shared.arm_env import Information, Options, checked_render_mode
 from pickenv.envs.shared.task import Compensate, check_choice, check_count, checked_action
 
-ID = "pickenv/Harvest-v0"
 Observations = dict[str, NDArray[np.float32]]
 
 
@@ -114,4 +113,4 @@ class HarvestParallelEnv(pettingzoo.ParallelEnv[str, NDArray[np.float32], NDArra
         return {name: dict(info) for name in self.possible_agents}
 
 
-pettingzoo.register("parallel", ID, entry_point=HarvestParallelEnv, max_cycles=LONGEST)
+pettingzoo.register("parallel", "pickenv/Harvest-v0", entry_point=HarvestParallelEnv, max_cycles=LONGEST)

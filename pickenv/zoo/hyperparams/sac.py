@@ -1,7 +1,7 @@
 """SAC: with hindsight experience replay (HER) on the goal environment, without it on the flat environments.
 
 The gap between tool and fruit (position and attitude) is scaled. On the flat environments `pickenv.wrappers.GapScaling`
-scales it. With hindsight the networks scale it (`pickenv.agents.training.off_policy`), since a goal may be replaced
+scales it. With hindsight the networks scale it (`pickenv.agents.training.networks`), since a goal may be replaced
 after the action was taken.
 """
 
@@ -23,7 +23,7 @@ _SCALED = {
 }
 _REACH = _SCALED | {"env_wrapper": "pickenv.wrappers.GapScaling"}
 _GOAL = _SCALED | {
-    "policy": "pickenv.agents.training.off_policy.SacPolicy",
+    "policy": "pickenv.agents.training.networks.SacPolicy",
     "env_kwargs": {"reward": "dense"},
     "replay_buffer_class": "HerReplayBuffer",
     "replay_buffer_kwargs": "dict(n_sampled_goal=2, goal_selection_strategy='future')",
