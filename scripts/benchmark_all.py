@@ -8,20 +8,18 @@ Run: python scripts/benchmark_all.py [--json FILE] [--markdown FILE] [--no-peers
 """
 
 import json
-import multiprocessing
 import resource
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Mapping
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from measuring import JsonFile, NoPeers, figure, last_words, machine, machine_words, markdown_table
+from measuring import JsonFile, NoPeers, figure, in_fresh_process, last_words, machine, machine_words, markdown_table
 
 from pickenv.base import write_json, write_text
 from pickenv.experiments import load_study, run_study
@@ -90,8 +88,7 @@ def time_studies(quick: bool) -> list[dict[str, Any]]:
     rows = []
     for case in cases(quick):
         print(f"study: {case.method}, {case.executor}, {case.arms} arms …", file=sys.stderr)
-        with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as fresh:
-            rows.append(fresh.submit(time_case, case).result())
+        rows.append(in_fresh_process(time_case, case))
     for method in ("ls", "raw"):
         last = max((row for row in rows if row["method"] == method), key=lambda row: row["arms"])
         if last["arms"] < LARGEST:

@@ -17,7 +17,6 @@ import subprocess
 import sys
 import tempfile
 from dataclasses import replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple
 
@@ -40,7 +39,7 @@ from scipy.optimize import least_squares
 
 from pickenv.arm import Array, Geometry, Pose
 from pickenv.arm.files.urdf import urdf_text
-from pickenv.base import InputError, single_threaded, write_json
+from pickenv.base import InputError, single_threaded, versions, write_json
 from pickenv.calibration import Identification, Measurements, align, complete_model, frames_model, identify
 from pickenv.calibration.model.observations import random_split, same_poses
 from pickenv.commands.showing import print_table
@@ -182,7 +181,7 @@ def run_pickenv(task: PeerTask, runs: int) -> tuple[dict[str, Any], Identificati
         "parameters": fitted.identifiability.rank,
         "iterations": f"{len(aligned.residual_rms) - 1} + {len(fitted.residual_rms) - 1} iterations",
         **accuracy_on(fitted.geometry, task),
-        "version": own_version(),
+        "version": versions()["pickenv"],
         "note": "base and tool from nominal, then rank-aware Gauss-Newton with an analytic Jacobian",
     }
     return row, aligned, fitted
@@ -210,17 +209,9 @@ def run_scipy(task: PeerTask, aligned: Identification, fitted: Identification, r
         "parameters": len(columns),
         "iterations": f"{result.nfev} evaluations with {result.njev} finite-difference Jacobians",
         **accuracy_on(moved(result.x), task),
-        "version": version("scipy"),
+        "version": versions("scipy")["scipy"],
         "note": note + ("" if result.status > 0 else "; not converged"),
     }
-
-
-def own_version() -> str:
-    """The version of pickenv, also in a checkout that was never installed."""
-    try:
-        return version("pickenv")
-    except PackageNotFoundError:
-        return "not installed"
 
 
 def ratios_of(systems: dict[str, dict[str, Any]]) -> dict[str, float]:

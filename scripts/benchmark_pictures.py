@@ -6,10 +6,7 @@ the arm moves by a random action between two frames. A peer draws with MuJoCo or
 Run: python scripts/benchmark_pictures.py [--json FILE] [--no-peers] [--seconds 4]
 """
 
-import json
 import os
-import subprocess
-import sys
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
@@ -17,7 +14,7 @@ from typing import Annotated, Any
 import gymnasium as gym
 import typer
 from benchmark_envs import peers
-from measuring import EnvironmentPeers, JsonFile, NoPeers, figure
+from measuring import EnvironmentPeers, JsonFile, NoPeers, figure, in_fresh_process
 from peers.run_envs import drawn_per_second
 
 import pickenv  # noqa: F401  (registers the environments)
@@ -36,13 +33,6 @@ def measured(seconds: float) -> dict[str, Any]:
     return {"drawer": drawer_name(), "rates": rates}
 
 
-def in_another_process(seconds: float, **environment: str) -> dict[str, Any]:
-    """The same in a process of its own: which drawer it takes is found out once in each."""
-    command = [sys.executable, __file__, "--worker", "--seconds", str(seconds)]
-    ended = subprocess.run(command, check=True, stdout=subprocess.PIPE, text=True, env=os.environ | environment)
-    return dict(json.loads(ended.stdout.splitlines()[-1]))
-
-
 def said(rates: Rates | None) -> list[str]:
     """Both rates as they are printed."""
     return [figure(rate, ".0f") for rate in rates or (None, None)]
@@ -53,13 +43,11 @@ def main(
     no_peers: NoPeers = False,
     seconds: Annotated[float, typer.Option(help="Of drawing, for each environment and drawer, s.", min=0.1)] = 4.0,
     folder: EnvironmentPeers = Path("runs/peers/envs"),
-    worker: Annotated[bool, typer.Option(hidden=True)] = False,
 ) -> None:
     """Measure and print."""
-    if worker:
-        print(json.dumps(measured(seconds)))
-        return
-    solid, plain = in_another_process(seconds), in_another_process(seconds, **{PLAIN: "1"})
+    solid = in_fresh_process(measured, seconds)
+    os.environ[PLAIN] = "1"
+    plain = in_fresh_process(measured, seconds)
     drawn = solid["rates"] if solid["drawer"] == "mujoco" else {}
     frames = {name: {"mujoco": drawn.get(name), "plain": rates} for name, rates in plain["rates"].items()}
     os.environ.setdefault("MUJOCO_GL", "egl")  # for the peer, which else asks for a screen

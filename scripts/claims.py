@@ -28,7 +28,7 @@ import typer
 
 from pickenv.base import InputError, listed, share_interval, toml_of, write_json, write_text
 from pickenv.experiments import load_experiment, run
-from pickenv.experiments.experiment_file import plain_estimates
+from pickenv.experiments.experiment_file import RESERVED, plain_estimates
 from pickenv.inspect.runs.number_words import said
 
 ROOT = Path(__file__).parents[1]
@@ -48,9 +48,6 @@ WHERE = (
     "[claims.toml](https://github.com/pickenv/pickenv/tree/main/docs/claims.toml) says how each is made, over what it "
     "varies and on what it depends."
 )
-
-FIGURES = ("value", "ci95", "no_interval", "std", "range", "runs", "lost", "lost_ci95", "sampled95")
-"""What a row of an experiment's JSON says beside its levels."""
 
 MARK = re.compile(r"(<!-- claims: (\{[^\n]*\}) -->\n\n)(?:(?!<!--).)*?(\n?<!-- end of claims -->)", re.S)
 END = "\n<!-- end of claims -->"
@@ -77,7 +74,7 @@ def rows_of(result: Mapping[str, Any], certain: bool = False) -> list[Row]:
     rows = []
     for table in result["tables"]:
         for row in table["rows"]:
-            levels = {k: v for k, v in row.items() if k not in FIGURES}
+            levels = {k: v for k, v in row.items() if k not in RESERVED}
             ends = row["ci95"] or ([row["value"]] * 2 if certain else [None])
             sampled = row.get("sampled95") or ends
             if None not in (*ends, *sampled) and (certain or sampled[0] < sampled[1]):

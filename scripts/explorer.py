@@ -44,19 +44,13 @@ def places(plant: Plant) -> Array:
     return field_grid(nominal, SMALL.get(plant.arm.name, STEP), PLAN.seed).joints
 
 
-def errors(plant: Plant, joints: Array) -> dict[str, Array]:
-    """True minus wanted tool positions ``(F, 3)``, m, behind each method's calibration."""
-    wanted, found = forward(plant.arm.nominal, joints), {}
+def field(plant: Plant, joints: Array) -> dict[str, Any]:
+    """What the page says of a plant, and draws: true minus wanted tool positions behind each method's calibration."""
+    wanted, stages = forward(plant.arm.nominal, joints), {}
     for method in METHODS:
         senders = compensators(plant, method, PLAN)
         sent = joints if senders is None else senders[0](joints)
-        found[policy_label(method)] = pose_error(wanted, plant.tool_pose(sent))[:, :3]
-    return found
-
-
-def field(plant: Plant, joints: Array) -> dict[str, Any]:
-    """What the page says of a plant, and draws."""
-    stages = errors(plant, joints)
+        stages[policy_label(method)] = pose_error(wanted, plant.tool_pose(sent))[:, :3]
     lengths = {label: 1e3 * np.linalg.norm(error, axis=1) for label, error in stages.items()}
     top = scale_end(lengths["raw"])
     return {

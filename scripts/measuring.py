@@ -1,11 +1,13 @@
 """What the benchmarks share: their options, clocks, the machine that they run on, and tables in Markdown."""
 
+import multiprocessing
 import os
 import platform
 import subprocess
 import sys
 import time
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 from typing import Annotated, Any, NoReturn
 
@@ -24,18 +26,16 @@ NoPeers = Annotated[bool, typer.Option("--no-peers", help="Leave the peers out; 
 EnvironmentPeers = Annotated[Path, typer.Option(help="Where the peers' packages are installed.")]
 
 
-def rate(
-    step: Callable[[], int], seconds: float, rounds: int = 3, clock: Callable[[], float] = time.process_time
-) -> float:
-    """Best of some rounds of environment steps per second: other work on the machine only ever slows a round.
+def rate(step: Callable[[], int], seconds: float, clock: Callable[[], float] = time.process_time) -> float:
+    """Best of three rounds of environment steps per second: other work on the machine only ever slows a round.
 
     ``clock`` counts seconds: of the processor, for what runs on one core, or of the wall.
     """
     step()
     best = 0.0
-    for _ in range(rounds):
+    for _ in range(3):
         steps, begin = 0, clock()
-        while clock() - begin < seconds / rounds:
+        while clock() - begin < seconds / 3:
             steps += step()
         best = max(best, steps / (clock() - begin))
     return best
@@ -68,15 +68,19 @@ def timed(function: Callable[[], Any], runs: int) -> tuple[Any, Array]:
     return result, np.array(seconds).T
 
 
+def in_fresh_process(function: Callable[..., Any], *arguments: Any) -> Any:
+    """What a function returns in a process of its own, which nothing before has warmed or set."""
+    with ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn")) as fresh:
+        return fresh.submit(function, *arguments).result()
+
+
 def machine() -> dict[str, Any]:
     """What the figures were measured on."""
-    model = platform.processor() or platform.machine()
     listing = Path("/proc/cpuinfo")
-    if listing.is_file():
-        names = [line.partition(":")[2].strip() for line in listing.read_text().splitlines() if "model name" in line]
-        model = names[0] if names else model
+    lines = listing.read_text().splitlines() if listing.is_file() else []
+    names = [line.partition(":")[2].strip() for line in lines if "model name" in line]
     return {
-        "cpu": model,
+        "cpu": names[0] if names else platform.processor() or platform.machine(),
         "cores": len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count(),
         "load_before": os.getloadavg()[0] if hasattr(os, "getloadavg") else None,
         "platform": platform.system(),

@@ -11,7 +11,6 @@ import subprocess
 import sys
 import tomllib
 from collections.abc import Sequence
-from contextlib import AbstractContextManager, nullcontext
 from fnmatch import fnmatch
 from pathlib import Path
 from typing import Any
@@ -104,17 +103,14 @@ def draw_kept(picture: str) -> Path:
     ]
     looks: dict[str, Any] = {name: getattr(number, name) for name in ("x", "panels", "log", "scale")}
     label = in_words(number.title).replace("squares's", "squares'")
-    with look(picture):
+    with patch.dict(style.STYLE, night() if picture.endswith("-dark.png") else {}):
         return saved(estimates_figure(rows, label, number.by, colour=number.across, **looks), message, picture)
 
 
-def look(picture: str) -> AbstractContextManager[Any]:
-    """The style of a picture's name: on a dark background if it ends in "-dark"."""
-    if not Path(picture).stem.endswith("-dark"):
-        return nullcontext()
-    night = {name: NIGHT.get(value, value) for name, value in style.STYLE.items() if isinstance(value, str)}
-    paper = dict.fromkeys(("figure.facecolor", "axes.facecolor", "savefig.facecolor"), NIGHT[style.PAPER])
-    return patch.dict(style.STYLE, night | paper)
+def night() -> dict[str, str]:
+    """The style of a dark page, where it differs."""
+    colours = {name: NIGHT.get(value, value) for name, value in style.STYLE.items() if isinstance(value, str)}
+    return colours | dict.fromkeys(("figure.facecolor", "axes.facecolor", "savefig.facecolor"), NIGHT[style.PAPER])
 
 
 def saved(figure: Figure, message: str, picture: str) -> Path:

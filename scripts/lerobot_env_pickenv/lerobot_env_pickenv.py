@@ -62,14 +62,11 @@ class Noting:
         for i in np.flatnonzero(ended):
             errors = {name: float(last[name][i]) for name in ERRORS}
             known = {name: value if value and math.isfinite(value) else None for name, value in errors.items()}
-            self._note({"seed": self._seeds[i], "is_success": bool(self._succeeded[i]), **known})
+            self.noted.append({"seed": self._seeds[i], "is_success": bool(self._succeeded[i]), **known})
+            if self.errors_to is not None:
+                with Path(self.errors_to).open("a", encoding="utf-8") as file:
+                    file.write(json.dumps(self.noted[-1]) + "\n")
         return result
-
-    def _note(self, end: dict[str, Any]) -> None:
-        self.noted.append(end)
-        if self.errors_to is not None:
-            with Path(self.errors_to).open("a", encoding="utf-8") as file:
-                file.write(json.dumps(end) + "\n")
 
     def close(self, **arguments: Any) -> None:
         """Close the environments; log the median and the largest size of each error."""

@@ -7,9 +7,8 @@ is not where it was. The script, which looks at nothing, takes the same fruit. S
 
 from typing import Any
 
-import gymnasium as gym
 import numpy as np
-from scene import calibrate, pick
+from scene import calibrate, made, pick
 
 from pickenv.agents import SIGHT, ClonedScene, ScriptedScene, ServoScene, clone, recorded_episode
 
@@ -34,7 +33,7 @@ def demonstrated(robot: str, kind: str, count: int, rng: np.random.Generator) ->
         rng: Draws the arm and its fruit.
     """
     population, *seeds = rng.integers(2**31, size=1 + count).tolist()
-    env = made(robot, population, 0.0 if kind == "perfect" else RAW_MM, **SIGHT)
+    env = made(robot, population, 0.0 if kind == "perfect" else RAW_MM, STEPS[False], **SIGHT)
     if kind == "calibrated":
         calibrate(env, rng)
     policy, taken = ServoScene(env), []
@@ -44,12 +43,6 @@ def demonstrated(robot: str, kind: str, count: int, rng: np.random.Generator) ->
             taken.append((row["observations"], row["actions"]))
     env.close()
     return taken
-
-
-def made(robot: str, population: int, error_mm: float, script: bool = False, **arguments: Any) -> gym.Env[Any, Any]:
-    """The environment of one arm of class coarse whose tool errs by so much."""
-    own: dict[str, Any] = {"plant": f"coarse:{robot}", "population_seed": population, "error_mm": error_mm}
-    return gym.make("pickenv/PickScene-v0", max_episode_steps=STEPS[script], **own, **arguments)
 
 
 def measure(
@@ -75,7 +68,7 @@ def measure(
         uses += [("raw", 0.0, off) for off in CAMERAS if policy != "script"]
         for use, error_mm, camera_mm in uses:
             place = SIGHT | {"feedback": "encoders", "camera_mm": camera_mm, "camera_deg": camera_mm / 6.0}
-            env = made(robot, population, error_mm, policy == "script", **place)
+            env = made(robot, population, error_mm, STEPS[policy == "script"], **place)
             if use == "LS":
                 calibrate(env, np.random.default_rng(population))
             if network is None and policy != "script":

@@ -11,7 +11,7 @@ import numpy as np
 from train_baselines import calibration_file
 
 from pickenv.agents import Training, load_policy, train
-from pickenv.arm import Array, Pose, forward, joint_jacobian, plant_at, pose_of
+from pickenv.arm import TRACKER, Array, Pose, forward, joint_jacobian, plant_at, pose_of
 from pickenv.base import InputError, mean_interval, seed_words, stream
 from pickenv.calibration import complete_model, random_joints, start_filter
 from pickenv.calibration.compensation.compensator import aimed, taught
@@ -44,10 +44,11 @@ ROOM = 0.02
 GRIPPER = "li_cup"
 
 
-def settings_of(arms: int, episodes: int, epochs: int, seed: int, **changes: Any) -> PolicySettings:
+def settings_of(
+    arms: int, episodes: int, epochs: int, seed: int, instrument: str = TRACKER, **changes: Any
+) -> PolicySettings:
     """A comparison at one seed."""
-    instrument = changes.pop("instrument", None)
-    plan = CalibrationPlan(epochs=epochs, seed=seed, **({} if instrument is None else {"instrument": instrument}))
+    plan = CalibrationPlan(epochs=epochs, seed=seed, instrument=instrument)
     return PolicySettings(arms=arms, episodes=episodes, seeds=(seed,), plan=plan, **changes)
 
 
@@ -88,7 +89,7 @@ def world(plant: str, draw: int, arms: int, seed: int) -> tuple[str, int, int]:
 
 def reaching(
     rng: np.random.Generator, plant: str, compensation: str, policy: str, arms: int, episodes: int, epochs: int,
-    folder: str, seed: int, feedback: str = "encoders", instrument: str | None = None, draw: int = 0,
+    folder: str, seed: int, feedback: str = "encoders", instrument: str = TRACKER, draw: int = 0,
 ) -> Any:  # fmt: skip
     """Reaches of one policy: a row for each arm and fruit, in the order in which it met them."""
     name, arms, seed = world(plant, draw, arms, seed)

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from findings import judged, settings_of
 
-from pickenv.arm import Plant, draw_plants, forward, load_plant, load_tolerances, plant_at, pose_of
+from pickenv.arm import TRACKER, Plant, draw_plants, forward, load_plant, load_tolerances, plant_at, pose_of
 from pickenv.arm.plant.plant_file import plant_times
 from pickenv.base import InputError
 from pickenv.calibration import random_joints
@@ -49,7 +49,7 @@ def measure(
         error, taken = judged(pose, targets)
         return error.mean(axis=0), taken.mean(axis=0)
 
-    def calibrated(instrument: str | None) -> list[Any]:
+    def calibrated(instrument: str) -> list[Any]:
         """Corrections by least squares, in this order; an arm whose rows are refused stays as it is."""
         plan, corrections = settings_of(arms, 1, 1, seed, instrument=instrument).plan, []
         for number in range(arms):
@@ -60,7 +60,7 @@ def measure(
                 corrections.append(np.asarray)
         return corrections
 
-    in_time, ideal = calibrated(None), calibrated("ideal")
+    in_time, ideal = calibrated(TRACKER), calibrated("ideal")
     (raw, raw_taken), (ls, ls_taken), (at_rest, _) = ended(None), ended(in_time), ended(ideal)
     refused = np.array([np.asarray in pair for pair in zip(in_time, ideal, strict=True)], dtype=float)
     numbers = {"raw_mm": raw, "ls_mm": ls, "instrument_mm": ls - at_rest, "more_taken": ls_taken - raw_taken}

@@ -80,12 +80,10 @@ class Searches:
     Attributes:
         steps: Environment steps before each generation and at the end ``(generations + 1, seeds)``.
         means: Middle of the candidates then ``(generations + 1, seeds, 9)``, in spreads from the script.
-        rewards: Mean reward per canopy of each generation's candidates ``(generations, seeds)``.
     """
 
     steps: Array
     means: Array
-    rewards: Array
 
     @property
     def learnt(self) -> Array:
@@ -114,7 +112,7 @@ def search(
     envs = PickVectorEnv(int(np.prod(size)), **arguments)
     draws = [np.random.default_rng(stream(seed, "policy")) for seed in seeds]
     mean, spread = np.zeros((len(seeds), len(KNOBS))), np.ones((len(seeds), len(KNOBS)))
-    means, rewards, steps = [mean], [], [np.zeros(len(seeds))]
+    means, steps = [mean], [np.zeros(len(seeds))]
     for number in range(generations):
         half = np.array([rng.normal(size=(candidates // 2, len(KNOBS))) for rng in draws])
         points = mean[:, None] + spread[:, None] * np.concatenate([half, -half], axis=1)
@@ -130,7 +128,6 @@ def search(
         spread = np.maximum(spread, LEAST_SPREAD)
         mean = KEPT * mean + (1.0 - KEPT) * best.mean(axis=1)
         means.append(mean)
-        rewards.append(outcome["reward"].mean(axis=(1, 2)))
         steps.append(steps[-1] + outcome["steps"].sum(axis=(1, 2)))
     envs.close()
-    return Searches(np.array(steps), np.array(means), np.array(rewards))
+    return Searches(np.array(steps), np.array(means))

@@ -3,13 +3,13 @@
 UR5 (Jacobi 2025) and UR10, series A to D (Landgraf et al. 2021), from the folder that PICKENV_DATA names.
 """
 
-import csv
 import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from pickenv.arm import Array, joint_jacobian
 from pickenv.calibration import Choices, calibrate
@@ -44,13 +44,11 @@ def remainder(rng: np.random.Generator, set: str) -> list[dict[str, Any]]:
 
 def repeats(path: Path) -> float:
     """Standard deviation of repeated measurements, mm: median over poses, along three axes; NaN if none is stated."""
-    with path.open(newline="", encoding="utf-8") as file:
-        rows = list(csv.DictReader(file, delimiter=";"))
+    table = pd.read_csv(path, sep=";", decimal=",", float_precision="round_trip")
     names = [f"measurement_std_{axis}" for axis in "xyz"]
-    if not {*names} <= rows[0].keys():
+    if not {*names} <= {*table}:
         return float("nan")
-    stds = np.array([[float(row[name].replace(",", ".")) for name in names] for row in rows])
-    return float(np.median(np.sqrt(np.sum(stds**2, axis=1))))
+    return float(np.median(np.sqrt(np.sum(table[names].to_numpy() ** 2, axis=1))))
 
 
 def parts_of(

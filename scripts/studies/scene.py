@@ -11,7 +11,8 @@ from typing import Any
 import gymnasium as gym
 import numpy as np
 
-from pickenv.agents.policies.scripted import ScriptedScene, SeeingScene
+from pickenv.agents import ScriptedScene, SeeingScene
+from pickenv.agents.evaluation.reaches import moments_of
 from pickenv.arm import Array
 from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.calibration import fit, random_joints, simulated_tracker
@@ -41,15 +42,10 @@ def pick(env: Any, policy: ScriptedScene, seed: int) -> dict[str, Any]:
     Returns:
         "success"; "met", 1 where the cup met the fruit; "lateral_mm", 0 where it did not.
     """
-    observation, _ = env.reset(seed=seed)
-    policy.reset()
-    ended = False
-    while not ended:
-        observation, _, terminated, truncated, information = env.step(policy.act(observation))
-        ended = terminated or truncated
-    lateral, axial = information["grasp_lateral_mm"], information["grasp_axial_mm"]
+    *_, last = moments_of(env, policy, seed)
+    lateral, axial = last.info["grasp_lateral_mm"], last.info["grasp_axial_mm"]
     met = float((lateral, axial) != (0.0, 0.0))
-    return {"success": float(information["is_success"]), "met": met, "lateral_mm": lateral}
+    return {"success": float(last.info["is_success"]), "met": met, "lateral_mm": lateral}
 
 
 def calibrate(env: Any, rng: np.random.Generator) -> None:
@@ -62,6 +58,12 @@ def calibrate(env: Any, rng: np.random.Generator) -> None:
     plant: Any = replace(env.unwrapped.plant, effects=(MeasurementNoise(POSITION, ATTITUDE),))
     tracked = simulated_tracker(plant, random_joints(plant.arm.nominal, POSES, rng), rng)
     env.unwrapped.compensator = fit(plant.arm, tracked, known_frames=True).calibration.compensator()
+
+
+def made(robot: str, population: int, error_mm: float, steps: int, **arguments: Any) -> gym.Env[Any, Any]:
+    """The environment of one arm of class coarse whose tool errs by so much; an episode ends after ``steps``."""
+    own: dict[str, Any] = {"plant": f"coarse:{robot}", "population_seed": population, "error_mm": error_mm}
+    return gym.make("pickenv/PickScene-v0", max_episode_steps=steps, **own, **arguments)
 
 
 def measure(
@@ -78,10 +80,9 @@ def measure(
         steps: After which an episode ends.
     """
     population, *fruit_seeds = rng.integers(2**31, size=1 + fruit).tolist()
-    own: dict[str, Any] = {"plant": f"coarse:{robot}", "population_seed": population, "error_mm": error_mm}
     rows = []
     for use, arguments in USES.items():
-        env = gym.make("pickenv/PickScene-v0", max_episode_steps=steps, **own, **arguments)
+        env = made(robot, population, error_mm, steps, **arguments)
         if use == "LS":
             calibrate(env, rng)
         policy = SeeingScene(env) if arguments else ScriptedScene(env)

@@ -16,7 +16,7 @@ from pickenv.agents.evaluation.contenders import load_any
 from pickenv.arm import load_plant
 from pickenv.base import write_text
 from pickenv.experiments import CalibrationPlan, PolicySettings, calibrate_arm, evaluation_rows, run_policies
-from pickenv.inspect.runs.number_words import between, said
+from pickenv.experiments.policy_tables import KEYS, cells_of
 
 SEEDS = 5
 CAMERA = {"feedback": "camera", "camera_noise_mm": 1.0, "fruit_noise_mm": 0.0}
@@ -68,10 +68,9 @@ def judged(name: str, policy: str, out: Path, compensations: tuple[str, ...]) ->
 
 def cells(row: dict[str, Any]) -> list[str]:
     """A line of the card's table."""
-    interval = between(*row["ci95"], 3) if row["ci95"] else "none: " + row["no_interval"]
-    arms = [said(row[f"{name}_arm_mm"], row[f"{name}_arm_ci95"], 3) for name in ("median", "p95")]
+    errors = cells_of(row)[len(KEYS) : len(KEYS) + 4]
     by_seed = ", ".join(f"{error:.3f}" for error in row["by_seed"])
-    return [row["compensation"], f"{row['mean_mm']:.3f}", interval, *arms, by_seed, f"{row['attitude_deg']:.2f}"]
+    return [row["compensation"], *errors, by_seed, f"{row['attitude_deg']:.2f}"]
 
 
 def card(name: str, policy: LearnedPolicy | RememberingPolicy, results: list[dict[str, Any]]) -> str:
