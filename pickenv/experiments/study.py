@@ -60,7 +60,7 @@ from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, tracked
 from pickenv.calibration.residuals.residual_models import fit_residual
 from pickenv.envs.shared.task import GOAL_MARGIN
-from pickenv.experiments.engine import Rows
+from pickenv.experiments.engine import Rows, joined
 
 VERSION = 3
 """Version of the rows, raised when a configuration gives other rows: old and new results never mix."""
@@ -504,11 +504,12 @@ FIGURES = (ERROR, "error_rms_mm", "error_p50_mm", "error_p95_mm", "error_max_mm"
 """Columns of errors over an arm's fruit. They, and ``share_within``, are NaN where the status is not `OK`."""
 
 
-@dataclass(frozen=True, eq=False)
-class Outcomes:
-    """The results of N arms in one setting.
+def outcomes_of(
+    setting: Setting, status: Sequence[str], iterations: Sequence[int], position: Array, attitude: Array
+) -> Rows:
+    """Return the outcomes of N arms in one setting, one row for each arm, with the setting's columns first.
 
-    Attributes:
+    Args:
         setting: The setting.
         status: For each arm, `OK` or the reason why it could not be judged ``(N,)``.
         iterations: Number of least-squares steps of each arm ``(N,)``.
@@ -517,26 +518,14 @@ class Outcomes:
         attitude: Angle between the tool's true attitude and the wanted one at each fruit ``(N, M)``, rad; arbitrary
             where the status is not `OK`.
     """
-
-    setting: Setting
-    status: Sequence[str]
-    iterations: Sequence[int]
-    position: Array
-    attitude: Array
-
-
-def gathered(outcomes: Sequence[Outcomes]) -> Outcomes:
-    """Concatenate the outcomes of different arms in one setting."""
-    return Outcomes(
-        setting=outcomes[0].setting,
-        status=[text for part in outcomes for text in part.status],
-        iterations=[steps for part in outcomes for steps in part.iterations],
-        position=np.concatenate([part.position for part in outcomes]),
-        attitude=np.concatenate([part.attitude for part in outcomes]),
-    )
+    columns: dict[str, Any] = {}
+    for name, value in setting.columns().items():
+        columns[name] = np.full(len(status), value, dtype=np.int32 if isinstance(value, int) else None)
+    columns |= {"status": np.array(status), "iterations": np.asarray(iterations, dtype=np.int32)}
+    return Rows(columns | {"position": position, "attitude": attitude})
 
 
-Judge: TypeAlias = Callable[[Sequence[Setting], Plant, Sequence[Circumstances]], list[Outcomes]]
+Judge: TypeAlias = Callable[[Sequence[Setting], Plant, Sequence[Circumstances]], list[Rows]]
 """Function that judges a batch of arms, each in its own circumstances, and returns their outcomes in each setting."""
 
 
@@ -546,9 +535,9 @@ def evaluate_chunk(protocol: Protocol, chunk: int, rng: object = None) -> Rows:
     ``rng`` is not used: random numbers follow from the study's seed and the arms' numbers.
     """
 
-    def judge(settings: Sequence[Setting], plants: Plant, around: Sequence[Circumstances]) -> list[Outcomes]:
+    def judge(settings: Sequence[Setting], plants: Plant, around: Sequence[Circumstances]) -> list[Rows]:
         outcomes = [evaluate_arm(protocol, settings, plant_at(plants, i), met) for i, met in enumerate(around)]
-        return [gathered(parts) for parts in zip(*outcomes, strict=True)]
+        return [joined(parts) for parts in zip(*outcomes, strict=True)]
 
     with single_threaded():
         return judged_chunk(protocol, chunk, judge)
@@ -565,7 +554,7 @@ def judged_chunk(protocol: Protocol, chunk: int, judge: Judge) -> Rows:
     return chunk_rows(protocol, arms, populations)
 
 
-def evaluate_arm(protocol: Protocol, settings: Sequence[Setting], arm: Plant, around: Circumstances) -> list[Outcomes]:
+def evaluate_arm(protocol: Protocol, settings: Sequence[Setting], arm: Plant, around: Circumstances) -> list[Rows]:
     """Calibrate and judge one true arm in several settings.
 
     Args:
@@ -584,7 +573,7 @@ def evaluate_arm(protocol: Protocol, settings: Sequence[Setting], arm: Plant, ar
         joints, status, iterations = command(setting.calibration)
         error = pose_error(targets, carrying(arm, setting.payload_kg).tool_pose(joints))
         position, attitude = (np.linalg.norm(part, axis=1)[None] for part in (error[:, :3], error[:, 3:]))
-        outcomes.append(Outcomes(setting, [status], [iterations], position, attitude))
+        outcomes.append(outcomes_of(setting, [status], [iterations], position, attitude))
     return outcomes
 
 
@@ -662,14 +651,14 @@ def figures(position: Array, attitude: Array, radius_mm: float) -> dict[str, Arr
     return dict(zip(FIGURES, values, strict=True)) | {"share_within": np.mean(position_mm <= radius_mm, axis=1)}
 
 
-def chunk_rows(protocol: Protocol, arms: range, populations: Sequence[tuple[Plant, Sequence[Outcomes]]]) -> Rows:
+def chunk_rows(protocol: Protocol, arms: range, populations: Sequence[tuple[Plant, Sequence[Rows]]]) -> Rows:
     """Return the rows of a chunk, one for each arm and setting, sorted by arm and then by setting.
 
     Args:
         protocol: The study.
         arms: Numbers of the chunk's arms.
         populations: For each population, the true arms of the chunk, and their outcomes in each setting of this
-            population.
+            population, from `outcomes_of`.
     """
     parts = [
         _columns(arms, outcomes, protocol.config.radius_mm) | columns_of_arms
@@ -682,17 +671,14 @@ def chunk_rows(protocol: Protocol, arms: range, populations: Sequence[tuple[Plan
     return Rows({name: values[order] for name, values in columns.items()})
 
 
-def _columns(arms: range, outcomes: Outcomes, radius_mm: float) -> dict[str, Any]:
-    count = len(arms)
-    finite = np.isfinite(outcomes.position + outcomes.attitude).all(axis=1)
-    status = np.where((np.array(outcomes.status) == OK) & ~finite, NOT_FINITE, outcomes.status)
-    columns: dict[str, Any] = {"setting": None, "arm": np.arange(arms.start, arms.stop)}
-    for name, value in outcomes.setting.columns().items():
-        columns[name] = np.full(count, value, dtype=np.int32 if isinstance(value, int) else None)
-    columns |= {"status": status, "iterations": np.asarray(outcomes.iterations, dtype=np.int32)}
-    columns |= {name: np.full(count, np.nan) for name in (*FIGURES, "share_within")}
-    is_ok = status == OK
+def _columns(arms: range, outcomes: Rows, radius_mm: float) -> dict[str, Any]:
+    columns: dict[str, Any] = {"setting": None, "arm": np.arange(arms.start, arms.stop)} | dict(outcomes.columns)
+    position, attitude = columns.pop("position"), columns.pop("attitude")
+    finite = np.isfinite(position + attitude).all(axis=1)
+    columns["status"] = np.where((columns["status"] == OK) & ~finite, NOT_FINITE, columns["status"])
+    columns |= {name: np.full(len(arms), np.nan) for name in (*FIGURES, "share_within")}
+    is_ok = columns["status"] == OK
     if is_ok.any():
-        for name, values in figures(outcomes.position[is_ok], outcomes.attitude[is_ok], radius_mm).items():
+        for name, values in figures(position[is_ok], attitude[is_ok], radius_mm).items():
             columns[name][is_ok] = values
     return columns

@@ -33,7 +33,7 @@ from pickenv.calibration.compensation.compensator import corrected
 from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE, judged_step
 from pickenv.calibration.model.arm_model import ErrorModel
 from pickenv.experiments import study
-from pickenv.experiments.engine import Rows
+from pickenv.experiments.engine import Rows, joined
 from pickenv.experiments.study import measured
 
 BLOCKS = {"cpu": 2**14, "cuda": 2**22}
@@ -69,7 +69,7 @@ def judge_batch(
     plants: Plant,
     around: Sequence[study.Circumstances],
     device: str = "cpu",
-) -> list[study.Outcomes]:
+) -> list[Rows]:
     """Calibrate and judge a batch of arms in settings of one population.
 
     Args:
@@ -80,7 +80,7 @@ def judge_batch(
         device: "cpu" or "cuda".
 
     Returns:
-        For each setting, the outcomes of all arms.
+        For each setting, the outcomes of all arms, from `outcomes_of`.
     """
     place = partial(torch.as_tensor, dtype=torch.float64, device=device)
     poses = BLOCKS[device] * (IN_TIME if protocol.design.has_state else 1)
@@ -90,7 +90,7 @@ def judge_batch(
             _outcomes(protocol, settings, plants_on(plants, itemgetter(part)), around[part], place)
             for part in (slice(first, first + size) for first in range(0, len(around), size))
         ]
-    return [study.gathered(outcomes) for outcomes in zip(*parts, strict=True)]
+    return [joined(outcomes) for outcomes in zip(*parts, strict=True)]
 
 
 def check_device(device: str) -> None:
@@ -111,7 +111,7 @@ def _outcomes(
     plants: Plant,
     around: Sequence[study.Circumstances],
     place: Place,
-) -> list[study.Outcomes]:
+) -> list[Rows]:
     """Outcomes of all arms of one population in each of its settings."""
     placed, count = plants_on(plants, place), len(around)
     targets = in_components(torch, np.stack([met.fruit for met in around], axis=1), place)
@@ -127,9 +127,9 @@ def _outcomes(
         steps = taken.tolist()
         for i in np.flatnonzero(~converged).tolist():
             (alone,) = study.evaluate_arm(protocol, [setting], plant_at(plants, i), around[i])
-            status[i], steps[i] = alone.status[0], alone.iterations[0]
-            position[i], attitude[i] = alone.position[0], alone.attitude[0]
-        outcomes.append(study.Outcomes(setting, status, steps, position, attitude))
+            status[i], steps[i] = alone["status"][0], alone["iterations"][0]
+            position[i], attitude[i] = alone["position"][0], alone["attitude"][0]
+        outcomes.append(study.outcomes_of(setting, status, steps, position, attitude))
     return outcomes
 
 

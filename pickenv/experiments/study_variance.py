@@ -145,8 +145,8 @@ def _log_errors(protocol: Protocol, setting: Setting, arms: Plant, around: Seque
     from pickenv.experiments.study_batched import judge_batch
 
     (outcomes,) = judge_batch(protocol, [setting], arms, around)
-    radius = np.quantile(outcomes.position, protocol.config.share, axis=1)
-    return np.log(np.where([text == OK for text in outcomes.status], radius, np.nan))
+    radius = np.quantile(outcomes["position"], protocol.config.share, axis=1)
+    return np.log(np.where(outcomes["status"] == OK, radius, np.nan))
 
 
 # Sobol's indices.
@@ -228,10 +228,10 @@ def sobol_of(protocol: Protocol, setting: Setting, samples: int) -> list[dict[st
         numbers[:, active] = even
         plants = plants_from(protocol.design, tolerances, numbers)
         (outcomes,) = judge_batch(protocol, [setting], plants, [around(row) for row in rows.tolist()])
-        for status in outcomes.status:
+        for status in outcomes["status"]:
             if status != OK:
                 raise InputError(f"Sobol indices of setting {setting.number} need every arm's error: {status}")
-        return figures(outcomes.position, outcomes.attitude, protocol.config.radius_mm)["error_rms_mm"] ** 2
+        return figures(outcomes["position"], outcomes["attitude"], protocol.config.radius_mm)["error_rms_mm"] ** 2
 
     places = np.cumsum([0, *(len(columns) for columns in groups.values())]).tolist()
     numbered = {name: range(a, b) for name, a, b in zip(groups, places, places[1:], strict=False)}

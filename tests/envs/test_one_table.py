@@ -95,11 +95,9 @@ def test_pose_error_reward_and_success_are_the_studys(kind, protocol, given, pla
     (setting,) = protocol.settings
     alone = [evaluate_arm(protocol, [setting], plant_at(plants, arm), given)[0] for arm in range(ARMS)]
     together = judge_batch(protocol, [setting], plants, [given] * ARMS)[0]
-    position, attitude = (
-        np.concatenate([getattr(part, name)[0] for part in alone]) for name in ("position", "attitude")
-    )
-    np.testing.assert_allclose(together.position.ravel(), position, rtol=0, atol=1e-12)
-    np.testing.assert_allclose(together.attitude.ravel(), attitude, rtol=0, atol=1e-12)
+    position, attitude = (np.concatenate([part[name][0] for part in alone]) for name in ("position", "attitude"))
+    np.testing.assert_allclose(together["position"].ravel(), position, rtol=0, atol=1e-12)
+    np.testing.assert_allclose(together["attitude"].ravel(), attitude, rtol=0, atol=1e-12)
     error = reference(protocol, given, plants, given.fruit)
     info, rewards = shown(kind, given)
     np.testing.assert_allclose(info["pose_error"], error, rtol=0, atol=1e-12)

@@ -66,7 +66,7 @@ def test_ordinary_arms_are_finished_in_the_batch(study_file, monkeypatch):
             given = [protocol.circumstances(number) for number in range(8)]
             judge_batch(protocol, [setting], protocol.draw(setting, range(8)), given)[0]
             alone = judge_batch(protocol, [setting], protocol.draw(setting, range(1)), given[:1])[0]
-            assert alone.position.shape == (1, protocol.config.fruit)
+            assert alone["position"].shape == (1, protocol.config.fruit)
     assert not handed
 
 
@@ -90,19 +90,19 @@ def test_no_tracker_enters_where_none_errs(study_file, monkeypatch):
     given = [protocol.circumstances(number) for number in range(6)]
     perfect = [one.perfect for one in given]
     arms = protocol.draw(setting, range(6))
-    expected = judge_batch(protocol, [setting], arms, perfect)[0].position
-    assert not np.allclose(judge_batch(protocol, [setting], arms, given)[0].position, expected, rtol=1e-6)
+    expected = judge_batch(protocol, [setting], arms, perfect)[0]["position"]
+    assert not np.allclose(judge_batch(protocol, [setting], arms, given)[0]["position"], expected, rtol=1e-6)
     monkeypatch.setattr(study_batched, "STEPS", 1)  # nobody converges: all are handed over
-    np.testing.assert_allclose(judge_batch(protocol, [setting], arms, perfect)[0].position, expected, rtol=AGREEMENT)
+    np.testing.assert_allclose(judge_batch(protocol, [setting], arms, perfect)[0]["position"], expected, rtol=AGREEMENT)
 
 
 def test_arms_that_go_through_in_several_blocks_keep_their_order(study_file, monkeypatch):
     protocol = prepared_study(load_study(study_file()))
     setting, arms = protocol.settings[0], protocol.draw(protocol.settings[0], range(5))
     given = [protocol.circumstances(number) for number in range(5)]
-    whole = judge_batch(protocol, [setting], arms, given)[0].position
+    whole = judge_batch(protocol, [setting], arms, given)[0]["position"]
     monkeypatch.setitem(study_batched.BLOCKS, "cpu", 1)  # an arm at a time
-    np.testing.assert_allclose(judge_batch(protocol, [setting], arms, given)[0].position, whole, rtol=AGREEMENT)
+    np.testing.assert_allclose(judge_batch(protocol, [setting], arms, given)[0]["position"], whole, rtol=AGREEMENT)
 
 
 def test_an_arm_whose_poses_show_other_parameters_is_handed_over(study_file):
@@ -116,7 +116,8 @@ def test_an_arm_whose_poses_show_other_parameters_is_handed_over(study_file):
     arms = protocol.draw(setting, range(4))
     together = judge_batch(protocol, [setting], arms, given)[0]
     alone = [evaluate_arm(protocol, [setting], plant_at(arms, i), one)[0] for i, one in enumerate(given)]
-    np.testing.assert_allclose(together.position, np.concatenate([part.position for part in alone]), rtol=AGREEMENT)
+    expected = np.concatenate([part["position"] for part in alone])
+    np.testing.assert_allclose(together["position"], expected, rtol=AGREEMENT)
 
 
 @pytest.mark.thorough

@@ -40,7 +40,7 @@ def test_only_arms_with_finite_errors_and_no_complaint_are_judged():
     setting = study.Setting(0, "medium", 8, 12, 0.1, 0.2, 0.0, "ls")
     position, attitude = np.full((4, 3), 1e-3), np.full((4, 3), 1e-3)
     position[1, 2], attitude[2, 0] = np.nan, np.inf
-    outcomes = study.Outcomes(
+    outcomes = study.outcomes_of(
         setting, [study.OK, study.OK, study.OK, "did not converge"], [3, 4, 5, 6], position, attitude
     )
     columns = study._columns(range(10, 14), outcomes, 1.0)

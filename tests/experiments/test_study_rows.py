@@ -12,12 +12,12 @@ from pickenv.experiments.study import (
     FIGURES,
     NOT_FINITE,
     OK,
-    Outcomes,
     carrying,
     chunk_rows,
     evaluate_arm,
     evaluate_chunk,
     figures,
+    outcomes_of,
     reach_status,
 )
 from pickenv.experiments.study_rows import held
@@ -261,9 +261,9 @@ def test_the_design_itself_can_be_judged_by_the_same_protocol(config):
     """The paper's arm, Table 1, against its population: its own geometry, the settings' calibration and fruit."""
     protocol = prepared_study(config)
     outcomes = evaluate_arm(protocol, protocol.settings, protocol.design, protocol.circumstances(config.arms))
-    assert [outcome.setting for outcome in outcomes] == list(protocol.settings)
-    raw, calibrated = outcomes[0].position.mean(), outcomes[4].position.mean()
-    assert outcomes[4].setting.method == "ls" and calibrated < raw < 5e-3
+    assert [outcome["setting"].tolist() for outcome in outcomes] == [[setting.number] for setting in protocol.settings]
+    raw, calibrated = outcomes[0]["position"].mean(), outcomes[4]["position"].mean()
+    assert outcomes[4]["method"].tolist() == ["ls"] and calibrated < raw < 5e-3
 
 
 def test_the_figures_are_those_of_a_hundred_and_one_fruit_known_by_heart():
@@ -287,7 +287,7 @@ def test_an_arm_without_a_finite_pose_is_not_judged_and_an_earlier_reason_stays(
     (setting, *_), arms = protocol.populations()[0], range(3)
     position = np.full((3, config.fruit), 5e-4)
     position[1:, 0] = np.nan
-    outcomes = Outcomes(setting, (OK, OK, "lost"), (4, 4, 4), position, np.zeros_like(position))
+    outcomes = outcomes_of(setting, (OK, OK, "lost"), (4, 4, 4), position, np.zeros_like(position))
     table = chunk_rows(protocol, arms, [(protocol.draw(setting, arms), [outcomes])]).arrow()
     assert table["status"].to_pylist() == [OK, NOT_FINITE, "lost"]
     np.testing.assert_allclose(table["error_mean_mm"].to_numpy(), [0.5, np.nan, np.nan])
