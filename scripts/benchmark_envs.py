@@ -54,7 +54,6 @@ WHAT = {
     "FetchReach-v4": "20 MuJoCo substeps, contacts",
     "FetchPickAndPlace-v4": "20 MuJoCo substeps, contacts",
     "PandaReach-v3": "20 Bullet substeps, contacts",
-    "CartPole-v1 native": "4 numbers, no arm",
 }
 RATIOS = {
     "single_vs_fetchreach": ("Reach single", "FetchReach-v4"),
@@ -226,7 +225,7 @@ def peers(folder: Path, seconds: float, *words: str) -> dict[str, dict[str, Any]
         return dict(json.loads(ended.stdout.strip().splitlines()[-1]))
     except (subprocess.SubprocessError, OSError, InputError) as error:
         unknown = {"steps_per_s": None, "frames_per_s": None, "note": f"cannot be run: {error}"}
-        return {name: dict(unknown) for name in WHAT if name.endswith(("-v3", "-v4"))}
+        return {name: dict(unknown) for name in WHAT}
 
 
 def main(
@@ -251,7 +250,7 @@ def main(
     if not no_peers:
         for name, found in peers(folder, seconds).items():
             add(name, 1, "engine", found["steps_per_s"], found["note"] or WHAT[name])
-        add("CartPole-v1 native 4096", 4096, "numpy", vector("CartPole-v1", 4096, seconds), WHAT["CartPole-v1 native"])
+        add("CartPole-v1 native 4096", 4096, "numpy", vector("CartPole-v1", 4096, seconds), "4 numbers, no arm")
     for name, what in SINGLE.items():
         add(f"{name} single", 1, "auto", rate(stepper(gym.make(f"pickenv/{name}-v0")), seconds), f"{what}, gym.make")
     for name, (arguments, what) in SCENES.items():

@@ -312,7 +312,7 @@ def conditions(
     More: conditions.md
     """
     typed = dict(locals())
-    from pickenv.experiments.conditions_study import ConditionRanges, ConditionsSettings, conditions_study
+    from pickenv.experiments.conditions_study import ConditionsSettings, conditions_study
     from pickenv.inspect.runs.run_folder import CONDITIONS, RECORD, REPORT, recorded_run
 
     is_calibration = subject.endswith(".npz")
@@ -327,8 +327,7 @@ def conditions(
     fitted = pickenv.Calibration.load(subject, machine.arm) if is_calibration else None
     if fitted is not None:
         obey(fitted.reservations(), allow or ())
-    ranges = ConditionRanges(payload, weather, hours)
-    settings = ConditionsSettings(ranges, arms, tolerances, sessions, poses, residual, seed)
+    settings = ConditionsSettings(**showing.arguments_for(ConditionsSettings, typed))
     with showing.progress_bars() as report:
         result = conditions_study(machine, settings, fitted, report)
 

@@ -43,30 +43,20 @@ REFERENCE, BLIND, TOLD, TERMS, BOTH = (
     "terms told",
     "terms and network told",
 )
-METHODS = ("raw", REFERENCE, BLIND, TOLD, TERMS, BOTH)
+
+
+RANGES = ("payload", "weather", "hours")
+"""Settings that are ranges of conditions."""
 
 
 @dataclass(frozen=True)
-class ConditionRanges:
-    """Ranges of the conditions that an arm may meet at work.
+class ConditionsSettings:
+    """Settings of the study: conditions that an arm may meet at work, arms and numbers of measurements.
 
     Attributes:
         payload: Largest mass held at the tool, kg.
         weather: Largest deviation of a day's temperature from the usual one, K, in either direction.
         hours: Length of a working day, h.
-    """
-
-    payload: float = 0.5
-    weather: float = 10.0
-    hours: float = 8.0
-
-
-@dataclass(frozen=True)
-class ConditionsSettings:
-    """Settings of the study: conditions, arms and numbers of measurements.
-
-    Attributes:
-        ranges: Ranges of the conditions.
         arms: Number of arms drawn from the tolerance class.
         tolerances: Name of the tolerance class.
         sessions: Number of training sessions, each under conditions of its own.
@@ -75,7 +65,9 @@ class ConditionsSettings:
         seed: Seed of all random numbers.
     """
 
-    ranges: ConditionRanges = ConditionRanges()
+    payload: float = 0.5
+    weather: float = 10.0
+    hours: float = 8.0
     arms: int = 10
     tolerances: str = "medium"
     sessions: int = 12
@@ -104,19 +96,13 @@ class State:
         return State(*(np.full(count, known.get(name, 0.0)) for name in ("payload", "weather", "hour")))
 
     @staticmethod
-    def drawn(ranges: ConditionRanges, sessions: int, poses: int, rng: np.random.Generator) -> State:
-        """Draw the conditions of random sessions (a Latin hypercube over the ranges), and return them pose by pose.
-
-        Args:
-            ranges: Ranges of the conditions.
-            sessions: Number of sessions.
-            poses: Number of poses of a session.
-            rng: Random numbers.
-        """
-        share = (np.array([rng.permutation(sessions) for _ in range(3)]) + rng.random((3, sessions))) / sessions
-        low = np.array([0.0, -ranges.weather, 0.0])[:, None]
-        high = np.array([ranges.payload, ranges.weather, ranges.hours])[:, None]
-        return State(*np.repeat(low + (high - low) * share, poses, axis=1))
+    def drawn(settings: ConditionsSettings, rng: np.random.Generator) -> State:
+        """Draw the conditions of random sessions (a Latin hypercube over the ranges), and return them pose by pose."""
+        count = settings.sessions
+        share = (np.array([rng.permutation(count) for _ in range(3)]) + rng.random((3, count))) / count
+        low = np.array([0.0, -settings.weather, 0.0])[:, None]
+        high = np.array([settings.payload, settings.weather, settings.hours])[:, None]
+        return State(*np.repeat(low + (high - low) * share, settings.poses, axis=1))
 
 
 def warming(plant: Plant) -> Plant:
@@ -211,7 +197,7 @@ def calibrated(plant: Plant, settings: ConditionsSettings, rng: np.random.Genera
         For each method and for "raw", a function that computes the pose errors after calibration.
     """
     arm, nominal = plant.arm, plant.arm.nominal
-    apart = State.drawn(settings.ranges, settings.sessions, settings.poses, rng)
+    apart = State.drawn(settings, rng)
     varied, usual = measured_under(plant, apart, rng), measured_under(plant, State.same(len(apart.hour)), rng)
     model = link_model(nominal)
     cold, bare = (identify_converged(model, ArmModel.of(nominal), [data]) for data in (usual, varied))
@@ -233,13 +219,13 @@ def calibrated(plant: Plant, settings: ConditionsSettings, rng: np.random.Genera
     }
 
 
-def levels_of(ranges: ConditionRanges) -> dict[str, Array]:
+def levels_of(settings: ConditionsSettings) -> dict[str, Array]:
     """Return the values of each condition at which calibrations are judged, by the name of the condition.
 
     A condition whose range is a single value is left out.
     """
-    ends = {"payload": (0.0, ranges.payload), "temperature": (-ranges.weather, ranges.weather)}
-    ends["hour"] = (0.0, ranges.hours)
+    ends = {"payload": (0.0, settings.payload), "temperature": (-settings.weather, settings.weather)}
+    ends["hour"] = (0.0, settings.hours)
     return {name: np.linspace(low, high, LEVELS) for name, (low, high) in ends.items() if high > low}
 
 
@@ -260,11 +246,11 @@ def judged_on(
         One row for each sweep, value of its condition, method and pose, with "error_mm". "level" is the number of the
         value, from 0.
     """
-    levels, count = levels_of(settings.ranges), 2 * settings.poses
+    levels, count = levels_of(settings), 2 * settings.poses
     states = [(name, k, state_at(name, level, count)) for name in levels for k, level in enumerate(levels[name])]
     parts = []
     for sweep, level, state in [*states, (HELD_OUT, 0, None)]:
-        state = state or State.drawn(settings.ranges, settings.sessions, settings.poses, rng)
+        state = state or State.drawn(settings, rng)
         data = measured_under(plant, state, rng)
         for method, errors in calibrations.items():
             place = {"sweep": sweep, "level": level, "method": method}
@@ -317,7 +303,7 @@ def conditions_study(
         InputError: If the plant has no link masses for a payload to act on, the residual model is unknown, or the
             calibration belongs to another arm.
     """
-    if plant.load is None and settings.ranges.payload > 0.0:
+    if plant.load is None and settings.payload > 0.0:
         raise InputError(
             f"plant '{plant.name}' has no link masses, so a payload changes nothing; give `payload=0`, or a plant with "
             "a [load]"
@@ -331,17 +317,19 @@ def conditions_study(
         plants = draw_plants(plants, tolerances, arms, _stream(settings.seed, 0))
     measure = partial(judged_arm, plants=plants, settings=settings, calibration=calibration)
     rows = run(Experiment("arms", {"arm": range(arms)}, {}, measure, settings.seed), progress=progress)
-    levels = {name: values.tolist() for name, values in levels_of(settings.ranges).items()} | {HELD_OUT: [0.0]}
+    levels = {name: values.tolist() for name, values in levels_of(settings).items()} | {HELD_OUT: [0.0]}
     sweeps: dict[str, Any] = {name: {"levels": levels[name], "methods": {}} for name in levels}
     for number in estimate(rows.columns, "error_mm", by=("sweep", "method", "level"), over=(over,)):
         mean = number["estimate"]
         by_level = sweeps[number["sweep"]]["methods"].setdefault(number["method"], [])
         by_level.append({"mean_mm": mean.value, "ci95_mm": mean.ci95})
     few = f"none: {arms} of at least {LEAST} arms"
+    asked = asdict(settings)
+    ranges = {name: asked.pop(name) for name in RANGES}
     return {
         "plant": plant.name,
         "simulated": True,
-        "settings": asdict(settings),
+        "settings": {"ranges": ranges, **asked},
         "growth": "the plant's own" if plant.effect("thermal_growth") else "as in the tolerance class medium",
         "interval_over": "arms" if calibration is None else "poses of one arm",
         "no_interval": few if calibration is None and arms < LEAST else "",

@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterator, Sequence
 from functools import lru_cache
 from typing import Any
 
-from pickenv.base import InputError, require
+from pickenv.base import InputError, check_known, require
 
 BACKENDS = ("serial", "loky")
 """Names of the backends: this process, and several processes of this machine."""
@@ -39,8 +39,7 @@ def spread(
     Raises:
         InputError: If the backend is unknown or not installed, or its processes keep dying.
     """
-    if backend not in BACKENDS:
-        raise InputError(f"unknown backend '{backend}'; give one of {', '.join(BACKENDS)}")
+    check_known("backend", backend, BACKENDS)
     if backend == "serial" or not numbers:
         for number in numbers:
             yield number, work(number)

@@ -27,7 +27,7 @@ from pickenv.arm.kinematics.pose_error import frame_error
 from pickenv.arm.kinematics.task_space import link_column
 from pickenv.arm.plant.campaign import Place, in_components, visited
 from pickenv.arm.plant.plant_batch import tree_map, with_links
-from pickenv.base import InputError, torch_on_one_thread
+from pickenv.base import InputError, check_known, torch_on_one_thread
 from pickenv.calibration import Compensator
 from pickenv.calibration.compensation.compensator import corrected
 from pickenv.calibration.identification.least_squares import REDUNDANCY_TOLERANCE, judged_step
@@ -99,8 +99,7 @@ def check_device(device: str) -> None:
     Raises:
         InputError: If the device is neither "cpu" nor "cuda", or it is "cuda" and torch finds no GPU.
     """
-    if device not in BLOCKS:
-        raise InputError(f"unknown device '{device}'; give one of {', '.join(BLOCKS)}")
+    check_known("device", device, BLOCKS)
     if device == "cuda" and not torch.cuda.is_available():
         raise InputError("torch sees no CUDA device on this machine; give `device='cpu'`")
 

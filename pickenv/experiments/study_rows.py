@@ -24,6 +24,7 @@ import pyarrow.dataset as ds
 from pickenv import __version__
 from pickenv.base import (
     InputError,
+    check_known,
     command_line,
     locked,
     quantile_levels,
@@ -73,8 +74,7 @@ def run_study(
     Raises:
         InputError: If the executor is unknown, the folder holds another study, or another process works in it.
     """
-    if executor not in EXECUTORS:
-        raise InputError(f"unknown executor '{executor}'; give one of {', '.join(EXECUTORS)}")
+    check_known("executor", executor, EXECUTORS)
     if device != "cpu" and executor != BATCHED:
         raise InputError(f"`device='{device}'` is for one executor; give `executor='{BATCHED}'` with it")
     protocol, backend, arithmetic = study.prepared_study(config), EXECUTORS[executor], "arm by arm"

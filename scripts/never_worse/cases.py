@@ -385,23 +385,21 @@ def few_rows(settings: Settings) -> list[Row]:
             order = rng.permutation(len(grid))
             drawn.append(judged_rows(arm, grid.select(order[:count]), grid.select(order[count:])))
             settings.step(f"{count} rows, draw {draw + 1}")
-        nominal, plain, calibrated = (float(np.mean([figures[i] for figures, _ in drawn])) for i in range(3))
-        grades = counts_of([grade for _, grade in drawn])
-        limit = min(nominal, plain / 2) if count == 10 else nominal
-        subject = f"UR5, {count} rows, mean of {DRAWS}"
-        rows.append(Row(subject, "rest of the grid", calibrated, nominal, plain, grade=grades, at_most=limit))
-        worst = max(figures[2] / figures[0] for figures, _ in drawn)
-        rows.append(Row(subject, "worst draw, part of nominal", worst, unit="", at_most=1.0))
+        mean = mean_row(f"UR5, {count} rows, mean of {DRAWS}", drawn, None)
+        limit = min(mean.nominal, mean.plain / 2) if count == 10 else mean.nominal
+        rows.append(replace(mean, grade=counts_of([row.grade for row in drawn]), at_most=limit))
+        worst = max(row.calibrated / row.nominal for row in drawn)
+        rows.append(Row(mean.subject, "worst draw, part of nominal", worst, unit="", at_most=1.0))
     return rows
 
 
-def judged_rows(arm: Arm, rows: Measurements, rest: Measurements) -> tuple[tuple[float, float, float], str]:
-    """Errors on other rows, mm: nominal with base and tool from these rows, least squares, and calibrated; verdict."""
+def judged_rows(arm: Arm, rows: Measurements, rest: Measurements) -> Row:
+    """Errors on other rows: of the nominal arm with base and tool from these rows, least squares, and calibrated."""
     aligned = align(arm.nominal, rows, frames_model(arm.nominal), judge=False).geometry
     nominal, plain = (mm_left(rest.difference(fitted)) for fitted in (aligned, least_squares(aligned, rows)))
     result = delivered(arm, rows)
     calibrated = nominal if result is None else mm_left(result.calibration.errors(rest))
-    return (nominal, plain, calibrated), grade_of(result)
+    return Row("", "rest of the grid", calibrated, nominal, plain, grade=grade_of(result))
 
 
 def least_squares(start: Geometry, rows: Measurements) -> Geometry:
@@ -438,21 +436,19 @@ def clustered(settings: Settings) -> list[Row]:
     rows: list[Row] = []
     for name in CLUSTERED_PLANTS:
         draws = [list(clustered_draw(name, settings.seed + draw, settings)) for draw in range(CLUSTER_DRAWS)]
-        errors = np.array([[figures for figures, _ in draw] for draw in draws])
-        for which, count in enumerate(CLUSTERS):
-            nominal, calibrated = errors[:, which].mean(axis=0)
-            limit = errors[:, 0, 1].mean() if count else nominal
+        alone = [draw[0].calibrated for draw in draws]
+        for count, some in zip(CLUSTERS, zip(*draws, strict=True), strict=True):
             subject = f"{name}, {WIDE} wide rows" + (f" + {count} clustered" if count else "")
-            counted = counts_of([draw[which][1] for draw in draws])
-            rows.append(Row(subject, "wide rows", calibrated, nominal, grade=counted, at_most=limit))
+            mean = mean_row(subject, some, float(np.mean(alone)) if count else None)
+            rows.append(replace(mean, grade=counts_of([row.grade for row in some])))
             if count:
-                worst = float(np.max(errors[:, which, 1] / errors[:, 0, 1]))
+                worst = max(row.calibrated / first for row, first in zip(some, alone, strict=True))
                 rows.append(Row(subject, "worst draw, part of the 40 alone", worst, unit="", at_most=1.0))
     return rows
 
 
-def clustered_draw(name: str, seed: int, settings: Settings) -> Iterator[tuple[tuple[float, float], str]]:
-    """Nominal and calibrated error, mm, and the verdict, without clustered rows and with more and more of them."""
+def clustered_draw(name: str, seed: int, settings: Settings) -> Iterator[Row]:
+    """Errors on wide rows, without clustered rows and with more and more of them."""
     plant, rng = load_plant(name), np.random.default_rng(seed)
     arm, nominal = plant.arm, plant.arm.nominal
     wide, middle = random_joints(nominal, WIDE, rng), random_joints(nominal, 1, rng)[0]
@@ -463,7 +459,8 @@ def clustered_draw(name: str, seed: int, settings: Settings) -> Iterator[tuple[t
         data = simulated_tracker(plant, np.concatenate([wide, near[:count]]), np.random.default_rng(seed + 1))
         result = pickenv.calibrate(arm, data)
         settings.step(f"{name}, {WIDE} + {count} rows")
-        yield (mm_left(test.difference(nominal)), mm_left(result.calibration.errors(test))), grade_of(result)
+        errors = (mm_left(result.calibration.errors(test)), mm_left(test.difference(nominal)))
+        yield Row("", "wide rows", *errors, grade=grade_of(result))
 
 
 def counts_of(grades: list[str]) -> str:

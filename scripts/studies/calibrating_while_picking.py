@@ -49,7 +49,7 @@ TWO: dict[str, Any] = {"arguments": {"plant": ["qiao2026", "orchard"]}}
 CHANGES = {"": {}, "two kinds": TWO, "two kinds, four times the steps": TWO | {"steps": 409_600}}
 """What a training changes in its recipe, by the last words of a policy's name."""
 
-FILTER, NOMINAL = "Kalman filter", "no memory: the nominal arm"
+FILTER = "Kalman filter"
 PICKS, LOOKS, CAMERA_MM = 20, 10, 1.0
 TRIED = {"unmodelled_std": (0.1e-3, 0.2e-3, 0.5e-3, 1e-3), "prior": (0.5, 1.0, 2.0)}
 """Settings of the filter that are tried on arms of its own."""

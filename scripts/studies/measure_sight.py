@@ -10,7 +10,7 @@ is read, and the fruit of that zone counts. Intervals are over trees.
 import argparse
 import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 from pathlib import Path
 from typing import Any
 
@@ -65,11 +65,8 @@ class Sightings:
 
 def together(parts: Sequence[Sightings]) -> Sightings:
     """Sightings of several pictures as one."""
-    rows = {
-        name: np.concatenate([getattr(part, name) for part in parts])
-        for name in ("tree", "depth", "visible", "found", "error", "again")
-    }
-    return Sightings(**rows, pictures=sum(p.pictures for p in parts), false=sum(p.false for p in parts))
+    *columns, pictures, false = zip(*map(astuple, parts), strict=True)
+    return Sightings(*map(np.concatenate, columns), pictures=sum(pictures), false=sum(false))
 
 
 def sightings(

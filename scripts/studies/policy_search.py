@@ -14,7 +14,7 @@ import numpy as np
 
 from pickenv.agents import ScriptedPick, pick_canopies
 from pickenv.arm import Array
-from pickenv.base import InputError, seed_words, stream
+from pickenv.base import seed_words, stream
 from pickenv.envs import PickVectorEnv
 
 
@@ -100,14 +100,9 @@ def search(
         arguments: Of `PickVectorEnv`.
         seeds: Of canopies and candidates.
         generations: How often candidates are drawn.
-        candidates: Of each generation, an even number.
+        candidates: Of each generation, an even number, at least 8.
         canopies: That each of them picks; the same for all, others in each generation.
-
-    Raises:
-        InputError: If there are too few candidates.
     """
-    if candidates < 8 or candidates % 2:
-        raise InputError(f"candidates is {candidates}; give an even number, at least 8")
     size = (len(seeds), candidates, canopies)
     envs = PickVectorEnv(int(np.prod(size)), **arguments)
     draws = [np.random.default_rng(stream(seed, "policy")) for seed in seeds]

@@ -52,15 +52,16 @@ def sensitivities(findings: Findings) -> str:
 
 def printed(out: Path) -> str:
     """All tables."""
-    one, other = (load_study(ROOT / "scripts" / f"{name}.toml") for name in STUDIES)
-    for config, name in zip((one, other), STUDIES, strict=True):
-        run_study(config, out / name, executor="batched")
+    for name in STUDIES:
+        run_study(load_study(ROOT / "scripts" / f"{name}.toml"), out / name, executor="batched")
     first, second = (gather(out / name) for name in STUDIES)
-    save_figure(yield_curves(first.yields, "it_grade", specified(one)), ROOT / "docs/images/study-grades.png")
-    components: list[list[str]] = []
-    for setting in read_summary(out / STUDIES[1])["components"]:
-        label = setting_label(setting)
-        components += [[label, row["group"], *of_share(row, "first_order", "total")] for row in setting["shares"]]
+    specification = specified(first.protocol.config)
+    save_figure(yield_curves(first.yields, "it_grade", specification), ROOT / "docs/images/study-grades.png")
+    components = [
+        [setting_label(setting), row["group"], *of_share(row, "first_order", "total")]
+        for setting in read_summary(out / STUDIES[1])["components"]
+        for row in setting["shares"]
+    ]
     parts = {
         "Where the differences between arms come from": table(
             ("setting", "drawn anew", "alone", "with interactions"), components

@@ -5,11 +5,8 @@ Five seeds each; the first is shipped. Judged on arms that no training saw, with
 """
 
 import argparse
-import sys
 from pathlib import Path
 from typing import Any
-
-sys.path.insert(0, str(Path(__file__).parents[2]))
 
 from pickenv.agents import BASELINES, LearnedPolicy, RememberingPolicy, Training, train, tuned
 from pickenv.agents.evaluation.contenders import load_any

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from pickenv.agents import HASTY, ScriptedPick, pick_canopies
-from pickenv.base import InputError, seed_words, stream
+from pickenv.base import seed_words, stream
 from pickenv.envs import PickVectorEnv
 from scripts.studies.policy_search import KNOBS, arguments_of, search
 
@@ -84,11 +84,6 @@ def test_a_seed_finds_the_same_whatever_others_search_beside_it():
         np.testing.assert_array_equal(getattr(both, name)[:, 1:], getattr(one, name))
     assert not np.array_equal(both.means[-1, 0], both.means[-1, 1])
     assert both.steps[-1].max() <= 2 * 8 * 12
-
-
-def test_too_few_candidates_are_refused():
-    with pytest.raises(InputError, match="candidates is 7; give an even number, at least 8"):
-        search({}, (0,), 1, candidates=7)
 
 
 @pytest.mark.slow

@@ -21,11 +21,9 @@ from pickenv.experiments.conditions_study import (
     BLIND,
     BOTH,
     HELD_OUT,
-    METHODS,
     REFERENCE,
     TERMS,
     TOLD,
-    ConditionRanges,
     ConditionsSettings,
     State,
     calibrated,
@@ -42,6 +40,7 @@ from pickenv.experiments.conditions_study import (
 from pickenv.inspect import read_run
 from pickenv.inspect.runs.run_folder import faults_of
 
+METHODS = ("raw", REFERENCE, BLIND, TOLD, TERMS, BOTH)
 EXPANSION = 23e-6
 """Coefficient of linear expansion of aluminium, 1/K (ISO 1-1 tables; 22 to 24 for usual alloys)."""
 DOCS = Path(__file__).parents[2] / "docs/conditions.md"
@@ -112,8 +111,8 @@ def test_friction_and_backlash_are_in_what_is_measured() -> None:
 
 
 def test_sessions_fill_every_range_evenly_and_hold_one_state_each() -> None:
-    ranges = ConditionRanges(payload=0.4, weather=6.0, hours=9.0)
-    drawn = State.drawn(ranges, 8, 5, np.random.default_rng(2))
+    settings = ConditionsSettings(payload=0.4, weather=6.0, hours=9.0, sessions=8, poses=5)
+    drawn = State.drawn(settings, np.random.default_rng(2))
     for values, low, high in ((drawn.payload, 0, 0.4), (drawn.weather, -6, 6), (drawn.hour, 0, 9)):
         by_session = values.reshape(8, 5)
         assert np.ptp(by_session, axis=1).max() == 0
@@ -181,8 +180,8 @@ def test_intervals_are_over_arms_and_there_are_none_of_few() -> None:
 
 
 def test_a_condition_that_does_not_vary_is_left_out() -> None:
-    assert list(levels_of(ConditionRanges(payload=0.0, hours=0.0))) == ["temperature"]
-    assert [len(levels) for levels in levels_of(ConditionRanges()).values()] == [5, 5, 5]
+    assert list(levels_of(ConditionsSettings(payload=0.0, hours=0.0))) == ["temperature"]
+    assert [len(levels) for levels in levels_of(ConditionsSettings()).values()] == [5, 5, 5]
 
 
 @pytest.fixture(scope="module")
@@ -244,8 +243,8 @@ def test_a_calibration_is_judged_on_its_own_arm_over_poses(calibration: Path, tm
 def test_what_is_left_is_the_length_of_each_miss_in_mm_level_by_level(calibration: Path) -> None:
     """The same draws once more, by hand."""
     plant, judge = warming(load_plant("qiao2026")), Calibration.load(calibration)
-    ranges = ConditionRanges(payload=0.4, weather=0.0, hours=6.0)
-    settings, rng = ConditionsSettings(sessions=3, poses=4, seed=8, ranges=ranges), np.random.default_rng(8)
+    settings = ConditionsSettings(payload=0.4, weather=0.0, hours=6.0, sessions=3, poses=4, seed=8)
+    rng = np.random.default_rng(8)
     rows = judged_arm(np.random.default_rng(0), 0, plant, settings, judge)
     days = [state(8, payload=0.1 * k) for k in range(5)] + [state(8, hour=1.5 * k) for k in range(5)]
     assert rows.levels("sweep") == [("payload",), ("hour",), (HELD_OUT,)]
@@ -262,8 +261,7 @@ def test_what_is_left_is_the_length_of_each_miss_in_mm_level_by_level(calibratio
 @pytest.mark.parametrize("own", [True, False])
 def test_progress_is_told_arm_by_arm(own: bool, calibration: Path) -> None:
     told_of: list[tuple[str, int, int]] = []
-    still = ConditionRanges(payload=0.0, weather=0.0, hours=0.0)
-    settings = ConditionsSettings(arms=2, sessions=2, poses=20, ranges=still)
+    settings = ConditionsSettings(payload=0.0, weather=0.0, hours=0.0, arms=2, sessions=2, poses=20)
     judge = Calibration.load(calibration) if own else None
     conditions_study(load_plant("qiao2026"), settings, judge, lambda *said: told_of.append(said))
     assert told_of == ([("arms", 1, 1)] if own else [("arms", 1, 2), ("arms", 2, 2)])
@@ -272,7 +270,7 @@ def test_progress_is_told_arm_by_arm(own: bool, calibration: Path) -> None:
 @pytest.mark.slow
 def test_an_interval_is_that_of_the_arms_means() -> None:
     """One number per arm, whatever the number of poses: computed here arm by arm."""
-    settings = ConditionsSettings(arms=10, sessions=3, poses=20, ranges=ConditionRanges(weather=0.0, hours=0.0))
+    settings = ConditionsSettings(weather=0.0, hours=0.0, arms=10, sessions=3, poses=20)
     plant = load_plant("qiao2026")
     of_draws, *of_arms = np.random.SeedSequence(settings.seed).spawn(11)
     drawn = draw_plants(warming(plant), load_tolerances("medium"), 10, np.random.default_rng(of_draws))
