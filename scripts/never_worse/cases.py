@@ -189,7 +189,7 @@ def kinhec(settings: Settings) -> list[Row]:
         figures = judged_sequences(settings, "robot_error", robot, with_wrong_table)
         rows += [row for pair in figures for row in pair]
         for part, limit in zip(zip(*figures, strict=True), limits, strict=True):
-            rows.append(mean_row(f"{robot}, mean of {len(figures)}", part, limit))
+            rows.append(replace(mean_row(f"{robot}, mean of {len(figures)}", part, limit), grade=None))
         verdicts = [(pair[0].grade, any(row.worse for row in pair)) for pair in figures]
         false = verdicts.count(("good", True))
         refused = sum(verdicts.count((grade, False)) for grade in REFUSALS)
@@ -206,7 +206,7 @@ def kinhec_noise(settings: Settings) -> list[Row]:
         figures = judged_sequences(settings, track, robot, at_stations)
         for part in zip(*figures, strict=True):
             row = mean_row(f"{robot}, {track}, mean of {len(figures)}", part, None)
-            rows.append(replace(row, at_most=row.plain, grade=counts_of([str(row.grade) for row in part])))
+            rows.append(replace(row, at_most=row.plain))
     return rows
 
 
@@ -305,11 +305,12 @@ def judged_sequence(sequence: Any, seed: int) -> list[Row]:
 
 
 def mean_row(subject: str, rows: Sequence[Row], at_most: float | None) -> Row:
-    """The mean over sequences; without a bound of its own it may be what nominal leaves."""
+    """The mean over sequences or draws, with their verdicts; without a bound it may be what nominal leaves."""
     mean: dict[str, Any] = {}
     for name in ("calibrated", "nominal", "plain", "within95"):
         values = [value for row in rows if (value := getattr(row, name)) is not None]
         mean[name] = float(np.mean(values)) if values else None
+    mean["grade"] = counts_of([str(row.grade) for row in rows])
     return Row(subject, rows[0].where, **mean, at_most=mean["nominal"] if at_most is None else at_most)
 
 
@@ -387,7 +388,7 @@ def few_rows(settings: Settings) -> list[Row]:
             settings.step(f"{count} rows, draw {draw + 1}")
         mean = mean_row(f"UR5, {count} rows, mean of {DRAWS}", drawn, None)
         limit = min(mean.nominal, mean.plain / 2) if count == 10 else mean.nominal
-        rows.append(replace(mean, grade=counts_of([row.grade for row in drawn]), at_most=limit))
+        rows.append(replace(mean, at_most=limit))
         worst = max(row.calibrated / row.nominal for row in drawn)
         rows.append(Row(mean.subject, "worst draw, part of nominal", worst, unit="", at_most=1.0))
     return rows
@@ -439,8 +440,7 @@ def clustered(settings: Settings) -> list[Row]:
         alone = [draw[0].calibrated for draw in draws]
         for count, some in zip(CLUSTERS, zip(*draws, strict=True), strict=True):
             subject = f"{name}, {WIDE} wide rows" + (f" + {count} clustered" if count else "")
-            mean = mean_row(subject, some, float(np.mean(alone)) if count else None)
-            rows.append(replace(mean, grade=counts_of([row.grade for row in some])))
+            rows.append(mean_row(subject, some, float(np.mean(alone)) if count else None))
             if count:
                 worst = max(row.calibrated / first for row, first in zip(some, alone, strict=True))
                 rows.append(Row(subject, "worst draw, part of the 40 alone", worst, unit="", at_most=1.0))

@@ -31,7 +31,6 @@ INVENTED: dict[str, dict[str, Any]] = {
     **{f"invented, class {name}": {"plant": "qiao2026", "tolerances": name} for name in ("fine", "medium", "coarse")},
     "invented, class medium, no compliance": {"plant": "ideal", "tolerances": "medium"},
 }
-LAST = slice(PICKS // 2, PICKS)
 
 
 @cache
@@ -90,6 +89,6 @@ def measure(
         rows = []
         for place, where in {"twin, held out": (own, False), "the measured arm": ({"plant": "qiao2026"}, True)}.items():
             errors = judged(policy, picks, *where, seed)
-            parts = {"first pick": errors[:1], "picks 11 to 20": errors[LAST] if picks > 1 else errors}
+            parts = {"first pick": errors[:1], "picks 11 to 20": errors[PICKS // 2 :] if picks > 1 else errors}
             rows += [{"judged": f"{place}, {when}", "error_mm": float(each.mean())} for when, each in parts.items()]
     return rows
