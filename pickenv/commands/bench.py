@@ -52,22 +52,23 @@ def calibration(
     names = list(dict.fromkeys(only or (QUICK if quick else ROWS)))
 
     def show() -> None:
-        if result.gains:
-            words = tables.GAIN_HEADS[:3]
-            print_table("Gains predicted and measured", tables.GAIN_HEADS, tables.gain_cells(result), words=words)
-            print(tables.agreement_words(result))
-        if len(result.models):
-            cells, heads = tables.spread_cells(result.models), tables.SPREAD_HEADS
+        if gains:
+            cells, heads = tables.gain_cells(gains, settings.folds), tables.GAIN_HEADS
+            print_table("Gains predicted and measured", heads, cells, words=heads[:3])
+            print(tables.agreement_words(gains, settings))
+        if len(models):
+            cells, heads = tables.spread_cells(models), tables.SPREAD_HEADS
             print_table("Geometry and the best model", heads, cells, words=heads, caption=tables.NOTE)
-        for name, reason in result.skipped.items():
+        for name, reason in skipped.items():
             print(f"not made: {name}: {reason}")
 
     with locked(out), listed_files(out):
         with progress_bars() as report:
-            result = run_bench(names, settings, data, out, workers=workers, progress=report)
-        measured_gains = tables.blocked_json(result, date.today().isoformat())
-        files = [(out / name, text) for name, text in tables.csv_files(result).items()]
-        deliver([*files, (blocked, measured_gains), (json_file, tables.bench_json(result))], show)
+            gains, models, skipped = run_bench(names, settings, data, out, workers=workers, progress=report)
+        measured_gains = tables.blocked_json(gains, settings.folds, date.today().isoformat())
+        files = [(out / name, text) for name, text in tables.csv_files(gains, models, settings.folds).items()]
+        content = tables.bench_json(settings, gains, models, skipped)
+        deliver([*files, (blocked, measured_gains), (json_file, content)], show)
 
 
 @bench.command(cls=CommandOfNames)

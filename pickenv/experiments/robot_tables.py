@@ -13,7 +13,7 @@ import numpy as np
 from pickenv.base import listed
 from pickenv.experiments.engine import Rows
 from pickenv.experiments.gains import LEARNT, LS
-from pickenv.experiments.robots import SETS, SPREAD, Bench
+from pickenv.experiments.robots import SETS, SPREAD, BenchSettings
 from pickenv.inspect.colours import TEXTS
 from pickenv.inspect.runs.number_words import said
 
@@ -21,12 +21,15 @@ GAIN_HEADS = ("robot", "held out", "calibration", "before (mm)", "left (mm)", "p
 GAINS_FILE, ROBOTS_FILE, BLOCKED_FILE = "gains.csv", "measured-robots.csv", "measured_gains.json"
 HELD = {"random": "random fifths", "blocks": "blocks", "poses": "its 20 random poses"}
 
+Gains = Sequence[Mapping[str, Any]]
+"""Predicted and measured gains, from `gains_of`."""
+
 SPREAD_HEADS = ("robot and rows judged", "nominal (mm)", "geometry (mm)", "best model (mm)", "published (mm)")
 NOTE = TEXTS["explained"]["measured_robots"]
 
 
-def bench_json(bench: Bench) -> dict[str, Any]:
-    """Return all results as a mapping for JSON; None stands for a number that does not exist.
+def bench_json(settings: BenchSettings, gains: Gains, models: Rows, skipped: Mapping[str, str]) -> dict[str, Any]:
+    """Return all results of `run_bench` as a mapping for JSON; None stands for a number that does not exist.
 
     "rows" has one entry per data set, split and model. "split" is "random" or "blocks", that is contiguous parts, and
     "rows" the number of rows, each held out once. Their RMS position error is "held_out_mm" with the model, and
@@ -38,23 +41,24 @@ def bench_json(bench: Bench) -> dict[str, Any]:
     "high_mm", and in "used" the parts of the best model.
     """
     return {
-        "rows": bench.gains,
-        "models": [json for row in bench.models.dicts() if (json := _model_json(row))],
-        "agreement": agreement(bench.gains),
-        "settings": asdict(bench.settings),
-        "skipped": dict(bench.skipped),
+        "rows": gains,
+        "models": [json for row in models.dicts() if (json := _model_json(row))],
+        "agreement": agreement(gains),
+        "settings": asdict(settings),
+        "skipped": skipped,
     }
 
 
-def blocked_json(bench: Bench, made: str) -> dict[str, Any]:
+def blocked_json(gains: Gains, folds: int, made: str) -> dict[str, Any]:
     """Return the shares of the error that models remove on held-out contiguous rows, in the format of `measured_gains`.
 
     Args:
-        bench: The finished bench.
-        made: The date on which it was made.
+        gains: The gains.
+        folds: Number of folds that they were computed from.
+        made: The date on which they were computed.
     """
     arms: dict[str, dict[str, Any]] = {}
-    for gain in (gain for gain in bench.gains if gain["split"] != "random"):
+    for gain in (gain for gain in gains if gain["split"] != "random"):
         facts = {"arm": gain["robot"], "rows": gain["rows"], "rows_in_file": gain["rows_in_file"]}
         arm = arms.setdefault(gain["robot"], facts)
         if gain["model"] == LS:
@@ -62,7 +66,6 @@ def blocked_json(bench: Bench, made: str) -> dict[str, Any]:
         else:
             shares = (gain["measured_reduction"], *(gain["ci95"] or ()))
             arm["removed"][gain["model"]] = [round(value, 3) for value in shares]
-    folds = bench.settings.folds
     return {"made_by": "pickenv bench calibration", "made": made, "folds": folds, "arms": list(arms.values())}
 
 
@@ -85,14 +88,14 @@ def _ends(model: dict[str, Any]) -> list[float | None]:
     return [None if np.isnan(model[end]) else model[end] for end in ("low_mm", "high_mm")]
 
 
-def agreement(gains: Sequence[dict[str, Any]]) -> dict[str, Any]:
+def agreement(gains: Gains) -> dict[str, Any]:
     """Compute how far the gains that twins predict are from measured gains, beside those of a null prediction.
 
     Only gains on contiguous held-out rows count. The null prediction is the mean measured gain of all other robots;
     further data sets of the same robot are left out of this mean.
 
     Args:
-        gains: Rows of `Bench.gains`.
+        gains: The gains.
 
     Returns:
         A mapping for JSON. "sets" is the number of data sets, "gains" that of gains. "models" has one entry per model:
@@ -131,19 +134,18 @@ def agreement(gains: Sequence[dict[str, Any]]) -> dict[str, Any]:
     }
 
 
-def agreement_words(bench: Bench) -> str:
+def agreement_words(gains: Gains, settings: BenchSettings) -> str:
     """Return a few sentences on how well gains were predicted; an empty text if no gains were computed."""
-    if not bench.gains:
+    if not gains:
         return ""
-    found = agreement(bench.gains)
     used = {
         gain["robot"]: f"{gain['rows']}" + f" of {gain['rows_in_file']}" * (gain["rows_in_file"] > gain["rows"])
-        for gain in bench.gains
+        for gain in gains
     }
-    refused = sum(gain["refused_draws"] for gain in bench.gains if gain["model"] == LS)
+    refused = sum(gain["refused_draws"] for gain in gains if gain["model"] == LS)
     anew = f" ({refused} could not be calibrated, and others were drawn in their place)" if refused else ""
     return (
-        f"{points_words(found)}{bench.settings.folds} folds, {bench.settings.draws} arms drawn for each{anew}. Rows "
+        f"{points_words(agreement(gains))}{settings.folds} folds, {settings.draws} arms drawn for each{anew}. Rows "
         f"used, equally spaced in the file: {', '.join(f'{robot} {rows}' for robot, rows in used.items())}."
     )
 
@@ -172,12 +174,11 @@ def points_words(found: Mapping[str, Any]) -> str:
     return words
 
 
-def gain_cells(bench: Bench) -> list[tuple[str, ...]]:
+def gain_cells(gains: Gains, folds: int) -> list[tuple[str, ...]]:
     """Return the cells of the table of predicted and measured error reductions, line by line."""
     cells: list[tuple[str, ...]] = []
-    folds = bench.settings.folds
     held_out = HELD if folds == 5 else HELD | {"random": f"{folds} random parts"}
-    for gain in bench.gains:
+    for gain in gains:
         predicted, measured = gain["predicted_reduction"], gain["measured_reduction"]
         names = (gain["robot"], held_out[gain["split"]], gain["model"])
         sizes = (f"{gain['before_mm']:.3f}", f"{gain['held_out_mm']:.3f}")
@@ -187,9 +188,9 @@ def gain_cells(bench: Bench) -> list[tuple[str, ...]]:
     return cells
 
 
-def csv_files(bench: Bench) -> dict[str, str]:
+def csv_files(gains: Gains, models: Rows, folds: int) -> dict[str, str]:
     """Return the tables of gains and of measured robots as CSV texts, by file name; an empty table is left out."""
-    tables = {GAINS_FILE: (GAIN_HEADS, gain_cells(bench)), ROBOTS_FILE: (SPREAD_HEADS, spread_cells(bench.models))}
+    tables = {GAINS_FILE: (GAIN_HEADS, gain_cells(gains, folds)), ROBOTS_FILE: (SPREAD_HEADS, spread_cells(models))}
     texts: dict[str, str] = {}
     for name, (heads, rows) in tables.items():
         text = StringIO(newline="")
@@ -199,7 +200,7 @@ def csv_files(bench: Bench) -> dict[str, str]:
 
 
 def spread_cells(models: Rows) -> list[tuple[str, ...]]:
-    """Return the cells of the table of measured robots, line by line, from the numbers in `Bench.models`."""
+    """Return the cells of the table of measured robots, line by line, from the numbers of `run_bench`."""
     table: list[tuple[str, ...]] = []
     for (name,) in models.levels("row"):
         nominal, ls, best = models.where(row=name).dicts()

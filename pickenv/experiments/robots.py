@@ -319,23 +319,6 @@ ROWS = (*GAINS, *SPREAD)
 QUICK = ("gain_ur5_random", "gain_ur5_blocks", "ur5_random")
 
 
-@dataclass(frozen=True, eq=False)
-class Bench:
-    """The results of a bench: errors that calibrations leave on measured robots.
-
-    Attributes:
-        settings: How much was computed.
-        gains: Predicted and measured gains, from `gains_of`.
-        models: Numbers of the table of measured robots, from `model_errors`, with the column "row".
-        skipped: Reasons why rows were not computed, by the name of the row.
-    """
-
-    settings: BenchSettings
-    gains: list[dict[str, Any]]
-    models: Rows
-    skipped: Mapping[str, str]
-
-
 def run_bench(
     rows: Sequence[str],
     settings: BenchSettings,
@@ -344,7 +327,7 @@ def run_bench(
     *,
     workers: int = 1,
     progress: Progress | None = None,
-) -> Bench:
+) -> tuple[list[dict[str, Any]], Rows, dict[str, str]]:
     """Compute the given rows of the bench; an interrupted run continues.
 
     Args:
@@ -354,6 +337,10 @@ def run_bench(
         out: Folder for results.
         workers: Number of processes.
         progress: Called with (name of the experiment, pieces done, total number of pieces).
+
+    Returns:
+        The predicted and measured gains, from `gains_of`; the numbers of the table of measured robots, from
+        `model_errors`, with the column "row"; and the reasons why rows were not computed, by the name of the row.
 
     Raises:
         InputError: If a name is unknown, or none of the rows has data.
@@ -384,7 +371,7 @@ def run_bench(
     folds = made("gains", GAINS, partial(fold_errors, settings=settings, data=data), fold=range(settings.folds))
     gains = [gain for (row,) in folds.levels("row") if row not in skipped for gain in gains_of(folds.where(row=row))]
     models = made("models", SPREAD, partial(model_errors, settings=settings, data=data))
-    return Bench(settings, gains, models, skipped)
+    return gains, models, skipped
 
 
 def _set_of(row: str) -> RealSet:

@@ -83,10 +83,10 @@ def worked(monkeypatch, tmp_path):
 
 def test_what_is_done_is_kept_until_settings_or_data_change(worked, tmp_path: Path) -> None:
     seen, run = worked
-    first = bench_json(run(["gain_ur5_blocks"]))
+    first = bench_json(BenchSettings(), *run(["gain_ur5_blocks"]))
     assert [fold for _, fold in seen] == [0, 1, 2, 3, 4]
     next(iter((tmp_path / "out/gains").glob("*-3_*.parquet"))).unlink()
-    assert bench_json(run(["gain_ur5_blocks"])) == first
+    assert bench_json(BenchSettings(), *run(["gain_ur5_blocks"])) == first
     assert [fold for _, fold in seen[5:]] == [3]
     run(["gain_ur5_blocks"], BenchSettings(seed=1))
     assert len(seen) == 11
@@ -99,10 +99,10 @@ def test_what_is_done_is_kept_until_settings_or_data_change(worked, tmp_path: Pa
 def test_what_cannot_be_made_is_said_and_tried_again(worked) -> None:
     seen, run = worked
     for _ in range(2):
-        bench = run(["gain_ur5_random", "ur5_random", "gain_wam_random"])
-        assert bench.skipped["ur5_random"] == "it cannot be calibrated"
-        assert "name the folder of the data sets" in bench.skipped["gain_wam_random"]
-        assert {(gain["robot"], gain["split"]) for gain in bench.gains} == {("UR5", "random")}
+        gains, _, skipped = run(["gain_ur5_random", "ur5_random", "gain_wam_random"])
+        assert skipped["ur5_random"] == "it cannot be calibrated"
+        assert "name the folder of the data sets" in skipped["gain_wam_random"]
+        assert {(gain["robot"], gain["split"]) for gain in gains} == {("UR5", "random")}
     assert [row for row, _ in seen].count("ur5_random") == 2
 
 
@@ -111,8 +111,8 @@ def test_every_damage_to_a_folder_is_noticed(complete: bool, worked, tmp_path: P
     """Of a run that ended, by the folder's list; of one that was cut off, by the records of its experiments."""
     out = tmp_path / "out"
     with listed_files(out):
-        found = worked[1](["gain_ur5_random", "ur5_random"])
-        write_json(out / BLOCKED_FILE, blocked_json(found, "2026-01-01"))
+        gains, *_ = worked[1](["gain_ur5_random", "ur5_random"])
+        write_json(out / BLOCKED_FILE, blocked_json(gains, 5, "2026-01-01"))
 
     def faults() -> list[str]:
         if complete:
@@ -139,7 +139,8 @@ def test_every_damage_to_a_folder_is_noticed(complete: bool, worked, tmp_path: P
 
 
 def test_every_row_has_the_keys_that_programs_read(worked) -> None:
-    content = json.loads(json.dumps(bench_json(worked[1](["gain_ur5_random", "gain_ur5_blocks"]))))
+    result = worked[1](["gain_ur5_random", "gain_ur5_blocks"])
+    content = json.loads(json.dumps(bench_json(BenchSettings(), *result)))
     assert [(row["split"], row["model"]) for row in content["rows"]] == [
         (split, model) for split in ("random", "blocks") for model in BEFORE
     ]
@@ -150,14 +151,14 @@ def test_every_row_has_the_keys_that_programs_read(worked) -> None:
 
 
 def test_the_demonstrations_file_is_what_the_command_writes_of_blocks(worked) -> None:
-    found = worked[1](["gain_ur5_random", "gain_ur5_blocks"])
-    made, shipped = blocked_json(found, "2026-01-01"), json.loads(MEASURED.read_text(encoding="utf-8"))
+    gains, *_ = worked[1](["gain_ur5_random", "gain_ur5_blocks"])
+    made, shipped = blocked_json(gains, 5, "2026-01-01"), json.loads(MEASURED.read_text(encoding="utf-8"))
     assert made.keys() == shipped.keys() and made["made"] == "2026-01-01" and made["folds"] == 5
     (arm,) = made["arms"]
     assert all(
         arm.keys() == other.keys() and arm["removed"].keys() == other["removed"].keys() for other in shipped["arms"]
     )
-    blocks = {row["model"]: row for row in bench_json(found)["rows"] if row["split"] == "blocks"}
+    blocks = {row["model"]: row for row in gains if row["split"] == "blocks"}
     assert arm["ls_mm"] == pytest.approx(blocks["LS"]["held_out_mm"], abs=5e-4)
     for model, (removed, low, high) in arm["removed"].items():
         told = blocks[model]
@@ -177,8 +178,7 @@ def test_the_quick_form_ends_and_two_processes_change_no_figure(data_folder: Pat
     assert len(gains) == 2 * len(BEFORE)
     assert content["agreement"]["gains"] == sum(gain["split"] == "blocks" for gain in gains) == len(gains) // 2
     assert len((tmp_path / "one/gains.csv").read_text(encoding="utf-8").splitlines()) == 1 + len(gains)
-    found = run_bench(["gain_ur5_blocks"], BenchSettings.quick(), data_folder, tmp_path / "two", workers=2)
-    again = bench_json(found)["rows"]
+    again, *_ = run_bench(["gain_ur5_blocks"], BenchSettings.quick(), data_folder, tmp_path / "two", workers=2)
     assert json.loads(json.dumps(again)) == [row for row in gains if row["split"] == "blocks"]
 
 

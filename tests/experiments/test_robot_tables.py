@@ -1,7 +1,6 @@
 """Every cell of the benchmark's tables and every key of its JSON, recomputed from figures that are made up here."""
 
 import re
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -36,7 +35,7 @@ def found():
         for row, used, rows in (("ur5_random", "nothing added", 321), ("wam_poses", "gravity; gravity, bpnn", 20))
         for model, (value, low, high) in models.items()
     ]
-    return robots.Bench(
+    return SimpleNamespace(
         settings=BenchSettings(rows=90, folds=3, draws=4),
         gains=gains,
         models=Rows.of(measured),
@@ -45,11 +44,12 @@ def found():
 
 
 def test_a_gains_row_holds_what_blocks_remove_for_the_demonstration(found):
-    rows = robot_tables.bench_json(found)["rows"]
+    content = robot_tables.bench_json(**vars(found))
+    rows = content["rows"]
     assert rows == found.gains and len(rows) == 12
-    assert robot_tables.bench_json(found)["settings"]["folds"] == 3
-    assert robot_tables.bench_json(found)["skipped"] == {"wam_poses": "no data"}
-    arms = robot_tables.blocked_json(found, "2026-01-01")["arms"]
+    assert content["settings"]["folds"] == 3
+    assert content["skipped"] == {"wam_poses": "no data"}
+    arms = robot_tables.blocked_json(found.gains, 3, "2026-01-01")["arms"]
     assert [(arm["arm"], arm["rows"], arm["rows_in_file"]) for arm in arms] == [
         ("UR5", 90, 200),
         ("UR10, series A", 80, 80),
@@ -64,7 +64,7 @@ def test_a_gains_row_holds_what_blocks_remove_for_the_demonstration(found):
 
 def test_every_cell_is_its_figure(found):
     split = {"random": "3 random parts", "blocks": "blocks"}
-    for row, gain in zip(robot_tables.gain_cells(found), found.gains, strict=True):
+    for row, gain in zip(robot_tables.gain_cells(found.gains, 3), found.gains, strict=True):
         assert list(row[:3]) == [gain["robot"], split[gain["split"]], gain["model"]]
         assert list(row[3:5]) == [f"{gain['before_mm']:.3f}", f"{gain['held_out_mm']:.3f}"]
         predicted, measured = gain["predicted_reduction"], gain["measured_reduction"]
@@ -77,12 +77,11 @@ def test_every_cell_is_its_figure(found):
 
 @pytest.mark.parametrize(("folds", "words"), [(2, "2 random parts"), (5, "random fifths")])
 def test_the_table_of_gains_says_into_how_many_parts_the_rows_were_split(found, folds, words):
-    bench = replace(found, settings=replace(found.settings, folds=folds))
-    assert {cells[1] for cells in robot_tables.gain_cells(bench)} == {words, "blocks"}
+    assert {cells[1] for cells in robot_tables.gain_cells(found.gains, folds)} == {words, "blocks"}
 
 
 def test_the_sentence_under_the_gains_counts_them(found):
-    said, right = robot_tables.agreement_words(found), []
+    said, right = robot_tables.agreement_words(found.gains, found.settings), []
     blocks = [gain for gain in found.gains if gain["split"] == "blocks"]
     for gain in blocks:
         if gain["model"] in ("LS + BPNN", "LS + GP"):
@@ -93,9 +92,8 @@ def test_the_sentence_under_the_gains_counts_them(found):
     assert "3 folds, 4 arms drawn for each (7 could not be calibrated" in said
     assert said.endswith("equally spaced in the file: UR5 90 of 200, UR10, series A 80.")
     alone = made_gains(np.random.default_rng(0), "UR5", "random", 0, (90, 90))
-    one = robots.Bench(found.settings, alone, Rows({}), {})
-    assert robot_tables.agreement_words(one).startswith("3 folds, 4 arms")
-    assert robot_tables.agreement_words(robots.Bench(found.settings, [], Rows({}), {})) == ""
+    assert robot_tables.agreement_words(alone, found.settings).startswith("3 folds, 4 arms")
+    assert robot_tables.agreement_words([], found.settings) == ""
 
 
 def gained(robot, predicted, measured, model="LS + GP", split="blocks"):
