@@ -53,8 +53,8 @@ def calibration(
 
     def show() -> None:
         if gains:
-            cells, heads = tables.gain_cells(gains, settings.folds), tables.GAIN_HEADS
-            print_table("Gains predicted and measured", heads, cells, words=heads[:3])
+            cells, words = tables.gain_cells(gains, settings.folds), tables.GAIN_HEADS[:3]
+            print_table("Gains predicted and measured", tables.GAIN_HEADS, cells, words=words)
             print(tables.agreement_words(gains, settings))
         if len(models):
             cells, heads = tables.spread_cells(models), tables.SPREAD_HEADS
