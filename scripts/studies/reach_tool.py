@@ -15,6 +15,7 @@ import numpy as np
 from stable_baselines3 import PPO
 
 from pickenv.agents import tuned
+from pickenv.base import run_seed
 from pickenv.experiments import reaches_behind
 from pickenv.wrappers import make_sb3_vec
 
@@ -33,28 +34,31 @@ def arguments_of(name: str, arm: str, kind: str) -> dict[str, Any]:
 
 
 @cache
-def learnt(name: str, arm: str, training: int, steps: int) -> Callable[[Any], Any]:
-    """What PPO learns on the ideal arm with the shipped parameters."""
+def learnt(name: str, arm: str, own: int, steps: int) -> Callable[[Any], Any]:
+    """What PPO learns on the ideal arm with the shipped parameters, from a training's own seed."""
     parameters = tuned("ppo", name)
     del parameters["n_timesteps"]
     envs = make_sb3_vec(name, parameters.pop("n_envs"), **arguments_of(name, arm, "ideal"))
-    model = PPO(env=envs, seed=training, device="cpu", **parameters).learn(steps)
+    model = PPO(env=envs, seed=own, device="cpu", **parameters).learn(steps)
     return lambda seen: model.predict(seen, deterministic=True)[0]
 
 
-def measure(rng: np.random.Generator, training: int, arm: str, steps: int, fruit: int) -> list[dict[str, Any]]:
-    """Errors of one training at the end of its reaches; seeds of trainings are 0, 1, ..., as elsewhere."""
-    policies = {"its own": (TOOL, arm), f"of {TEACHER}": (TOOL, TEACHER), "moving joints": (JOINTS, arm)}
-    if arm in BY_POSITION:
-        del policies[f"of {TEACHER}"]
-    rows = []
-    for policy, (name, teacher) in policies.items():
-        act, how = learnt(name, teacher, training, steps), {"id": name, "episodes": fruit, "seed": training}
-        reaches = reaches_behind(act, ["raw"], **how, **arguments_of(name, arm, "ideal"))["raw"]
-        row = {"policy": policy, "raw_mm": math.nan, "ls_mm": math.nan, "success": float(reaches.success.mean())}
-        row["median_mm"] = float(np.median(reaches.position_error_mm))
-        if policy == "its own":
-            behind = reaches_behind(act, ["raw", "ls"], **how, **arguments_of(name, arm, "coarse"))
-            row |= {f"{method}_mm": float(ends.position_error_mm.mean()) for method, ends in behind.items()}
-        rows.append(row)
-    return rows
+def fits(training: int, arm: str, policy: str) -> bool:
+    """An arm of five joints has another action than the teacher's."""
+    return policy != f"of {TEACHER}" or arm not in BY_POSITION
+
+
+def measure(
+    rng: np.random.Generator, training: int, arm: str, policy: str, steps: int, fruit: int, seed: int
+) -> dict[str, Any]:
+    """Errors of one training at the end of its reaches; trainings of seed 0 have the seeds 0, 1, ..., as elsewhere."""
+    name, own = JOINTS if policy == "moving joints" else TOOL, run_seed(seed % 2**16) + training
+    act = learnt(name, TEACHER if policy == f"of {TEACHER}" else arm, own, steps)
+    how: dict[str, Any] = {"id": name, "episodes": fruit, "seed": own}
+    reaches = reaches_behind(act, ["raw"], **how, **arguments_of(name, arm, "ideal"))["raw"]
+    row = {"raw_mm": math.nan, "ls_mm": math.nan, "success": float(reaches.success.mean())}
+    row["median_mm"] = float(np.median(reaches.position_error_mm))
+    if policy == "its own":
+        behind = reaches_behind(act, ["raw", "ls"], **how, **arguments_of(name, arm, "coarse"))
+        row |= {f"{method}_mm": float(ends.position_error_mm.mean()) for method, ends in behind.items()}
+    return row
