@@ -7,10 +7,10 @@ drives the believed tool to the goal. To pick, it sees the object until the hand
 and carries the believed tool to the goal, while the true fingers touch. Draws success against the distance within which
 a reach counts, and prints a table of reaches at one error and one of picks at several, with 95 % intervals over arms.
 
-Needs gymnasium-robotics (pip install gymnasium-robotics). Run: python scripts/fetch_arms.py [--out runs/fetch_arms]
+Needs gymnasium-robotics (pip install gymnasium-robotics). Run: python scripts/fetch_arms.py [--seed 0] [--json FILE]
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any
@@ -19,7 +19,7 @@ import gymnasium as gym
 import numpy as np
 import typer
 from matplotlib.figure import Figure
-from measuring import ROOT, markdown_table
+from measuring import ROOT, JsonFile, markdown_table
 
 from pickenv.arm import (
     Arm,
@@ -34,7 +34,7 @@ from pickenv.arm import (
     plant_at,
 )
 from pickenv.arm.effects.drives import MeasurementNoise
-from pickenv.base import InputError, clustered_share_interval, write_json
+from pickenv.base import InputError, clustered_share_interval, mean_interval, run_seed, write_json
 from pickenv.calibration import fit, simulated_tracker
 from pickenv.inspect import new_figure, percent, save_figure
 from pickenv.inspect.figures.style import COLUMN, LINES
@@ -48,13 +48,13 @@ JOINTS = (
 GAIN = 20.0
 """Of the rule, per metre: 0.05 m away it moves at full speed."""
 
-STEPS, SEED, POSES = 50, 0, 60
-"""Steps of an episode, seed of everything, poses measured."""
+STEPS, POSES = 50, 60
+"""Steps of an episode, poses measured."""
 
 DOWN, CLOSE, LIFT, ABOVE = 14, 22, 27, 0.1
 """At these steps of a pick the hand goes down, closes and lifts; until then it stays so far above the object, m."""
 
-ERRORS_MM, NEAR_MM = (3.0, 10.0, 20.0, 30.0, 40.0), 10.0
+ERRORS_MM, NEAR_MM = [3.0, 10.0, 20.0, 30.0, 40.0], 10.0
 """Mean errors of the arms that pick, and within how much a pick is counted besides the environment's own."""
 
 SPAN, RISE = 0.5, 0.02
@@ -83,7 +83,7 @@ def fetch(task: str = "Reach") -> Any:
 
 def started(env: Any) -> tuple[Geometry, Array]:
     """The nominal arm, and its joints at the start ``(n,)``."""
-    env.reset(seed=SEED)
+    env.reset(seed=0)
     inner = env.unwrapped
     nominal = geometry_in_mujoco(inner.model, SITE, [f"robot0:{name}_joint" for name in JOINTS], inner.data)
     lower = np.minimum(nominal.lower, 0.0)  # the environment starts with its torso below the model's own limit
@@ -96,9 +96,9 @@ def around(nominal: Geometry, start: Array, rng: np.random.Generator) -> Array:
     return start + span * rng.uniform(-1.0, 1.0, (POSES, len(start)))
 
 
-def arms_of(nominal: Geometry, start: Array, millimetres: float, count: int) -> list[Plant]:
+def arms_of(nominal: Geometry, start: Array, millimetres: float, count: int, seed: int) -> list[Plant]:
     """Arms whose tools err by so many millimetres on average, near the start."""
-    rng = np.random.default_rng(SEED)
+    rng = np.random.default_rng(seed)
     arm = Arm("fetch", "Gymnasium-Robotics", nominal, None, np.ones(nominal.joints))
     noise = MeasurementNoise(15e-6, 2e-4)
     drawn = draw_plants(Plant("fetch", arm, nominal, effects=(noise,)), load_tolerances("medium"), count, rng)
@@ -126,11 +126,13 @@ def picking(observation: Mapping[str, Array], step: int) -> tuple[Array, float]:
     return (observation["desired_goal"] if step >= LIFT else tool) - tool, -1.0
 
 
-def episodes(env: Any, rule: Callable[[Mapping[str, Array], int], tuple[Array, float]], count: int) -> list[Any]:
-    """Last observation and `info` of so many episodes."""
+def episodes(
+    env: Any, rule: Callable[[Mapping[str, Array], int], tuple[Array, float]], seeds: Sequence[int]
+) -> list[Any]:
+    """Last observation and `info` of episodes with these seeds."""
     ends = []
-    for number in range(count):
-        observation, info = env.reset(seed=number)
+    for seed in seeds:
+        observation, info = env.reset(seed=seed)
         for step in range(STEPS):
             gap, hand = rule(observation, step)
             action = np.append(np.clip(GAIN * gap, -1.0, 1.0), hand).astype(np.float32)
@@ -139,48 +141,51 @@ def episodes(env: Any, rule: Callable[[Mapping[str, Array], int], tuple[Array, f
     return ends
 
 
-def reaches(env: Any, plant: Plant, compensator: Compensate | None, count: int) -> Array:
-    """True distances from the goal at the end of reaches ``(count,)``, mm."""
+def reaches(env: Any, plant: Plant, compensator: Compensate | None, seeds: Sequence[int]) -> Array:
+    """True distances from the goal at the end of reaches with these seeds ``(n,)``, mm."""
     wrapped = Miscalibrate(env, plant.arm.nominal, plant, compensator)
-    return np.array([info["true_distance_mm"] for _, info in episodes(wrapped, reaching, count)])
+    return np.array([info["true_distance_mm"] for _, info in episodes(wrapped, reaching, seeds)])
 
 
-def picks(env: Any, plant: Plant, compensator: Compensate | None, count: int) -> Array:
-    """Distances of the object from the goal at the end of picks ``(count,)``, mm."""
+def picks(env: Any, plant: Plant, compensator: Compensate | None, seeds: Sequence[int]) -> Array:
+    """Distances of the object from the goal at the end of picks with these seeds ``(n,)``, mm."""
     wrapped = Miscalibrate(env, plant.arm.nominal, plant, compensator, contact=True)
-    ends = [end["achieved_goal"] - end["desired_goal"] for end, _ in episodes(wrapped, picking, count)]
+    ends = [end["achieved_goal"] - end["desired_goal"] for end, _ in episodes(wrapped, picking, seeds)]
     return np.asarray(np.linalg.norm(ends, axis=1) * 1e3)
 
 
 def compared(
-    env: Any, task: Callable[[Any, Plant, Compensate | None, int], Array], plants: list[Plant], start: Array, count: int
+    env: Any,
+    task: Callable[[Any, Plant, Compensate | None, Sequence[int]], Array],
+    plants: list[Plant],
+    start: Array,
+    seeds: Sequence[int],
 ) -> dict[str, Array]:
-    """Distances ``(arms, count)`` of the raw arms and of the same calibrated, mm."""
-    raw = [task(env, plant, None, count) for plant in plants]
-    pairs = zip(plants, np.random.default_rng(SEED).spawn(len(plants)), strict=True)
-    better = [task(env, plant, calibrated(plant, start, rng), count) for plant, rng in pairs]
+    """Distances ``(arms, n)`` of the raw arms and of the same calibrated, mm."""
+    raw = [task(env, plant, None, seeds) for plant in plants]
+    pairs = zip(plants, np.random.default_rng(seeds[0]).spawn(len(plants)), strict=True)
+    better = [task(env, plant, calibrated(plant, start, rng), seeds) for plant, rng in pairs]
     return {"raw": np.array(raw), "calibrated": np.array(better)}
 
 
-def share(distances: Array, most: float) -> str:
-    """The share of distances ``(arms, count)`` that are within so much, with its 95 % interval over arms."""
+def share(distances: Array, most: float) -> dict[str, Any]:
+    """The share of distances ``(arms, n)`` that are within so much, with its 95 % interval over arms."""
     within = (distances < most).sum(axis=1)
-    ends = clustered_share_interval(within, distances.shape[1])
-    return percent(float(np.mean(distances < most)), *(ends or (None, None)))
+    return {"share": float(np.mean(distances < most)), "ci95": clustered_share_interval(within, distances.shape[1])}
 
 
-def picked(arms: int, count: int) -> dict[str, dict[str, Array]]:
-    """Distances ``(arms, count)`` of picks, by the arms' error and what was done about it, mm."""
+def picked(arms: int, seeds: Sequence[int], errors_mm: Sequence[float]) -> dict[float, dict[str, Array]]:
+    """Distances ``(arms, n)`` of picks, by the arms' error and what was done about it, mm."""
     env = fetch("PickAndPlace")
     nominal, start = started(env)
     # Torso and shoulder come to their limits, which are soft; beyond them a compensator would correct nothing.
     past = np.where(nominal.prismatic, RISE, PAST)
     nominal = replace(nominal, lower=nominal.lower - past, upper=nominal.upper + past)
-    perfect = picks(env, replace(arms_of(nominal, start, 1.0, 1)[0], geometry=nominal), None, count)[None]
-    distances = {"0": {"raw": perfect, "calibrated": perfect}}
-    for millimetres in ERRORS_MM:
-        plants = arms_of(nominal, start, millimetres, arms)
-        distances[f"{millimetres:g}"] = compared(env, picks, plants, start, count)
+    perfect = picks(env, replace(arms_of(nominal, start, 1.0, 1, seeds[0])[0], geometry=nominal), None, seeds)[None]
+    distances = {0.0: {"raw": perfect, "calibrated": perfect}}
+    for millimetres in errors_mm:
+        plants = arms_of(nominal, start, millimetres, arms, seeds[0])
+        distances[millimetres] = compared(env, picks, plants, start, seeds)
     return distances
 
 
@@ -203,18 +208,22 @@ def drawn(ends: Mapping[str, Array], millimetres: float) -> Figure:
 
 
 def main(
-    out: Annotated[Path, typer.Option(help="Folder for figure and figures.")] = ROOT / "runs/fetch_arms",
+    out: Annotated[Path, typer.Option(help="Folder for the figure.")] = ROOT / "runs/fetch_arms",
     millimetres: Annotated[float, typer.Option(help="Mean error of the tools that reach.", min=0.01)] = 3.0,
+    error: Annotated[list[float], typer.Option(help="Mean error of tools that pick, mm; may be repeated.")] = ERRORS_MM,
     arms: Annotated[int, typer.Option(help="Arms drawn.", min=2)] = 12,
     count: Annotated[int, typer.Option(help="Reaches and picks of each.", min=2)] = 25,
+    seed: Annotated[int, typer.Option(help="Seed of arms, calibrations and episodes.", min=0)] = 0,
+    json_file: JsonFile = None,
 ) -> None:
     """Reach, draw and print; pick and print."""
     env = fetch()
     nominal, start = started(env)
-    plants = arms_of(nominal, start, millimetres, arms)
-    ends = {"as the environment has it": reaches(env, replace(plants[0], geometry=nominal), None, count)[None]}
+    seeds = [run_seed(seed % 2**16) + number for number in range(count)]
+    plants = arms_of(nominal, start, millimetres, arms, seeds[0])
+    ends = {"as the environment has it": reaches(env, replace(plants[0], geometry=nominal), None, seeds)[None]}
     names = f"{millimetres:g} mm arm, raw", "the same, calibrated (LS)"
-    ends |= zip(names, compared(env, reaches, plants, start, count).values(), strict=True)
+    ends |= zip(names, compared(env, reaches, plants, start, seeds).values(), strict=True)
     bounds = (OWN_MM, 5.0, 3.0, 1.0)
     heads = ("arm", "mean error (mm)", *(f"within {most:g} mm" for most in bounds))
     rows = [
@@ -223,15 +232,22 @@ def main(
     ]
     print(markdown_table(heads, rows, ("arm",)))
     save_figure(drawn(ends, millimetres), out / "success.png")
-    found = picked(arms, count)
-    heads = ("mean error (mm)", *(f"{name}, within {most:g} mm" for most in (OWN_MM, NEAR_MM) for name in found["0"]))
-    rows = [
-        (error, *(share(values, most) for most in (OWN_MM, NEAR_MM) for values in both.values()))
-        for error, both in found.items()
+    shares: list[dict[str, Any]] = [
+        {"error_mm": millimetres, "judged": f"{name}, within {most:g} mm"} | share(values, most)
+        for millimetres, both in picked(arms, seeds, error).items()
+        for most in (OWN_MM, NEAR_MM)
+        for name, values in both.items()
     ]
-    print(markdown_table(heads, rows, ()))
-    lists = {error: {name: values.tolist() for name, values in both.items()} for error, both in found.items()}
-    write_json(out / "ends.json", {"reaches": {name: values.tolist() for name, values in ends.items()}, "picks": lists})
+    lines: dict[float, list[str]] = {}
+    for row in shares:
+        ends_of = row["ci95"] or (None, None)
+        lines.setdefault(row["error_mm"], [f"{row['error_mm']:g}"]).append(percent(row["share"], *ends_of))
+    heads = ("mean error (mm)", *dict.fromkeys(row["judged"] for row in shares))
+    print(markdown_table(heads, lines.values(), ()))
+    if json_file is not None:
+        means = {name: values.mean(axis=1) if len(values) > 1 else values[0] for name, values in ends.items()}
+        reached = [{"arm": name, "mean_mm": each.mean(), "ci95": mean_interval(each)} for name, each in means.items()]
+        write_json(json_file, {"seed": seed, "reaches": reached, "picks": shares})
 
 
 if __name__ == "__main__":
