@@ -42,7 +42,7 @@ def main(
     only: Annotated[list[str] | None, typer.Option(help=f"A case, of {', '.join(CASES)}; all by default.")] = None,
     json_file: JsonFile = None,
     data: DataFolder = DATA,
-    folder: Annotated[Path, typer.Option(help="Where generated sequences are kept.")] = ROOT / "runs/never_worse",
+    out: Annotated[Path, typer.Option(help="Where generated sequences are kept.")] = ROOT / "runs/never_worse",
     seed: Annotated[int, typer.Option(help="Seed of everything that is drawn.")] = 0,
     sequences: Annotated[int, typer.Option(help="KinHEC sequences of each arm.", min=1)] = 8,
     arms: Annotated[int, typer.Option(help="Printed SO-101 that are drawn.", min=1)] = 30,
@@ -56,7 +56,7 @@ def main(
         begin = time.perf_counter()
         step = partial(print, f"{name}:", file=sys.stderr)
         try:
-            rows = CASES[name](Settings(data.resolve(), folder, seed, sequences, arms, step))
+            rows = CASES[name](Settings(data.resolve(), out, seed, sequences, arms, step))
         except InputError as error:
             refuse(f"{name}: {error}")
         seconds = time.perf_counter() - begin

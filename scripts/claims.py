@@ -107,7 +107,7 @@ def rows_of_command(name: str, entry: Row, result: Mapping[str, Any]) -> list[Ro
             interval = row[ends[0]] if len(ends) == 1 else [row[end] for end in ends]
             if row[value] is not None:
                 about = {"experiment": name, "title": title, "levels": {key: row[key] for key in entry["by"]}}
-                ci95 = None if interval is None or None in interval else interval
+                ci95 = None if not interval or None in interval else interval
                 words = {"words": row[entry["words"]]} if row.get(entry.get("words")) else {}
                 rows.append(about | {"value": row[value], "ci95": ci95, "sampled95": ci95} | words)
     return rows
@@ -245,7 +245,7 @@ def check(count: int = 10, seed: int | None = None) -> None:
 def pages() -> None:
     """Print the tables and numbers between the marks of every page anew."""
     rows = record()["rows"]
-    for path in sorted([*DOCS.glob("*.md"), ROOT / "README.md"]):
+    for path in sorted([*DOCS.rglob("*.md"), ROOT / "README.md"]):
         text = path.read_text(encoding="utf-8")
         new = MARK.sub(lambda found: f"{found[1]}{table_of(rows, json.loads(found[2]))}{END}", text)
         new = INLINE.sub(lambda found: found[1] + number_of(rows, json.loads(found[2])) + found[3], new)

@@ -24,6 +24,7 @@ def calibration(
     only: list[str] | None = None,
     quick: Annotated[bool, Option("--quick")] = False,
     data: Annotated[Path, Option(envvar="PICKENV_DATA")] = Path("../shared/data"),
+    draws: Annotated[int | None, Option(min=1)] = None,
     seed: Annotated[int, Option(min=0)] = 0,
     workers: Annotated[int, Option(min=1)] = 1,
 ) -> None:
@@ -35,6 +36,7 @@ def calibration(
         only: Compute only these rows; a wrong name lists them all.
         quick: The UR5 alone, on few rows: a minute.
         data: Folder of the measured data sets.
+        draws: Number of arms drawn from each twin; 2 if left out.
         seed: Seed of all random numbers.
         workers: Number of processes; it does not change the results.
     """
@@ -48,7 +50,8 @@ def calibration(
     shown = [out / name for name in (tables.GAINS_FILE, tables.ROBOTS_FILE)]
     separate({}, {"--out": [blocked, *shown], "--json": json_file})
     require("torch", "pyarrow", *(["joblib"] if workers > 1 else []))
-    settings = replace(BenchSettings.quick() if quick else BenchSettings(), seed=seed)
+    settings = BenchSettings.quick() if quick else BenchSettings()
+    settings = replace(settings, draws=draws or settings.draws, seed=seed)
     names = list(dict.fromkeys(only or (QUICK if quick else ROWS)))
 
     def show() -> None:

@@ -44,7 +44,7 @@ from pickenv.arm.kinematics.forward import pose_of
 from pickenv.arm.kinematics.geometry import behind, inverse_pose
 from pickenv.arm.plant.campaign import Pace, moved, switched_on
 from pickenv.arm.plant.plant_file import draw_arms
-from pickenv.base import InputError, write_text
+from pickenv.base import Ends, InputError, statistic_interval, write_text
 from pickenv.calibration import (
     Choices,
     Measurements,
@@ -82,6 +82,8 @@ class Row:
         unit: Of the three.
         within95: Share of the true errors that are within what was stated for 95 of 100; None where not asked.
         grade: The verdict.
+        calibrated_ci95: 95 % interval of `calibrated` over the joint vectors that judge; None where not asked.
+        nominal_ci95: The same of `nominal`.
         at_most: What `calibrated` must not exceed; None where the row is for information.
         share: Least and most that `within95` may be; None where it is for information.
     """
@@ -94,6 +96,8 @@ class Row:
     unit: str = "mm"
     within95: float | None = None
     grade: str | None = None
+    calibrated_ci95: Ends | None = None
+    nominal_ci95: Ends | None = None
     at_most: float | None = None
     share: tuple[float, float] | None = None
 
@@ -156,9 +160,10 @@ def judged(
     drawing = flange_of(nominal)
     flange = drawing if result is None else calibrated_flange(result.calibration)
     for name, joints in where.items():
-        calibrated, before = (MM * rms(aligned_errors(model, truth, joints)) for model in (flange, drawing))
+        errors = [MM * aligned_errors(model, truth, joints) for model in (flange, drawing)]
+        ends = dict(zip(("calibrated_ci95", "nominal_ci95"), (statistic_interval(e, rms) for e in errors), strict=True))
         share = None if result is None else covered(result.calibration, truth, joints)
-        yield Row(subject, name, calibrated, before, within95=share, grade=grade_of(result))
+        yield Row(subject, name, *map(rms, errors), within95=share, grade=grade_of(result), **ends)
 
 
 UR10E_LIMITS = {"at the poses": 0.85, "0.15 rad beside": 1.0, "box of ranges": 1.3, "all joints": 1.6}

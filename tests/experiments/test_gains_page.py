@@ -87,14 +87,20 @@ def test_the_demonstrations_measured_arms_are_those_of_the_page(model: str) -> N
 
 
 def test_the_results_measured_arms_are_those_of_the_page() -> None:
+    """Their shares are the ledger's, which are those of the demonstration."""
     results = (ROOT / "docs/results.md").read_text(encoding="utf-8")
-    shown = [
-        [cell.strip() for cell in row.split("|")] for row in re.findall(r"^\| (.*, measured \|.*) \|$", results, re.M)
-    ]
-    by_model = [measured_gains(f"{gains.LS} + {name}") for name in ("BPNN", "GP", "terms")]
-    told = [
-        [f"{arm.arm}, measured", f"{arm.ls_mm:.2f}"]
-        + [f"{100 * g.removed:.0f} % ({100 * g.lowest:.0f} to {100 * g.highest:.0f})" for g in (arm, *others)]
-        for arm, *others in zip(*by_model, strict=True)
-    ]
-    assert shown == told
+    shown = [row.split(" | ") for row in re.findall(r"^\| (.*, measured \|.*) \|$", results, re.M)]
+    models = [f"{gains.LS} + {name}" for name in ("BPNN", "GP", "terms")]
+    by_model = [measured_gains(model) for model in models]
+    assert [row[:2] for row in shown] == [[f"{arm.arm}, measured", f"{arm.ls_mm:.2f}"] for arm in by_model[0]]
+    ledger = json.loads((ROOT / "docs/_static/claims.json").read_text(encoding="utf-8"))["rows"]
+    told = {
+        (row["levels"]["robot"], row["levels"]["model"]): (row["levels"]["row"], [row["value"], *row["ci95"]])
+        for row in ledger
+        if row["experiment"] == "measured_gains"
+    }
+    for row, arms in zip(shown, zip(*by_model, strict=True), strict=True):
+        for cell, model, arm in zip(row[2:], models, arms, strict=True):
+            name, figures = told[arm.arm, model]
+            assert f'"of":"measured_gains","title":"Removed","row":"{name}","model":"{model}"' in cell
+            assert [round(figure, 3) for figure in figures] == [arm.removed, arm.lowest, arm.highest]

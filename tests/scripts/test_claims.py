@@ -38,7 +38,7 @@ def test_as_many_hold_as_are_due_whatever_the_sizes(claims, cheap):
 def test_pages_print_the_ledger(claims):
     """Every table and every number between marks; on the findings' page no other number has an interval."""
     rows, tables, numbers = claims.record()["rows"], 0, 0
-    for path in [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]:
+    for path in [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]:
         text = path.read_text(encoding="utf-8")
         for mark, asked, end in claims.MARK.findall(text):
             start = text.index(mark) + len(mark)
@@ -99,8 +99,9 @@ def programs(claims):
             for word in words:
                 program = program.commands[word]
         else:
-            main = typer.Typer()
-            main.command()(importlib.import_module(f"{words[-1]}.__main__").main)
+            main, program = typer.Typer(), words[-1]
+            name = Path(program).stem if program.endswith(".py") else f"{program}.__main__"
+            main.command()(importlib.import_module(name).main)
             program = get_command(main)
         yield entry, {word: option for option in program.params for word in option.opts}
 
