@@ -37,7 +37,7 @@ from pickenv.agents import (
 )
 from pickenv.arm import Array, forward
 from pickenv.arm.effects.drives import MeasurementNoise
-from pickenv.base import seed_words, stream
+from pickenv.base import run_seed, seed_words, stream
 from pickenv.calibration.compensation.compensator import aimed, taught
 from pickenv.envs import PickVectorEnv
 from pickenv.experiments import Rows, estimate
@@ -151,7 +151,7 @@ def measure(
     """Errors of one policy, a row for each arm, run and pick."""
     make: Any = partial(Filtering, *tuned_filter()) if policy == FILTER else lambda: aims_at_the_fruit
     if learns(policy):
-        make = partial(Remembering, trained(policy, training, Path(folder)))
+        make = partial(Remembering, trained(policy, run_seed(seed % 2**16) + training, Path(folder)))
     errors = picked(task(plant, arms, 0, seed), make, runs, seed)
     arm, run, pick = (index.ravel() for index in np.indices(errors.shape))
     when = np.array([next((name for name, some in SHOWN.items() if k in some), "") for k in pick])

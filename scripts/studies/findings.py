@@ -12,7 +12,7 @@ from train_baselines import calibration_file
 
 from pickenv.agents import Training, load_policy, train
 from pickenv.arm import TRACKER, Array, Pose, forward, joint_jacobian, plant_at, pose_of
-from pickenv.base import InputError, mean_interval, seed_words, stream
+from pickenv.base import InputError, mean_interval, run_seed, seed_words, stream
 from pickenv.calibration import complete_model, random_joints, start_filter
 from pickenv.calibration.compensation.compensator import aimed, taught
 from pickenv.experiments import CalibrationPlan, PolicySettings, Rows, calibrate_arm, joined, run_policies
@@ -122,14 +122,14 @@ def carried(
 ) -> Any:  # fmt: skip
     """Reaches of several trainings of PPO without a camera, on new arms of qiao2026.
 
-    One piece has all compensations: two processes never train in one folder.
+    One piece has all compensations: two processes never train in one folder. Each seed has trainings of its own.
     """
-    out = Path(folder) / "transfer" / trained_on.split()[0]
+    out = Path(folder) / "transfer" / (trained_on.split()[0] + f"-{seed}" * (seed > 0))
     for number in range(trainings):
         what, place = dict(TRAINED_ON[trained_on]), out / str(number)
         if "compensate" in what:
             what["compensate"] = str(calibration_file(Path(folder)))
-        train_once(Training("ppo", seed=number, steps=steps, **what), place)
+        train_once(Training("ppo", seed=run_seed(seed % 2**16) + number, steps=steps, **what), place)
     parts = []
     for behind in compensation:
         rows = reaching(rng, "qiao2026", behind, str(out), arms, episodes, epochs, folder, seed)

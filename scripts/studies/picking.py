@@ -15,7 +15,7 @@ from policy_search import KNOBS, Searches, arguments_of, search
 
 from pickenv.agents import HASTY, HELD_OUT, ScriptedPick, Training, load_policy, pick_canopies
 from pickenv.arm import Array
-from pickenv.base import seed_words, stream
+from pickenv.base import run_seed, seed_words, stream
 from pickenv.envs import PickVectorEnv
 from pickenv.experiments import Rows, joined
 from pickenv.inspect.colours import policy_colours
@@ -99,8 +99,9 @@ def learning(
     if policy == "scripted":
         given = {key: value for key, value in arguments.items() if key != "split"}
         return canopy_rows(policy, picked(given, {}, judged), canopies)
-    out, every = Path(folder) / f"seed{training}", max(steps // 6, 1)
-    train_once(Training("ppo", "pickenv/Pick-v0", steps, training, checkpoint_every=every, evaluate_every=every), out)
+    own = run_seed(seed % 2**16) + training
+    out, every = Path(folder) / f"seed{own}", max(steps // 6, 1)
+    train_once(Training("ppo", "pickenv/Pick-v0", steps, own, checkpoint_every=every, evaluate_every=every), out)
     envs = PickVectorEnv(canopies, **arguments)
     rows = canopy_rows(policy, pick_canopies(load_policy(out / "policy.npz"), envs, judged), canopies)
     parts = [rows | {"training": np.full(canopies, training)}]

@@ -18,7 +18,7 @@ from stable_baselines3 import PPO
 
 from pickenv.agents.training.networks import HistoryPolicy
 from pickenv.arm import load_plant, write_twin
-from pickenv.base import seed_words, stream, torch_on_one_thread
+from pickenv.base import run_seed, seed_words, stream, torch_on_one_thread
 from pickenv.calibration import calibrate, random_joints, simulated_tracker
 from pickenv.wrappers import SameArmVector, Sb3Vec
 
@@ -85,7 +85,8 @@ def measure(
     with torch_on_one_thread():
         policy = None
         if trained_on != NOMINAL:
-            policy = trained(own if trained_on == TWIN else INVENTED[trained_on], picks, training, steps)
+            drawn = own if trained_on == TWIN else INVENTED[trained_on]
+            policy = trained(drawn, picks, run_seed(seed % 2**16) + training, steps)
         rows = []
         for place, where in {"twin, held out": (own, False), "the measured arm": ({"plant": "qiao2026"}, True)}.items():
             errors = judged(policy, picks, *where, seed)
