@@ -34,7 +34,7 @@ from pickenv.arm import (
     plant_at,
 )
 from pickenv.arm.effects.drives import MeasurementNoise
-from pickenv.base import InputError, clustered_share_interval, mean_interval, run_seed, write_json
+from pickenv.base import InputError, clustered_share_interval, crossed_interval, mean_interval, run_seed, write_json
 from pickenv.calibration import fit, simulated_tracker
 from pickenv.inspect import new_figure, percent, save_figure
 from pickenv.inspect.figures.style import COLUMN, LINES
@@ -245,8 +245,10 @@ def main(
     heads = ("mean error (mm)", *dict.fromkeys(row["judged"] for row in shares))
     print(markdown_table(heads, lines.values(), ()))
     if json_file is not None:
-        means = {name: values.mean(axis=1) if len(values) > 1 else values[0] for name, values in ends.items()}
-        reached = [{"arm": name, "mean_mm": each.mean(), "ci95": mean_interval(each)} for name, each in means.items()]
+        ci95 = {
+            name: crossed_interval(each) if len(each) > 1 else mean_interval(each[0]) for name, each in ends.items()
+        }
+        reached = [{"arm": name, "mean_mm": each.mean(), "ci95": ci95[name]} for name, each in ends.items()]
         write_json(json_file, {"seed": seed, "reaches": reached, "picks": shares})
 
 
