@@ -40,6 +40,9 @@ from pickenv.inspect import new_figure, percent, save_figure
 from pickenv.inspect.figures.style import COLUMN, LINES
 from pickenv.wrappers import Compensate, Miscalibrate
 
+Rule = Callable[[Mapping[str, Array], int], tuple[Array, float]]
+Task = Callable[[Any, Plant, Compensate | None, Sequence[int]], Array]
+
 SITE = "robot0:grip"
 JOINTS = (
     *("torso_lift", "shoulder_pan", "shoulder_lift", "upperarm_roll"),
@@ -126,9 +129,7 @@ def picking(observation: Mapping[str, Array], step: int) -> tuple[Array, float]:
     return (observation["desired_goal"] if step >= LIFT else tool) - tool, -1.0
 
 
-def episodes(
-    env: Any, rule: Callable[[Mapping[str, Array], int], tuple[Array, float]], seeds: Sequence[int]
-) -> list[Any]:
+def episodes(env: Any, rule: Rule, seeds: Sequence[int]) -> list[Any]:
     """Last observation and `info` of episodes with these seeds."""
     ends = []
     for seed in seeds:
@@ -154,13 +155,7 @@ def picks(env: Any, plant: Plant, compensator: Compensate | None, seeds: Sequenc
     return np.asarray(np.linalg.norm(ends, axis=1) * 1e3)
 
 
-def compared(
-    env: Any,
-    task: Callable[[Any, Plant, Compensate | None, Sequence[int]], Array],
-    plants: list[Plant],
-    start: Array,
-    seeds: Sequence[int],
-) -> dict[str, Array]:
+def compared(env: Any, task: Task, plants: list[Plant], start: Array, seeds: Sequence[int]) -> dict[str, Array]:
     """Distances ``(arms, n)`` of the raw arms and of the same calibrated, mm."""
     raw = [task(env, plant, None, seeds) for plant in plants]
     pairs = zip(plants, np.random.default_rng(seeds[0]).spawn(len(plants)), strict=True)
@@ -238,12 +233,11 @@ def main(
         for most in (OWN_MM, NEAR_MM)
         for name, values in both.items()
     ]
-    lines: dict[float, list[str]] = {}
+    lines: dict[str, list[str]] = {}
     for row in shares:
-        ends_of = row["ci95"] or (None, None)
-        lines.setdefault(row["error_mm"], [f"{row['error_mm']:g}"]).append(percent(row["share"], *ends_of))
+        lines.setdefault(f"{row['error_mm']:g}", []).append(percent(row["share"], *(row["ci95"] or (None, None))))
     heads = ("mean error (mm)", *dict.fromkeys(row["judged"] for row in shares))
-    print(markdown_table(heads, lines.values(), ()))
+    print(markdown_table(heads, [(error, *cells) for error, cells in lines.items()], ()))
     if json_file is not None:
         ci95 = {
             name: crossed_interval(each) if len(each) > 1 else mean_interval(each[0]) for name, each in ends.items()

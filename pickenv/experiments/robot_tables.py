@@ -31,7 +31,7 @@ NOTE = TEXTS["explained"]["measured_robots"]
 def bench_json(settings: BenchSettings, gains: Gains, models: Rows, skipped: Mapping[str, str]) -> dict[str, Any]:
     """Return all results of `run_bench` as a mapping for JSON; None stands for a number that does not exist.
 
-    "rows" has one entry per data set, split and model; "row" is its name for `--only`. "split" is "random" or "blocks",
+    "rows" has one entry per data set, split and model; "row" is its name in `ROWS`. "split" is "random" or "blocks",
     that is contiguous parts, and "rows" the number of rows, each held out once. Their RMS position error is
     "held_out_mm" with the model, and "nominal_mm" with the nominal arm, base and tool fitted. "measured_reduction" is
     the fraction by which "held_out_mm" is below the error of the model that "before" names; "ci95" is its interval.

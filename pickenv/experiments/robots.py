@@ -411,15 +411,8 @@ def gains_of(folds: Rows) -> list[dict[str, Any]]:
         predicted, ends = predicted_gain(sums[model], sums[before])
         predicted_mm = float(1e3 * np.sqrt(sums[model].sum() / len(arm_numbers) / len(order)))
         gains.append(
-            {
-                "row": str(folds["row"][0]),
-                "robot": SETS[name].robot,
-                "split": split,
-                "model": model,
-                "before": before,
-                "statistic": "rms",
-                **counts,
-            }
+            {"row": str(folds["row"][0]), "robot": SETS[name].robot, "split": split, "model": model, "before": before}
+            | {"statistic": "rms", **counts}
             | {"nominal_mm": rms[NOMINAL], "before_mm": rms[before], "held_out_mm": rms[model]}
             | {"measured_reduction": 1.0 - rms[model] / rms[before], "ci95": _interval(pairs, split)}
             | {"predicted_reduction": predicted, "predicted_ci95": ends, "predicted_mm": predicted_mm}
