@@ -12,7 +12,7 @@ import gymnasium as gym
 import numpy as np
 
 from pickenv.agents import ScriptedScene, SeeingScene
-from pickenv.agents.evaluation.reaches import moments_of
+from pickenv.agents.evaluation.reaches import run_episodes
 from pickenv.arm import Array
 from pickenv.arm.effects.drives import MeasurementNoise
 from pickenv.calibration import fit, random_joints, simulated_tracker
@@ -42,7 +42,7 @@ def pick(env: Any, policy: ScriptedScene, seed: int) -> dict[str, Any]:
     Returns:
         "success"; "met", 1 where the cup met the fruit; "lateral_mm", 0 where it did not.
     """
-    *_, last = moments_of(env, policy, seed)
+    last = run_episodes(env, policy, [seed])[0][-1]
     lateral, axial = last.info["grasp_lateral_mm"], last.info["grasp_axial_mm"]
     met = float((lateral, axial) != (0.0, 0.0))
     return {"success": float(last.info["is_success"]), "met": met, "lateral_mm": lateral}
