@@ -561,8 +561,8 @@ def _identify(draft: Draft) -> Draft:
     aligned = fitting.fit_frames(arm, draft.train, choices.frames == "known")
     start = arm.nominal if aligned is None else aligned.geometry
     tolerances, scale = choices.tolerances or arm.tolerance_class, choices.prior_scale
-    known = aligned is None
-    model = prior_model(arm.name, start, known=known, fit=choices.fit, tolerances=tolerances, scale=scale)
+    known_frames = aligned is None
+    model = prior_model(arm.name, start, known=known_frames, fit=choices.fit, tolerances=tolerances, scale=scale)
     return draft.with_fit(GEOMETRY, fitting.fit_geometry(arm, draft.train, aligned, model))
 
 
