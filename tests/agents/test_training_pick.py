@@ -39,7 +39,7 @@ def test_a_training_that_was_cut_off_ends_with_the_same_weights(tmp_path, monkey
 
     training = Training("ppo", "pickenv/Pick-v0", 256, evaluate_every=192, **given)
     with monkeypatch.context() as patch:
-        patch.setattr("pickenv.agents.training.training.judged", cut)
+        patch.setattr("pickenv.agents.training.training_setup.judge", cut)
         with pytest.raises(KeyboardInterrupt):
             train(training, tmp_path / "cut")
     ended = train(training, tmp_path / "cut", resume=True)

@@ -66,7 +66,7 @@ def test_a_training_that_was_cut_off_ends_with_the_same_weights(
     training = Training("ppo", NAME, 960, arguments=UR5E, parameters={"n_envs": 8}, checkpoint_every=480)
     whole = train(training, tmp_path / "whole").policy
     with monkeypatch.context() as patch:
-        patch.setattr("pickenv.agents.training.training.judged", lambda *_: pytest.fail("cut"))
+        patch.setattr("pickenv.agents.training.training_setup.judge", lambda *_: pytest.fail("cut"))
         with pytest.raises(pytest.fail.Exception):
             train(training, tmp_path / "cut")
     again = train(training, tmp_path / "cut", resume=True).policy
