@@ -72,8 +72,8 @@ def wandering(qiao: Arm, blocks: int, rows: int, rng: np.random.Generator) -> tu
 
 def test_noise_is_no_gain(qiao: Arm, displaced: Displaced) -> None:
     rng = np.random.default_rng(0)
-    joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (80, 6))
-    data = displaced(joints, 1e-4 * rng.normal(size=(80, 6)))
+    joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (60, 6))
+    data = displaced(joints, 1e-4 * rng.normal(size=(60, 6)))
     gate = gate_residuals(data, lambda _: qiao.nominal, rng, models=("rbf", "gp"), fitters=TRIAL_FITTERS)
     assert selected(gate) is None
     assert not any(verdict.accepted for verdict in gate)
@@ -82,8 +82,8 @@ def test_noise_is_no_gain(qiao: Arm, displaced: Displaced) -> None:
 
 def test_a_smooth_residual_is_accepted(qiao: Arm, displaced: Displaced) -> None:
     rng = np.random.default_rng(1)
-    joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (120, 6))
-    error = 1e-3 * np.sin(joints) + 1e-5 * rng.normal(size=(120, 6))
+    joints = rng.uniform(qiao.nominal.lower, qiao.nominal.upper, (80, 6))
+    error = 1e-3 * np.sin(joints) + 1e-5 * rng.normal(size=(80, 6))
     data = displaced(joints, error)
     gate = gate_residuals(data, lambda _: qiao.nominal, rng, models=("rbf", "gp"), fitters=TRIAL_FITTERS)
     assert selected(gate) == "gp"

@@ -164,7 +164,7 @@ def test_where_some_rows_show_noise_alone_all_rows_have_the_last_word(
 
 def test_the_same_rows_and_generator_give_the_same_process(dynamic: Plant) -> None:
     arm = arm_after_least_squares(dynamic, 1)
-    arm = replace(arm, targets=arm.targets[:, :2])
+    arm = replace(arm, inputs=arm.inputs[:80], targets=arm.targets[:80, :2])
     first, second = fitted(arm).arrays(), fitted(arm).arrays()
     for name, values in first.items():
         np.testing.assert_array_equal(values, second[name])

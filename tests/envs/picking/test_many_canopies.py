@@ -189,11 +189,11 @@ LATER = [pytest.param(name, marks=pytest.mark.slow) for name in ("history_camera
 @pytest.mark.parametrize("name", ["filter", *LATER])
 def test_who_remembers_is_nearer_to_the_fruit_of_later_canopies(name: str) -> None:
     errors = []
-    envs = PickVectorEnv(6, arms="per_episode", tolerances="coarse", vision="ideal", feedback="gripper", fruit=5.0)
+    envs = PickVectorEnv(3, arms="per_episode", tolerances="coarse", vision="ideal", feedback="gripper", fruit=5.0)
     memory = AdaptiveReach(envs) if name == "filter" else RememberingReach(envs, load_remembering(name))
-    feeling, canopies = FeelingPick(envs, memory), [range(6 * k, 6 * k + 6) for k in range(3)]
+    feeling, canopies = FeelingPick(envs, memory), [range(3 * k, 3 * k + 3) for k in range(3)]
     for policy, seeds in (*((feeling, seeds) for seeds in canopies), (ScriptedPick(envs), canopies[-1])):
-        run = pick_canopies(policy, envs, seeds, {"arm": np.arange(6)})
+        run = pick_canopies(policy, envs, seeds, {"arm": np.arange(3)})
         errors.append(run["error_sum_mm"].sum() / run["attempted"].sum())
     assert errors[-2] < 0.75 * errors[-1]
 
@@ -208,7 +208,7 @@ def test_an_arm_learns_the_same_alone_and_beside_others() -> None:
             env.reset(seed=9 + canopy, options={"arm": 2})[0],
         )
         together.reset(), alone.reset()
-        for _ in range(90):
+        for _ in range(60):
             actions, action = together.act(seen), alone.act(one)
             np.testing.assert_allclose(actions[0], action, atol=1e-6)
             seen, one = envs.step(np.stack([action, actions[1]]))[0], env.step(action)[0]
