@@ -76,7 +76,7 @@ FAULTS = {
 }
 
 
-@settings(max_examples=4, deadline=None, suppress_health_check=list(HealthCheck), database=None)
+@settings(max_examples=2, deadline=None, suppress_health_check=list(HealthCheck), database=None)
 @given(**FAULTS)
 def test_any_row_with_any_fault_is_named(tracker, row, fault, column):
     """In message and JSON; that the page names them too is asked of one row below, and of many at length."""
