@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Callable
+from contextlib import AbstractContextManager
 from html import unescape
 from pathlib import Path
 from typing import Any
@@ -28,6 +30,13 @@ def result() -> Result:
     return calibrate(plant.arm, poses, choices=Choices(terms="none", residual="none"))
 
 
+@pytest.fixture(scope="module")
+def page(result: Result, unwritten: Callable[[], AbstractContextManager[None]]) -> str:
+    """The page of the calibration, with empty figures."""
+    with unwritten():
+        return calibration_page(result)
+
+
 def rows_of(page: str) -> dict[str, list[str]]:
     """Cells of every table's rows, by the first one; the first row of a name counts."""
     found: dict[str, list[str]] = {}
@@ -40,22 +49,24 @@ def rows_of(page: str) -> dict[str, list[str]]:
     return found
 
 
-def test_a_calibrations_numbers_are_the_same_everywhere(result: Result, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_calibrations_numbers_are_the_same_everywhere(
+    result: Result, page: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.delenv("COLUMNS", raising=False)
-    said, told, page = result.report(), json.loads(json.dumps(result.as_dict())), rows_of(calibration_page(result))
+    said, told, cells_of = result.report(), json.loads(json.dumps(result.as_dict())), rows_of(page)
     lines = {line.split("  ")[1].strip(): line for line in said.splitlines() if line.startswith("  ")}
     for model, label in (("nominal", "nominal"), ("geometric", "geometry")):
         held = told["held_out"][f"{model}_mm"]
         numbers = [figure(held[key]) for key in ("rms", "mean", "p95", "max")]
         attitude = figure(told["held_out"][f"{model}_deg"]["mean"])
-        assert [page[label][i] for i in (0, 1, 3, 4, 5)] == [*numbers, attitude]
+        assert [cells_of[label][i] for i in (0, 1, 3, 4, 5)] == [*numbers, attitude]
         assert all(number in lines[label] for number in (*numbers, attitude))
     moved = [row for row in told["changes"] if abs(row["change"]) > 2.0 * row["std"]]
     assert 0 < len(moved) < len(told["changes"])
     for row in told["changes"]:
         change, std = figure(row["change"]), figure(row["std"])
         narrowed = f"{100 * row['narrowed']:.0f} %"
-        assert page[row["name"]][1] == f"{change} ± {std} {row['unit']}" and page[row["name"]][3] == narrowed
+        assert cells_of[row["name"]][1] == f"{change} ± {std} {row['unit']}" and cells_of[row["name"]][3] == narrowed
         assert row["narrowed"] == pytest.approx(max(0.0, 1.0 - row["std"] / row["prior_std"]))
         shown = lines.get(row["name"], "")
         cells = [row["name"], change, std, row["unit"], *narrowed.split()]
@@ -69,11 +80,11 @@ def test_a_calibrations_numbers_are_the_same_everywhere(result: Result, monkeypa
             for name in ("nominal", "calibrated")
         ]
         cells += [f"{100 * region[name]:.0f} %" for name in ("gain", "narrowed")]
-        assert page[region["region"]] == cells and all(cell in lines[region["region"]] for cell in cells)
+        assert cells_of[region["region"]] == cells and all(cell in lines[region["region"]] for cell in cells)
 
 
-def test_a_page_says_in_its_second_sentence_whether_picks_change(result: Result) -> None:
-    text = re.search(r'class="verdict.*?<p>(.*?)</p>', calibration_page(result), flags=re.S)
+def test_a_page_says_in_its_second_sentence_whether_picks_change(page: str) -> None:
+    text = re.search(r'class="verdict.*?<p>(.*?)</p>', page, flags=re.S)
     assert text is not None
     assert re.split(r"(?<=\.) (?=[A-Z])", unescape(text[1]))[1].startswith(
         "On an arm with these errors (qiao2026) this"

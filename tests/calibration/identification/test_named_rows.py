@@ -22,15 +22,16 @@ UNITS = {"mm": 1e-3, "deg": np.pi / 180}
 
 
 @pytest.fixture(scope="module")
-def tracker(tmp_path_factory):
-    """Header and rows of a file, and the folder for the spoilt ones."""
+def tracker(tmp_path_factory, unwritten):
+    """Header and rows of a file, and the folder for the spoilt ones; pages have no figures meanwhile."""
     plant = load_plant("qiao2026")
     rng = np.random.default_rng(11)
     folder = tmp_path_factory.mktemp("rows")
     data = simulated_tracker(plant, random_joints(plant.arm.nominal, ROWS, rng), rng)
     with data.write_csv(folder / "good.csv").open(newline="", encoding="utf-8") as file:
         header, *rows = csv.reader(file)
-    return folder, header, rows
+    with unwritten():
+        yield folder, header, rows
 
 
 def calibrate(file: Path, *options: str):
