@@ -1,7 +1,6 @@
 """`pickenv check` says of every file whether it is what was written, and its exit code says it of all of them."""
 
 import json
-import os
 import shutil
 import subprocess
 import sys
@@ -22,6 +21,7 @@ from pickenv.cli import app
 from pickenv.experiments import CalibrationPlan, PolicySettings, compensators, load_study, run_policies, run_study
 from pickenv.inspect import CalibrationTrace, recorded_run, save_part, trace_of
 from pickenv.inspect.runs.run_folder import listed_files
+from tests.conftest import Ended
 
 NAMES = ("calibration.npz", "calibration_trace.npz", "figures.json")
 
@@ -167,9 +167,8 @@ def test_json_says_the_same(folder: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["nothing", "x" * 300])
-def test_a_path_that_does_not_exist_is_one_sentence(tmp_path: Path, name: str) -> None:
-    command = [sys.executable, "-m", "pickenv.cli", "check", str(tmp_path / name)]
-    done = subprocess.run(command, capture_output=True, text=True, check=False, env=dict(os.environ))
+def test_a_path_that_does_not_exist_is_one_sentence(tmp_path: Path, name: str, typed: Callable[..., Ended]) -> None:
+    done = typed("check", tmp_path / name)
     assert done.returncode == 2
     assert done.stderr.startswith("error: ") and done.stderr.count("\n") == 1
 
