@@ -21,7 +21,7 @@ def tracked(plant: Plant, rows: int, seed: int) -> Measurements:
     return simulated_tracker(plant, random_joints(plant.arm.nominal, rows, rng), rng)
 
 
-@settings(max_examples=3)
+@settings(max_examples=2)
 @given(
     rows=st.integers(1, 14),
     seed=st.integers(0, 50),

@@ -45,7 +45,7 @@ def measured(arm: Arm, model: PriorModel, joints: np.ndarray, rng: np.random.Gen
 @given(
     name=st.sampled_from(["ur5", "qiao2026"]), known=st.booleans(), count=st.integers(3, 30), seed=st.integers(0, 9999)
 )
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=4, deadline=None)
 def test_the_predicted_error_is_the_posteriors_over_the_workspace(
     name: str, known: bool, count: int, seed: int
 ) -> None:
@@ -79,7 +79,7 @@ def test_calibrate_states_what_was_planned(known: bool) -> None:
 
 @given(name=st.sampled_from(["ur5", "qiao2026", "wam"]), known=st.booleans(), seed=st.integers(0, 9999))
 @example(name="ur5", known=False, seed=854)  # three poses with much information, and none about the workspace
-@settings(max_examples=3, deadline=None)
+@settings(max_examples=2, deadline=None)
 def test_no_plan_is_worse_than_chance(name: str, known: bool, seed: int) -> None:
     """Nor where it is made for the most information, and not for the workspace."""
     arm = load_arm(name)
