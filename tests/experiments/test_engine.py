@@ -62,7 +62,7 @@ def test_combinations_that_do_not_fit_are_left_out_and_change_no_other_number():
     assert_same(some.where(method="ls"), run(experiment()).where(method="ls"))
 
 
-@pytest.mark.parametrize("workers", [1, 2])
+@pytest.mark.parametrize("workers", [pytest.param(1, marks=pytest.mark.slow), 2])
 def test_no_process_and_no_folder_changes_a_number(workers, tmp_path):
     alone = run(experiment())
     assert_same(run(experiment(), backend="loky", workers=workers), alone)
