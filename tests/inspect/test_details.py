@@ -43,6 +43,18 @@ def orchard(comparison: Comparison) -> Comparison:
     return replace(comparison, plant=load_plant("orchard"))
 
 
+@pytest.fixture(scope="module")
+def day(comparison: Comparison) -> dict[str, Any]:
+    """The day of the orchard's arm, which no test changes."""
+    return dict(day_of(orchard(comparison)))
+
+
+@pytest.fixture(scope="module")
+def firm_day(comparison: Comparison) -> dict[str, Any]:
+    """The day of an arm that does not drift, which no test changes."""
+    return dict(day_of(firm(comparison)))
+
+
 def test_effects_agree_with_the_table_of_effects(comparison: Comparison) -> None:
     """`pickenv effects` moves the arm through time; where nothing has a memory both must give the same shares."""
     fields = effect_fields(comparison)
@@ -89,13 +101,12 @@ def test_what_is_removed_lies_between_two_policies(comparison: Comparison) -> No
     assert list(next(iter(alone.values()))[2]) == ["world/field/raw/vectors"]
 
 
-def test_a_day_without_drift_repeats_the_reaches(comparison: Comparison) -> None:
+def test_a_day_without_drift_repeats_the_reaches(comparison: Comparison, firm_day: dict[str, Any]) -> None:
     still = firm(comparison).plant
-    day = day_of(firm(comparison))
     for policy in comparison.policies:
         expected = still.tool_pose(policy.ends.joint_command).position - comparison.fruit
         error = 1e3 * np.linalg.norm(expected, axis=-1)
-        np.testing.assert_allclose(day[policy.key][1], np.broadcast_to(error, day[policy.key][1].shape))
+        np.testing.assert_allclose(firm_day[policy.key][1], np.broadcast_to(error, firm_day[policy.key][1].shape))
 
 
 def test_a_day_of_drift_ends_where_the_warm_sunk_arm_settles(
@@ -133,10 +144,11 @@ def test_a_filter_learns_the_arm_that_a_policy_left(comparison: Comparison) -> N
     assert day["adapted"][1][half:].mean() < 0.5 * day["raw"][1][half:].mean()
 
 
-def test_where_nothing_drifts_a_filter_costs_less_than_its_cameras_noise(comparison: Comparison) -> None:
-    day = day_of(firm(comparison))
-    last = day[comparison.policies[-1].key][1]
-    assert last.mean() < day["adapted"][1].mean() < last.mean() + 0.5 * 1e3 * CAMERA_STD
+def test_where_nothing_drifts_a_filter_costs_less_than_its_cameras_noise(
+    comparison: Comparison, firm_day: dict[str, Any]
+) -> None:
+    last = firm_day[comparison.policies[-1].key][1]
+    assert last.mean() < firm_day["adapted"][1].mean() < last.mean() + 0.5 * 1e3 * CAMERA_STD
 
 
 def test_too_few_reaches_have_no_filter(cut_short: Callable[..., RecordedPolicy], comparison: Comparison) -> None:
@@ -144,10 +156,9 @@ def test_too_few_reaches_have_no_filter(cut_short: Callable[..., RecordedPolicy]
     assert day_of(replace(comparison, policies=few)).keys() == {policy.key for policy in few}
 
 
-def test_the_days_words_hold_its_means(comparison: Comparison) -> None:
+def test_the_days_words_hold_its_means(comparison: Comparison, day: dict[str, Any]) -> None:
     labels = {policy.key: policy.label for policy in comparison.policies}
     shown = orchard(comparison)
-    day = day_of(shown)
     words = day_in_words(shown, day)
     for key, label in labels.items():
         assert f"| {label} | {day[key][1].mean():.2f} |" in words
@@ -190,9 +201,9 @@ def without_day(comparison: Comparison) -> Comparison:
     return replace(comparison, plant=replace(comparison.plant, arm=replace(comparison.plant.arm, nominal=other)))
 
 
-def test_every_detail_is_read_back(orchard_reading: Any, comparison: Comparison) -> None:
+def test_every_detail_is_read_back(orchard_reading: Any, comparison: Comparison, day: dict[str, Any]) -> None:
     shown = orchard(comparison)
-    effects, attitude, day = effect_fields(shown), attitude_fields(shown), day_of(shown)
+    effects, attitude = effect_fields(shown), attitude_fields(shown)
     assert len(effects) > 5
     assert orchard_reading.unmatched_rules() == []
     fields = {f"effect/{name}": field for name, field in effects.items()}
