@@ -15,6 +15,7 @@ from typer.testing import CliRunner
 
 import pickenv
 from pickenv.cli import app
+from tests.conftest import unwritten_figures
 
 LINES, WIDTH = 25, 100
 UR5 = "ur5_wam_jacobi2025/UR5/3D_UR5_uncalibrated_{}_cleaned.csv"
@@ -86,7 +87,7 @@ def calibrated(data: Path, name: str) -> tuple[list[str], pickenv.Result]:
         results.append(calibrate(*arguments, **options))
         return results[-1]
 
-    with pytest.MonkeyPatch.context() as patch:
+    with pytest.MonkeyPatch.context() as patch, unwritten_figures():
         patch.setattr(pickenv, "calibrate", noted)
         saves = ["--out", f"{name}.npz", "--json", f"{name}.json", "--report", f"{name}.html"]
         return screen(*calibration(data, name), *saves), results[-1]
