@@ -32,6 +32,7 @@ from pickenv.calibration import (
 from pickenv.calibration.identification.solve import solve
 from pickenv.cli import app
 from tests.calibration.camera.conftest import render
+from tests.conftest import unwritten_figures
 from tests.journeys.test_screens import WIDTH, check
 
 LENS = Lens(np.array([620.0, 622.0, 323.0, 238.0, -0.08, 0.05, 0.0008, -0.0005, 0.01]), (640, 480))
@@ -184,7 +185,8 @@ def walk(so101: str, folder: Path, mount: str, seed: int, pictures: bool, lens: 
     found = 'picture = "image"' if pictures else TABLE
     description.write_text(DESCRIPTION.format(mount=mount, lens=lens, found=found), encoding="utf-8")
     options = ["--columns", description, "--out", saved, "--json", figures, "--report", folder / "arm.html"]
-    said = call("calibrate", file, "--arm", so101, *options)
+    with unwritten_figures():
+        said = call("calibrate", file, "--arm", so101, *options)
     calibration, shown = Calibration.load(saved), json.loads(figures.read_text(encoding="utf-8"))
     missed = {
         name: float(np.sqrt(np.mean(np.sum((forward(g, there).position - forward(true, there).position) ** 2, axis=1))))
