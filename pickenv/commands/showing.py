@@ -18,6 +18,7 @@ import time
 import warnings
 from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
+from functools import cache
 from importlib import metadata
 from inspect import signature
 from pathlib import Path
@@ -40,6 +41,7 @@ from pickenv.base import (
 from pickenv.base.registry import names
 
 
+@cache
 def pages_address() -> str:
     """Return the address of the documentation pages that the package names, or the folder of a checkout."""
     try:
