@@ -12,6 +12,7 @@ from xml.parsers import expat
 
 from pickenv.arm import Arm, load_arm, shipped_arms
 from pickenv.base import InputError, one_line
+from pickenv.calibration.model.terms import kind_of_term
 from pickenv.calibration.pipeline.calibration import Calibration
 
 # What every file that holds a corrected arm says of where it comes from, and of what it does not hold.
@@ -100,7 +101,7 @@ def left_out(calibration: Calibration, words: str = "not in the file, because no
         calibration: The calibration.
         words: Beginning of the sentence.
     """
-    names = [type(term).__name__ for term in calibration.model.terms]
+    names = [kind_of_term(term) for term in calibration.model.terms]
     if calibration.learnt is not None:
         names.append(f"learnt residual '{calibration.learnt.kind}'")
     return [f"{words}: {', '.join(names)}"] if names else []

@@ -57,5 +57,6 @@ def test_both_arms_of_a_robot_are_calibrated_at_once(tmp_path: Path) -> None:
     assert screens[0].startswith("verdict: GOOD") and "geometry+compliance" in screens[0]
     assert nominal > 0.5 and left < 0.065  # of which the tracker's own noise is 0.052
     assert re.search(r"\d+ of 14 joint origins corrected: by up to", screens[2]), screens[2]
+    assert "rigid links cannot hold it: compliance" in screens[2]
     assert (tmp_path / "robot_calibrated.urdf").is_file()
     assert screens[4].startswith("verdict: STILL GOOD"), screens[4]
