@@ -55,7 +55,7 @@ def test_with_a_perfect_arm_states_are_those_of_the_plain_model_to_the_bit():
     for name in ("qpos", "ctrl", "eq_active"):
         getattr(data, name)[:] = getattr(scene.data, name)
     sent = scene.data.ctrl.copy()
-    for _ in range(300):
+    for _ in range(1000):
         env.step(np.append(rng.uniform(-1.0, 1.0, 6), -1.0))
         for part in (0.5, 1.0):
             data.ctrl[:] = sent + (scene.data.ctrl - sent) * part
@@ -222,7 +222,7 @@ def test_pictures_are_of_the_true_cameras_and_the_same_for_a_seed():
 @pytest.mark.skipif(not MAKERS.exists(), reason="the SO-101 of its makers is not there (PICKENV_DATA)")
 def test_a_makers_arm_picks_too_and_stands_where_ours_does():
     env = made(plant="ideal:so101", model=str(MAKERS))
-    assert sum(played(env, seed)["is_success"] for seed in range(2)) >= 2
+    assert sum(played(env, seed)["is_success"] for seed in range(3)) >= 2
     assert rest_gaps("so101", "coarse:so101", 4, model=str(MAKERS), error_mm=5.0).max() < 1e-5
     with pytest.raises(InputError, match="no joint 'J1"):
         made(plant="ideal:ur5e", model=str(MAKERS))
@@ -289,7 +289,7 @@ def test_a_policy_that_sees_makes_up_for_the_arm_but_not_for_its_own_camera():
     def lateral(script, obs_type, camera_mm, **where):
         env = made(plant="coarse:so101", obs_type=obs_type, camera_mm=camera_mm, cameras=["wrist"], pixels=96, **where)
         with where_mujoco_draws():
-            ends = [played(env, seed, script, "grasp_lateral_mm") for seed in range(3)]
+            ends = [played(env, seed, script, "grasp_lateral_mm") for seed in range(8)]
         return np.median([info["grasp_lateral_mm"] for info in ends])
 
     sees = SeeingScene, "pixels_environment_state_agent_pos"
