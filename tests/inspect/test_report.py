@@ -28,7 +28,7 @@ from pickenv.inspect import (
     new_figure,
     trace_drawings,
 )
-from pickenv.inspect.colours import in_words
+from pickenv.inspect.colours import WORDS as SHORT_NAMES, in_words
 from pickenv.inspect.reports.demo_report import demo_verdict, field_spec, page as demo_report, pose_spec
 from pickenv.inspect.reports.report_page import Part, library
 
@@ -301,6 +301,18 @@ def test_names_and_values_are_text_in_every_part_of_a_page() -> None:
         page.count("&lt;script&gt;") == 2 + 1 + 3 + 2 + 1 + 3
     )  # title, subtitle, verdict, tiles, contents, section and picture
     assert "script" not in {name for name, _ in Page(page).tags}
+
+
+def test_pictures_and_the_library_reach_a_page_byte_for_byte() -> None:
+    """Short names of policies are spelled out in texts only, and "+LS/" may stand in a picture's base64."""
+    names = [name for name in SHORT_NAMES if name.isalnum()]
+    pictures = [base64.b64decode(f"AAA/{name}/{'A' * (-len(name) % 4)}+++") for name in names]
+    page = Page(report(Section("pictures", [*pictures, replace(hostile_drawing(), spec={"data": []}, hint="")])))
+    prefix = "data:image/webp;base64,"
+    shown = [base64.b64decode(source.removeprefix(prefix), validate=True) for source in page.values("src")]
+    assert shown == pictures
+    assert page.scripts["plotly"] == library()
+    base64.b64decode(library(), validate=True)
 
 
 def report(section: Section) -> str:

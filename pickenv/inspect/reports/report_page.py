@@ -159,7 +159,7 @@ def _template() -> Template:
     environment.globals |= {"library": library, "bar_place": bar_place}
     environment.globals |= {"largest": PIXELS_PER_POINT, "least": LEAST_PIXELS_PER_POINT}
     environment.filters |= {
-        "base64": lambda content: base64.b64encode(content).decode(),
+        "base64": packed,
         "drawn": lambda drawing: inline_svg(drawing.draw(), drawing.name),
         "sentence": lambda text: Markup(escape(as_sentence(text))),
         "kind": lambda part: type(part).__name__,
@@ -195,10 +195,15 @@ def inline_svg(figure: Figure, name: str) -> tuple[Markup, float, float]:
 
 
 @cache
-def library() -> str:
+def library() -> Markup:
     """Return Plotly's library as gzip in base64, for pages with interactive figures."""
     plotly = (files("plotly") / "package_data" / "plotly.min.js").read_bytes()
-    return base64.b64encode(gzip.compress(plotly, 9, mtime=0)).decode()
+    return packed(gzip.compress(plotly, 9, mtime=0))
+
+
+def packed(content: bytes) -> Markup:
+    """Return bytes in base64 for a page, as markup, in which no name is spelled out."""
+    return Markup(base64.b64encode(content).decode())
 
 
 def plain_report(
