@@ -6,8 +6,8 @@ is C_i K_i. The joint's new origin is C_i K_i relative to the corrected frame of
 the robot's own base, so the instrument's place is no part of it. If the next axis is parallel, no measurement
 determines the place of a link along its axis, and a fit may put it anywhere. The link then keeps its place in the file,
 as in Universal Robots' own calibration (ur_calibration, correctAxis). A motion of the last joint shifts or turns the
-tool along or about the joint's axis. That part of the tool's correction is therefore given to the joint. Metres and
-radians.
+tool along or about the joint's axis. That part of the tool's correction is therefore given to the joint, unless the
+tool was fitted and is the instrument's. Metres and radians.
 """
 
 from __future__ import annotations
@@ -291,7 +291,7 @@ def corrected_origins(
 
     Args:
         nominal: The arm's geometry before its calibration.
-        identified: The calibrated geometry in the robot's own base. If base and tool were fitted, the base is that of
+        identified: The calibrated geometry in the robot's own base. If base and tool were fitted, they are those of
             ``nominal``.
         branches: The file's joints from root to tip; for a whole robot, those up to each named part of its tree.
         same: The relation of ``nominal`` to the file.
@@ -442,6 +442,8 @@ def correction(calibration: Calibration, rows: Sequence[JointRow], path: Path, f
     root, _, zero = same
     fitted = calibration.record.get("frames") == "fitted"
     hand = behind(inverse_pose(own.tool), tool_mount)
+    if fitted:  # the robot's tool stays, and the one measured hangs on it
+        hand = behind(hand, behind(inverse_pose(arm.tool), calibration.identified.tool))
     retooled = max(apart(calibration.arm.tool, calibration.identified.tool)) > NOTHING
     tool, tip = behind(root, forward(calibration.arm, zero)), forward(geometry, np.zeros(geometry.joints))
     near, turned = apart(tool, tip)

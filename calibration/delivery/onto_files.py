@@ -152,8 +152,7 @@ def urdf_document(calibration: Calibration, order: document.Order) -> document.D
 
 
 def _new_urdf(calibration: Calibration, arm: Arm) -> document.Document:
-    tool = calibration.arm.tool if calibration.record.get("frames") == "fitted" else calibration.identified.tool
-    text = urdf_text(replace(calibration.in_own_base, tool=tool), f"{arm.name}_calibrated", arm.speed)
+    text = urdf_text(calibration.in_own_base, f"{arm.name}_calibrated", arm.speed)
     declaration, _, body = text.partition("\n")
     words = document.xml_comment((*document.provenance(calibration), "written against URDF 1.0, as ROS 2 has it"))
     data = "\n".join([declaration, *words, body]).encode()

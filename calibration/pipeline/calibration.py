@@ -541,9 +541,9 @@ class Calibration:
 
     @property
     def in_own_base(self) -> Geometry:
-        """The calibrated geometry in the robot's own base frame: a fitted base is replaced by that of `arm`."""
+        """The calibrated geometry in the robot's own frames: a fitted base and tool are replaced by those of `arm`."""
         if self.record.get("frames") == "fitted":
-            return replace(self.identified, base=self.arm.base)
+            return replace(self.identified, base=self.arm.base, tool=self.arm.tool)
         return self.identified
 
     def compensate(self, joints: ArrayLike, conditions: Conditions | None = None) -> Array:

@@ -93,6 +93,23 @@ def test_the_makers_file_is_kept_and_moves_as_calibrated(own_urdf, measured, in_
     np.testing.assert_allclose(forward(read.nominal, joints).position, seen.position, atol=1e-8)
 
 
+@pytest.mark.parametrize("ending", ["urdf", "yaml"])
+def test_where_a_fitted_target_hangs_moves_no_link(made, tmp_path, ending):
+    """Targets anywhere on the flange, turned at will, leave the same file of the robot."""
+    arm, rng = load_arm("ur5e"), np.random.default_rng(24)
+    own = write_urdf(arm.nominal, tmp_path / "own.urdf") if ending == "urdf" else None
+    onto, tip, calibration = own and f"{own}#tool", "#tool" * (ending == "urdf"), made(arm, rng, "fitted")
+    joints, places = random_joints(arm.nominal, 20, rng), []
+    for name in ("near", "far"):
+        tool = Pose(rng.normal(size=3), rotation_matrix(rng.normal(size=3)))
+        moved = replace(calibration, model=ArmModel.of(replace(calibration.identified, tool=tool)))
+        out = export(moved, tmp_path / f"{name}.{ending}", kind=None if own else "kinematics-yaml", onto=onto).path
+        places.append(forward(load_arm(f"{out}{tip}").nominal, joints))
+    near, far = places
+    np.testing.assert_allclose(near.position, far.position, atol=1e-9)
+    np.testing.assert_allclose(near.rotation, far.rotation, atol=1e-9)
+
+
 def test_other_readers_agree(own_urdf, made, rigid, tmp_path):
     pinocchio = pytest.importorskip("pinocchio", reason="Pinocchio is a second referee: pip install pin")
     rng = np.random.default_rng(21)
