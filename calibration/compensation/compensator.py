@@ -243,7 +243,7 @@ class Compensator:
         reservations: Reasons against using the compensator, by name (`pickenv.base.obey`).
         within95: Function of commands ``(..., n)`` that returns the bounds on 95 of 100 position errors, m, and
             attitude errors, rad, as counted on held-out rows; None if they are unknown.
-        caution: A sentence on the part of the workspace that the rows do not cover; None if they cover it.
+        caution: The cautions of the calibration's verdict; None if there are none.
     """
 
     nominal: Geometry

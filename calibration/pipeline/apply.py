@@ -56,8 +56,7 @@ class CorrectedCommands:
         reasons: The reason why a target is not reached, by the index of the target.
         lines: Line of each target in its file.
         prismatic: For each joint, whether it is prismatic.
-        caution: A sentence on the parts of the workspace that the calibration's rows determine too little; None if
-            there are none.
+        caution: The cautions of the calibration's verdict; None if there are none.
     """
 
     targets: Array

@@ -510,13 +510,10 @@ class Calibration:
 
     @property
     def caution(self) -> str | None:
-        """A sentence on the parts of the workspace that the fitted rows determine too little; None if there are none.
-
-        It is the "reservation" of the record's "workspace".
-        """
-        workspace = self.record.get("workspace")
-        sentence = workspace.get("reservation") if isinstance(workspace, Mapping) else None
-        return None if sentence is None else str(sentence)
+        """The cautions of the verdict, to be read before use; None if there are none."""
+        verdict = self.record.get("verdict")
+        findings = verdict.get("findings", ()) if isinstance(verdict, Mapping) else ()
+        return "; ".join(str(row["text"]) for row in findings if row["weight"] == "caution") or None
 
     def reservations(self) -> dict[str, str]:
         """Return the reasons against using this calibration, by name; each is a sentence that says what to do.

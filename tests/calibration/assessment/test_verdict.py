@@ -88,6 +88,18 @@ def test_few_rows_are_judged_one_by_one(dynamic, tmp_path, count, frames, said):
     assert done.exit_code == (3 if "DO NOT" in said else 0) and done.stdout.startswith(f"verdict: {said}")
 
 
+def test_cautions_are_repeated_where_the_calibration_is_used(dynamic, tmp_path):
+    """Whatever the caution is about: here that held-out errors are larger than those of the fit."""
+    rng = np.random.default_rng(0)
+    data = simulated_tracker(dynamic, random_joints(dynamic.geometry, 7, rng), rng).write_csv(tmp_path / "few.csv")
+    out = tmp_path / "few.npz"
+    reason = call("calibrate", data, *PLAIN, "--out", out).stdout.splitlines()[0].partition("CARE: ")[2]
+    assert reason.startswith("held-out errors")
+    applied = call("apply", out, data, "--arm", "qiao2026", "--out", tmp_path / "commands.csv")
+    exported = call("export", out, "--out", tmp_path / "arm.toml")
+    assert all(f"caution: {reason}" in done.output.replace("\n    ", " ") for done in (applied, exported))
+
+
 @pytest.mark.parametrize(("frames", "said"), [("known", "holds one row, and none to judge by"), ("fitted", "too few")])
 def test_one_row_is_refused_in_a_sentence(dynamic, tmp_path, frames, said):
     rng = np.random.default_rng(0)
