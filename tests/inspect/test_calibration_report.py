@@ -20,6 +20,7 @@ from pickenv.calibration import (
 )
 from pickenv.calibration.assessment.quality import axis_errors
 from pickenv.calibration.assessment.screen import figure, unit_of
+from pickenv.calibration.identification.diagnosis import LeftOut
 from pickenv.calibration.identification.least_squares import is_angle
 from pickenv.inspect import PageTable, PageVerdict, Section, calibration_page, html_of, write_calibration_report
 from pickenv.inspect.runs.number_words import parameter_words
@@ -250,3 +251,21 @@ def test_the_arms_and_joints_names_are_no_markup(evidence):
     Page(text)
     assert "<script" not in text and text.count("</title>") == 1
     assert text.count("&lt;script&gt;") >= 2  # the title and the heading
+
+
+def test_names_of_files_arms_and_joints_stand_as_typed_beside_models_in_words(evidence):
+    """A short name of a model in them is no model: whoever looks for the file must find it."""
+    nominal = replace(evidence.arm.nominal, joint_names=tuple(f"GP+LS {i}" for i in range(6)))
+    file = "LS+GP day+1.csv"
+    named = replace(
+        evidence,
+        arm=replace(evidence.arm, name="my LS {arm}", nominal=nominal),
+        train=replace(evidence.train, source=file),
+        left_out=(LeftOut(file, 7, False, 1e-3),),
+        quality=replace(evidence.quality, reason=f"{file} tells little", findings=[("note", "rows of " + file)] * 2),
+    )
+    text = Page(calibration_page(named)).text
+    for words in ("Calibration of my LS {arm}", f"from {file};", f"{file}: row 7", f"{file} tells", f"Rows of {file}."):
+        assert words in text
+    assert "(my LS {arm})" in text and "offset along the axis of GP+LS 5" in text
+    assert "Gaussian process + least" not in text and "radial basis functions" in text

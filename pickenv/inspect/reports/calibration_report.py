@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from markupsafe import Markup, escape
 
 from pickenv.base import InputError, write_text
 from pickenv.calibration import Measurements, Observations, Result, random_joints
@@ -30,6 +31,8 @@ from pickenv.inspect.runs.run_folder import REPORT, Run, TakePicture, load_part,
 TONES = {"good": "good", "with care": "care", "do not use": "bad"}
 FURTHER = ("pictures", "uncertainty", "left_out", "terms", "stiffnesses", "harmonics", "residual_models")
 """Keys of the tables that get sections of their own, in the order of the page."""
+OF_MODELS = ("errors", "terms", "residual_models")
+"""Keys of the tables whose cells name models; cells of all others may name files and joints."""
 MAP_POSES = 6000
 """Number of random poses behind the map of predicted uncertainty."""
 
@@ -87,8 +90,8 @@ def calibration_page(result: Result, seeds: Mapping[str, Any] | None = None) -> 
     if result.held_out.blocks is not None:
         held_out = f"each judged without its block of the {result.held_out.rows}"
     return html_of(
-        f"Calibration of {result.arm.name}",
-        f"{len(train.joints)} {rows} from {Path(train.source).name}; {held_out}",
+        escape(f"Calibration of {result.arm.name}"),
+        escape(f"{len(train.joints)} {rows} from {Path(train.source).name}; {held_out}"),
         _verdict(result, test),
         sections,
         _origin(result, train, test, seeds or {}),
@@ -117,17 +120,19 @@ def _verdict(r: Result, test: Observations) -> PageVerdict:
     if attitudes and r.has_nominal:
         was, now = attitudes[0].mean, attitudes[-1].mean
         sentence += f" The attitude error falls from {figure(was)} to {figure(now)} deg."
-    text = "\n".join((f"{_sentence(quality.reason)} {_worth(r)}".strip(), sentence, _sentence(r.frames_text)))
-    findings = [(weight, _sentence(text)) for weight, text in quality.others]
+    paragraphs = (escape(_sentence(quality.reason)) + _worth(r), sentence, _sentence(r.frames_text))
+    text = Markup("\n").join(paragraphs)
+    findings = [(weight, escape(_sentence(text))) for weight, text in quality.others]
     return PageVerdict(TONES[quality.grade], TEXTS["verdicts"][quality.grade], text, findings)
 
 
-def _worth(r: Result) -> str:
+def _worth(r: Result) -> Markup:
     """Say whether the calibration changes picks, if all of the error were across the tool; empty where unknown."""
     if r.miss_unit != "mm" or not r.has_nominal or r.pixels is not None:
-        return ""
+        return Markup()
     mm = norms_mm(r.errors)
-    return matters(f"an arm with these errors ({r.arm.name})", pick_changes(mm[NOMINAL], list(mm.values())[-1]))
+    picks = matters("an arm with these errors ({})", pick_changes(mm[NOMINAL], list(mm.values())[-1]))
+    return Markup(" ") + escape(in_words(picks)).format(r.arm.name)
 
 
 def _tiles(r: Result) -> dict[str, str]:
@@ -153,7 +158,9 @@ def _sentence(text: str) -> str:
 
 def _table(block: Block, look: str = "") -> PageTable:
     """A block of the terminal's output as a table, with the block's note as caption."""
-    return PageTable(_sentence(in_words(block.note)), block.header, block.rows, look)
+    if block.key in OF_MODELS:
+        return PageTable(_sentence(in_words(block.note)), block.header, block.rows, look)
+    return PageTable(escape(_sentence(block.note)), block.header, [list(map(escape, row)) for row in block.rows], look)
 
 
 def _errors(r: Result, blocks: Mapping[str, Block]) -> Section:
@@ -183,7 +190,7 @@ def _parameters(r: Result) -> Section:
         bar = "" if name in unknowns else (change, float(np.nan_to_num(row["std"])), limit)
         narrowed = "" if row["narrowed"] is None else f"{100 * row['narrowed']:.0f} %"
         words = f"{figure(change)} ± {figure(row['std'])} {unit}"
-        return name, parameter_words(name, joints, links), words, bar, narrowed
+        return name, escape(parameter_words(name, joints, links)), words, bar, narrowed
 
     def table(caption: str, rows: Sequence[Mapping[str, Any]]) -> PageTable:
         return PageTable(caption, heads, [cells(row) for row in rows], "wide code")

@@ -1,6 +1,8 @@
 """The content of reports as data, and their rendering by templates as one HTML file without outside resources.
 
-The templates escape every text once. A page is light or dark like the reader's screen, and fit for print.
+The templates escape every text once, and spell out short names of models in it. Text with names of files, arms or
+joints is escaped before (`markupsafe.escape`), and reaches the page as it is. A page is light or dark like the reader's
+screen, and fit for print.
 """
 
 from __future__ import annotations
@@ -161,7 +163,7 @@ def _template() -> Template:
     environment.filters |= {
         "base64": packed,
         "drawn": lambda drawing: inline_svg(drawing.draw(), drawing.name),
-        "sentence": lambda text: Markup(escape(as_sentence(text))),
+        "sentence": lambda text: text if isinstance(text, Markup) else escape(as_sentence(text)),
         "kind": lambda part: type(part).__name__,
         "source": lambda name: Markup((HERE / name).read_text(encoding="utf-8")),
     }
