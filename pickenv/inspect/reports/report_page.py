@@ -160,13 +160,14 @@ def _template() -> Template:
     environment.policies["json.dumps_kwargs"] = {"separators": (",", ":"), "allow_nan": False}
     environment.globals |= {"library": library, "bar_place": bar_place}
     environment.globals |= {"largest": PIXELS_PER_POINT, "least": LEAST_PIXELS_PER_POINT}
-    environment.filters |= {
+    filters: dict[str, Callable[..., Any]] = {
         "base64": packed,
         "drawn": lambda drawing: inline_svg(drawing.draw(), drawing.name),
         "sentence": lambda text: text if isinstance(text, Markup) else escape(as_sentence(text)),
         "kind": lambda part: type(part).__name__,
         "source": lambda name: Markup((HERE / name).read_text(encoding="utf-8")),
     }
+    environment.filters |= filters
     return environment.get_template("page.html")
 
 
