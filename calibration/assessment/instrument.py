@@ -248,7 +248,7 @@ def set_up_block(set_ups: Sequence[Mapping[str, Any]], asked: str | None) -> Blo
         rows.append((str(set_up["number"]), ", ".join(set_up["files"]), str(set_up["rows"]), *cells))
     note = "as the rows tell" if asked is None else f"as asked by `stations='{asked}'`"
     heads = ("set-up", "files", "rows fitted", "its own base, away by", "its own tool, away by")
-    return Block("Set-ups", heads, tuple(rows), f"{note}; base2_x and the like are parameters of set-up 2")
+    return Block("Set-ups", heads, tuple(rows), note, "set_ups")
 
 
 def said_of_conditions(model: ArmModel, learnt: bool, data: Observations) -> Said:

@@ -389,9 +389,9 @@ class Stacked(Observations):
 
     @worked_out
     def source(self) -> str:
-        """Source of the first station's data, and how many more stations there are."""
-        more = len(self.stations) - 1
-        return self.parts[0].source + (f" and {more} more" if more else "")
+        """The first file of the stations, and how many more files they have."""
+        first, *others = dict.fromkeys(file for part in self.parts for file in origins_of(part).files)
+        return first + (f" and {len(others)} more" if others else "")
 
     @worked_out
     def kind(self) -> str:

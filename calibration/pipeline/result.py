@@ -7,6 +7,7 @@ its record. Units: mm and degrees in outputs, SI inside.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -393,8 +394,11 @@ class Result:
         return rows
 
     def plain_parameters(self) -> list[dict[str, Any]]:
-        """Return the entries of `parameters` except harmonics and compliances, which have tables of their own."""
-        return [row for row in self.parameters() if not row["name"].startswith(("periodic", "compliance"))]
+        """Return the entries of `parameters` except those that have tables of their own.
+
+        These are harmonics, compliances, and the frames of further set-ups; these count from an arbitrary start.
+        """
+        return [row for row in self.parameters() if not re.match(r"periodic|compliance|(base|tool)\d", row["name"])]
 
     def _parameters(self) -> screen.Block:
         every, rows = self.plain_parameters(), []

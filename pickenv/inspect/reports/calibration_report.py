@@ -29,7 +29,7 @@ from pickenv.inspect.runs.number_words import named_values, parameter_words
 from pickenv.inspect.runs.run_folder import REPORT, Run, TakePicture, load_part, unedited
 
 TONES = {"good": "good", "with care": "care", "do not use": "bad"}
-FURTHER = ("pictures", "uncertainty", "left_out", "terms", "stiffnesses", "harmonics", "residual_models")
+FURTHER = ("set_ups", "pictures", "uncertainty", "left_out", "terms", "stiffnesses", "harmonics", "residual_models")
 """Keys of the tables that get sections of their own, in the order of the page."""
 OF_MODELS = ("errors", "terms", "residual_models")
 """Keys of the tables whose cells name models; cells of all others may name files and joints."""

@@ -27,6 +27,7 @@ from pickenv.calibration import (
 )
 from pickenv.calibration.identification.robust import set_ups
 from pickenv.cli import app
+from pickenv.inspect import calibration_page
 
 PLAIN = Choices(terms="none", residual="none")
 NOISE = 1e-4
@@ -173,6 +174,17 @@ def test_the_command_prints_set_ups_with_their_files_and_keeps_them(ur5: Arm, tr
     assert judged.calibration.record["stations"] == judged.set_ups
     both = calibrate(ur5, files, test=[day(true, 4, THERE), day(true, 5)], choices=PLAIN)
     assert isinstance(both.test, Stacked) and [each.number for each in both.test.stations] == [1, 2]
+
+
+def test_a_page_names_all_files_and_has_no_change_from_an_arbitrary_start(ur5: Arm, true: Geometry) -> None:
+    """Where the second set-up stands is told from the first one; its frames have no nominal to differ from."""
+    result = calibrate(ur5, [day(true, 1), day(true, 3), day(true, 2, THERE)], choices=PLAIN)
+    page = calibration_page(result)
+    assert "pose measurements from day1.csv and 2 more;" in page
+    assert "day1.csv, day3.csv" in page and f"{result.set_ups[1]['own']['base']['mm']:.0f} mm" in page
+    names = {row["name"] for row in result.plain_parameters()}
+    assert {"base_x", "tool_z"} <= names and not any(name.startswith("base2") for name in names)
+    assert ">base2_x<" not in page
 
 
 def test_series_of_one_table_are_read_as_files(ur5: Arm, true: Geometry, tmp_path: Path) -> None:
