@@ -109,7 +109,7 @@ def left_out(calibration: Calibration, words: str = "not in the file, because no
 
 def xml_comment(lines: Iterable[str]) -> list[str]:
     """Return the lines of an XML comment that holds ``lines``."""
-    return ["<!--", *(one_line(line).replace("--", "- -") for line in lines), "-->"]
+    return ["<!--", *(re.sub("-(?=-)", "- ", one_line(line)) for line in lines), "-->"]
 
 
 # Editing XML as text: attributes of start tags are replaced, and every other byte stays as it is. Nothing is parsed

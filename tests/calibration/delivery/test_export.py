@@ -49,7 +49,7 @@ def test_any_corrected_arm_is_read_back_from_toml_and_urdf(tmp_path_factory, cal
         base=Pose(rng.normal(size=3), rotation_matrix(rng.normal(size=3))),
         tool=Pose(rng.normal(size=3) * 0.1, rotation_matrix(rng.normal(size=3))),
     )
-    odd = {**calibration.record, "source": 'C:\\data\\"odd" -- name\n.csv'}
+    odd = {**calibration.record, "source": 'C:\\data\\"odd" --- name\n.csv'}
     moved = replace(calibration, arm=chosen.nominal, model=ArmModel.of(geometry), learnt=None, record=odd)
     again = load_arm(export(moved, folder / "arm.toml", arm=chosen).path)
     joints = random_joints(geometry, 20, rng)
