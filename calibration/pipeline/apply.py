@@ -97,17 +97,23 @@ class CorrectedCommands:
 
     def report(self) -> str:
         """Return a summary in a few lines, which names the targets that cannot be reached."""
-        rows = self.reached if self.reached.any() else np.ones_like(self.reached)
+        lines = [f"{int(self.reached.sum())} of {len(self.reached)} targets can be reached"]
+        lines += self._expected() if self.reached.any() else []
+        lines += [] if self.caution is None else [f"  caution: {self.caution}"]
+        return "\n".join(lines + [f"  row {self.lines[i]}: {reason}" for i, reason in self.reasons.items()])
+
+    def _expected(self) -> list[str]:
+        """Lines on the errors that are expected at the targets that are reached."""
         parts = (self.before, self.remaining, self.impossible)
-        before, after, never = ([float(size[rows].mean()) for size in _sizes(error)] for error in parts)
+        before, after, never = ([float(size[self.reached].mean()) for size in _sizes(error)] for error in parts)
         lines = [
-            f"{int(self.reached.sum())} of {len(self.reached)} targets can be reached",
             f"  told the plain target, the arm would miss by {before[0]:.3f} mm and {before[1]:.4f} deg"
             " (mean, predicted)",
             f"  with the corrected commands {after[0]:.4f} mm and {after[1]:.4f} deg remain, of which "
             f"{never[1]:.4f} deg is a rotation that no joint motion removes",
         ]
-        sure, within = (None if size is None else size[rows] for size in (self.uncertainty[0], self.within95[0]))
+        position = (self.uncertainty[0], self.within95[0])
+        sure, within = (None if size is None else size[self.reached] for size in position)
         if sure is None:
             lines.append("  uncertainty unknown: this calibration file holds none; calibrate again to have it")
         else:
@@ -120,11 +126,7 @@ class CorrectedCommands:
                 f"  95 of 100 such commands end within {1e3 * np.median(within):.3f} mm (median of targets; "
                 f"{1e3 * np.max(within):.3f} mm at most), as counted on held-out rows"
             )
-        if self.caution is not None:
-            lines.append(f"  caution: {self.caution}")
-        for i, reason in self.reasons.items():
-            lines.append(f"  row {self.lines[i]}: {reason}")
-        return "\n".join(lines)
+        return lines
 
 
 def apply_calibration(
