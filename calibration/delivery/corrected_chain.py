@@ -431,7 +431,8 @@ def correction(calibration: Calibration, rows: Sequence[JointRow], path: Path, f
     """
     arm, robot, own = calibration.arm, calibration.in_own_base, rows[0]
     if arm.tree is not None:
-        calibration.refuse_another(arm_of(rows, path, "whole robot"), str(path))
+        with in_file(path):
+            calibration.refuse_another(arm_of(rows, path, "whole robot"))
         alike = identity_pose(), np.ones(arm.joints), np.zeros(arm.joints)
         moves, _ = corrected_origins(arm, robot, [row.joints for row in rows], alike)
         return Correction(moves, (moved_words(moves), *left_out(calibration, RIGID)))

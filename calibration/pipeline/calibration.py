@@ -451,8 +451,8 @@ class Calibration:
         """
         if self.arm_fingerprint != arm.fingerprint():
             raise InputError(
-                f"{name} belongs to arm '{self.arm_name}' with another geometry than '{arm.name}'; give `arm`, the "
-                "file that it was made with, or calibrate this arm"
+                f"{name} belongs to arm '{self.arm_name}' with another geometry than '{arm.name}'; give the file "
+                "that it was made with, or calibrate this arm"
             )
 
     @property

@@ -69,7 +69,7 @@ def test_another_arm_is_refused(path, qiao):
     ):
         Calibration.load(path, load_arm("ur5"))
     longer = replace(qiao, nominal=replace(qiao.nominal, a=qiao.nominal.a + 1e-6 * np.eye(6)[1]))
-    with pytest.raises(InputError, match="than 'qiao2026'; give `arm`, the file that it was made with"):
+    with pytest.raises(InputError, match="than 'qiao2026'; give the file that it was made with"):
         Calibration.load(path, longer)  # of the same name, as a maker's file of a shipped arm
 
 

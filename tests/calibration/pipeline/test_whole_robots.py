@@ -229,7 +229,7 @@ def test_a_whole_robot_compensates_no_tool(second: tuple[Path, Robot, Result], t
     with pytest.raises(InputError, match="goes onto its own URDF or MJCF; give that file as `onto`"):
         pickenv.calibration.export(result.calibration, tmp_path / "new.toml")
     (tmp_path / "other.urdf").write_text(drawn_robot(np.random.default_rng(9)).urdf(), encoding="utf-8")
-    with pytest.raises(InputError, match="another geometry"):
+    with pytest.raises(InputError, match=r"urdf: the calibration belongs to arm 'torso' with another geometry"):
         pickenv.calibration.export(result.calibration, tmp_path / "new.urdf", onto=tmp_path / "other.urdf")
 
 
