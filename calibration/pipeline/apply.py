@@ -170,7 +170,7 @@ def apply_calibration(
         wanted_joints = solution.joints
         poses = targets.pose if frame == "instrument" else _carried(targets.pose, arm.nominal, calibration.nominal)
         for i in np.flatnonzero(~solution.reached):
-            missed = np.degrees(solution.attitude_error[i] - solution.noncompensable_attitude[i])
+            missed = np.degrees(solution.attitude_error[i])
             reasons[int(i)] = (
                 f"no joints within the limits reach this pose; the nearest miss it by "
                 f"{solution.position_error[i] * 1e3:.3g} mm and {missed:.3g} deg"
