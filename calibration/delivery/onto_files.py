@@ -84,7 +84,10 @@ def toml_document(calibration: Calibration, order: document.Order) -> document.D
     for key, pose in (("base", geometry.base), ("tool", geometry.tool)):
         vector = np.degrees(rotation_vector(pose.rotation))
         lines += ["", f"[{key}]", *_entries({"position_mm": pose.position * 1e3, "rotation_vector_deg": vector})]
-    return document.Document(("\n".join(lines) + "\n").encode(), tuple(document.left_out(calibration)))
+    notes = document.left_out(calibration)
+    if calibration.record.get("frames") == "fitted":
+        notes.append("base and tool were fitted: [base] is seen by the instrument, and [tool] is its target")
+    return document.Document(("\n".join(lines) + "\n").encode(), tuple(notes))
 
 
 def _leading_tables(geometry: Geometry) -> list[int]:

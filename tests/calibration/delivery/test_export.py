@@ -61,6 +61,8 @@ def test_any_corrected_arm_is_read_back_from_toml_and_urdf(tmp_path_factory, cal
     for frames, standing in (("known", geometry), ("fitted", fitted)):
         one = replace(moved, record={**odd, "frames": frames})
         urdf = export(one, folder / f"{frames}.urdf", arm=chosen).path
+        told = any("its target" in note for note in export(one, folder / "arm.toml", arm=chosen).notes)
+        assert told == (frames == "fitted")  # an arm file keeps both frames as they were found
         same_kinematics(load_arm(f"{urdf}#tool").nominal, standing, joints, 1e-9)
 
 
