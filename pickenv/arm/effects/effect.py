@@ -177,7 +177,7 @@ class Effect:
         cls.remembers = cls.carry is not Effect.carry
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Apply the effect to a command, in place; by default, append the effect to ``at.bends``.
+        """Apply the effect to a command's passage, in place; by default, append the effect to ``at.bends``.
 
         Args:
             at: The command's passage, which is changed in place.
@@ -200,7 +200,7 @@ class Effect:
         return ()
 
     def rest(self, at: Passage) -> Components:
-        """Return the limit of the effect's memory when ``at.command`` is held for ever, independent of the history."""
+        """Return the limit of the effect's memory if ``at.command`` is held for ever, whatever happened before."""
         return self.begin(at)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:

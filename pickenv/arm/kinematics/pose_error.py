@@ -73,7 +73,7 @@ def rotation_between(m: ModuleType, reference: Scalars, actual: Scalars) -> tupl
 
 
 def _turn(reference: Scalars, actual: Scalars) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
-    """sin(angle) times the axis of R_actual R_reference^T, and that matrix's diagonal."""
+    """Return sin(angle) times the axis of R = R_actual R_reference^T, and the diagonal of R, three components each."""
     axx, axy, axz, ayx, ayy, ayz, azx, azy, azz = actual[:9]
     bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz = reference[:9]
     # The first is half the sum of the cross products of corresponding axes.

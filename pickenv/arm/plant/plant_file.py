@@ -38,7 +38,7 @@ NAMED = toml_tables.Check(lambda value: isinstance(value, str), "the name of a s
 
 
 def _arm(name: Any, context: Any) -> Arm:
-    """The arm that a plant file names, which is also put into the context, for what is read after it."""
+    """Return the arm that a plant file names, and store it in ``context`` for the tables that are read later."""
     context["arm"] = arm = one_link_per_joint(load_arm(name))
     return arm
 
@@ -163,7 +163,10 @@ def plant_times(plant: Plant, times: Mapping[str, float]) -> Plant:
 
 
 def _multiplied(thing: Any, path: str, factor: float) -> Any:
-    """A record (or each of a tuple of records) with the number, or all numbers, at ``path`` multiplied."""
+    """Return a dataclass object, or a tuple of them, with the number or numbers at ``path`` multiplied by ``factor``.
+
+    ``path`` consists of attribute names with dots between.
+    """
     if isinstance(thing, tuple):
         return tuple(_multiplied(part, path, factor) for part in thing)
     if not path:
@@ -302,14 +305,14 @@ def rods(arm: Arm) -> Load:
 
 
 def _largest_torques(arm: Arm, load: Load) -> Array:
-    """The largest gravity torque or force on each joint ``(n,)``, without sign, N*m or N."""
+    """Return the largest magnitude of the gravity torque or force on each joint ``(n,)``, N*m or N."""
     chain = chain_of(arm.nominal)
     torques = gravity_torques(chain, frames(np, chain, list(halton_joints(arm.nominal, SAMPLES).T)), load)
     return np.array([np.abs(torque).max() for torque in torques])
 
 
 def _split(name: str | Path) -> tuple[str, str]:
-    """The tolerance class, and the arm or plant, that a name names; the class is empty for a plain name or path."""
+    """Split a plant's name into its tolerance class or "ideal", empty if it has none, and the arm's or plant's name."""
     kind, colon, arm_name = str(name).partition(":")
     if kind == IDEAL or (colon and (kind in shipped_tolerances() or kind.endswith(".toml"))):
         return kind, arm_name or FIRST_ARM
@@ -320,7 +323,7 @@ def _split(name: str | Path) -> tuple[str, str]:
 
 
 def _design(name: str, tolerances: Tolerances) -> Plant:
-    """The plant called ``name``; or else a plant of the arm called so, with effects sized by the class."""
+    """Return the plant called ``name``, or else a plant of the arm ``name`` with effects sized by the class."""
     file = name.partition("#")[0]
     plant_file = file.endswith(".toml") and is_file(file) and "arm" in toml_tables.toml_of(file)[0]
     if plant_file or file in shipped_plants() or name.endswith(".npz"):

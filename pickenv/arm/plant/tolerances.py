@@ -220,7 +220,10 @@ def random_columns(plant: Plant) -> dict[str, range]:
 
 
 def _deviation(tolerances: Tolerances, even: Array) -> Array:
-    """Deviations as shares of the half-width of the tolerance zone: from -1 to 1 where the class draws evenly."""
+    """Return deviations as shares of the half-width of the tolerance zone, from uniform random numbers 0 to 1.
+
+    They are from -1 to 1 for a uniform distribution; a normal one has the zone's edges at three standard deviations.
+    """
     return 2.0 * even - 1.0 if tolerances.distribution == "uniform" else standard_normal_of(even) / 3.0
 
 
