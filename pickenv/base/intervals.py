@@ -89,9 +89,9 @@ def ordered_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
 
     The standard error of the mean is estimated from the first few cosine coefficients of the series. Standard error and
     coefficients both grow with the correlation of neighbours (Mueller and Watson 2008, Econometrica 76). The critical
-    value is computed as by Mueller and Watson (2022, Econometrica 90), for the largest correlation, `MOST_ALIKE`. For
-    such values the interval of `mean_interval` is a little more than half as wide, and covers the mean in only 69 % of
-    samples.
+    value is computed as by Mueller and Watson (2022, Econometrica 90), for the largest correlation, `MOST_ALIKE`. With
+    this correlation, the interval of `mean_interval` is a little more than half as wide as this one, and covers the
+    mean in only 69 % of samples.
 
     Args:
         values: The values in the order of time, such as one per block of contiguous poses of a file.

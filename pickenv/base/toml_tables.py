@@ -242,7 +242,7 @@ ONCE = afterwards(lambda values: 0 < len(set(values)) == len(values), "a list of
 """Annotation of a list that is not empty and has no entry twice."""
 
 IN_ORDER = afterwards(lambda ends: ends[0] <= ends[1], "the lower number first")
-"""Annotation of a range whose end is not below its beginning."""
+"""Annotation of a range (two numbers, which may be equal) with the lower number first."""
 
 LINE = Check(lambda value: isinstance(value, str) and value.isprintable(), "a text of one line")
 
