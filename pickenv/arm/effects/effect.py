@@ -62,11 +62,11 @@ class Passage:
         self._frame: Frame | None = None
 
     def turn(self, motor: Scalars) -> None:
-        """Set the positions of the motors, and with them those of the drives and the joints (n components)."""
+        """Set the positions of the motors (n components), and set drives and joints to the same positions."""
         self.motor = self.driven = self.joints = motor
 
     def drive(self, driven: Scalars) -> None:
-        """Set the positions of the drives, and with them those of the joints (n components), but not of the motors."""
+        """Set the positions of the drives (n components), and set the joints, but not the motors, to the same."""
         self.driven = self.joints = driven
 
     @property

@@ -478,7 +478,7 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
         return ""
 
     def drawn(self, draws: Draws) -> SlideCompliance:
-        """Return the slides of many arms, with the stiffness of their bearings drawn about this effect's."""
+        """Return the slides of many arms, the stiffness of their bearings drawn about this effect's values."""
         stiffness = [bearing.stiffness for bearing in self.bearings]
         pairs = zip(self.bearings, draws.scaled(stiffness, "bearing_stiffness", spread="joint_stiffness"), strict=True)
         return SlideCompliance(tuple(replace(bearing, stiffness=size) for bearing, size in pairs))

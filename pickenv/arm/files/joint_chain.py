@@ -1,10 +1,10 @@
 """Functions that the readers and writers of URDF and MJCF share: find a robot's flange, and make joints a `Geometry`.
 
-A joint that follows another does not count as a joint of the arm. The joint that it follows moves its link too
-(`pickenv.arm.kinematics.geometry.Coupling`), whether that joint is in the chain or beside it. Consecutive slides that
-one joint moves are equivalent to one slide, whose motion is the sum of the slides' motions; so two stages of a lift
-become one link. Offsets become part of the zero position. A joint's limits and speed are narrowed until all links that
-it moves allow them. Metres and radians.
+A joint that follows another does not count as a joint of the arm. The followed joint, in the chain or beside it, moves
+the links of both (`pickenv.arm.kinematics.geometry.Coupling`). Consecutive slides that one joint moves are equivalent
+to one slide, whose motion is the sum of the slides' motions; so two stages of a lift become one link. Offsets become
+part of the zero position. A joint's limits and speed are narrowed until all links that it moves allow them. Metres and
+radians.
 """
 
 from __future__ import annotations

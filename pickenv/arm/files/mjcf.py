@@ -1,11 +1,11 @@
 """Read and write MJCF. The hinges and slides between the world and a body or a site can be read as a `Geometry`.
 
-Poses are read as MuJoCo 3 reads them: pos with quat, axisangle, euler, xyaxes or zaxis. So are compiler angle and
-eulerseq, default classes, childclass, frames, several joints on a body, ref, and included files. A joint that an
+Files are read as MuJoCo 3 reads them: pos with quat, axisangle, euler, xyaxes or zaxis; compiler angle and eulerseq,
+default classes, childclass, frames, several joints on a body, ref, and included files. A joint that an
 equality constraint ties to another joint follows that joint. A constraint that closes a loop through the chain is
 refused.
 
-A `Geometry` is in metres and radians. MJCF has no joint speeds; 1 rad/s and 1 m/s are taken.
+A `Geometry` is in metres and radians. MJCF has no joint speeds; 1 rad/s and 1 m/s are used.
 """
 
 from __future__ import annotations

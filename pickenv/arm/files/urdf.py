@@ -1,7 +1,7 @@
 """Read and write URDF. Any chain of revolute, continuous, prismatic and fixed joints can be read as a `Geometry`.
 
-A joint that mimics another does not count as a joint of the arm; the joint that it follows moves its link too. By
-default the tip is the flange (`pickenv.arm.files.joint_chain.flange`), and the arm's source says so.
+A joint that mimics another does not count as a joint of the arm; the mimicked joint moves the links of both. By default
+the tip is the flange (`pickenv.arm.files.joint_chain.flange`), and the arm's source says so.
 
 Lengths in metres and angles in radians, as URDF has them; rpy is rotation about fixed x, y, z axes.
 """

@@ -1,7 +1,7 @@
 """Differences of poses: position in metres and attitude as a rotation vector, both in world axes.
 
 Formulas take components (floats, NumPy arrays or torch tensors, see `pickenv.arm.kinematics.forward`). Functions of
-`Pose` call these formulas. Euler angles are never used: they inflate attitude errors (Qiao 2026 digest, fact 10).
+`Pose` call these formulas. Euler angles are never used, because their differences exaggerate attitude errors.
 """
 
 from __future__ import annotations

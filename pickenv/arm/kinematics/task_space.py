@@ -224,7 +224,7 @@ def noncompensable_error(
     """Compute the part ``(..., 6)`` of a pose error that no small joint motion removes.
 
     It is what remains of the error after the joint motion that makes the weighted error smallest. For the picking arm
-    this part is a rotation about z1 x z5 (Qiao 2026 digest, fact 4).
+    this part is a rotation about z1 x z5, because J1, J2 and J4 are parallel, and so are J5 and J6.
 
     Args:
         geometry: The arm.

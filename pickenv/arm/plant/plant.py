@@ -40,7 +40,7 @@ class Unmeasured:
     Attributes:
         name: Name of the group.
         constants: Attributes of effects, such as "base_tilt.stiffness".
-        times: Least and largest factor; it is uniform between them.
+        times: Least and largest factor; the factor is uniform between the two.
         source: Reason for this range.
     """
 
@@ -74,7 +74,7 @@ class Layout:
 
     @property
     def sizes(self) -> tuple[int, int]:
-        """Number of coefficients of the periodic errors, and number of those of the gravity terms."""
+        """Number of coefficients of periodic errors, and number of coefficients of gravity terms."""
         return 2 * len(self.harmonics), len(self.moments)
 
 

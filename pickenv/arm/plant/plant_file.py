@@ -94,7 +94,8 @@ def shipped_plants() -> list[str]:
 def read_plant(name: str | Path) -> Plant:
     """Read a plant (a simulated true arm) by a preset's name, from a TOML file, or from a calibrated arm's file (.npz).
 
-    A TOML file names an arm. The plant's true geometry is the one in that arm's file; if it has none, the nominal one.
+    A TOML file names an arm. The plant's true geometry is the arm's true geometry, or the nominal one if the arm's file
+    gives no other.
 
     Args:
         name: Name or path. It may end in "#" and the number of a draw of unmeasured constants, as in `load_plant`.
@@ -205,7 +206,7 @@ IDEAL = "ideal"
 """Name of the plant without any error, whose true geometry is the nominal one."""
 
 FIRST_ARM = "qiao2026"
-"""Arm or plant that is taken if a plant's name is only "ideal" or "CLASS:", without an arm."""
+"""Arm or plant that is used if a plant's name is only "ideal" or "CLASS:", without an arm."""
 
 SAMPLES = 2**10
 """Number of poses from which a joint's largest gravity torque is computed."""
@@ -323,7 +324,7 @@ def _split(name: str | Path) -> tuple[str, str]:
 
 
 def _design(name: str, tolerances: Tolerances) -> Plant:
-    """Return the plant called ``name``, or else a plant of the arm ``name`` with effects sized by the class."""
+    """Return the plant ``name``, or else a plant of the arm ``name`` with effects sized by the tolerance class."""
     file = name.partition("#")[0]
     plant_file = file.endswith(".toml") and is_file(file) and "arm" in toml_tables.toml_of(file)[0]
     if plant_file or file in shipped_plants() or name.endswith(".npz"):

@@ -128,9 +128,9 @@ def load_tolerances(name: str | Path) -> Tolerances:
 def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random.Generator) -> Plant:
     """Draw ``count`` different true arms of one design, as one plant whose numbers are arrays.
 
-    Link parameters are drawn about the nominal geometry, effect sizes about those of ``plant``. Arm i
-    has its own random stream, child i of ``rng``. The arm therefore does not depend on ``count``, nor on which effects
-    are on, except for effects with random numbers of their own: these take the last numbers of the stream.
+    Link parameters are drawn about the nominal geometry, effect sizes about those of ``plant``. Arm i has its own
+    random stream, child i of ``rng``. The arm therefore does not depend on ``count``, nor on which effects are on,
+    except for effects with random numbers of their own: these take the last numbers of the stream.
 
     If the plant was made from a calibration, the arms are drawn from the calibration's posterior distribution. The
     parameters that its data do not identify are drawn within their tolerances about the identified values.

@@ -1,9 +1,9 @@
 """Twins, that is plants made from a calibration's posterior distribution, and their files (.npz with a checksum).
 
 A twin is the identified arm; arms can also be drawn from the posterior. The identified base and tool are transformed
-from the instrument's frame into the arm's own frame: base B_own B_aligned^-1 B, tool T T_aligned^-1 T_own. The arm's
-errors relative to its nominal geometry are then those that were measured relative to the aligned nominal geometry.
-SI units.
+from the instrument's frame into the arm's own frame: base B_own B_aligned^-1 B, tool T T_aligned^-1 T_own, with the
+nominal arm's B_own and T_own. The arm's errors relative to its nominal geometry are then those that were measured
+relative to the aligned nominal geometry. SI units.
 """
 
 from __future__ import annotations
