@@ -1,9 +1,8 @@
 """Read and write MJCF. The hinges and slides between the world and a body or a site can be read as a `Geometry`.
 
 Files are read as MuJoCo 3 reads them: pos with quat, axisangle, euler, xyaxes or zaxis; compiler angle and eulerseq,
-default classes, childclass, frames, several joints on a body, ref, and included files. A joint that an
-equality constraint ties to another joint follows that joint. A constraint that closes a loop through the chain is
-refused.
+default classes, childclass, frames, several joints on a body, ref, and included files. A joint that an equality
+constraint ties to another joint follows that joint. A constraint that closes a loop through the chain is refused.
 
 A `Geometry` is in metres and radians. MJCF has no joint speeds; 1 rad/s and 1 m/s are used.
 """
