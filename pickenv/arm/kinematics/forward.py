@@ -33,15 +33,15 @@ kilometres, if a file rounds half a turn to 3.1416.
 """
 
 SKEW = 0.7
-"""Axes with a shorter cross product count as skew; if they are far apart, their angle goes into beta too.
+"""The angle of axes with a shorter cross product goes into beta too, if they are far apart at the first one's frame.
 
-A small tilt of one of them moves the feet of the common normal far along both axes: by the normal's length times the
-tilt / sine^2. With beta, the link runs straight to the other axis instead. Then a displacement of that axis only turns
+A small tilt of one axis moves the feet of the common normal far along both: by the normal's length times the tilt /
+sine^2. With beta, the link runs straight across to the other axis instead. Then a displacement of that axis only turns
 the link, by the displacement / distance.
 """
 
 TILT_LEVER = 0.15
-"""Skew axes are far apart if their distance exceeds this length, m, times the sine of their angle.
+"""Axes are far apart if the next one is farther, straight across, than this length, m, times the sine of their angle.
 
 It is a part's tolerance of length divided by its tolerance of angle.
 """
@@ -103,8 +103,8 @@ def geometry_from_axes(
 def _common_normal(near: Array, z: Array, point: Array, next_z: Array, previous: Array) -> tuple[Array, Array]:
     """Return origin and x direction of the frame on axis (near, z), from its common normal with axis (point, next_z).
 
-    For parallel axes, and for skew axes whose angle goes into beta, the origin is ``near``. If the axes coincide, x is
-    as near to ``previous`` as possible.
+    For parallel axes, and for axes whose angle goes into beta, the origin is ``near``. If the axes coincide, x is as
+    near to ``previous`` as possible.
     """
     cross = np.cross(z, next_z)
     if (sine := float(np.linalg.norm(cross))) < PARALLEL:  # any normal will do: take the one at ``near``

@@ -1,8 +1,8 @@
 """An arm as a serial chain of revolute and prismatic joints in modified DH parameters, with base and tool poses.
 
 Link i is T(i-1,i) = Rot(x, alpha) Trans(x, a) Rot(y, beta) Rot(z, theta) Trans(z, d): Qiao 2026 eq (1), with Hayati's
-beta added. Beta is for consecutive axes that are nearly parallel, or far apart and inclined by less than 45 degrees; it
-is zero in every shipped table. Units: metres and radians.
+beta added. Beta is for consecutive axes inclined by less than 45 degrees, unless they nearly meet at the first one's
+frame; it is zero in every shipped table. Units: metres and radians.
 
 One drive may move several links (a two-stage lift, a parallelogram), so there may be more links than joints. The link
 table has a row per link. Joint values, names and limits belong to the commanded joints (`Coupling`).
