@@ -1,9 +1,9 @@
 """The work of one zone as a scheduling problem: which arm can pick which fruit, in what time, and which picks conflict.
 
 A pick begins with travel: the arm moves up or down, straight ahead and at its shortest. Its excursion follows: the arm
-swings and stretches below the fruit, rises, senses, cuts, swings back and draws in. Travel is safe. Only excursions of
-different arms can meet. What an arm does at each time of a timetable, and what its rangers then measure, follows from
-the same moves. Units: m, rad, s.
+swings and stretches below the fruit, rises, senses, cuts, swings back and draws in. Arms cannot meet during travel,
+only during excursions. The same moves give each arm's joints at each time of a timetable, and the distances that its
+rangers then measure. Units: m, rad, s.
 """
 
 from __future__ import annotations
@@ -307,7 +307,7 @@ def _share(time: Array, moves: Array, speed: Array, acceleration: Array, total: 
 
 
 def closest_approach(machine: Machine, work: Work, times: Timetable, step: float = 0.1) -> float:
-    """Least distance between the centre lines of two arms over a timetable, m; infinite with one arm or without picks.
+    """Return the least distance between centre lines of two arms in a timetable, m; inf with one arm or no picks.
 
     Args:
         machine: The machine.
