@@ -33,13 +33,12 @@ from pickenv.calibration.model.prior import ANGLES, FRAMES, LENGTHS, TERMS, ZERO
 # interval follows from an assumption that is printed with it. SI units.
 
 DRAWS = 400
-"""Number of random bases and tools that are drawn for the interval."""
+"""Number of random bases and tools from which the interval of a `BaseFrameError` is computed."""
 
 SCALES = (0.2, 1.0)
-"""Smallest and largest assumed standard deviation of the true base and tool from those of the controller, per axis.
+"""Smallest and largest standard deviation, mm and mrad per axis, of the true base and tool about the controller's.
 
-They are in units of 1 mm and 1 mrad. Between them, the logarithm of the standard deviation is drawn from a uniform
-distribution.
+Each draw takes a standard deviation between the two; its logarithm is uniformly distributed.
 """
 
 NEAR = 0.05
@@ -309,7 +308,7 @@ STEPS = np.linspace(0.1, 0.9, 17)
 """Quantiles of a joint's values at which a step of the errors is tried."""
 
 POSES = 200
-"""Number of random joint vectors over which a motion of the whole arm is computed."""
+"""Number of random joint vectors at which parameter changes are projected onto a motion of the base or the tool."""
 
 
 def said_against(found: Identification, data: Observations) -> Said:

@@ -43,7 +43,7 @@ MANY_NOISES = 20.0
 NOT_CONVERGED = "the identification did not converge, so its parameters mean nothing"
 
 ENOUGH, SEVERAL = 3, 10
-"""Smallest numbers of held-out rows: to judge a calibration, and to contradict a gain that all rows together show."""
+"""Smallest numbers of held-out rows: `ENOUGH` to judge a calibration, `SEVERAL` to check a gain that all rows show."""
 
 Grade = Literal["good", "with care", "do not use"]
 
@@ -204,7 +204,7 @@ class Workspace:
 
     @property
     def reservation(self) -> str | None:
-        """A sentence that says why the calibration is not reliable in the declared workspace; None if it is."""
+        """A sentence that says why the calibration is unreliable in the declared workspace; None if it is reliable."""
         over = self.declared
         if over.calibrated < HARDLY * self.remains:
             return None
@@ -374,8 +374,8 @@ def grade_quality(
         found: The identification.
         trained: Errors on the fitted rows without a learnt residual: ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad.
         before: Held-out errors of the nominal arm: ``(M, 6)``, ``(M, 3)`` or ``(M, 1)``, m and rad. Unless base and
-            tool are known, they were fitted first. None if there is no nominal arm, because tool poses were given in
-            place of joint values.
+            tool are known, those of the nominal arm were fitted first. None if there is no nominal arm, because tool
+            poses were given in place of joint values.
         after: Held-out errors of the calibrated arm, in the shape of ``before``.
         workspace: Expected errors where rows were measured and where the arm will work.
         geometric: The identification of the geometry alone, from which observability is computed; ``found`` if None.
@@ -385,7 +385,7 @@ def grade_quality(
             needed if errors of one block or row are correlated.
         said: Further findings, each a weight and a sentence.
         unit: The unit in which errors are shown: "mm", or "deg" if the errors are angles in rad.
-        rows: Number of held-out rows, and what sentences call them. If None, "rows", one for each error.
+        rows: Number of held-out rows, and the word for them in sentences. If None, the number of errors and "rows".
     """
     count, called = rows or (len(after), "rows")
     bare = geometric or found
@@ -478,7 +478,7 @@ def _cause(found: Identification, before: Array, after: Array, unlearnt: Array, 
 def _chance(before: Array, after: Array, blocks: Rows | None) -> float:
     """Compute the p-value of the gain from ``before`` to ``after`` if both arms were equally good.
 
-    It is that of a one-sided paired t test over poses, or over blocks if they are given.
+    The test is a one-sided paired t test over poses, or over blocks if they are given.
     """
     gain = np.linalg.norm(before[:, :3], axis=1) - np.linalg.norm(after[:, :3], axis=1)
     if blocks is not None:
