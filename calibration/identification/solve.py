@@ -184,7 +184,7 @@ def averaged_over_scales(
 
 
 def leverages(columns: Array) -> Array:
-    """Leverage of each equation in a fit ``(E,)``, if every parameter's prior is the standard normal distribution.
+    """Compute the leverage of each equation ``(E,)`` in a fit in which every parameter has a standard normal prior.
 
     Args:
         columns: Whitened derivatives ``(E, P)``, in units of the priors' standard deviations.
@@ -194,7 +194,7 @@ def leverages(columns: Array) -> Array:
 
 
 def _settled(before: tuple[RowNoise, dict[str, float]], after: tuple[RowNoise, dict[str, float]]) -> bool:
-    """Whether neither noise nor scales have changed by more than `SETTLED`."""
+    """Return whether noise and scales have both changed by no more than `SETTLED`."""
     (old, old_scales), (new, new_scales) = before, after
     values = [np.log(new.scatter / old.scatter), np.log(new.channels / old.channels)]
     values += [np.log([new_scales[name] / old_scales.get(name, 1.0) for name in new_scales] or [1.0])]
