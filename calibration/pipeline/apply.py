@@ -220,7 +220,7 @@ def apply_calibration(
 
 
 def _sizes(errors: Array) -> tuple[Array, Array]:
-    """Sizes ``(N,)`` of the position and attitude parts of pose errors ``(N, 6)``, mm and deg."""
+    """Return sizes ``(N,)``, mm and deg, of the position and attitude parts of pose errors ``(N, 6)``, m and rad."""
     return np.linalg.norm(errors[:, :3], axis=1) * 1e3, np.degrees(np.linalg.norm(errors[:, 3:], axis=1))
 
 
@@ -254,6 +254,6 @@ def toward(compensator: Compensator, wanted: Pose, start: Array) -> Array:
 
 
 def _carried(pose: Pose, believed: Geometry, fitted: Geometry) -> Pose:
-    """A tool pose from the controller's frame, expressed in the instrument's frame for the fitted tool."""
+    """Express a tool pose that is given in the controller's frame in the instrument's frame, for the fitted tool."""
     flange = behind(behind(inverse_pose(believed.base), pose), inverse_pose(believed.tool))
     return behind(behind(fitted.base, flange), fitted.tool)

@@ -102,7 +102,7 @@ def refuse_options(train: Observations, choices: Choices) -> None:
 
 
 def _refuse_idle(choices: Choices, arm: Arm) -> None:
-    """Refuse options that another option, or tool poses in place of joint values, leave without effect.
+    """Refuse options that have no effect, because of another option or of tool poses in place of joint values.
 
     Raises:
         InputError: If such an option is set; the message names it.
@@ -123,7 +123,7 @@ Data = Observations | str | Path | Sequence[str | Path] | Sequence[Observations]
 Columns = str | Path | Sequence[str | Path] | None
 """Name or path of a description of the files' columns, or several of these, one for each file.
 
-None means our own columns.
+None means pickenv's own columns.
 """
 
 STATIONS: dict[str, tuple[str, ...]] = {"none": (), "base": ("base",), "tool": ("tool",), "base,tool": OWN}
@@ -211,7 +211,7 @@ def pool_of(path: str | Path, geometry: Geometry, columns: str | Path | None = N
     """Read candidate poses from a file: joints ``(N, n)``, rad or m, and the line of each pose in the file ``(N,)``.
 
     Args:
-        path: Without ``columns``, a file of joint targets or tool poses in our own columns; else a measurement file.
+        path: Without ``columns``, a file of joint targets or tool poses in pickenv's columns; else a measurement file.
         geometry: The arm's nominal geometry.
         columns: Description of the measurement file's columns.
 
@@ -385,7 +385,7 @@ def calibrate(
         arm: The arm, its name, or its file (`pickenv.arm.load_arm`); None if the files hold tool poses in place of
             joint values.
         data: One data set of any kind or several, or the files that hold them (CSV or YAML).
-        columns: Name or path of a description of the files' columns, or one for each file. None for our own columns.
+        columns: Name or path of a description of the files' columns, or one for each file. None for pickenv's own.
         stations: Which frames differ between files or data sets: "base", "tool", "base,tool" or "none". If None, files
             of poses or positions are grouped into set-ups by their rows. For other kinds of measurement, files that
             share a description are then one data set, and each data set has its own base and tool.
@@ -457,8 +457,8 @@ def _assessed(draft: Draft, held_out: fitting.HeldOut) -> Result:
 def _judged_by_blocks(draft: Draft) -> Result:
     """Calibrate with all rows, and judge each block by a calibration that the same stages make from the other blocks.
 
-    Terms are chosen anew without each block. Residual models are chosen only twice, on the odd and on the even blocks,
-    since to choose one for every block would take ten times as long; a block takes the choice that it had no part in.
+    Terms are chosen anew without each block. A choice of residual models for each block would take too long, so they
+    are chosen only twice, on the odd and on the even blocks. Each block takes the choice made without it.
     """
     checked = _check(draft)
     complete = _fitted(checked)
@@ -491,7 +491,7 @@ def _judged_by_blocks(draft: Draft) -> Result:
 def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
     """Return for each block the rows to fit and the rows held out.
 
-    With few pictures or poses, a block is one of them from each group.
+    With few pictures or poses, a block is one picture or pose of each group (`Observations.groups`).
     """
     poses, count = observations.same_poses(train.joints), pose_count(train.joints)
     few = count <= (FEW_VIEWS if train.kind == "pixels" else FEW_ROWS)
@@ -514,7 +514,7 @@ def _chosen(checked: Draft, rows: Rows) -> str | None:
 def _check(draft: Draft) -> Draft:
     """Refuse options that do not apply, and leave out outlier rows.
 
-    A named residual model is refused, unless it is forced, if too few rows are left to judge it.
+    A named residual model that is not forced is refused if too few rows are left to judge it.
     """
     choices, train, test = draft.choices, draft.train, draft.test
     if choices.frames is not None and choices.frames not in FRAMES:
