@@ -2,7 +2,7 @@
 
 It names separator, decimal sign, units, conventions and uncertainties. One of its sections says what was measured:
 [position] (poses, if [rotation] is there too), [reflectors], [wire], [touches] and so on. The folder `descriptions`
-holds those that are shipped.
+holds the descriptions that come with pickenv.
 """
 
 from __future__ import annotations
@@ -246,9 +246,9 @@ class PixelsTable:
 class TargetTable:
     """Section [target]: positions of points on a rigid target, in the target's own frame, and the points' numbers.
 
-    For a body with tags on its faces, the points are the corners of all tags. Without ``numbers``, they count from 0.
-    If ``dictionary`` names the tags' kind, they are found in pictures: the four corners of tag k, clockwise as OpenCV
-    finds them, then have the numbers 4 k to 4 k + 3.
+    For a body with tags on its faces, the points are the corners of all tags. Without ``numbers``, points are numbered
+    from 0. If ``dictionary`` names the tags' kind, the tags are found in pictures: the four corners of tag k, clockwise
+    as OpenCV finds them, then have the numbers 4 k to 4 k + 3.
     """
 
     points: Annotated[tuple[float, ...], MM]
@@ -349,7 +349,7 @@ class PosesTable:
 
     @property
     def attitudes(self) -> RotationTable:
-        """The columns of the attitude as a section of their own; for a quaternion, the unit is of no account."""
+        """The columns of the attitude as a section of their own; for a quaternion, the unit has no effect."""
         return RotationTable(self.rotation_columns, self.rotation_unit, self.convention)
 
 
@@ -657,7 +657,7 @@ def description_path(name: str | Path) -> Path:
 
 
 def _refuse_repeats(description: DescriptionFile, path: Path) -> None:
-    """Refuse a description that gives one column for two quantities, which a fit need not reveal.
+    """Refuse a description that gives one column for two quantities, a fault that a fit may not reveal.
 
     Raises:
         InputError: If a column is given twice; the message names it and both its uses.
