@@ -30,7 +30,7 @@ SIGNIFICANCE = 0.05
 """Significance level of the tests."""
 
 SAME = 1e-9
-"""Range of the rows' gains (reductions of the error), as a share of the largest, that rounding alone can cause."""
+"""Range of the rows' gains (reductions of the error), as a share of the largest, up to which all count as equal."""
 
 ALIKE = 1.2
 """Ratio of two errors below which they count as equal."""
@@ -43,7 +43,7 @@ MANY_NOISES = 20.0
 NOT_CONVERGED = "the identification did not converge, so its parameters mean nothing"
 
 ENOUGH, SEVERAL = 3, 10
-"""Smallest numbers of held-out rows: `ENOUGH` to judge a calibration, `SEVERAL` to check a gain that all rows show."""
+"""Smallest numbers of held-out rows: `ENOUGH` to judge a calibration, `SEVERAL` to confirm a gain of all rows."""
 
 Grade = Literal["good", "with care", "do not use"]
 
@@ -264,8 +264,8 @@ def workspace_error(
         joints: Joints that represent the workspace ``(M, n)``, rad or m.
         region: Name of the workspace.
         remains: RMS error on held-out rows, m.
-        between: For a whole robot, indices of the two links between which each row was measured ``(N, 2)``. The
-            workspace's joints are assigned to the same pairs of links in turn.
+        between: For a whole robot (a tree of links), indices of the two links between which each row was measured
+            ``(N, 2)``. The workspace's joints are assigned to the same pairs of links in turn.
     """
     if solution.prior is None or not solution.prior.proper:
         return None
@@ -316,7 +316,7 @@ def _region(
 
 
 def _size(errors: Array) -> tuple[float, tuple[float, float]]:
-    """Return the root mean square of the errors of several arms, and their 95 % interval."""
+    """Return the root mean square over arms of their errors ``(A,)``, m, and the 95 % interval of these errors."""
     low, high = np.percentile(errors, [2.5, 97.5]).tolist()
     return float(np.sqrt(np.mean(errors**2))), (low, high)
 
@@ -476,7 +476,7 @@ def _cause(found: Identification, before: Array, after: Array, unlearnt: Array, 
 
 
 def _chance(before: Array, after: Array, blocks: Rows | None) -> float:
-    """Compute the p-value of the gain from ``before`` to ``after`` if both arms were equally good.
+    """Compute the p-value of the gain from ``before`` to ``after``; the null hypothesis is that both arms are equal.
 
     The test is a one-sided paired t test over poses, or over blocks if they are given.
     """
