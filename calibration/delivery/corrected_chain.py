@@ -195,10 +195,10 @@ def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose
 
 
 def _height(axes: list[_Axis]) -> float:
-    """Compute the position along the first axis, m from its point, at which the chain leaves it.
+    """Compute the position along the first axis, m from the axis's point, at which the chain leaves this axis.
 
-    It is the foot of the common normal of two axes: the last one parallel to the first axis, and the next one. It does
-    not depend on joint values. It is 0 if all axes are parallel, or if a prismatic joint comes before.
+    The position is the foot of the common normal of two axes: the last one parallel to the first axis, and the next
+    one. It does not depend on joint values. It is 0 if all axes are parallel, or if a prismatic joint comes before.
     """
     first = axes[0]
     for last, following in itertools.pairwise(axes):
@@ -286,8 +286,8 @@ def corrected_origins(
 ) -> tuple[list[tuple[ChainJoint, Pose]], Pose]:
     """Compute the corrected origin of each joint of a file, and the calibrated tool's pose in the last joint's frame.
 
-    A whole robot has no single tool: the second result is then the identity. The fitted places of its sensors and
-    targets are left out, since they are no part of the robot.
+    A whole robot (a tree of links) has no single tool: the second result is then the identity. The fitted places of its
+    sensors and targets are left out, since they are no part of the robot.
 
     Args:
         nominal: The arm's geometry before its calibration.
@@ -331,7 +331,7 @@ def _moved_origins(
     signs: Sequence[float],
     corrected: Mapping[str, Pose],
 ) -> tuple[list[Pose], Pose, Pose]:
-    """Compute the corrected origins of a file's joints, and the pose after the last joint, in the file and corrected.
+    """Compute the corrected origins of a file's joints, and the pose after the last joint without and with correction.
 
     Args:
         before: Poses of the arm's links in the file's root, at the file's zero, before the calibration.
@@ -395,7 +395,7 @@ NOTHING = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """Corrected poses of a file's joints and tool; for a whole robot, joints alone.
+    """Corrected poses of a file's joints and tool; for a whole robot (a tree of links), joints alone.
 
     Attributes:
         moves: Each of the file's joints with its new origin, in the frame of `ChainJoint.origin`.
