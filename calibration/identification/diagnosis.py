@@ -77,7 +77,10 @@ def said_of_repeats(train: Observations, test: Observations) -> Said:
 
 
 def _copies(known: Observations, other: Observations) -> tuple[Rows, Rows]:
-    """Return indices of rows of ``other`` that copy rows of ``known``, and of the copied rows; empty if by chance."""
+    """Return indices of rows of ``other`` that copy rows of ``known``, and of the copied rows.
+
+    Both are empty if chance can explain so few equal readings.
+    """
     none = np.zeros(0, dtype=np.int64)
     mine, theirs = known.readings(), other.readings()
     if type(known) is not type(other) or mine.shape[1] != theirs.shape[1] or not len(mine) or not len(theirs):
@@ -99,7 +102,7 @@ def _copies(known: Observations, other: Observations) -> tuple[Rows, Rows]:
 
 
 def _nearest(known: Array, other: Array, within: float) -> Rows:
-    """Return, for each row of ``other``, the nearest row of ``known`` with all coordinates ``within``; -1 if none."""
+    """Return the index of each ``other`` row's nearest row of ``known``; -1 if none has all coordinates ``within``."""
     _, nearest = KDTree(known).query(other, p=np.inf, distance_upper_bound=within * (1.0 + 1e-6) + 1e-12)
     return np.where(nearest < len(known), nearest, -1)
 
@@ -118,7 +121,7 @@ MANY_FAR = 0.05
 """Share of rows that are outliers above which the verdict gives a caution."""
 
 ANOTHER_ARM = 5.0
-"""A station whose median miss is more than this many times that of the others has probably measured another arm."""
+"""A station whose median residual is more than this many times that of the others probably measured another arm."""
 
 FEW = 4
 """Fewer held-out rows than this are listed one by one, and never taken for rows of another set-up."""
@@ -269,7 +272,7 @@ def said_of_files(listed: Sequence[LeftOut], kept: Sequence[Observations]) -> Sa
 
 
 def said_of_stations(found: Identification, data: Observations) -> Said:
-    """Yield a caution for each station with far larger misses than the others, although its frames were fitted."""
+    """Yield a caution for each station with far larger residuals than the others, although its frames were fitted."""
     if not data.stations or len({part.miss_unit for part in data.parts}) > 1:
         return
     sizes = np.linalg.norm(data.misses(found.arm_model, unknowns_of(found, data)), axis=1)
@@ -287,7 +290,7 @@ def said_of_stations(found: Identification, data: Observations) -> Said:
 
 
 def _other_set_up(arm: Arm, found: Identification, scales: Array, train: Observations, test: Observations) -> str:
-    """Return why most held-out rows miss: another unit, another place of base or tool, or something else."""
+    """Return why most held-out rows do not fit: another unit, another place of base or tool, or something else."""
     files = ", ".join(dict.fromkeys(origins_of(test).place(row)[0] for row in range(len(test.joints))))
     scale, unit_name = MISS_UNITS[test.miss_unit], test.miss_unit
     away = f"{np.median(misses_of(found, test)) * scale:.3g} {unit_name}"

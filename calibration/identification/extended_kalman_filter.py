@@ -30,7 +30,7 @@ class FilterState:
     Attributes:
         arm_model: Current estimate: geometry and coefficients of terms.
         columns: Indices ``(p,)`` of the estimated parameters in ``arm_model.parameter_names``.
-        tolerance: Scale of each estimated parameter ``(p,)``, m or rad.
+        tolerance: Typical deviation of each estimated parameter ``(p,)``, m or rad.
         covariance: Covariance of the parameters' errors ``(p, p)``, m and rad.
     """
 

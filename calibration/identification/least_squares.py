@@ -327,7 +327,7 @@ def judged_step(step: Any, explained: Any, weighted: Any, before: Any, after: An
 def _jacobian(
     model: ErrorModel, sets: Sequence[Observations], arm: ArmModel, unknowns: Sequence[Array], tolerance: Array
 ) -> Array:
-    """Return the Jacobian, standard uncertainties per ``tolerance``: unknowns first, then the model's columns."""
+    """Return the Jacobian in standard uncertainties per ``tolerance``: unknowns first, then the model's columns."""
     parts = [part.jacobian(arm, values) for part, values in zip(sets, unknowns, strict=True)]
     jacobian = np.zeros((len(tolerance), sum(len(by_arm) for by_arm, _ in parts))).T
     row, column, first = 0, 0, len(tolerance) - len(model.columns)
@@ -390,7 +390,7 @@ def _covariance(matrix: Array, scale: Array, variance: float) -> Array:
 def _enough_poses(
     model: ErrorModel, arm: ArmModel, sets: Sequence[Observations], unknowns: Sequence[Array], rank: int, rows: int
 ) -> None:
-    """Refuse data sets with fewer equations (``rows``) than such measurements identify parameters at random poses."""
+    """Refuse data sets with fewer equations (``rows``) than parameters that such data identify at random poses."""
     parameters = len(model.names) + sum(len(values) for values in unknowns)
     if rows >= 2 * parameters:
         return  # whatever the rank elsewhere, there are enough
@@ -422,7 +422,7 @@ class Identifiability:
 
     Attributes:
         names: All parameters, in order.
-        kept: Indices of the identifiable base set.
+        kept: Indices of the kept parameters, a largest identifiable subset (the base set).
         dropped: The dropped parameters by name. Each has a dictionary of deviations of kept parameters, by name, m or
             rad, which together have the same effect as a deviation of 1 m or 1 rad of the dropped parameter. It is
             empty if the dropped parameter has no effect on the measurements.

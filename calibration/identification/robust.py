@@ -40,8 +40,10 @@ GOOD = 0.05
 """A fit whose error is below this share of the spread needs no further starts."""
 
 STARTS = 24
-"""Four times the number of further tools that are tried if neither the closed form nor the nominal tool gives a good
-fit. They are the best of ``8 * STARTS`` random tools."""
+"""Number that sets how many further tools are tried if neither the closed form nor the nominal tool gives a good fit.
+
+A quarter as many are tried, the best of ``8 * STARTS`` random tools.
+"""
 
 
 @single_threaded()
@@ -214,8 +216,8 @@ OUTLIER_SIGMA = 10.0
 """Rows whose error exceeds this many robust standard deviations are outliers; errors of the arm model stay below it."""
 
 WEIGHTINGS, SELECTIONS, FOURS = 30, 10, 500
-"""Largest number of re-weighted least squares, largest number of repeated alignments, and number of random sets of four
-poses."""
+"""Largest number of re-weighted least-squares fits, largest number of repeated alignments, and number of random sets of
+four poses."""
 
 CAUCHY = 2.385
 """Error, in standard deviations per coordinate, at which a row's weight is 0.5; the efficiency is 95 % for normal
@@ -223,9 +225,12 @@ noise."""
 
 
 Sizes = tuple[Array, Array, Array]
-"""Three arrays. The first is the error of each of N rows in its worst channel ``(N,)``, in robust standard deviations.
-The second is the Cauchy weight of each row ``(N,)``. The third is each channel's robust standard deviation ``(C,)``, in
-stated standard uncertainties."""
+"""Sizes of the errors of N rows, as three arrays; a channel is the readings of one instrument in one unit.
+
+The first is the error of each row in its worst channel ``(N,)``, in robust standard deviations. The second is the
+Cauchy weight of each row ``(N,)``. The third is each channel's robust standard deviation ``(C,)``, in stated standard
+uncertainties.
+"""
 
 
 def robust_identify(model: ErrorModel, start: Geometry | ArmModel, data: Observations) -> tuple[Identification, Sizes]:
@@ -296,8 +301,8 @@ def sizes_of(
 ) -> Sizes:
     """Return the sizes of the rows' errors (`Sizes`), in standard deviations of the channels.
 
-    Without ``scales`` the standard deviations are robust ones, computed from the rows. They are never below the
-    instrument's own uncertainty.
+    A channel is the readings of one instrument in one unit. Without ``scales`` the standard deviations are robust ones,
+    computed from the rows. They are never below the instrument's own uncertainty.
 
     Args:
         arm: The arm.
@@ -379,7 +384,7 @@ beside its geometry."""
 def rough_start(nominal: Geometry, data: Observations) -> Geometry:
     """Return the geometry with rough base and tool, from which a fit can start.
 
-    Poses of boards give both. The positions of the reflector that is seen most often give the base, and with at least
+    Views of a board give both. The positions of the reflector that is seen most often give the base, and with at least
     three known reflectors also the tool. Other kinds give the nominal geometry.
 
     Raises:

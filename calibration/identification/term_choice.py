@@ -388,9 +388,9 @@ def choose_terms(arm: Arm, bare: Identification, observations: Observations) -> 
     """Choose terms by blocked cross-validation within training rows, which are in the order they were measured.
 
     Terms are tried one after the other in the order of `NAMES`. A term is added only if it cuts the RMS error with the
-    terms chosen so far by more than the share `MARGIN`. The order matters: on the measured grid of a WAM arm,
-    harmonics alone score better than gravity alone, but extrapolate worse. If gravity and harmonics are
-    chosen, gravity is kept only if the chosen terms without gravity have a larger error, by the same margin.
+    terms chosen so far by more than the share `MARGIN`. The order matters: on the measured grid of a WAM arm, harmonics
+    alone score better than gravity alone, but extrapolate worse. If gravity and harmonics are chosen, gravity is kept
+    only if the chosen terms without gravity have a larger error, by the same margin.
 
     Args:
         arm: The arm.
@@ -429,7 +429,8 @@ def terms_of(names: str, arm: Arm, bare: Identification, observations: Observati
         observations: Training rows.
 
     Raises:
-        InputError: If a name is unknown or given twice, or compliance is named and no torques were measured.
+        InputError: If a name is unknown or given twice. Also if compliance is named and neither torques nor the links'
+            masses are known, or if bending is named and the masses are unknown.
     """
     requested = [name for name in names.split("+") if name != "none"]
     for name in requested:
