@@ -97,7 +97,7 @@ class JointTerm(Term, Protocol):
     """A term that displaces one joint per coefficient; the tool's displacement follows to first order."""
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """Return each coefficient's joint ``(k,)``, and the joint's motion per unit of the coefficient ``(N, k)``."""
+        """Return each coefficient's joint ``(k,)``, and the motion of that joint, rad or m, per unit ``(N, k)``."""
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """Return the pose displacement per unit of each coefficient ``(N, 6, k)``, m and rad, world axes.
@@ -209,10 +209,10 @@ class ArmModel:
 
 
 LENGTH_TOLERANCE = 1e-3
-"""Scale of a length's deviation, m."""
+"""Typical deviation of a length, m, by which the length's column of the Jacobian is scaled."""
 
 ANGLE_TOLERANCE = 1e-3
-"""Scale of an angle's deviation, rad (0.057 deg)."""
+"""Typical deviation of an angle, rad (0.057 deg), by which the angle's column of the Jacobian is scaled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -223,7 +223,7 @@ class ErrorModel:
         columns: Indices into the arm's ``parameter_names`` ``(P,)``, in order of preference: of redundant parameters,
             the earlier one is kept.
         names: The parameters' names.
-        tolerance: Scale of each parameter's deviation ``(P,)``, m or rad.
+        tolerance: Typical deviation of each parameter ``(P,)``, m or rad, by which its Jacobian column is scaled.
     """
 
     columns: NDArray[np.int64]
@@ -262,7 +262,7 @@ def complete_model(geometry: Geometry) -> ErrorModel:
 def frames_model(geometry: Geometry) -> ErrorModel:
     """Return the model of base and tool pose alone.
 
-    They are fitted before the error of a nominal arm is computed.
+    Base and tool are fitted before the error of a nominal arm is computed.
     """
     return _model(geometry, [name for name in geometry.parameter_names if name.startswith(("base_", "tool_"))])
 

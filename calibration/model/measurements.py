@@ -284,7 +284,7 @@ OWN = ("base", "tool")
 """Names of the frames that may differ between stations."""
 
 FRAME_TOLERANCES = np.repeat([LENGTH_TOLERANCE, ANGLE_TOLERANCE], 3)
-"""Scales of the six deviations of a frame, m and rad."""
+"""Typical deviations of a frame's six coordinates, m and rad, by which their Jacobian columns are scaled."""
 
 ALIKE = 0.1
 """Data sets whose uncertainties differ by no more than this share count as measured by one instrument."""
@@ -517,7 +517,7 @@ class Stacked(Observations):
         """Return the data set with each station's ``scale`` multiplied by its scatter, relative to the first station's.
 
         Args:
-            scales: Scatter by channel ``(C,)``.
+            scales: Scatter of each channel ``(C,)``, that is of the readings of one instrument in one unit.
         """
         factors = scales[self._first_channels()].tolist()
         stations = zip(self.stations, factors, strict=True)

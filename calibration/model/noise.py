@@ -64,7 +64,7 @@ class RowNoise:
 
     Attributes:
         scatter: Standard deviation of each equation ``(E,)``, larger where rows lie closer together than usual.
-        channels: Standard deviation by channel ``(C,)``.
+        channels: Standard deviation of each channel ``(C,)``, that is of the readings of one instrument in one unit.
         share: Share of the variance that neighbouring rows have in common.
         length: Distance of joints over which rows have that share in common, rad or m.
         common: Factor on variances of rows with the usual number of neighbours, which carry less information than
@@ -109,7 +109,7 @@ def noise_of(data: Observations, model: ArmModel, unknowns: Array, leverage: Arr
     Args:
         data: The rows.
         model: The fitted model.
-        unknowns: The data's own unknowns.
+        unknowns: Values of the data's own unknowns, such as places of reflectors ``(u,)``.
         leverage: Leverage of each equation ``(E,)``, 0 to 1: the share of the equation that the fit used to determine
             parameters.
     """

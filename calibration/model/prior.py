@@ -3,8 +3,8 @@
 Every parameter has a prior, whose width (standard deviation) limits how far a fit moves it. Lengths and angles of parts
 have the widths of their tolerance class. Base and tool have a width of metres if the places of instrument and target
 are unknown. Coefficients of terms have widths near their tolerances. A parameter that the measurements do not determine
-stays at its prior's mean. The choices of a fit (`FIT_WORDS`) are widths, too: with "offsets", lengths and angles
-of parts have no width. With "full", all parameters have infinite width, as in the papers. SI units.
+stays at its prior's mean. The choices of a fit (`FIT_WORDS`) are widths, too. With "offsets", lengths and angles of
+parts have no width. With "full", all parameters have infinite width, as in the papers. SI units.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ TOLERANCE_CLASS = "cobot"
 """Default tolerance class of an arm's parts."""
 
 FRAME_STD = 10.0
-"""Standard deviation of a frame's coordinates about its aligned pose, m and rad: so wide that it tells nothing."""
+"""Standard deviation of a frame's coordinates about its aligned pose, m and rad: too wide to carry information."""
 
 COEFFICIENT = 1.0
 """Prior standard deviation of a term's coefficient, as a multiple of its tolerance (1 mm or 1 mrad at the tool)."""

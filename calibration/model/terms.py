@@ -32,8 +32,8 @@ class ComplianceTerm(JointTerm):
     """Joint compliance: deflection dq = c tau under torque tau, with c = 1/k per joint (rad/(N*m) or m/N).
 
     The torque is the measured one if the data contain torques. Otherwise it is the gravity torque from ``moments``, the
-    links' masses and first moments times g. The moments are fitted to measured torques, or come from
-    the masses in the arm's file.
+    links' masses and first moments times g. The moments are fitted to measured torques, or come from the masses in the
+    arm's file.
 
     Attributes:
         joints: Indices of the compliant joints, from 0.
@@ -278,7 +278,7 @@ class GravityTerm(JointTerm):
 
 
 def _from_base(geometry: Geometry) -> Geometry:
-    """Return the geometry seen from its base, in which the direction up is known; a whole robot ends at its target."""
+    """Return the geometry with poses relative to its base, in whose axes the direction up is known."""
     return geometry if geometry.tree is None else geometry.between(-1, geometry.tree.target)
 
 
