@@ -227,8 +227,8 @@ def _sizes(errors: Array) -> tuple[Array, Array]:
 def toward(compensator: Compensator, wanted: Pose, start: Array) -> Array:
     """Compute the commands ``(N, n)``, rad or m, that bring the real tool to the poses ``wanted``.
 
-    The correction of eq (15) is repeated `PASSES` times. A joint that would have to go beyond its limit stays at the
-    limit, and the other joints take over what they can. On an arm with fewer than six joints, the position has
+    The correction of Qiao 2026 eq (15) is repeated `PASSES` times. A joint that would have to go beyond its limit stays
+    at the limit, and the other joints take over what they can. On an arm with fewer than six joints, the position has
     priority over the attitude.
 
     Args:

@@ -201,7 +201,7 @@ def fit_remainder(
 
 
 def _refuse_misfit(found: Identification, data: Observations) -> None:
-    """Refuse rows of wires, sockets and other kinds whose misses stay a large share of their span after the fit."""
+    """Refuse rows of wires, sockets and other kinds if errors after the fit are a large share of the tool's motion."""
     misses = data.misses(found.arm_model, unknowns_of(found, data))
     rms = float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))
     span = data.span(ArmModel.of(found.geometry).pose(data.joints, data.conditions).position)

@@ -58,10 +58,10 @@ class Choices:
             lets it learn from the training rows, and uses it if it improves errors there.
         settings: Settings of the network "bpnn" that learns from ``learn_from``; None takes the paper's settings.
         fit: One of `pickenv.calibration.model.prior.FIT_WORDS`. "auto" fits all parameters with priors. "offsets" fits
-            the joint zeros alone. "full" fits all parameters without priors, as the papers do.
+            the joint zeros, and base and tool if unknown. "full" fits all parameters without priors, as the papers do.
         tolerances: Name or path of the tolerance class that sets the priors of the arm's parts. None takes the arm's
             own class; for an arm without a class, that of a cobot.
-        prior_scale: Factor on the standard deviations of the priors. None estimates it from the rows.
+        prior_scale: Factor on the standard deviations of the parts' priors. None estimates factors from the rows.
         workspace: The region for which the verdict holds (`pickenv.calibration.pipeline.result.workspace_joints`).
             None takes all poses within the joint limits.
     """
@@ -392,8 +392,9 @@ def calibrate(
         test: Rows to judge by; if None, some rows of ``data`` are held out.
         split: How rows of ``data`` are held out. "random" holds some rows out and fits the calibration to the others.
             "blocked" holds out each of ten contiguous blocks of rows in turn. Each block is judged by a model that is
-            fitted and chosen without it. The calibration itself is fitted to all rows. Fewer than 40 poses are always
-            held out by blocks, and up to 20 poses one by one.
+            fitted and chosen without it. The calibration itself is fitted to all rows. Pictures are always held out
+            by blocks, and so are fewer than 40 poses unless ``test_rows`` is given. Up to 60 pictures, or 20 poses, are
+            held out one by one.
         test_rows: Number of rows that are held out at random; a fifth if None.
         choices: Terms, residual model, frames, robustness and seed. The defaults choose by the data.
         unit: Serial number of the robot; the calibration keeps it.

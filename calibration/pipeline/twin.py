@@ -183,7 +183,7 @@ def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]
 
 
 def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
-    """Return the layout of a plant's coefficients, and the matrix ``(k, t)`` from the terms' coefficients to them."""
+    """Return a plant's layout of coefficients, and the matrix ``(k, t)`` that computes these from the terms'."""
     sizes = [len(term.names(geometry)) for term in terms]
     units = np.split(np.eye(sum(sizes)), np.cumsum(sizes, dtype=int))  # the last part is empty
     harmonics, moments, up = [], [], (0.0, 0.0, 1.0)

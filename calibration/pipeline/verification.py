@@ -377,8 +377,9 @@ def verify(
     Args:
         calibration: The calibration.
         data: New poses or positions of the same robot.
-        refit: Which of "base" and "tool" are refitted first, because the instrument or its target was moved. Of a whole
-            robot both always are, because its calibration does not hold where sensors and targets stood.
+        refit: Which of "base" and "tool" are refitted first, because the instrument or its target was moved. For a
+            whole robot (a tree of links) both always are, because its calibration does not hold the places of sensors
+            and targets.
         refit_rows: Number of rows to which these frames are refitted. The calibration is judged on the other rows.
 
     Raises:
@@ -440,7 +441,7 @@ def promised(calibration: Calibration, data: Measurements) -> Array:
 
 
 def _since(rest: Rows, errors: Array, expected: Array) -> int | None:
-    """Return the place in ``rest`` from which on all blocks have too large errors; None if there is no such place."""
+    """Return the index in ``rest`` from which on all blocks have too large errors; None if there is no such index."""
     if len(rest) < 4 * BLOCKS:
         return None
     parts = np.array_split(np.arange(len(rest)), BLOCKS)
