@@ -142,7 +142,11 @@ def _misses(first: First, joints: Array) -> Array:
 
 
 def _short_of(first: First, joints: Array) -> Array:
-    """Return by how much, ``(N, k)``, m, the tool point misses its place, or a reading the range of the first rows."""
+    """Return how far ``(N, k)``, m, the instrument is from a possible reading at joints ``(N, n)``.
+
+    For sockets it is the distance of the tool point from its place. For a distance, such as a wire's length, it is how
+    far the predicted reading lies outside the range of the first readings.
+    """
     data, misses = first[0], _misses(first, joints)
     if not isinstance(data, DistanceObservations):
         return misses
