@@ -139,7 +139,7 @@ class Table:
                 )
 
     def select(self, rows: Sequence[int], where: str = "") -> Table:
-        """Return a table of the rows with the given indices; messages call it ``where``, by default as before."""
+        """Return a table of the rows with these indices; ``where`` names it in messages, by default the old name."""
         cells, lines = [self.rows[row] for row in rows], [self.lines[row] for row in rows]
         return Table(where or self.where, self.header, cells, lines, self.decimal)
 

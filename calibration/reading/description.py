@@ -453,7 +453,7 @@ def _pairs(value: Any, _context: Any) -> tuple[tuple[str, str], ...]:
 
 @toml_table
 class SceneTable:
-    """Section [scene]: names of the sensor and of its target, and the links of a whole robot that carry them.
+    """Section [scene]: names of sensor and target, and the links that carry them on a whole robot (a tree of links).
 
     Files that name the same sensor share one sensor pose. Files that name the same target share one target pose. A
     sensor or target without a name belongs to this file alone. One without a link is fixed in the world. An

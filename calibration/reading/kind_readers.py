@@ -361,7 +361,7 @@ def _rests(files: Files, section: description.ContactTable, socket: Rows, **more
 
 @register("instrument", "tilt")
 def _tilt(files: Files, section: description.TiltTable) -> kinds.TiltObservations:
-    """Read the downward direction's components along the sensor's axes; an inclination gives its sine."""
+    """Read the components of the downward direction along the sensor's axes; for inclinations they are the sines."""
     values = np.concatenate([table.values(section.columns) for table in files.tables])
     std = np.full(values.shape, section.std)
     if section.unit != "g":

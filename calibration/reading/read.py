@@ -327,7 +327,7 @@ def _poses(files: Files, _section: Any) -> Measurements:
     """Read poses or positions.
 
     Raises:
-        InputError: If a row cannot be right, or if [rotation] names no convention; the message then lists the errors
+        InputError: If a row is implausible, or if [rotation] names no convention; the message then lists the errors
             that each convention would leave.
     """
     first, position = files.first, files.values()
