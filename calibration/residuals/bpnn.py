@@ -192,7 +192,7 @@ def train_bpnn(
 
     Args:
         joints: Training joints ``(N, n)``, rad or m.
-        residuals: Measured minus identified pose ``(N, 6)``, m and rad (eq (17)).
+        residuals: Measured minus identified pose ``(N, 6)``, m and rad (Qiao 2026 eq (17)).
         rng: Seeds weights, dropout and shuffling. Equal generators give equal networks on one machine. With
             ``MKL_CBWR=COMPATIBLE`` in the environment, networks are also equal between AVX2 and AVX-512.
         settings: Training settings; the defaults of `BpnnSettings` if left out.
@@ -234,7 +234,7 @@ def _network(inputs: int, outputs: int, settings: BpnnSettings):  # type: ignore
 
 
 def _train(model, x, y, rng, settings, progress) -> Array:  # type: ignore[no-untyped-def]
-    """Run the training loop of eq (18) and return each epoch's loss.
+    """Run the training loop of Qiao 2026 eq (18) and return each epoch's loss.
 
     A short last batch is filled from the start of the epoch's shuffle.
     """

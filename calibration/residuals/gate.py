@@ -179,7 +179,7 @@ def _trial(measurements: Measurements, refit: Refit, train_rows: Rows, test_rows
 
 
 def _left_by(name: str, seed: int, fitter: Fitter | None, trial: Trial) -> Array:
-    """Return the residual of a trial's held-out rows minus a model that learns from the trial's training rows."""
+    """Return the held-out rows' residual minus the prediction of a model that learns from the trial's training rows."""
     train, test, to_learn, untouched, _ = trial
     rows, rng = (train.joints, to_learn, train.prismatic), np.random.default_rng(seed)
     model = fit_residual(name, *rows, rng, conditions=train.conditions.inputs(), fitter=fitter)
