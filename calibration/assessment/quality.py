@@ -92,7 +92,7 @@ class Completeness:
 
 
 def completeness(found: Identification, noise: str = "stated noise") -> Completeness:
-    """Apply the chi^2 test to an identification; ``noise`` is what sentences call the noise."""
+    """Apply the chi^2 test to an identification; ``noise`` is the term for the noise in sentences."""
     chi_square, freedom = found.chi_square, found.degrees_of_freedom  # without spare equations SciPy's law gives NaN
     large, small = float(stats.chi2.sf(chi_square, freedom)), float(stats.chi2.cdf(chi_square, freedom))
     return Completeness(chi_square, freedom, large, small, noise)
@@ -380,7 +380,7 @@ def grade_quality(
         workspace: Expected errors where rows were measured and where the arm will work.
         geometric: The identification of the geometry alone, from which observability is computed; ``found`` if None.
         parametric: Held-out errors without a learnt residual, to be compared with ``trained``; ``after`` if None.
-        noise: What sentences call the instrument's noise.
+        noise: Words for the instrument's noise in sentences.
         blocks: Number of the block of rows (or of the single row) that each held-out error belongs to ``(M,)``. It is
             needed if errors of one block or row are correlated.
         said: Further findings, each a weight and a sentence.
