@@ -369,7 +369,7 @@ def find_tags(dictionary: str, numbers: Sequence[int], picture: Grey, where: str
 
 
 def corners_at(count: int, numbers: ArrayLike, places: ArrayLike, std: ArrayLike) -> Corners:
-    """Return all corners of a board, or points of another target, from the ones that a picture shows.
+    """Return arrays of all corners of a board, or points of another target, from those that a picture shows.
 
     Args:
         count: Number of corners on the board.
