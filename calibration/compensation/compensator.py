@@ -234,9 +234,9 @@ class Compensator:
         nominal: The geometry that the controller uses.
         identified: The calibrated geometry.
         residual: Terms and learnt residual of the calibration as one function, or None.
-        iterations: Number of corrections. Each starts from the joints of the one before, and all use the factors of one
-            Jacobian. On the picking arm with the network of Qiao 2026, one correction leaves 1.4 um of the predicted
-            error on average. Two corrections leave 0.9 um, because the correction of the joints changes the residual.
+        iterations: Number of corrections. Each starts from the joints of the previous one, and all use the factors of
+            one Jacobian. On the picking arm with the network of Qiao 2026, one correction leaves 1.4 um of the
+            predicted error on average. Two corrections leave 0.9 um, because the correction of the joints changes the residual.
             Without a residual, one correction leaves 1 um and two leave nothing.
         single_precision: Whether corrections are computed in single precision if many poses are passed at once. This is
             faster and adds an error of 0.1 um.
