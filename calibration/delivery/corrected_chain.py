@@ -419,7 +419,7 @@ def correction(calibration: Calibration, rows: Sequence[JointRow], path: Path, f
     """Compute the corrected poses of the joints and the tool in a robot's own file.
 
     A link that a joint moves has its frame on that joint's axis. If the tip is such a link, the calibrated tool can lie
-    beside the axis. It then becomes a frame of its own that is fixed to the tip.
+    beside the axis. The tool then becomes a new frame that is fixed to the tip.
 
     Args:
         calibration: The calibration.

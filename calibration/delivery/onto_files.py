@@ -1,7 +1,7 @@
 """Write a calibration into a robot's own files, or into new ones: arm file, URDF, MJCF, kinematics YAML, transforms.
 
-If the tip is the last joint's own link, the calibrated tool can lie beside that joint's axis. It then becomes a new
-link `TIP_calibrated` that is fixed to the tip. In an MJCF it is a site of that name.
+If the tip is the last joint's own link, the calibrated tool can lie beside that joint's axis. The tool then becomes a
+new link `TIP_calibrated` that is fixed to the tip. In an MJCF it becomes a site of that name.
 
 Written against URDF as ROS 2 has it (https://wiki.ros.org/urdf/XML, version 1.0); xacro must be expanded before.
 Lengths are in metres, rpy in radians about fixed axes.
