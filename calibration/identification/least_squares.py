@@ -449,7 +449,7 @@ class Identifiability:
 
     @property
     def kept_names(self) -> tuple[str, ...]:
-        """Names of the identifiable base set."""
+        """Names of the kept parameters, a largest identifiable subset (the base set)."""
         return tuple(self.names[k] for k in self.kept)
 
 

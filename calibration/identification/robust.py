@@ -2,7 +2,7 @@
 
 Each row gets one weight from a Cauchy loss of its error in robust standard deviations. These come from medians, so that
 nearly half of the rows may be wrong (Holland and Welsch 1977). Readings of one instrument in one unit are a channel.
-Every channel has a scale of its own, because units and instruments differ. A set-up is one place of the instrument, and
+Every channel has a separate scale, because units and instruments differ. A set-up is one place of the instrument, and
 one place of its target on the tool. SI units.
 """
 
@@ -448,8 +448,8 @@ def stations_of(arm: Arm, data: Sequence[Observations], own: Collection[str]) ->
     Args:
         arm: The arm.
         data: The data sets.
-        own: Names of the frames ("base", "tool") that each station but the first has for itself. A data set whose
-            instrument has no frame has no base of its own.
+        own: Names of the frames ("base", "tool") that each station after the first does not share with the arm. A data
+            set whose instrument has no frame always shares the base.
 
     Raises:
         InputError: If a set does not fit the arm.
@@ -482,13 +482,13 @@ def scene_of(arm: Arm, data: Sequence[Observations]) -> Stacked:
 
 
 def _stations(arm: Arm, parts: Sequence[Observations], owners: Sequence[Mapping[str, int]]) -> Stacked:
-    """Return data sets as stations; frames that are not the arm's start from a robust fit to the nominal arm.
+    """Return data sets as stations, with starting values of the frames that they do not share with the arm.
 
     Args:
         arm: The arm.
         parts: The data sets; the first has the arm's own frames.
-        owners: For each set but the first, the number of the station that each frame belongs to; a frame that is left
-            out is the arm's.
+        owners: For each set after the first, the number of the station that each frame belongs to. Frames that are left
+            out are shared with the arm.
     """
     starts = [robust_frames(arm, part) if part.framed else arm.nominal for part in parts[1:]]
     stations = [InstrumentStation(parts[0])]
@@ -525,10 +525,10 @@ def by_set_up(arm: Arm, parts: Sequence[Measurements]) -> Measurements | Stacked
 def set_ups(arm: Arm, parts: Sequence[Measurements]) -> tuple[SetUp, ...]:
     """Group files that share base and tool, one file after the other, by the Bayesian information criterion.
 
-    Errors of the rows of one file are alike, so at most `COUNTED_ROWS` of each file count. So a file has frames of its
-    own only if these remove a large part of the remaining error. A file with too few rows, or whose rows do not fit the
-    arm, is put into the first set-up. If the two cannot be joined as one data set, the file shares the frames of that
-    set-up.
+    Errors of the rows of one file are similar, so at most `COUNTED_ROWS` of each file count. A file therefore gets new
+    frames only if these remove a large part of the remaining error. A file with too few rows, or whose rows do not fit
+    the arm, is put into the first set-up. If the file cannot be joined with that set-up as one data set, it shares the
+    set-up's frames.
 
     Args:
         arm: The arm.
@@ -590,7 +590,7 @@ def _missed(rows: Measurements, by: Geometry) -> float:
 
 
 def _criterion(arm: Arm, near: Mapping[int, tuple[Measurements, Geometry]], groups: Sequence[SetUp]) -> float:
-    """Compute Schwarz's (Bayesian) information criterion of these set-ups; each file has a scatter of its own."""
+    """Compute Schwarz's (Bayesian) information criterion of these set-ups; each file has a separate scatter."""
     sets, stations = [], []
     for number, (members, own) in enumerate(groups, start=1):
         rows = rows_together([near[i][0] for i in members])

@@ -24,22 +24,22 @@ from pickenv.calibration.model.observations import Observations, equally_spaced
 from pickenv.calibration.model.prior import LENGTHS, MADE, PriorModel
 
 PASSES = 4
-"""Largest number of solutions; each weighs rows and priors by the residuals of the one before."""
+"""Largest number of solutions; each weighs rows and priors by the residuals of the previous one."""
 
 MANY, FEW = 4000, 1500
-"""With more than `MANY` rows, noise and scales are first estimated on `FEW` of them, equally spaced."""
+"""With more than `MANY` rows, noise and prior widths are first estimated on `FEW` of them, equally spaced."""
 
 SETTLED = 0.1
 """Passes end when neither noise nor scales change by more than this share."""
 
 SPREAD = 3.0
-"""Prior of a tolerance class's scale: it is within this factor of 1 with a probability of two thirds."""
+"""Factor about 1 within which a scale of prior widths lies, before measuring, with a probability of two thirds."""
 
 NODES = (-2.4, -1.2, 0.0, 1.2, 2.4)
 """Nodes of the grid over the logarithm of each scale, in standard deviations from its mean."""
 
 STAGES, NARROWEST = 3, 0.4
-"""Number of grids, each centred by the one before, and the least width of a grid relative to the one before."""
+"""Number of grids, each centred by the previous one, and least width of a grid relative to the previous one."""
 
 LIGHT = 1e-3
 """Nodes whose weight is below this share of the largest weight are left out."""
