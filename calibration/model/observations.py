@@ -391,9 +391,9 @@ class Observations:
         return rows, np.zeros(len(rows), dtype=np.int64)
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
-        """Return measured minus predicted readings, R misses.
+        """Return the R misses of the data, that is measured minus predicted readings.
 
-        They are positions ``(R, 3)`` or lengths ``(R, 1)``, m, or directions ``(R, k)``, rad.
+        These are positions ``(R, 3)`` or lengths ``(R, 1)``, m, or directions ``(R, k)``, rad.
         """
         return self.missed(model, self.numbers.whole(unknowns))
 

@@ -3,7 +3,7 @@
 A target is a printed board, whose points are its corners, or any list of points in space. The instrument's frame is the
 target's if the camera is on the tool, and the camera's if it watches a target on the tool. Of camera and target, one is
 fixed in the world, and the other is on the flange. The fitted base says where the first one is, and the fitted tool
-where the second one is. This kind has no unknowns of its own but the numbers of the lens, if they are fitted. SI units;
+where the second one is. The only unknowns of this kind are the numbers of the lens, if they are fitted. SI units;
 pictures in px.
 """
 

@@ -184,7 +184,7 @@ class GravityTerm(JointTerm):
     Attributes:
         joints: Indices of the compliant joints, from 0.
         up: Direction opposite to gravity, in the axes of frame 0.
-        payload: Whether the payload has coefficients of its own.
+        payload: Whether the payload has separate coefficients.
     """
 
     joints: tuple[int, ...]
@@ -361,7 +361,7 @@ def weight_of(geometry: Geometry, payload: bool = False) -> GravityTerm:
 
     Args:
         geometry: The arm.
-        payload: Whether the payload has coefficients of its own.
+        payload: Whether the payload has separate coefficients.
     """
     up = geometry.base.rotation.T @ np.array([0.0, 0.0, 1.0])
     return GravityTerm(tuple(range(geometry.joints)), (float(up[0]), float(up[1]), float(up[2])), payload)
