@@ -444,7 +444,7 @@ class Calibration:
 
         Args:
             arm: The arm.
-            name: What the message calls the calibration.
+            name: Name of the calibration in the message.
 
         Raises:
             InputError: If the arm has another nominal geometry.

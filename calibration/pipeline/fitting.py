@@ -275,7 +275,7 @@ class HeldOut:
 
     @property
     def rows(self) -> str:
-        """What sentences call the rows: "views" if they are pictures, else "rows"."""
+        """Word for the rows in sentences: "views" for pictures, else "rows"."""
         return "views" if self.pixels else "rows"
 
     @property

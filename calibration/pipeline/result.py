@@ -393,7 +393,7 @@ class Result:
         return rows
 
     def plain_parameters(self) -> list[dict[str, Any]]:
-        """Return the entries of `parameters` except harmonics and compliances, which have tables of their own."""
+        """Return the entries of `parameters` except harmonics and compliances, which have separate tables."""
         return [row for row in self.parameters() if not row["name"].startswith(("periodic", "compliance"))]
 
     def _parameters(self) -> screen.Block:

@@ -234,7 +234,7 @@ def _each(columns: Columns) -> list[str | Path]:
 def _joined(
     arm: Arm, sets: list[Observations], stations: str | None, known: bool, like: Observations | None
 ) -> Observations:
-    """Join several data sets as stations of one arm, by ``stations`` or by their rows; return a single one as it is."""
+    """Join several data sets as stations of one arm, by ``stations`` or by their rows; a single one is unchanged."""
     named = any(any(origins_of(part).scene) or part.conditions.between is not None for part in sets)
     if stations is not None and named:
         raise InputError("[scene] says which files share a base or a tool; leave `stations` out")
@@ -590,7 +590,7 @@ def _add_terms(draft: Draft) -> Draft:
 
 
 def _learn(draft: Draft) -> Draft:
-    """Learn a residual model: the named one from poses of its own, or one that wins within the training rows."""
+    """Learn a residual model: the named one from ``choices.learn_from``, or one that wins within the training rows."""
     choices = draft.choices
     if choices.learn_from is not None:
         settings = (choices.settings or BpnnSettings()) if choices.residual == "bpnn" else None

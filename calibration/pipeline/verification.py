@@ -105,8 +105,8 @@ def restationed(
     """Refit base, tool or both of a calibrated arm to a few rows of another station.
 
     A station is one placement of the instrument and its target. The prior of the frames is their old place with the
-    standard deviations `CHANGE_STD`. It hardly matters in directions that the rows determine. In other directions the
-    frames do not change.
+    standard deviations `CHANGE_STD`. This prior hardly matters in directions that the rows determine. In other
+    directions the frames do not change.
 
     Args:
         calibration: The calibration.
@@ -189,7 +189,7 @@ def _telling(model: ArmModel, data: Measurements, frames: ErrorModel, count: int
 
 
 def _starts(model: ArmModel, few: Measurements, own: Collection[str]) -> Iterator[ArmModel]:
-    """Yield starting points for the frames' fit: the model as it is, then with frames near the new ones."""
+    """Yield starting points for the frames' fit: the model with its old frames, then with estimates of the new ones."""
     geometry = model.geometry
     yield model
     if set(own) == {"tool"}:
