@@ -349,7 +349,7 @@ class PosesTable:
 
     @property
     def attitudes(self) -> RotationTable:
-        """The columns of the attitude as a section of their own; for a quaternion, the unit has no effect."""
+        """The columns of the attitude as a section [rotation]; for a quaternion, the unit has no effect."""
         return RotationTable(self.rotation_columns, self.rotation_unit, self.convention)
 
 
@@ -461,9 +461,9 @@ class SceneTable:
 
     ``sensor_column`` and ``target_column`` hold the names row by row. If ``sensor`` is given as well, only the rows of
     this sensor are read; otherwise the rows of each name are a data set. The same holds for targets. ``links`` are the
-    links of named sensors and targets; the others are on ``sensor_link`` and ``target_link``.
+    links of named sensors and targets; without an entry they are on ``sensor_link`` and ``target_link``.
 
-    ``series_column`` holds names of series. The rows of a series are read like a file of their own, so that the
+    ``series_column`` holds names of series. The rows of a series are read like a separate file, so that the
     instrument or the tool may have moved between two series. With ``series``, only that series is read.
     """
 
