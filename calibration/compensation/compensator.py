@@ -236,8 +236,8 @@ class Compensator:
         residual: Terms and learnt residual of the calibration as one function, or None.
         iterations: Number of corrections. Each starts from the joints of the previous one, and all use the factors of
             one Jacobian. On the picking arm with the network of Qiao 2026, one correction leaves 1.4 um of the
-            predicted error on average. Two corrections leave 0.9 um, because the correction of the joints changes the residual.
-            Without a residual, one correction leaves 1 um and two leave nothing.
+            predicted error on average. Two corrections leave 0.9 um, because the correction of the joints changes the
+            residual. Without a residual, one correction leaves 1 um and two leave nothing.
         single_precision: Whether corrections are computed in single precision if many poses are passed at once. This is
             faster and adds an error of 0.1 um.
         reservations: Reasons against using the compensator, by name (`pickenv.base.obey`).
