@@ -105,8 +105,8 @@ def restationed(
     """Refit base, tool or both of a calibrated arm to a few rows of another station.
 
     A station is one placement of the instrument and its target. The prior of the frames is their old place with the
-    standard deviations `CHANGE_STD`. It hardly matters in directions that the rows determine. In other directions the
-    frames do not change.
+    standard deviations `CHANGE_STD`. This prior hardly matters in directions that the rows determine. In other
+    directions the frames do not change.
 
     Args:
         calibration: The calibration.
@@ -189,7 +189,7 @@ def _telling(model: ArmModel, data: Measurements, frames: ErrorModel, count: int
 
 
 def _starts(model: ArmModel, few: Measurements, own: Collection[str]) -> Iterator[ArmModel]:
-    """Yield starting points for the frames' fit: the model as it is, then with frames near the new ones."""
+    """Yield starting points for the frames' fit: the model with its old frames, then with estimates of the new ones."""
     geometry = model.geometry
     yield model
     if set(own) == {"tool"}:
@@ -377,8 +377,9 @@ def verify(
     Args:
         calibration: The calibration.
         data: New poses or positions of the same robot.
-        refit: Which of "base" and "tool" are refitted first, because the instrument or its target was moved. Of a whole
-            robot both always are, because its calibration does not hold where sensors and targets stood.
+        refit: Which of "base" and "tool" are refitted first, because the instrument or its target was moved. For a
+            whole robot (a tree of links) both always are, because its calibration does not hold the places of sensors
+            and targets.
         refit_rows: Number of rows to which these frames are refitted. The calibration is judged on the other rows.
 
     Raises:
@@ -440,7 +441,7 @@ def promised(calibration: Calibration, data: Measurements) -> Array:
 
 
 def _since(rest: Rows, errors: Array, expected: Array) -> int | None:
-    """Return the place in ``rest`` from which on all blocks have too large errors; None if there is no such place."""
+    """Return the index in ``rest`` from which on all blocks have too large errors; None if there is no such index."""
     if len(rest) < 4 * BLOCKS:
         return None
     parts = np.array_split(np.arange(len(rest)), BLOCKS)
