@@ -190,7 +190,7 @@ def _colour(arm: int) -> tuple[float, float, float]:
 
 
 def _arm_marks(axes: Any, arms: int) -> list[Any]:
-    """A mark per arm, for the legend."""
+    """Return one mark per arm, for the legend."""
     return [axes.scatter([], [], color=_colour(i), label=f"arm {i + 1}") for i in range(arms)]
 
 

@@ -1,4 +1,4 @@
-"""The report of a comparison of policies: who is better, by how much and where, and whether it matters."""
+"""Figures and page of a comparison of policies: which is better, by how much and where, and whether picks change."""
 
 from __future__ import annotations
 

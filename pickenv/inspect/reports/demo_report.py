@@ -1,4 +1,4 @@
-"""The report of a demonstration: errors removed and remaining, whether the calibration suffices, and the evidence."""
+"""Page of a demonstration: errors removed and remaining, whether the calibration suffices, and the evidence."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ def demo_verdict(comparison: Comparison, cases: Mapping[str, Sequence[Change]] |
 
 
 def _cases(cases: Mapping[str, Sequence[Change]]) -> Section:
-    """The section on picks without and with calibration, by plant, gripper and perception error."""
+    """Return the section on picks without and with calibration, by plant, gripper and perception error."""
     rows = [
         (f"{in_words(plant)}, {gripper}", *cells)
         for plant, changes in cases.items()
@@ -216,7 +216,7 @@ def _poses(comparison: Comparison, trace: CalibrationTrace, drawn: Mapping[str, 
 
 
 def _floors(comparison: Comparison, trace: CalibrationTrace) -> str:
-    """A sentence with each stage's mean attitude error, and the part of it that no joint motion removes."""
+    """Return a sentence with each stage's mean attitude error, and the part of it that no joint motion removes."""
     geometry, joints = comparison.plant.geometry, trace.sets["test"]
 
     def degrees(errors: Array) -> float:
@@ -286,7 +286,10 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
 
 
 def _arrows(points: Array, errors: Array, gain: float, scale: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Two traces coloured by the errors' true lengths, mm: lines to true positions, and dots at wanted positions."""
+    """Return two Plotly traces, coloured by true error, mm: lines to the true positions, and dots at the wanted ones.
+
+    Lines are ``gain`` times longer than true.
+    """
     tips, length = points + gain * errors, np.linalg.norm(errors, axis=1) * 1e3
     shafts = np.stack([points, tips, np.full_like(tips, np.nan)], axis=1).reshape(-1, 3)
     shaft = _coordinates(shafts) | {
@@ -308,7 +311,7 @@ def _arrows(points: Array, errors: Array, gain: float, scale: dict[str, Any]) ->
 
 
 def _axes(points: Array, spacing: float) -> dict[str, Any]:
-    """The axes, m, that all scenes share, for points ``(N, 3)`` with room of one ``spacing`` around them."""
+    """Return the axes, m, that all scenes share: the range of points ``(N, 3)`` and one ``spacing`` around them."""
     low, high = points.min(axis=0) - spacing, points.max(axis=0) + spacing
     small = {"tickfont": {"size": 10}, "dtick": round_step(float((high - low).max()) / 6.0)}
     axes = {
@@ -340,7 +343,7 @@ def _coordinates(points: Array) -> dict[str, Any]:
 
 
 def _numbers(values: Array) -> list[float | None]:
-    """Numbers rounded to four decimals, with None in place of NaN, which plotly draws as a gap."""
+    """Return numbers rounded to four decimals; NaN becomes None, which Plotly draws as a gap."""
     return [None if np.isnan(value) else round(float(value), 4) for value in values]
 
 

@@ -43,7 +43,7 @@ class CalibrationTrace:
     """Poses, held-out errors, convergence and identifiability of one calibration, as plain arrays.
 
     Attributes:
-        nominal: Nominal geometry, which the controller uses.
+        nominal: Nominal geometry of the arm, which its controller uses.
         sets: Joint values ``(N, n)``, rad or m, of each pose set (identification, network, test), with one row per
             error.
         errors: Held-out pose errors ``(M, 6)``, or misses ``(M, 1 to 3)``, m and rad, of each stage, by label.
@@ -124,7 +124,7 @@ def trace_of(
 
 
 def _rms(errors: Array) -> float:
-    """RMS of the norms of error vectors ``(N, k)``."""
+    """Return the RMS of the norms of error vectors ``(N, k)``."""
     return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
 
 
