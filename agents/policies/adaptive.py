@@ -36,7 +36,7 @@ class LookingReach(ScriptedReach):
     """
 
     called = "remembering"
-    """Name of the policy in error messages."""
+    """Kind of the policy, as error messages name it."""
 
     def __init__(self, env: Any) -> None:
         """Read the nominal arm from ``env``."""
@@ -157,7 +157,7 @@ class FeelingPick(ScriptedPick):
         Args:
             env: Environment, single or native vector.
             memory: Policy that models the arms of ``env`` and corrects their joint targets.
-            how: Keyword arguments of `ScriptedPick` except `patience`, because the policy learns from arms that have
+            how: Keyword arguments of `ScriptedPick` except `patience`, because the policy learns only after the arm has
                 arrived.
 
         Raises:
