@@ -25,7 +25,7 @@ GAIN = 20
 LINK, JOINT, METAL, GRIPPER = (236, 239, 243), (58, 68, 82), (168, 176, 188), (70, 78, 90)
 GHOST: Rgb = (52, 110, 200)
 FAINT = 0.42
-"""Opacity of the ghost."""
+"""Opacity of the ghost, from 0 to 1."""
 THICKNESS = 0.028
 """Radius of the first link, as a share of the arm's length; the last link has `TAPER` times this radius."""
 WALL = 0.0035
@@ -101,7 +101,7 @@ def arm_solids(look: ArmLook, points: Array, axis: Array, accent: Rgb | None = N
 def arm_at_work(
     geometry: Geometry, command: Array, tool: Array, axis: Array, believed: Array, accent: Rgb | None = None
 ) -> Solids:
-    """Return the solids of the true arm and of the ghost (the believed arm), at `GAIN` times the true deviation.
+    """Return the solids of the true arm, and of the ghost (the believed arm) at `GAIN` times its true distance.
 
     Args:
         geometry: The nominal arm.

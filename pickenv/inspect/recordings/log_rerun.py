@@ -78,7 +78,10 @@ class _Recorder:
         self._identity = ":".join([name, *([] if plant is None else [plant.name]), f"seed{outer.np_random_seed}"])
 
     def ended(self, growth: float = GROWTH) -> None:
-        """Show an episode that has ended; write the file if recorded steps are ``growth`` times those in it or more."""
+        """Show an episode that has ended, and rewrite the file if there are enough new steps.
+
+        The file is rewritten if the recorded steps are at least ``growth`` times the steps in the file.
+        """
         recorded = sum(len(log.rows) for log in self.logs)
         if recorded and self._live:
             if self._stream is None:
