@@ -43,7 +43,7 @@ class DrawnEnv(PlainSpec, gym.Env[Any, NDArray[Any]]):
         self._window: Any = None
 
     def render(self) -> Any:
-        """Draw the true arms, ghosts of the arms as the controller believes them to be, and the fruit.
+        """Draw the true arms, their ghosts (the arms as the controller believes them to be), and the fruit.
 
         Returns:
             An RGB array ``(height, width, 3)`` with the render mode "rgb_array". None with "human", which shows a
@@ -74,7 +74,7 @@ class DrawnEnv(PlainSpec, gym.Env[Any, NDArray[Any]]):
         return drawn(self._stage())
 
     def _stage(self) -> Stage | None:
-        """The scene to draw; None before the first reset."""
+        """Return the scene to draw, or None before the first reset."""
         raise NotImplementedError
 
 
@@ -114,7 +114,7 @@ class ArmEnv(DrawnEnv):
     """An environment of one arm.
 
     Attributes:
-        task: The task that it simulates.
+        task: The task that the environment simulates.
         plant: The true arm.
         compensator: Function from joint targets to joint commands, or None.
         look: Function that simulates a period and returns the view of the arm: `simulation.look`, or another one with
@@ -155,7 +155,7 @@ class ArmEnv(DrawnEnv):
 
     @property
     def arm(self) -> int:
-        """Number of the true arm in its population; 0 for a fixed arm."""
+        """Index of the true arm in its population; 0 for a fixed arm."""
         return self._arm or 0
 
     @property
@@ -164,7 +164,7 @@ class ArmEnv(DrawnEnv):
         return np.array(self.task.increment)
 
     def _use_arm(self, number: int) -> None:
-        """Use arm ``number`` of the population as the true arm."""
+        """Use the arm with the index ``number`` in the population as the true arm."""
         self._arm = number
         if self._x is FLOATS:
             self.plant = plant_at(self.task.plant, number)
