@@ -421,7 +421,7 @@ PICK_FEEDBACK = ("encoders", "gripper")
 """Values of `feedback`. With "gripper" the policy observes the position of each held fruit in the gripper."""
 
 MOST_FELT = 0.1
-"""Bound of the observed position of a fruit in the gripper, m. The gripper does not take fruit as far off as this."""
+"""Bound of the observed position of a fruit in the gripper. The gripper does not take fruit as far off as this."""
 
 
 OF_THE_ARM = ("without", "arms", "tolerances", "population", "population_seed", "out_of_range")

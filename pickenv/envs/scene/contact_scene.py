@@ -38,7 +38,7 @@ from pickenv.orchard.gripper import Gripper, Suction
 from pickenv.pictures.stage import Eye, Pixels
 
 TIMESTEP, CHUNK = 0.004, 5
-"""Length of a physics step, s, and number of steps after which stems and the cup's hold are checked for breaking."""
+"""Length of a physics step, and number of steps after which stems and the cup's hold are checked for breaking."""
 
 STIFFNESS, DAMPING, ARMATURE = 5000.0, 150.0, 1.0
 """Stiffness and damping of the drives of arms that are made from an arm file, and the inertia that their gears add.
@@ -53,10 +53,10 @@ the group of geoms that are not drawn."""
 
 OTHER, GRIPPER_BIT, FRUIT_BIT, LEAF_BIT = 0, 1, 2, 4
 SMALLEST, LARGEST = 16, 1024
-"""Bounds of the width and height of pictures, px."""
+"""Bounds of the width and height of pictures."""
 
 GRIP, WIDE = (1.5, 0.02, 1e-3), 60.0
-"""Friction of grippers and fruit (sliding, torsional, rolling), and the wrist camera's angle of view, deg."""
+"""Friction of grippers and fruit (sliding, torsional, rolling), and the wrist camera's angle of view."""
 
 METAL, WOOD = (0.6, 0.6, 0.65, 1.0), (0.36, 0.25, 0.16, 1.0)
 SKIN, LEAF = (0.78, 0.12, 0.10, 1.0), (0.25, 0.50, 0.18, 1.0)
