@@ -194,7 +194,11 @@ def _made(env_id: str, arguments: Arguments) -> gym.Env[Any, Any]:
 def _recorded_policy(
     label: str, episodes: Sequence[Sequence[Moment]], longest: int, plant: Plant | None, judge: Gripper, chance: Array
 ) -> RecordedPolicy:
-    """Return one policy's episodes as arrays, padded to ``longest`` moments with the last moment and reward 0."""
+    """Return one policy's E episodes as arrays, each padded to ``longest`` moments.
+
+    Padding repeats the last moment, with reward 0. ``chance`` ``(E,)`` is the probability that the gripper ``judge``
+    captures the fruit.
+    """
     info = episodes[0][0].info
     padded = [[*episode, *[episode[-1]._replace(reward=0.0)] * (longest - len(episode))] for episode in episodes]
 

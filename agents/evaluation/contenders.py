@@ -93,6 +93,10 @@ def kind_of(name: str) -> Kind:
 def load_any(name: str, arm: Arm | None = None) -> LearnedPolicy | RememberingPolicy:
     """Load a shipped baseline or a policy file, with or without a memory.
 
+    Args:
+        name: Name of a shipped baseline, or path of a policy file (.npz).
+        arm: Arm for which the policy must have been trained; None to skip this check.
+
     Raises:
         InputError: If the file is missing, damaged, newer than this program, or of another arm.
     """

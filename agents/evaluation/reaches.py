@@ -63,7 +63,7 @@ def pick_canopies(
 
 
 LONGEST_EPISODE = 10_000
-"""Number of steps after which an episode counts as having no time limit."""
+"""Number of steps after which an environment counts as having no time limit."""
 
 
 def episode_seeds(seed: int, count: int) -> tuple[int, ...]:
@@ -159,7 +159,7 @@ class Rollout:
     Attributes:
         reaches: Last step of each episode.
         arm: Index of each episode's arm ``(R,)``.
-        wanted_rotation: Tool attitude that each episode wants ``(R, 3, 3)``, as a rotation matrix.
+        wanted_rotation: Wanted tool attitude of each episode ``(R, 3, 3)``, as a rotation matrix.
         error_mm: Distance between the tool's true position and the fruit after each step ``(steps, R)``.
     """
 

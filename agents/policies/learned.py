@@ -47,7 +47,7 @@ class Actor:
     record: Mapping[str, Any]
 
     def through_layers(self, values: Array, activation: str) -> Array:
-        """Return the last layer's output for inputs ``(..., inputs)``; ``activation`` follows every other layer."""
+        """Return the last layer's output for inputs ``(..., inputs)``; ``activation`` follows each earlier layer."""
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             values = values @ weight + bias
             if i + 1 < len(self.weights):

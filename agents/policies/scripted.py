@@ -135,13 +135,13 @@ class ScriptedScene(ScriptedReach):
         return None if reading.camera is None else reading.camera - reading.offset
 
     def _along(self, joints: Array, distance: float) -> Array:
-        """Return joints at which the tool is ``distance``, m, further along its own axis than at ``joints``."""
+        """Return joints ``(n,)`` with the tool ``distance``, m, further along its own axis than at ``joints``."""
         for _ in range(3):
             joints = self._moved(joints, forward(self.geometry, joints).rotation[:, 2] * distance / 3.0)
         return joints
 
     def _drawn(self, joints: Array, distance: float) -> Array:
-        """Return joints with the tool at ``distance``, m, along its axis from the fruit; its attitude may change."""
+        """Return joints ``(n,)`` with the tool ``distance``, m, along its axis from the fruit, in any attitude."""
         assert self._wanted is not None
         goal, g = forward(self.geometry, self._wanted), self.geometry
         target, free = goal.position + goal.rotation[:, 2] * distance, np.ones(g.joints, dtype=bool)
@@ -272,7 +272,7 @@ class OracleReach(ScriptedReach):
 
 
 def _of_true_arm(plant: Plant, joints: Array, pose: Pose) -> Array:
-    """Return joints near ``joints`` at which the tool of the true arm at rest has the pose ``pose``."""
+    """Return joints ``(..., n)`` near ``joints``, rad or m, with the tool of the true arm at rest at ``pose``."""
     nominal = plant.arm.nominal
     for _ in range(ITERATIONS):
         back = truncated_inverse(joint_jacobian(plant.geometry, joints))
@@ -437,7 +437,14 @@ class ScriptedPick(policy.ReachController):
         return actions[0] if single else actions
 
     def _plan(self, rows: Any, joints: Array, seen: Array, turn: Array) -> None:
-        """Plan three waypoints: below the last fruit, below the next one, and at the next one."""
+        """Plan three waypoints: below the last fruit, below the next one, and at the next one.
+
+        Args:
+            rows: Indices of the environments.
+            joints: Present joints ``(rows, n)``, rad or m.
+            seen: Measured positions of the next fruit ``(rows, 3)``, m, base frame.
+            turn: Rotation vectors from the believed to the upright tool attitude ``(rows, 3)``, rad.
+        """
         upright = policy.attitude_after(forward(self.geometry, joints), turn)
         aim = np.broadcast_to(self.aim, self._fruit.shape)[rows]
         down = np.broadcast_to(self.approach, len(self._fruit))[rows][..., None] * np.array([0.0, 0.0, 1.0])
@@ -449,7 +456,10 @@ class ScriptedPick(policy.ReachController):
         self._fruit[rows], self._spent[rows] = seen, 0.0
 
     def _corrected(self, rows: Any, at: Array) -> Array:
-        """Return the joints at which to grasp in the environments ``rows``; here the nominal joints ``at``."""
+        """Return the joints ``(..., n)`` at which to grasp in the environments ``rows``; here they are ``at``.
+
+        ``at`` are the nominal joints at the fruit, rad or m.
+        """
         return at
 
     def _solve(self, position: Array, rotation: Array, start: Array) -> Array:
@@ -558,7 +568,7 @@ class ScriptedHarvest:
             arm.queue, arm.fruit = list(queue), None
 
     def _goal(self, i: int, arm: _Arm, here: Array, cutting: bool, hangs: NDArray[np.bool_]) -> Array:
-        """Return the next joint goal of slave ``i``, and advance its phase."""
+        """Return the next joint goal of slave ``i``, rad or m, and advance the phase of its pick."""
         home, work = self.machine.slave_home, self._work
         if arm.fruit is None:
             if not arm.queue or work is None:

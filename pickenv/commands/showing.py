@@ -79,7 +79,7 @@ class CommandOfNames(TyperCommand):
         super().__init__(*args, help=text, params=params, **more)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Replace each kind in braces by the names registered of it, and write the help to ``formatter``."""
+        """Replace each kind in braces by all names registered of this kind, and write the help to ``formatter``."""
         for param in self.params:
             if isinstance(param, TyperOption | TyperArgument) and param.help:
                 param.help = re.sub(r"\{(\w+)\}", lambda match: ", ".join(names(match[1])), param.help)

@@ -57,7 +57,7 @@ def left_by_models(
         rng: Random numbers for the learnt models.
         terms: Parametric terms of each least-squares fit, by the name of the fit; values as for `Choices`.
         learnt: Residual model that each learnt model adds to least squares, by the name of the learnt model.
-        epochs: Training epochs of the paper's network; None trains the default network of `fit_remainder`.
+        epochs: Training epochs of the network of Qiao 2026; None trains the default network of `fit_remainder`.
         attitudes: Whether attitude residuals are learnt too.
         choices: Further fields of `Choices`.
 
@@ -181,7 +181,7 @@ NETWORK: dict[str, Any] = {
     "fit": "full",
     "frames": "fitted",
 }
-"""Arguments of `left_by_models` for the paper's calibration and its network, with base and tool fitted."""
+"""Arguments of `left_by_models` for the calibration and the network of Qiao 2026, with base and tool fitted."""
 
 
 @dataclass(frozen=True)

@@ -1,7 +1,7 @@
 """Calibrate simulated arms by a method, given by name; each arm is measured in its own simulated tracker run.
 
 "raw" is no calibration, and "ls" is least squares. "ls+MODEL" adds any registered residual model to least squares. Two
-such methods have short names: "ls_bpnn" adds the paper's network, "best" a Gaussian process.
+such methods have short names: "ls_bpnn" adds the network of Qiao 2026, "best" a Gaussian process.
 """
 
 from __future__ import annotations
@@ -45,9 +45,9 @@ class CalibrationPlan:
     """Settings with which each simulated arm is measured and fitted.
 
     Attributes:
-        identification_poses: Number of poses for least squares (the paper: 100).
-        residual_poses: Number of poses for the residual model (the paper: 200).
-        epochs: Training epochs of the network (the paper: 500).
+        identification_poses: Number of poses for least squares (Qiao 2026: 100).
+        residual_poses: Number of poses for the residual model (Qiao 2026: 200).
+        epochs: Training epochs of the network (Qiao 2026: 500).
         seed: Seed of poses, noise and networks; every arm has its own random stream.
         instrument: Instrument that measures the poses; a name of `pickenv.arm.load_instrument`, or a path.
     """

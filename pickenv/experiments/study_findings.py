@@ -110,7 +110,7 @@ def ranked(rows: Dataset, setting: int) -> dict[str, tuple[int, float]]:
 # The verdict: which way of making and calibrating arms is enough, at which payload, and how surely.
 
 REQUIRED_YIELD = 0.95
-"""Yield from which a way of making and calibrating arms counts as sufficient."""
+"""Smallest yield at which a way of making and calibrating arms counts as sufficient."""
 CHOICES = ("tolerances", "it_grade", "method", "poses", "noise_mm", "noise_deg")
 """Columns that a manufacturer of arms can choose; the payload is not among them."""
 FEW = 200

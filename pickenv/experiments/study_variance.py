@@ -258,8 +258,8 @@ def sobol_indices(
 
     Args:
         model: Function that returns one finite number for each of N rows ``(N,)``. Its arguments are uniform random
-            numbers ``(N, d)`` in 0..1, and the numbers of the rows in the sample ``(N,)``. The indices are averages
-            over whatever else depends on a row's number.
+            numbers ``(N, d)`` in 0..1, and the indices of the rows in the sample ``(N,)``. The Sobol indices are
+            averages over all other quantities that depend on a row's index.
         groups: For each group, the indices of its inputs among the d columns; each input belongs to one group.
         samples: Number of rows of the sample, a power of two. The model is evaluated at each row once per group, and
             twice more.

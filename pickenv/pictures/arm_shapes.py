@@ -43,13 +43,13 @@ Solids = tuple[tuple[Rods, ...], tuple[Rods, ...], tuple[Mesh, ...]]
 
 @dataclass(frozen=True, eq=False)
 class ArmLook:
-    """The look of one arm.
+    """The look of one arm, of whose polyline P segments are drawn.
 
     Attributes:
-        parts: Segments of the arm's polyline that are drawn, by the indices of their first points.
-        radius: Radius of each drawn segment, m.
-        slides: Whether each drawn segment changes its length.
-        sleeve: Length of the outer tube of each drawn segment, used for those that slide, m.
+        parts: Indices of the first points of the segments.
+        radius: Radius of each segment ``(P,)``, m.
+        slides: Whether each segment changes its length ``(P,)``.
+        sleeve: Length of the outer tube of each segment that changes its length ``(P,)``, m.
         low: Lowest corner of the arm's workspace ``(3,)``, m.
         high: Highest corner of the arm's workspace ``(3,)``, m.
     """
@@ -121,7 +121,13 @@ def arm_at_work(
 
 
 def cup_solids(tool: Array, axis: Array, radius: float) -> Solids:
-    """Return the solids of a cup that opens along ``axis`` and holds the lower half of a fruit at ``tool``, m."""
+    """Return the solids of a cup that holds the lower half of a fruit.
+
+    Args:
+        tool: Position of the fruit ``(3,)``, m.
+        axis: Unit vector ``(3,)`` in which the cup opens.
+        radius: Outer radius of the cup, m.
+    """
     deep = 1.15 * radius
     inner = radius - WALL
     across = [0.4 * radius, 0.7 * radius, radius, radius, radius, inner, inner, inner, 0.6 * radius, 0.0]

@@ -131,7 +131,7 @@ class MujocoDrawer:
         self.scene.flextexcoord[:] = np.repeat((np.column_stack([columns, rows]) + 0.5) / side, 3, axis=0).ravel()
 
     def _add(self, kind: Any, size: Array, place: Array, turn: Array, colour: Array) -> Any:
-        """Add a shape to the picture, and return it."""
+        """Add a shape of a `mujoco.mjtGeom` kind to the scene, and return it, as `mujoco.mjv_initGeom` does."""
         shape = self.scene.geoms[self.scene.ngeom]
         self.scene.ngeom += 1
         mujoco.mjv_initGeom(shape, kind, size, place, turn.ravel(), colour.astype(np.float32))

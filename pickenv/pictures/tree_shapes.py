@@ -47,7 +47,7 @@ def fruit_solids(places: Array, diameters: ArrayLike, colours: Array, hanging: A
 
 
 def sprig(place: Array, diameter: float) -> Solids:
-    """Return the solids of a few leaves and a piece of branch above a single fruit."""
+    """Return the solids of a few leaves and a piece of branch above a single fruit at ``place (3,)``, m."""
     top = place + np.array([0.012, 0.0, 0.9 * diameter / 2 + TWIG])
     ends = top + np.array([[-0.16, -0.05, -0.01], [0.14, 0.04, 0.03]])
     branch = Rods(ends[:1], ends[1:], np.array([0.009]), rgba(BARK, 1))

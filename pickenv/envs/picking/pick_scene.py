@@ -411,7 +411,7 @@ def looked_at(
 
 
 LONGEST = 400
-"""Number of steps of the time budget in observations. The environment does not know `max_episode_steps`."""
+"""Number of steps by which the observed time budget is divided. The environment cannot know `max_episode_steps`."""
 STILL = 1.0
 """Upper bound, in observations, of the time since the joint target last moved, s."""
 MOST_LEFT = 50

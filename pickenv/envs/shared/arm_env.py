@@ -223,7 +223,7 @@ GHOST_WORDS = f"ghost: the arm as believed, deviation × {arm_shapes.GAIN}"
 
 
 def standing(geometry: Geometry, ground: float, dark: bool) -> tuple[Mesh, ...]:
-    """Return the meshes of the ground and of the pedestal that the arm's base stands on."""
+    """Return the meshes of the ground at height ``ground``, m, and of the pedestal under the arm's base."""
     x, y, _ = geometry.base.position.tolist()
     return ground_around(x, y, ground, dark), pedestal(geometry, ground)
 

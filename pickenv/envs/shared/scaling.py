@@ -91,7 +91,7 @@ class Rescaling(ABC):
 
     @abstractmethod
     def potential(self, values: NDArray[Any]) -> Any:
-        """Compute a potential for reward shaping from observations; it grows as the task's goal gets nearer."""
+        """Compute a potential ``(...)`` for reward shaping from observations; it grows towards the task's goal."""
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ class Scaling(Rescaling):
         return actions * self.share(values, np)
 
     def potential(self, values: NDArray[Any]) -> Any:
-        """Compute the negative decimal logarithm of the gap's size, for reward shaping."""
+        """Compute the negative decimal logarithm ``(...)`` of the gap's size, for reward shaping."""
         return -np.log10(self.size(values, np))[..., 0]
 
     def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:

@@ -37,7 +37,7 @@ STILL_STEP = 5e-4
 FALLEN = 0.06
 """A recorded fruit that moves by more than this between two moments is another fruit, m."""
 MISS: dict[bool, Rgb] = {False: RED, True: (255, 128, 128)}
-"""Colour of text about a miss, by whether the background is dark."""
+"""Colour of text about a miss, on a light (False) and on a dark (True) background."""
 FRUIT = 0.06
 """Diameter with which every fruit is drawn, m. Recordings hold only the positions of fruit."""
 SAME_FRUIT = 0.045

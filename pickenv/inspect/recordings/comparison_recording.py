@@ -103,7 +103,11 @@ def _send(scribe: Scribe, comparison: Comparison, arrows: Mapping[str, details.A
 
 
 def _send_scene(scribe: Scribe, comparison: Comparison) -> None:
-    """Send the field's bounds with the world's axes, the fruit, and three arms that follow the first policy."""
+    """Send the field's bounds with axes, the fruit, and the nominal, the true and an exaggerated arm.
+
+    The arms move by the first policy's commands; the exaggerated one differs from the nominal arm `GAIN` times as much
+    as the true arm.
+    """
     size, corner = comparison.grid.size, comparison.grid.corner
     labels = [f"{axis} {length:.2f} m" for axis, length in zip("xyz", size, strict=True)]
     scribe.axes("world/axes", corner, size, labels, 1.5)

@@ -213,19 +213,21 @@ DAY_HOURS = 8.0
 CAMERA_STD = 1e-3
 """Standard deviation of a camera's measurement of the tool position, per axis, m."""
 LOOK = MeasurementNoise(float(np.hypot(CAMERA_STD, 0.5e-3)), 0.0)
-"""Measurement noise that the filter assumes: the camera's, and half a millimetre that no geometry explains."""
+"""Measurement noise that the Kalman filter assumes: the camera's noise, and 0.5 mm for errors that geometry cannot
+explain."""
 PRIOR, WALK = 0.2, 0.3
-"""Assumptions of the filter, both in units of a parameter's tolerance: the prior standard deviation of each parameter
-after calibration, and its random walk per square root of an hour."""
+"""Assumptions of the Kalman filter, both in units of a parameter's tolerance: the prior standard deviation of each
+parameter after calibration, and its random walk per square root of an hour."""
 FILTERED = 10
-"""Largest number of machines with a filter. Filters take more time than everything else in a recording."""
+"""Largest number of simulated machines with a Kalman filter, which takes more time than the other parts of a
+recording."""
 FEWEST_LOOKS = 10
-"""Smallest number of reaches for which a filter is run, since a filter needs enough measurements at different joint
+"""Smallest number of reaches for which a Kalman filter is run, since it needs enough measurements at different joint
 values."""
 
 
 ADAPTED = "adapted"
-"""Key of the curve of the machines with a filter."""
+"""Key of the error curve of the machines with a Kalman filter."""
 
 
 Day: TypeAlias = Mapping[str, tuple[str, Array]]

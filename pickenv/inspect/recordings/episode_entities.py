@@ -212,7 +212,7 @@ WIDTHS = (1.8, 1.2, 0.8, 0.5)
 
 
 def decades(distance_mm: Array) -> Array:
-    """Return the base-10 logarithms of distances in mm: 0 is a millimetre, 1 a centimetre."""
+    """Return the base-10 logarithms ``(...)`` of distances ``(...)``, mm: 0 is a millimetre, 1 a centimetre."""
     return np.asarray(np.log10(np.maximum(distance_mm, NEAREST_MM)))
 
 

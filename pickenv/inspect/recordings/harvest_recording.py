@@ -142,7 +142,10 @@ def fates(shown: Round, numbers: NDArray[np.intp], at: Array) -> NDArray[np.uint
 
 
 def _send_distances(scribe: Scribe, machine: Machine, slaves: Array) -> None:
-    """Send the distance between every two slave arms, mm, and the smallest distance allowed; nothing for one arm."""
+    """Send the distance between every two slave arms, mm, and the smallest distance allowed; nothing for one arm.
+
+    ``slaves`` ``(T, A, 3)`` are the slaves' joints over time, rad or m.
+    """
     if machine.arms < 2:
         return
     near = 1e3 * arm_distances(machine, slaves)

@@ -105,7 +105,7 @@ def _simulated(calibration: Calibration, plant: Plant, grid_step: float, seed: i
 def _measured(calibration: Calibration, data: Measurements, seed: int) -> Comparison:
     """Return a comparison of raw, LS and, if learnt, LS with residual, as predictions of measured poses.
 
-    Its true arm is the identified one.
+    The true arm of the comparison is the identified arm.
     """
     if len(data) < 2:
         raise InputError(f"{data.source}: {len(data)} poses are too few to show; give at least two")
@@ -135,7 +135,10 @@ def _without_reaches(
 
 
 def _grid_around(points: Array, joints: Array) -> FieldGrid:
-    """Return a grid around irregular points: cells of a round size, about `CELLS` along the longest side."""
+    """Return a grid around irregular points ``(F, 3)``, m, at which the arm has ``joints`` ``(F, n)``.
+
+    Cells have a round size, about `CELLS` along the longest side.
+    """
     low, high = points.min(axis=0), points.max(axis=0)
     step = round_step(max(float((high - low).max()), 1e-3) / CELLS)
     shape = np.maximum(np.ceil((high - low) / step).astype(int), 1)

@@ -204,7 +204,7 @@ class Scribe:
 
 
 def f32(values: ArrayLike) -> Any:
-    """Return values as 32-bit floats, the precision in which rerun keeps them."""
+    """Return values as 32-bit floats, the precision in which rerun stores them."""
     return np.ascontiguousarray(values, dtype=np.float32)
 
 
@@ -214,7 +214,7 @@ def reading(vectors: Array, unit: str = "mm") -> rr.DynamicArchetype:
 
 
 def reading_columns(vectors: Array) -> Iterable[rr.ComponentColumn]:
-    """Return the numbers of `reading`, in mm, as columns with one row per time."""
+    """Return the numbers of `reading` for vectors ``(T, 3)``, mm, as columns with one row per time."""
     return rr.DynamicArchetype.columns("PickError", components=_readings(vectors, "mm"))
 
 

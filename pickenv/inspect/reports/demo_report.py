@@ -45,7 +45,7 @@ EYE_DISTANCE = 2.55
 """Distance of the camera from the middle of a scene, in plotly's unit: the scene's size."""
 
 LOOKS: Mapping[str, Any] = tomllib.loads((HERE / "plotly.toml").read_text("utf-8"))
-"""Looks of interactive figures, as Plotly has them: ``colour_bar`` of fields, and layout of ``poses``."""
+"""Plotly's settings for interactive figures: ``colour_bar`` of error fields, and layout of ``poses``."""
 
 
 def drawings(run: Run) -> Drawings:
@@ -262,7 +262,8 @@ def _origin(run: Run, comparison: Comparison, trace: CalibrationTrace, calibrati
 def field_spec(comparison: Comparison) -> dict[str, Any]:
     """Return Plotly's data and layout of the error fields, side by side in 3D.
 
-    Dots are at wanted positions and show numbers on hovering. Lines lead from them to the true positions.
+    Dots are at wanted positions and show numbers on hovering. Lines lead from the dots towards the true positions, and
+    are drawn longer than true by `field_gain`.
     """
     rows, spacing = thinned(comparison, MOST_ARROWS)
     top = colour_scale_mm(comparison)
@@ -286,9 +287,13 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
 
 
 def _arrows(points: Array, errors: Array, gain: float, scale: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Return two Plotly traces, coloured by true error, mm: lines to the true positions, and dots at the wanted ones.
+    """Return two Plotly traces, coloured by true error, mm: lines of the errors, and dots at wanted positions.
 
-    Lines are ``gain`` times longer than true.
+    Args:
+        points: Wanted positions ``(N, 3)``, m.
+        errors: True minus wanted positions ``(N, 3)``, m.
+        gain: Factor by which lines are drawn longer than true.
+        scale: Plotly's colour scale.
     """
     tips, length = points + gain * errors, np.linalg.norm(errors, axis=1) * 1e3
     shafts = np.stack([points, tips, np.full_like(tips, np.nan)], axis=1).reshape(-1, 3)

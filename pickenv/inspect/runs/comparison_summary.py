@@ -46,7 +46,7 @@ def tries_of(policy: RecordedPolicy) -> NDArray[np.int64]:
 
 
 def policy_rows(episodes: RecordedEpisodes) -> list[dict[str, Any]]:
-    """Return one row of numbers per policy; an unknown number is None."""
+    """Return one row of numbers per policy, such as the mean miss and its interval; an unknown number is None."""
     return [_policy_row(policy) for policy in episodes.policies]
 
 
