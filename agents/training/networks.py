@@ -1,4 +1,4 @@
-"""Networks of policies for stable-baselines3: SAC and TQC that scale inside, and PPO with attention over past picks."""
+"""Networks for stable-baselines3: SAC and TQC with scaled observations, and PPO with attention over past picks."""
 
 from __future__ import annotations
 

@@ -85,7 +85,7 @@ def spread(
 def _numbered(work: Callable[[int], Any], number: int, driver: int) -> tuple[int, Any, Exception | None]:
     """Call ``work`` in a worker process; return the number, the result, and the exception or None.
 
-    If the exception is raised, the result is None. The worker ends when the process with the id ``driver`` dies.
+    If ``work`` raises an exception, the result is None. The worker ends when the process with the id ``driver`` dies.
     """
     from joblib.externals.loky import process_executor
 

@@ -418,8 +418,7 @@ def _picks(
     """Return the results of one picking policy with each arm of a seed, over all canopies of the arm.
 
     A policy that learns from the fruit in its gripper meets an arm's canopies one after the other. Any other policy
-    meets
-    all canopies of all arms side by side.
+    meets all canopies of all arms side by side.
     """
     first, arms = settings.first_arm(plant, seed), np.arange(settings.arms)
     world = settings.world(plant, seed, task="Pick") | {"arms": "per_episode", "population": first + settings.arms}

@@ -594,7 +594,7 @@ def _percent(share: float, ends: Sequence[float | None] | None) -> str:
 def leaderboard_summary(board: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """Return the column heads and the lines of cells of a short table: one line per policy, one column per rung.
 
-    A cell has the mean error on raw arms, and after a slash that with the last compensation, mm.
+    A cell has two mean errors, mm: on raw arms, and after a slash with the last compensation.
 
     Args:
         board: Result of `run_leaderboard`.

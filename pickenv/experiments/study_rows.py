@@ -382,7 +382,7 @@ def yields_of(rows: ds.Dataset, required_share: float) -> pa.Table:
 
     Returns:
         One row per setting: the setting's columns, ``arms``, ``failed`` (arms without a result), ``within`` (arms
-            within specification), ``yield`` and Wilson's 95 % interval ``yield_low``, ``yield_high``.
+        within specification), ``yield`` and Wilson's 95 % interval ``yield_low``, ``yield_high``.
     """
     table = []
     for setting, arms in _by_setting(rows, ("status", "share_within")):
