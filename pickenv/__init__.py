@@ -33,8 +33,8 @@ _ENVIRONMENTS: dict[str, tuple[str, str | None, int]] = {
     "Pick": ("pickenv.envs.picking.pick:PickEnv", "pickenv.envs.picking.pick_vector:PickVectorEnv", 400),
 }
 """Environments to register with Gymnasium, by name: class of one environment, class of a vector environment or None,
-and largest number of steps of an episode. A class is given as text, so that its module is loaded only when one is
-made."""
+and largest number of steps of an episode. A class is given as text, so that its module is loaded only when an
+environment is made."""
 
 for _name, (_one, _many, _steps) in _ENVIRONMENTS.items():
     _gymnasium.register(f"pickenv/{_name}-v0", _one, vector_entry_point=_many, max_episode_steps=_steps)

@@ -95,7 +95,7 @@ GAINS = {f"gain_{name}_{split}": (name, split) for name in SETS if SETS[name].tw
 """Rows that compare predicted with measured gains: for each row's name, the data set and how it is split."""
 
 BEFORE = {LS: NOMINAL, TERMS: LS, **dict.fromkeys(LEARNT, LS)}
-"""For each model, the model to whose error its reduction is relative."""
+"""For each model, the reference model: a reduction of the error is relative to the reference model's error."""
 
 BATCHES = 4
 """Largest number of batches of arms drawn from a twin; later batches replace arms that cannot be calibrated."""

@@ -205,8 +205,8 @@ def identify_batch(
 
     Returns:
         The identified geometries, with link parameters ``(N, n)``; the number of least-squares steps ``(N,)``; and
-        whether the result of each arm is valid ``(N,)``. It is not if the arm has other redundant parameters than most,
-        or undamped steps do not suffice.
+        whether the result of each arm is valid ``(N,)``. A result is invalid if the arm has other redundant parameters
+        than most arms, or if undamped steps do not suffice.
     """
     nominal, count, poses = protocol.nominal, len(around), setting.poses
     design, instrument = protocol.design, protocol.instrument(setting)

@@ -174,7 +174,8 @@ GROUPS: Mapping[str, tuple[str, tuple[str, ...]]] = {
 }
 """For each group of effects, the effect and the random numbers (`random_columns`) that determine it."""
 SOBOL_STREAM = 7
-"""Spawn key of the random numbers, which differ from those of the study's rows."""
+"""Spawn key of the random numbers for Sobol indices. It is not a key of the study's rows, whose random numbers
+differ."""
 SCRAMBLES = 32
 """Number of independent Sobol sequences in a sample; the intervals are over them."""
 LEAST_SAMPLES = 8 * SCRAMBLES
@@ -446,8 +447,8 @@ def _interval(share: float, chance: float, pseudo: Array) -> tuple[float, float]
 
     The root of a share is a length in the space of slopes, with the same standard error everywhere. The share over that
     error squared is therefore noncentral chi-square, as if with ``chance / error**2`` degrees of freedom. The interval
-    contains the noncentralities that do not contradict such a share. It begins at zero if zero is one of them, and
-    contains the estimate if that is below zero.
+    contains all noncentralities that agree with such a share, and begins at zero if zero agrees too. An estimate below
+    zero is also inside.
 
     Args:
         share: The share, including what chance adds.

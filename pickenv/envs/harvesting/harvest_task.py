@@ -158,7 +158,7 @@ class HarvestTask:
 
     @cached_property
     def increment(self) -> Array:
-        """Largest increment of each joint in one period, rad or m."""
+        """Largest increment of each joint in one period, rad or m, (joints,)."""
         return self.machine.speed * CONTROL_PERIOD
 
     @cached_property
@@ -168,7 +168,7 @@ class HarvestTask:
 
     @cached_property
     def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Lower and upper bounds of the observation's numbers."""
+        """Lower and upper bounds of the observation's numbers, (observation_size,) each."""
         box = harvest_spaces(self)[0]
         return box.low, box.high
 

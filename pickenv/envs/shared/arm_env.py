@@ -150,7 +150,7 @@ class ArmEnv(DrawnEnv):
 
     @property
     def joint_target(self) -> Array:
-        """The nominal joint target that the actions have built up, rad or m."""
+        """Nominal joint target ``(n,)``, the sum of the actions so far, rad or m."""
         return np.array(self.task.middle if self._state is None else self._plain(self._state.target))
 
     @property

@@ -42,7 +42,7 @@ def drawings(run: Run) -> Drawings:
 def page(run: Run, picture: TakePicture | None = None) -> str:
     """Return the page that was written with the run, as HTML.
 
-    It cannot be made again, because it needs more data than the folder has.
+    The page cannot be made again from the folder, because it needs more data than the folder has.
 
     Raises:
         InputError: If the folder has no page, or the page was edited.

@@ -230,7 +230,7 @@ def plain_report(
 
 
 def drawings_of(run: Run) -> Drawings:
-    """Return all figures of a run, with those that cannot be drawn."""
+    """Return all figures of a run; a figure that cannot be drawn has the reason instead."""
     return list(_pages(run).drawings(run))
 
 

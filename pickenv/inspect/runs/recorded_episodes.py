@@ -200,7 +200,7 @@ class RecordedEpisodes:
 
     @property
     def colours(self) -> list[Rgb]:
-        """The colour of each policy, in their order."""
+        """The colour of each policy, in the order of `policies`."""
         return policy_colours([policy.key for policy in self.policies])
 
     @property
