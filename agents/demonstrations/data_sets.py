@@ -156,7 +156,10 @@ def _kept_or_made(
 
 
 def _reaches(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
-    """Record reaches in a vector environment, all at once, and yield the columns (arrays by name) of each episode."""
+    """Run one reach per seed, all in one vector environment, then yield the columns (arrays by name) of each episode.
+
+    The ``quality`` says which share of the actions is random: none (expert), half (medium) or all (random).
+    """
     envs: Any = gym.make_vec(TASKS["reach"], num_envs=len(seeds), autoreset_mode="Disabled", executor="numpy")
     policy = load_policy("ppo_encoders", envs.unwrapped.task.plant.arm)
     observations, _ = envs.reset(seed=list(seeds))

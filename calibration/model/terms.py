@@ -89,7 +89,7 @@ class PeriodicTerm(JointTerm):
     order_std: tuple[float, ...] = ()
 
     def some(self, numbers: NDArray[np.int64]) -> PeriodicTerm:
-        """Return a term with only the harmonics at these indices, from 0, and without the orders' uncertainties."""
+        """Return a term with the harmonics at these indices (from 0) alone. Each keeps its order, not `order_std`."""
         return PeriodicTerm(tuple(self.joints[i] for i in numbers), tuple(self.orders[i] for i in numbers))
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:

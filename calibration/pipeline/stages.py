@@ -490,9 +490,10 @@ def _judged_by_blocks(draft: Draft) -> Result:
 
 
 def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
-    """Return for each block the rows to fit and the rows held out.
+    """Return the rows to fit and the rows held out, for each block of `observations.contiguous_folds`.
 
-    With few pictures or poses, a block is one picture or pose of each group (`Observations.groups`).
+    There are `observations.BLOCKS` blocks of neighbouring poses. With at most `FEW_VIEWS` pictures or `FEW_ROWS`
+    poses, one picture or pose of every group is held out at a time.
     """
     poses, count = observations.same_poses(train.joints), pose_count(train.joints)
     few = count <= (FEW_VIEWS if train.kind == "pixels" else FEW_ROWS)

@@ -506,7 +506,14 @@ def _sentence(error: Mapping[str, Any], content: Any, where: str, text: str, own
 
 
 def _fault(error: Mapping[str, Any], place: list[Any], content: Any, owner: str) -> str:
-    """Return the part of a message that names the key, its table, its value and what to give."""
+    """Return what is wrong with a value, without the file: the key, its table, the value, and what to give instead.
+
+    Args:
+        error: The error as pydantic reports it.
+        place: Keys and indices that lead to the value.
+        content: The whole file, as TOML gives it.
+        owner: Name of what the file describes, for keys outside of tables.
+    """
     details, kind = error.get("ctx", {}), error["type"]
     inside = _table_at(place, content) or owner
     match kind:

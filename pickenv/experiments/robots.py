@@ -131,8 +131,8 @@ def fold_errors(
     """Compute squared errors of one fold's held-out rows, for the measured arm and for arms drawn from the fold's twin.
 
     Args:
-        rng: Not used; random numbers depend on the seed of ``settings``, the row and the fold.
-        row: Key of `GAINS`, which selects a data set and a kind of split.
+        rng: Not used; random numbers depend on the seed in ``settings``, on ``row`` and on ``fold``.
+        row: Name of a row of the bench's table, a key of `GAINS`. It selects a data set and a kind of split.
         fold: Index of the fold, from 0.
         settings: Sizes of the computation, and its seed.
         data: Folder of the data sets.

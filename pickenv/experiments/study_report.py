@@ -234,7 +234,7 @@ def record_study(folder: str | Path, setting: int, path: str | Path) -> Path:
 
     Args:
         folder: The study's folder.
-        setting: Number of the setting.
+        setting: Index of the setting, that is of one combination of the study's factors, from 0 as in its tables.
         path: The file to write, usually `arms.rrd`.
 
     Raises:

@@ -57,7 +57,7 @@ class Zone:
 
     @property
     def view(self) -> Viewpoint:
-        """Viewpoint of the zone's picture: at y = 0 before the zone's middle, looking at the tree."""
+        """Camera's position for the zone's picture, m, at y = 0 in front of the zone's middle, and its direction."""
         return np.array([(self.left + self.right) / 2, 0.0, (self.bottom + self.top) / 2]), AHEAD
 
 

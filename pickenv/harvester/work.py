@@ -189,7 +189,10 @@ def _schedule(work: Work, plan: Sequence[Sequence[int]], hold: Hold | None = Non
 
 
 def last_arm(work: Work, plan: Sequence[Sequence[int]]) -> tuple[float, int]:
-    """Return a plan's makespan, s, and the index of the arm that finishes last; (0, 0) for a plan without picks."""
+    """Return a plan's makespan, s, and the index of the arm that finishes last; (0, 0) for a plan without picks.
+
+    A plan lists, for each arm, the indices of its fruit in the order of picking.
+    """
     row = max(_schedule(work, plan), key=lambda row: row[3], default=(0, 0, 0.0, 0.0, 0.0))
     return row[3], row[0]
 

@@ -207,7 +207,10 @@ class Plant:
 
     @cached_property
     def _motors(self) -> list[tuple[Effect, int]]:
-        """The effects on the motors in reverse order (encoder counts last), with the indices of their memories."""
+        """The effects on the motors, the last of `effects` first, each with the index of its memory.
+
+        So encoder counts end the list. Indices count the effects on motors that remember something, from 0.
+        """
         motors = [effect for effect in self.effects if effect.place < DRIVE]
         return [(effect, sum(before.remembers for before in motors[:i])) for i, effect in enumerate(motors)][::-1]
 
