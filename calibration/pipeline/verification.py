@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Array, Geometry, identity_pose, rotation_matrix
-from pickenv.base import InputError
+from pickenv.base import DO_NOT_USE, InputError
 from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
 from pickenv.calibration.assessment.quality import no_gain
 from pickenv.calibration.assessment.screen import Block, error_cells, figure
@@ -287,6 +287,7 @@ class Verification:
         no_gain: The reason why the rows do not show that the calibrated arm is better than the nominal arm; None if
             they show it.
         measured: Share of the rows that lie in the region that the calibration measured; None if that is not known.
+        reservation: The sentence about the calibration's own verdict "do not use"; None if it has another verdict.
     """
 
     status: Status
@@ -301,6 +302,7 @@ class Verification:
     left_out: tuple[LeftOut, ...]
     no_gain: str | None = None
     measured: float | None = None
+    reservation: str | None = None
 
     @property
     def ratio(self) -> float:
@@ -333,7 +335,9 @@ class Verification:
         if self.left_out:
             far = tuple((item.text(),) for item in self.left_out)
             blocks.append(Block("Rows left out", (), far, "too far off to be measurements of these poses"))
-        return "\n".join([f"verdict: {self.status.upper()}: {self.reason}", *(block.text() for block in blocks)])
+        heading = [f"verdict: {self.status.upper()}: {self.reason}"]
+        heading += [] if self.reservation is None else [f"reservation: {self.reservation}"]
+        return "\n".join([*heading, *(block.text() for block in blocks)])
 
     def _moved(self, name: str) -> Iterator[str]:
         """Yield a frame's shift (mm) and turn (deg) as texts that name the number of undetermined directions."""
@@ -347,6 +351,7 @@ class Verification:
         return {
             "status": self.status,
             "reason": self.reason,
+            "reservation": self.reservation,
             "rows": self.rows,
             "refit_rows": self.refitted,
             "calibrated_mm": self.calibrated.as_dict(),
@@ -427,7 +432,7 @@ def verify(
         return _cause(there, judging.select(far), errors[far], expected[far], places, refit)
 
     status, reason = _verdict(verification, cause)
-    return replace(verification, status=status, reason=reason)
+    return replace(verification, status=status, reason=reason, reservation=calibration.reservations().get(DO_NOT_USE))
 
 
 def promised(calibration: Calibration, data: Measurements) -> Array:

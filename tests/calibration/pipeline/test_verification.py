@@ -335,9 +335,26 @@ def test_the_command_says_what_the_function_says(result: Result, true: Geometry,
         there = json.loads(figures.read_text(encoding="utf-8"))
         reason = there["reason"].replace("`refit='base,tool'`", "--refit base,tool")
         assert said.output.startswith(f"verdict: {there['status'].upper()}: {reason}")
+        assert there["reservation"] is None and "reservation" not in said.output
         assert there["refit_rows"] == (8 if refit else 0)
         assert f"{there['calibrated_mm']['rms']:#.4g}".rstrip(".") in said.output
         assert said.output.splitlines()[-1].startswith(f"next: {step}")
+
+
+def test_a_calibration_not_to_be_used_says_so_where_new_rows_find_it_good(
+    ur5: Arm, true: Geometry, tmp_path: Path
+) -> None:
+    """One held-out row judges nothing, so `apply` refuses it; new rows may find it good, and the words are the same."""
+    few = calibrate(ur5, seen(true, 1, rows=150), test=seen(true, 3, rows=1), choices=PLAIN)
+    rows, figures = seen(true, 2).write_csv(tmp_path / "new.csv"), tmp_path / "f.json"
+    said = CliRunner().invoke(app, ["verify", str(few.save(tmp_path / "a.npz")), str(rows), "--json", str(figures)])
+    there, sentence = json.loads(figures.read_text(encoding="utf-8")), few.calibration.reservations()["do-not-use"]
+    assert there["status"] == "still good" and there["reservation"] == sentence and said.exit_code == 3
+    assert "do not use (only 1 row was held out" in sentence
+    first, second = said.output.splitlines()[:2]
+    assert first.startswith("verdict: STILL GOOD: ")
+    assert second == "reservation: " + sentence.replace("`test`", "--test")
+    assert said.output.splitlines()[-1].startswith("next: measure more poses")
 
 
 @pytest.mark.parametrize("frames", [(), ("base", "tool")], ids=["as it was", "refitted"])
