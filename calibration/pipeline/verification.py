@@ -470,7 +470,7 @@ def _cause(
     """Find the cause of errors larger than promised: moved frames, a region not measured, or changed joint zeros."""
     most, size = GROWN * float(np.sqrt(expected.mean())), position_rms(errors)
     far, all_found = size > ELSEWHERE * most / GROWN, set(refit) == set(OWN)
-    if far and not all_found and _left(there, data, own_frames_model(there.identified, OWN)) < size / MOSTLY:
+    if far and not all_found and _left(there, data, errors, own_frames_model(there.identified, OWN)) < size / MOSTLY:
         return "frames"
     if inside is not None and not inside.all() and not far:
         as_promised = inside.any() and position_rms(errors[inside]) ** 2 <= GROWN**2 * np.mean(expected[inside])
@@ -478,25 +478,25 @@ def _cause(
             return "elsewhere"
     zeros = joint_zeros_model(there.identified)
     inner = ErrorModel(zeros.columns[1:-1], zeros.names[1:-1], zeros.tolerance[1:-1])  # base and tool turn the others
-    if _left(there, data, inner.joined(own_frames_model(there.identified, refit))) <= most:
+    if _left(there, data, errors, inner.joined(own_frames_model(there.identified, refit))) <= most:
         return "joints"
-    if not all_found and _left(there, data, own_frames_model(there.identified, OWN)) <= most:
+    if not all_found and _left(there, data, errors, own_frames_model(there.identified, OWN)) <= most:
         return "frames"
     return "unknown"
 
 
-def _left(there: Calibration, data: Measurements, model: ErrorModel) -> float:
+def _left(there: Calibration, data: Measurements, errors: Array, model: ErrorModel) -> float:
     """Compute the RMS position error, m, after a fit of a model to the rows, corrected for the degrees of freedom."""
     if len(data) < len(model.names):
         return np.inf
-    learnt = there.errors(data) - data.difference(there.model)
+    learnt = errors - data.difference(there.model)  # in the axes of the other station's base
     try:
         solution = identify(model, there.model, _less(data, learnt), max_iterations=60)
     except InputError:
         return np.inf
-    errors = data.difference(solution.arm_model) + learnt
+    rest = data.difference(solution.arm_model) + learnt
     spare = 1.0 - solution.identifiability.rank / (len(data) * data.rows_per_pose)
-    return position_rms(errors) / float(np.sqrt(spare))
+    return position_rms(rest) / float(np.sqrt(spare))
 
 
 def _less(data: Measurements, learnt: Array) -> Measurements:

@@ -274,6 +274,33 @@ def test_what_was_learnt_turns_with_the_base(ur5: Arm, true: Geometry) -> None:
     )
 
 
+def test_zeros_that_drifted_are_told_where_a_residual_was_learnt_that_turns_the_tool(ur5: Arm, true: Geometry) -> None:
+    """Three degrees that were learnt are no part of the drift, and zeros need not explain them."""
+
+    def tilted(data: Measurements) -> Measurements:
+        tilt = 0.06 * np.sin(data.joints[:, 1:4] + data.joints[:, [2, 3, 1]])
+        return replace(data, rotation=rotation_matrix(tilt) @ data.rotation)
+
+    choices = Choices(terms="none", residual="rbf", force=True)
+    calibration = calibrate(ur5, tilted(seen(true, 1, rows=300, poses=True)), choices=choices).calibration
+    said = verify(calibration, tilted(seen(drifted(true, 1.2e-3), 4, poses=True)))
+    assert said.status == "drifted" and "the joints' zeros explain it" in said.reason
+
+
+def test_zeros_that_drifted_are_told_wherever_the_instrument_stands(ur5: Arm, true: Geometry) -> None:
+    """The residual, two millimetres of waves, was learnt in the axes of the base, which another station turns."""
+
+    def wavy(data: Measurements) -> Measurements:
+        return replace(data, position=data.position + 2e-3 * np.cos(2 * data.joints[:, :3]) @ HERE.rotation.T)
+
+    choices, across = Choices(terms="none", residual="gp", force=True), THERE.rotation @ HERE.rotation.T
+    calibration = calibrate(ur5, wavy(seen(true, 1, rows=100)), choices=choices).calibration
+    here = wavy(seen(drifted(true, 3e-3), 4, rows=100))
+    there = replace(here, position=(here.position - HERE.position) @ across.T + THERE.position)
+    said = verify(calibration, there, FRAMES, 12)
+    assert said.status == "drifted" and "the joints' zeros explain it" in said.reason
+
+
 def test_rows_of_another_station_do_not_judge_a_calibration(ur5: Arm, true: Geometry) -> None:
     train, test = seen(true, 1, rows=150), seen(true, 2, THERE, OTHER_TARGET)
     with pytest.raises(InputError, match="another set-up"):
