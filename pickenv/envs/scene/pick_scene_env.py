@@ -185,9 +185,10 @@ class PickSceneEnv(ReachEnv):
         check_choice("obs_type", obs_type, OBSERVATIONS)
         for name, count, least in (("fruit", fruit, 1), ("leaves", leaves, 0), ("pixels", pixels, SMALLEST)):
             check_count(name, count, least)
-        sizes = {"camera_mm": camera_mm, "camera_deg": camera_deg, "error_mm": error_mm, "within_mm": within_mm}
+        error, within = (0.0 if size is None else size for size in (error_mm, within_mm))
+        sizes = {"camera_mm": camera_mm, "camera_deg": camera_deg, "error_mm": error, "within_mm": within}
         for name, size in sizes.items():
-            check_number(name, 0.0 if size is None and name in ("error_mm", "within_mm") else size)
+            check_number(name, size)
         if pixels > LARGEST:
             raise InputError(f"pixels is {pixels}; give at most {LARGEST}")
         if not isinstance(cameras, list | tuple) or not cameras or any(name not in CAMERAS for name in cameras):
