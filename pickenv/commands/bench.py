@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import typer
 from typer import Option
 
-from pickenv.base import locked, require, separate
+from pickenv.base import InputError, locked, require, separate
 from pickenv.commands.showing import CommandOfNames, check_workers, deliver, print_table, progress_bars
 
 bench = typer.Typer(
@@ -84,7 +84,7 @@ def policies(
     arms: Annotated[int | None, Option(min=1)] = None,
     episodes: Annotated[int | None, Option(min=1)] = None,
     canopies: Annotated[int | None, Option(min=0)] = None,
-    split: Literal["test", "train"] = "test",
+    split: Literal["test", "train"] | None = None,
     seed: Annotated[int, Option(min=0)] = 0,
     seeds: int = 5,
     trainings: Annotated[int | None, Option(min=0)] = None,
@@ -104,7 +104,7 @@ def policies(
         arms: Number of arms drawn for each seed.
         episodes: Number of fruit per arm.
         canopies: Number of canopies for each arm of the picking task; 0 leaves the task out.
-        split: A rung's arms to judge on: test, or train for tuning and for checking these results.
+        split: A rung's arms to judge on: test, or train for tuning and for checking these results; test if left out.
         seed: The first seed.
         seeds: Number of seeds; at least 5.
         trainings: Number of trainings of each learned policy, made first; 5 if left out. Their seeds begin at --seed.
@@ -121,13 +121,15 @@ def policies(
     page = out / "leaderboard.md"
     separate({"--policy": policy}, {"--out": [page], "--json": json_file})
     require("torch", "pyarrow", *(["joblib"] if executor == "joblib" else []))
+    if split is not None and plant and not rung:
+        raise InputError(f"--split {split} chooses among a rung's arms; name one with --rung, or leave --split out")
     usual = policy_tables.QUICK if quick else policy_tables.LEADERBOARD
     settings = replace(
         usual,
         policies=(*(("oracle",) if learned else usual.policies), *dict.fromkeys(policy or [])),
         plants=(*(plant or ()), *policy_tables.rungs(rung or ())) or usual.plants,
         seeds=tuple(range(seed, seed + seeds)),
-        split=split,
+        split=split or usual.split,
         arms=arms or usual.arms,
         episodes=episodes or usual.episodes,
         canopies=usual.canopies if canopies is None else canopies,

@@ -92,6 +92,7 @@ def calibrate(
     typed = dict(locals())
     from pickenv.calibration.camera.boards import write_lens
     from pickenv.calibration.pipeline.fitting import lens_of
+    from pickenv.calibration.reading.description import load_description
     from pickenv.inspect.runs.run_folder import RECORD
 
     separate(
@@ -106,6 +107,8 @@ def calibrate(
     )
     if report is not None or run is not None:
         require("jinja2", "matplotlib", "plotly")  # said now, and not after the work
+    if lens_out is not None and (len(columns or []) != 1 or load_description((columns or [""])[0]).pixels is None):
+        raise pickenv.InputError("--lens-out is for one camera's pictures; give their --columns, or leave it out")
     choices = pickenv.Choices(**arguments_for(pickenv.Choices, typed))
     robot: str | pickenv.arm.Arm | None = arm
     if payload is not None:

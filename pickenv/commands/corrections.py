@@ -140,7 +140,8 @@ def verify(
     Verdicts: still good, no better than nominal, worse than nominal, drifted, outside what was measured, another
     station, another arm.
 
-    The verdict comes first; unless it is "still good" the exit code is 3.
+    The verdict comes first; unless it is "still good" the exit code is 3. It is 3 too if the calibration's own verdict
+    is "do not use".
 
     Args:
         calibration: Calibration file (.npz).
@@ -162,7 +163,8 @@ def verify(
     old = pickenv.Calibration.load(calibration, whole=True)
     data = pickenv.calibration.read_observations(files, old.arm, columns)
     verdict = verified(old, data, *frames_and_rows(refit, refit_rows))
-    good, arm = verdict.status == "still good", old.arm_name if old.arm_name in pickenv.arm.shipped_arms() else "ARM"
+    good = verdict.status == "still good" and verdict.reservation is None
+    arm = old.arm_name if old.arm_name in pickenv.arm.shipped_arms() else "ARM"
     if old.arm.tree is not None:
         arm = f"ROBOT.urdf#{','.join(old.arm.tree.names)}"
     step = next_step(arm, calibration, not good)

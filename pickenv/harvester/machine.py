@@ -343,7 +343,7 @@ def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spaci
     file = read_toml(MachineFile, path)
     head, accelerations = file.machine, file.acceleration
     count: Any = head.slaves if slaves is None else slaves
-    is_number = isinstance(count, Real)
+    is_number = isinstance(count, Real) and not isinstance(count, bool)
     if not is_number or not 1 <= count <= MOST_SLAVES or count != int(count):
         raise InputError(f"a machine cannot have {count} slave arms; give a whole number from 1 to {MOST_SLAVES}")
     between = head.spacing if spacing is None else float(spacing)

@@ -16,7 +16,7 @@ from pickenv.arm import Array, leaves
 from pickenv.base import MM, NUMBER, InputError, is_there, read_toml, shown, toml_table
 from pickenv.envs.shared.backends import Flags
 from pickenv.envs.shared.situation import CONTROL_PERIOD
-from pickenv.envs.shared.task import MOST_ACTION, Compensate, as_numbers, check_choice, check_number
+from pickenv.envs.shared.task import MOST_ACTION, Compensate, as_numbers, check_choice, check_flag, check_number
 from pickenv.harvester.interference import arm_distances, pair_distances, pairs_of
 from pickenv.harvester.pick_points import AHEAD
 from pickenv.harvester.picking import attempt, draw_luck, pushes
@@ -191,6 +191,7 @@ def make_harvest_task(
     """
     check_choice("out_of_range", out_of_range, tuple(MOST_ACTION))
     check_choice("executor", executor, ("auto", "numpy"))
+    check_flag("ideal", ideal)
     if isinstance(fruit, bool) or not isinstance(fruit, int | np.integer) or not 1 <= fruit <= 40:
         raise InputError(f"a zone of {fruit} fruit is impossible; give a whole number from 1 to 40")
     if spacing_mm is not None:

@@ -461,6 +461,7 @@ def make_pick(
     task = make_task(plant, **arguments)
     check_choice("order", order, tuple(ORDERS))
     check_known("vision", vision, (PUBLISHED, *trees.VISIONS))
+    check_known("detector", detector, trees.DETECTORS)
     row, crop = trees.load_canopy(canopy), trees.load_fruit_map(fruit_map)
     station = trees.load_station("qiao2026")
     section = replace(

@@ -23,7 +23,7 @@ from pickenv.envs.shared.arm_env import RENDER_MODES, Information
 from pickenv.envs.shared.backends import FLOATS, Executor
 from pickenv.envs.shared.simulation import ArmState, View
 from pickenv.envs.shared.spaces import GOALS, action_space, flat_space
-from pickenv.envs.shared.task import Task, check_choice, check_count, check_number, checked_action
+from pickenv.envs.shared.task import Task, check_choice, check_count, check_name, check_number, checked_action
 from pickenv.orchard import load_branch, load_detachment, load_fruit_size, load_gripper, load_suction
 from pickenv.orchard.gripper import misalignment
 from pickenv.pictures.stage import SIZE, Pixels, fitted_eye
@@ -185,13 +185,15 @@ class PickSceneEnv(ReachEnv):
         check_choice("obs_type", obs_type, OBSERVATIONS)
         for name, count, least in (("fruit", fruit, 1), ("leaves", leaves, 0), ("pixels", pixels, SMALLEST)):
             check_count(name, count, least)
-        sizes = {"camera_mm": camera_mm, "camera_deg": camera_deg, "error_mm": error_mm, "within_mm": within_mm}
-        for name, number in sizes.items():
-            check_number(name, number or 0.0)
+        error, within = (0.0 if size is None else size for size in (error_mm, within_mm))
+        sizes = {"camera_mm": camera_mm, "camera_deg": camera_deg, "error_mm": error, "within_mm": within}
+        for name, size in sizes.items():
+            check_number(name, size)
         if pixels > LARGEST:
             raise InputError(f"pixels is {pixels}; give at most {LARGEST}")
-        if isinstance(cameras, str) or not cameras or (set(cameras) - set(CAMERAS)):
+        if not isinstance(cameras, list | tuple) or not cameras or any(name not in CAMERAS for name in cameras):
             raise InputError(f"cameras is {shown(cameras)}; give a list of {', '.join(CAMERAS)}")
+        check_name("model", "" if model is None else model, "a maker's MJCF file (.xml)")
         if render_mode is not None:
             check_choice("render_mode", render_mode, RENDER_MODES)
         if plant is not None or arguments.get("difficulty") is None:

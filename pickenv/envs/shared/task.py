@@ -336,12 +336,13 @@ def make_task(
     if max_tilt_deg is not None:
         check_number("max_tilt_deg", max_tilt_deg, positive=True)
     check_choice("arms", arms, ARMS)
+    check_flag("end_on_success", end_on_success)
     check_count("population_seed", population_seed, least=0)
+    check_count("population", population)
+    check_limit("population", int(population), "population")
+    check_name("tolerances", tolerances, "a tolerance class, or a path to its file (.toml)")
     true_arm = load_true_arm(plant, without, population_seed)
     if arms != "fixed":
-        check_count("population", population)
-        check_limit("population", int(population), "population")
-        check_name("tolerances", tolerances, "a tolerance class, or a path to its file (.toml)")
         true_arm = draw_arms(plant, tolerances, population, np.random.default_rng(population_seed), without=without)
     geometry = true_arm.arm.nominal
     tilt = usual_tilt(geometry) if max_tilt_deg is None else float(max_tilt_deg)
@@ -439,6 +440,12 @@ def check_count(name: str, value: int, least: int = 1) -> None:
     """Raise an `InputError` unless ``value`` is a whole number of at least ``least``."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise InputError(f"{name} is {value!r}; give a whole number of at least {least}")
+
+
+def check_flag(name: str, value: bool) -> None:
+    """Raise an `InputError` unless ``value`` is a truth value."""
+    if not isinstance(value, bool | np.bool_):
+        raise InputError(f"{name} is {shown(value)}; give True or False")
 
 
 def check_name(name: str, value: str | Path, wanted: str) -> None:
