@@ -5,8 +5,8 @@
     env = gymnasium.make("pickenv/Reach-v0", plant="qiao2026")                     # and an environment around it
     env = pickenv.wrappers.CompensationWrapper(env, result.compensator())          # corrected between policy and arm
 
-Importing it registers the environments. Everything else, torch, stable-baselines3 and rerun above all, is loaded when
-it is first asked for.
+Importing pickenv registers the environments. Everything else, such as torch, stable-baselines3 and rerun, is loaded at
+its first use.
 """
 
 from importlib import metadata as _metadata
@@ -32,7 +32,9 @@ _ENVIRONMENTS: dict[str, tuple[str, str | None, int]] = {
     "PickScene": ("pickenv.envs.scene.pick_scene_env:PickSceneEnv", None, 300),
     "Pick": ("pickenv.envs.picking.pick:PickEnv", "pickenv.envs.picking.pick_vector:PickVectorEnv", 400),
 }
-"""Environments that Gymnasium is told of: makers of one and of many, and most steps; modules are loaded by making."""
+"""Environments to register with Gymnasium, by name: class of one environment, class of a vector environment or None,
+and largest number of steps of an episode. A class is given as text, so that its module is loaded only when an
+environment is made."""
 
 for _name, (_one, _many, _steps) in _ENVIRONMENTS.items():
     _gymnasium.register(f"pickenv/{_name}-v0", _one, vector_entry_point=_many, max_episode_steps=_steps)

@@ -1,4 +1,4 @@
-"""The command line `pickenv COMMAND`; commands read options and print, and other modules do the work."""
+"""Run the command line `pickenv COMMAND`. Commands read options and print; other modules do the work."""
 
 from __future__ import annotations
 

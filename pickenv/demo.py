@@ -41,14 +41,14 @@ from pickenv.orchard import misalignment
 from pickenv.wrappers import CompensationWrapper
 
 OTHER = "orchard"
-"""The plant with every effect, on which the demonstration shows how the same calibration changes picks."""
+"""Simulated arm with every effect, on which the demonstration shows how the same calibration changes picks."""
 
 PLANT, POSES = "qiao2026", {"identification": 100, "network": 200, "test": 100}
 """The simulated arm, and the numbers of poses by their purpose, as in the paper."""
 
 TOLERANCES = (1.0, 10.0)
-"""Largest errors of a success, mm and deg. The radius is smaller than any gripper's, since the raw arm's error is
-itself within the 5 mm that Li's cup forgives."""
+"""Largest position error, mm, and attitude error, deg, of a successful reach. Position is judged more strictly than by
+any gripper: the raw arm's error would be within the 5 mm that Li's cup tolerates."""
 
 Compensators = dict[str, Compensator | None]
 """Compensators by policy; None where commands go to the arm unchanged."""
@@ -160,7 +160,7 @@ def run_demo(settings: DemoSettings, progress: Progress | None = None) -> DemoRe
 
 
 def _reaches(settings: DemoSettings, compensators: Compensators, report: Progress) -> dict[str, Reaches]:
-    """The ends of the same reaches under every policy."""
+    """Run the same reaches with every policy, and return their final states by policy."""
     reaches, seeds, (radius, angle) = {}, episode_seeds(settings.seed, settings.reaches), TOLERANCES
     total = len(compensators) * len(seeds)
     for number, (key, compensator) in enumerate(compensators.items()):
@@ -175,13 +175,13 @@ def _reaches(settings: DemoSettings, compensators: Compensators, report: Progres
 
 
 def _errors(plant: Plant, joints: Array, compensator: Compensator | None) -> Array:
-    """True pose against nominal pose ``(N, 6)`` when the drives get the compensated joints."""
+    """Return the true minus the nominal poses ``(N, 6)``, m and rad, when the drives get the compensated joints."""
     command = joints if compensator is None else compensator(joints)
     return pose_error(forward(plant.arm.nominal, joints), plant.tool_pose(command))
 
 
 def _other_case(settings: DemoSettings, rng: np.random.Generator) -> list[Change]:
-    """The effect of least squares on picks on the plant `OTHER`, over a field of upright tool poses at rest."""
+    """Return how least squares changes picks on the plant `OTHER`, over a field of upright tool poses at rest."""
     plant = load_plant(OTHER)
     nominal = plant.arm.nominal
     (poses,) = random_sets(plant, (POSES["identification"],), rng)
@@ -199,7 +199,7 @@ def _other_case(settings: DemoSettings, rng: np.random.Generator) -> list[Change
 def _comparison(
     settings: DemoSettings, plant: Plant, result: Result, compensators: Compensators, reaches: dict[str, Reaches]
 ) -> Comparison:
-    """The error field on a regular grid of upright tool poses, and the reaches, for pictures."""
+    """Return a comparison for pictures: the error field on a regular grid of upright tool poses, and the reaches."""
     grid = field_grid(plant.arm.nominal, settings.grid_step, settings.seed)
     return Comparison(
         policies=tuple(
@@ -216,7 +216,7 @@ def _comparison(
 
 
 def summarise(result: DemoResult) -> dict[str, Any]:
-    """Return the numbers of a demonstration as a mapping for JSON, which is the content of `summary.json`."""
+    """Return the numbers of a demonstration as a mapping for JSON, which is written as `summary.json`."""
     settings, calibration = result.settings, result.calibrated.calibration
     rank = result.calibrated.fit.identification.identifiability
     policies, r2 = {}, None
@@ -272,7 +272,8 @@ def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -
     """Write the run folder, and return the files written.
 
     The folder contains data, calibration and summary. Figures, page and recording are written too, if the extra
-    `inspect` is installed. If it is installed afterwards, `pickenv report` and `pickenv inspect` make them.
+    `inspect` is installed. If `inspect` is installed afterwards, `pickenv report` and `pickenv inspect` make the page
+    and the recording.
 
     Args:
         result: Results of `run_demo`.
@@ -297,7 +298,7 @@ def write_run(result: DemoResult, out: Path, progress: Progress | None = None) -
 
 
 def _shown(comparison: Comparison, trace: CalibrationTrace, run: Run, report: Progress) -> list[Path]:
-    """Figures, recording and page."""
+    """Write figures, recording and page, and return their paths."""
     from pickenv.inspect import comparison_drawings, record_comparison, trace_drawings, write_drawings
     from pickenv.inspect.reports.demo_report import page
 

@@ -83,12 +83,21 @@ def rows_of(result: Mapping[str, Any], certain: bool = False) -> list[Row]:
     return rows
 
 
-def rows_at(result: Mapping[str, Any], way: str) -> list[Row]:
-    """The rows of all lists that lie at the end of a way: keys with dots between, and `*` for every key."""
+def parts_at(result: Mapping[str, Any], way: str) -> list[Any]:
+    """What lies at the end of a way: keys with dots between, and `*` for every key."""
     parts: list[Any] = [result]
     for key in way.split("."):
         parts = [part[name] for part in parts for name in (part if key == "*" else [key])]
-    return [row for rows in parts for row in rows]
+    return parts
+
+
+def rows_at(result: Mapping[str, Any], way: str) -> list[Row]:
+    """The rows of all lists at the end of a way (`parts_at`); where rows have keys, each has its own as "key"."""
+    return [
+        row
+        for rows in parts_at(result, way)
+        for row in ([{"key": key} | row for key, row in rows.items()] if isinstance(rows, dict) else rows)
+    ]
 
 
 def rows_of_command(name: str, entry: Row, result: Mapping[str, Any]) -> list[Row]:
@@ -97,32 +106,35 @@ def rows_of_command(name: str, entry: Row, result: Mapping[str, Any]) -> list[Ro
     Args:
         name: The entry's.
         entry: "rows", the way to the rows (`rows_at`); "by", the keys of their levels; "numbers", for each title the
-            keys of a value and of both ends, or of a pair of ends; "words", the key of what a table says beside a
+            ways to a value and to both ends, or to a pair of ends; "words", the key of what a table says beside a
             number. A row without a value has no such number.
         result: What the command wrote.
     """
     rows = []
     for row in rows_at(result, entry["rows"]):
         for title, (value, *ends) in entry["numbers"].items():
-            interval = row[ends[0]] if len(ends) == 1 else [row[end] for end in ends]
-            if row[value] is not None:
+            number, *bounds = (parts_at(row, way)[0] for way in (value, *ends))
+            interval = bounds[0] if len(bounds) == 1 else bounds
+            if number is not None:
                 about = {"experiment": name, "title": title, "levels": {key: row[key] for key in entry["by"]}}
                 ci95 = None if not interval or None in interval else interval
                 words = {"words": row[entry["words"]]} if row.get(entry.get("words")) else {}
-                rows.append(about | {"value": row[value], "ci95": ci95, "sampled95": ci95} | words)
+                rows.append(about | {"value": number, "ci95": ci95, "sampled95": ci95} | words)
     return rows
 
 
 def run_command(entry: Row, options: str, seed: int) -> dict[str, Any]:
-    """What another command writes at this size and seed.
+    """What another command writes at this size and seed, by `--json` or as that file of its folder that "writes" names.
 
     Raises:
         InputError: If it fails, with its last words.
     """
     program, *words = shlex.split(f"{entry['command']} {options}")
     with tempfile.TemporaryDirectory() as folder:
-        written = Path(folder) / "result.json"
-        places = ["--seed", str(seed), "--out", f"{folder}/out", "--json", str(written)]
+        out = Path(folder) / "out"
+        written = out / entry["writes"] if "writes" in entry else Path(folder) / "result.json"
+        places = ["--seed", str(seed), "--out", str(out)]
+        places += [] if "writes" in entry else ["--json", str(written)]
         command = [str(Path(sys.executable).with_name(program)), *words, *places]
         ended = subprocess.run(command, capture_output=True, text=True, cwd=ROOT)
         if not written.is_file():

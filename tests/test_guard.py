@@ -44,6 +44,12 @@ def test_without_a_folder_for_temporary_files_the_traceback_is_written_where_we_
     assert done.returncode == 70 and str(file) in done.stderr and "Traceback" not in done.stderr
 
 
+def test_the_package_runs_as_a_module() -> None:
+    command = [sys.executable, "-m", "pickenv", "apply", "no.npz", "no.csv", "--arm", "ur5e"]
+    done = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"PYTHONPATH": str(ROOT)})
+    assert done.returncode == 2 and done.stderr.startswith("error: ") and "no.npz" in done.stderr
+
+
 def test_without_any_folder_the_traceback_is_shown() -> None:
     code = "import tempfile, os; tempfile.gettempdir = os.getcwd = lambda: '/no/such/folder'; 1 / 0"
     done = ended(code)

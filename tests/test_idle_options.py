@@ -22,6 +22,8 @@ IDLE = [
     ("calibrate rows.csv --arm ur5e --test rows.csv --split blocked", "--split blocked"),
     ("calibrate rows.csv --columns ical_charuco --fit offsets", "--fit offsets"),
     ("calibrate rows.csv --columns ical_charuco --tolerances cobot", "--tolerances"),
+    ("calibrate rows.csv --arm ur5e --lens-out lens.yaml", "--lens-out"),
+    ("calibrate rows.csv --arm ur5 --columns ur5_jacobi2025 --lens-out lens.yaml", "--lens-out"),
     ("plan-poses --arm ur5e --from targets.csv --candidates 50", "--candidates"),
     ("plan-poses --arm ur5e --columns ur5_jacobi2025", "--columns"),
     ("verify cal.npz rows.csv --refit-rows 4", "--refit-rows 4"),
@@ -53,6 +55,7 @@ IDLE = [
     ("study new.toml --sobol --no-report", "--sobol"),
     ("bench policies --quick --workers 2", "--workers 2"),
     ("bench policies --quick --plant orchard --split train", "--split train"),
+    ("bench policies --quick --plant orchard --split test", "--split test"),
     ("inspect run --web --serve 9876", "--web"),
 ]
 

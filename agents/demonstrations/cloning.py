@@ -39,14 +39,14 @@ class Clone(nn.Module):
     """Network that predicts the tool's next step from an image, the joint values and the gripper's state.
 
     Args:
-        numbers: n + 1: the number n of joints, and one for the gripper's state.
-        task: One hash over the nominal arm, its joint increments per control period, and the scale of the scene.
+        numbers: Number n of joints plus 1, for the gripper's state.
+        task: Hash of the nominal arm, its joint increments per control period, and the scale of the scene.
         pixels: Width and height of the images, px.
 
     Attributes:
         middle: Means over the demonstrations of joint values and gripper state ``(n + 1,)``.
         spread: Standard deviations over the demonstrations of joint values and gripper state ``(n + 1,)``.
-        unit: Mean absolute values over the demonstrations of the tool's steps, m and rad, and the gripper's ``(7,)``.
+        unit: Mean absolute step over the demonstrations ``(7,)``: of the tool, m and rad, and of the gripper.
     """
 
     middle: th.Tensor
@@ -81,13 +81,13 @@ class Clone(nn.Module):
         return cast(th.Tensor, self.think(th.cat([mean, 5.0 * (square - mean**2), scaled], dim=1)))
 
     def save(self, path: str | Path) -> Path:
-        """Write the network to one verified file, completely or not at all; ``.npz`` is appended if missing."""
+        """Write the network to one file with a checksum, completely or not at all; ``.npz`` is appended if missing."""
         arrays = {name: value.numpy() for name, value in self.state_dict().items()}
         return write_container(npz_path(path), KIND, {"task": self.task, "pixels": self.pixels}, arrays)
 
     @classmethod
     def load(cls, path: str | Path) -> Clone:
-        """Read a file that `save` wrote; nothing in it is executed.
+        """Read a network from a file that `save` wrote; nothing in the file is executed.
 
         Raises:
             InputError: If the file is missing, damaged or of another kind.
@@ -113,15 +113,16 @@ def clone(
     """Train a network to imitate demonstrations.
 
     Args:
-        demonstrations: Observations and actions ``(steps, n + 1)`` of each episode. A last observation without an
-            action is ignored. The entries ``["pixels"]["wrist"]`` and ``["agent_pos"]`` of the observations are used.
+        demonstrations: Observations and actions ``(steps, n + 1)`` of each episode. If there is one observation more
+            than actions, the last is ignored. The entries ``["pixels"]["wrist"]`` and ``["agent_pos"]`` of the
+            observations are used.
         env: A `pickenv/PickScene-v0` with the nominal arm of the demonstrations.
         seed: Seed of initial weights and of the order of batches; the same seed gives the same network.
         passes: Number of epochs.
         progress: Called with (name, epochs done, total).
 
     Raises:
-        InputError: If there are no demonstrations, they hold no images of the wrist camera, or they do not fit the arm.
+        InputError: If there are no demonstrations, or they have no images of the wrist camera or do not fit the arm.
     """
     check_count("passes", passes)
     check_limit("seed", seed, "seed")
@@ -160,7 +161,7 @@ def clone(
 def _fit(
     network: Clone, pictures: th.Tensor, numbers: th.Tensor, wanted: th.Tensor, passes: int, progress: Progress | None
 ) -> None:
-    """Train a network with the mean absolute error as its loss."""
+    """Train a network in place, with the mean absolute error from the steps ``wanted (k, 7)`` as its loss."""
     batches = -(-len(wanted) // BATCH)
     optimiser = th.optim.AdamW(network.parameters(), RATE, weight_decay=DECAY)
     rates = th.optim.lr_scheduler.OneCycleLR(optimiser, RATE, passes * batches)
@@ -213,7 +214,7 @@ class ClonedScene(ReachController):
 
 
 def _looked(observation: Any) -> tuple[NDArray[Any], Array]:
-    """Return the wrist camera's image, and joints with gripper, of one observation or of many."""
+    """Return the wrist camera's images, and joint values with gripper state, from one observation or many."""
     try:
         return np.asarray(observation["pixels"][CAMERA]), np.asarray(observation["agent_pos"], dtype=float)
     except (KeyError, TypeError, IndexError) as error:
@@ -223,13 +224,13 @@ def _looked(observation: Any) -> tuple[NDArray[Any], Array]:
 
 
 def _task_of(env: Any) -> str:
-    """Return a hash of all that gives a step its meaning: nominal arm, joint increments and scale of the scene."""
+    """Return a hash of all that a step depends on: the nominal arm, its joint increments, and the scene's scale."""
     inner = env.unwrapped
     return content_sha256(inner.plant.arm.fingerprint(), np.array(inner.increment).tolist(), inner.scene.around.scale)
 
 
 def _tool_steps(geometry: Geometry, joints: Array, moves: Array) -> Array:
-    """Return steps ``(k, 7)`` of tool, in its own frame, m and rad, and gripper for joint steps ``(k, n + 1)``."""
+    """Convert joint steps and gripper ``(k, n + 1)`` to tool steps, m and rad, and gripper ``(k, 7)``, tool frame."""
     steps = np.einsum("kij,kj->ki", joint_jacobian(geometry, joints), moves[:, :-1]).reshape(-1, 2, 3)
     within = np.einsum("kji,kpj->kpi", forward(geometry, joints).rotation, steps).reshape(-1, 6)
     return np.concatenate([within, moves[:, -1:]], axis=1)

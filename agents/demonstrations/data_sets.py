@@ -1,6 +1,6 @@
 """Minari data sets for learning without an environment, recorded with expert, medium and random policies.
 
-Task "reach" is recorded on `pickenv/ReachScaled-v0`, because a network that reads a gap in metres is blind to
+Task "reach" is recorded on `pickenv/ReachScaled-v0`, because a network that reads a gap in metres hardly notices
 millimetres. Task "pick" is recorded on `pickenv/Pick-v0`. Tasks "scene" and "sight" are recorded on
 `pickenv/PickScene-v0`, "sight" with images.
 
@@ -60,7 +60,8 @@ SIGHT: Mapping[str, Any] = {
     "within_mm": 60.0,
     "feedback": "camera",
 }
-"""Arguments of the environment of task "sight": they add images, and the gap that a camera measures to the state."""
+"""Arguments of the environment of task "sight". They add images, and add the gap that a camera measures to the
+state."""
 
 ARMS: Mapping[tuple[str, str], dict[str, Any]] = {
     ("scene", "expert"): {"plant": "ideal:so101"},
@@ -155,7 +156,10 @@ def _kept_or_made(
 
 
 def _reaches(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
-    """Record reaches in the vector environment, all at once, and yield the columns of each."""
+    """Run one reach per seed, all in one vector environment, then yield the columns (arrays by name) of each episode.
+
+    The ``quality`` says which share of the actions is random: none (expert), half (medium) or all (random).
+    """
     envs: Any = gym.make_vec(TASKS["reach"], num_envs=len(seeds), autoreset_mode="Disabled", executor="numpy")
     policy = load_policy("ppo_encoders", envs.unwrapped.task.plant.arm)
     observations, _ = envs.reset(seed=list(seeds))
@@ -175,7 +179,7 @@ def _reaches(quality: str, seeds: Sequence[int], rng: np.random.Generator) -> It
 
 
 def _episodes(task: str, quality: str, seeds: Sequence[int], rng: np.random.Generator) -> Iterator[dict[str, Any]]:
-    """Record canopies or scenes, one after the other, and yield the columns of each."""
+    """Record canopies or scenes, one after the other, and yield the columns (arrays by name) of each episode."""
     env = gym.make(TASKS[task], **ARMS.get((task, quality), {}))
     if quality == "random":
         policy: Any = RandomReach(env, rng)
@@ -232,7 +236,7 @@ def _stacked(values: Sequence[Any]) -> Any:
 
 
 def _numbers(column: Any) -> bytes:
-    """Return the bytes of all numbers of a column."""
+    """Return the bytes of all numbers of a column, which may be an array or a dictionary of columns."""
     return b"".join(map(_numbers, column.values())) if isinstance(column, Mapping) else column.tobytes()
 
 
@@ -279,10 +283,10 @@ def _hashes(folder: Path) -> dict[str, str]:
 
 
 def _kept(folder: Path, asked: dict[str, Any]) -> dict[str, Any]:
-    """Return the card of an existing data set, after checking its settings and its files.
+    """Return the card of an existing data set, after a check of its settings and its files.
 
     Raises:
-        InputError: If it has no card, its settings are not those of ``asked``, or its files were changed.
+        InputError: If the data set has no card, its settings are not those of ``asked``, or its files were changed.
     """
     otherwise = f"{folder} %s; take it away to have it made anew, or give another `out`"
     try:

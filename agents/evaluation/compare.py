@@ -31,8 +31,8 @@ from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
 
 SUMMARY, RECORDING = "comparison.json", "comparison.rrd"
 GRID_STEP = 0.1
-Arguments = Mapping[str, Any]
 """Cell size of a policy's error field, m."""
+Arguments = Mapping[str, Any]
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,10 +98,10 @@ def compare(
         labels: Display names, one for each policy; made from policies and calibrations by default.
         episodes: Number of episodes of each policy.
         seed: Seed of the fruit and of the policies' own random draws.
-        gripper: Name or file of the gripper model that decides whether a reach picks its fruit. `pickenv/Pick-v0` has
-            this gripper.
+        gripper: Name or file of the gripper model that decides whether a reach picks its fruit. In `pickenv/Pick-v0` it
+            is also the arm's gripper.
         grid_step: Cell size of the error fields, m.
-        allow: Names of the calibrations' reservations to accept (`pickenv.base.obey`).
+        allow: Reservations of the calibrations to accept, by name: "fitted-frames", "do-not-use" (`pickenv.base.obey`).
         progress: Called with (stage, number done, total).
         arguments: Further keyword arguments of the environment.
 
@@ -166,8 +166,8 @@ def compare(
 def _arm_and_period(env_id: str, arguments: Arguments) -> tuple[Plant | None, float, set[str]]:
     """Return the plant (the true arm) of an environment, or None without one, and its control period, s.
 
-    The third value names what the environment has of its own: "gripper", if it judges grasps by its own gripper, and
-    "field", if errors can be mapped over a grid of goals.
+    The third value may contain "gripper", if the environment judges grasps by its own gripper, and "field", if errors
+    can be mapped over a grid of goals.
     """
     env = _made(env_id, arguments)
     inner: Any = env.unwrapped
@@ -194,7 +194,11 @@ def _made(env_id: str, arguments: Arguments) -> gym.Env[Any, Any]:
 def _recorded_policy(
     label: str, episodes: Sequence[Sequence[Moment]], longest: int, plant: Plant | None, judge: Gripper, chance: Array
 ) -> RecordedPolicy:
-    """Return one policy's episodes as arrays, padded to ``longest`` moments with the last moment and reward 0."""
+    """Return one policy's E episodes as arrays, each padded to ``longest`` moments.
+
+    Padding repeats the last moment, with reward 0. ``chance`` ``(E,)`` is the probability that the gripper ``judge``
+    captures the fruit.
+    """
     info = episodes[0][0].info
     padded = [[*episode, *[episode[-1]._replace(reward=0.0)] * (longest - len(episode))] for episode in episodes]
 
@@ -251,13 +255,13 @@ def _recorded_policy(
 
 
 def _capture(judge: Gripper, tool: Pose, fruit: Array, error: Array) -> Array:
-    """Probability ``(E,)`` that the gripper captures each fruit, given the pose error ``(E, 6)`` of the true tool."""
+    """Return the probability ``(E,)`` that the gripper captures each fruit, given the tool's pose errors ``(E, 6)``."""
     aim = attitude_after(tool, -error[:, 3:])[..., 2]
     return capture_probability(judge, *misalignment(fruit - tool.position, tool.rotation[..., 2], aim))
 
 
 def _field(contender: Contender, env_id: str, arguments: Arguments, grid: FieldGrid, seed: int, number: int) -> Array:
-    """Return a policy's final pose errors ``(F, 6)``, m and rad, at the F goals of a grid, one environment each."""
+    """Return a policy's final pose errors ``(F, 6)``, m and rad, at the F goals of a grid."""
     steps = gym.spec(env_id).max_episode_steps or 60
     envs: gym.vector.VectorEnv[Any, Any, Any] = gym.make_vec(
         env_id, num_envs=len(grid.joints), autoreset_mode="Disabled", **arguments

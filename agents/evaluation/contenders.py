@@ -39,11 +39,12 @@ class Kind:
         feedback: Feedback that the policy can use: "encoders", "camera".
         sequential: Whether the policy learns from episode to episode. The registered function that makes it then also
             takes ``camera_noise_mm``, mm per axis, and ``compensation``, the compensation between policy and arm.
-        raw_only: Whether the policy is evaluated only without a compensator, which would disturb it.
+        raw_only: Whether the policy is evaluated only without a compensator, because it corrects the arm's errors
+            itself.
         files: Policy files, one per training seed; empty for a registered policy.
-        moves_tool: Whether the policy acts in `pickenv/ReachTool-v0`, where fruit lie elsewhere than for other
+        moves_tool: Whether the policy acts in `pickenv/ReachTool-v0`, whose fruit are elsewhere than those of other
             policies.
-        picks: Whether the policy acts in `pickenv/Pick-v0`, and cannot reach.
+        picks: Whether the policy acts in `pickenv/Pick-v0`; such a policy cannot act in reach environments.
     """
 
     feedback: tuple[str, ...] = FEEDBACK
@@ -60,7 +61,7 @@ class Kind:
 
 
 def kind_of(name: str) -> Kind:
-    """Return the properties of a policy.
+    """Return the properties of a policy, given its name.
 
     Args:
         name: Registered policy, shipped baseline, policy file, or folder that holds one training with several seeds.
@@ -91,6 +92,10 @@ def kind_of(name: str) -> Kind:
 
 def load_any(name: str, arm: Arm | None = None) -> LearnedPolicy | RememberingPolicy:
     """Load a shipped baseline or a policy file, with or without a memory.
+
+    Args:
+        name: Name of a shipped baseline, or path of a policy file (.npz).
+        arm: Arm for which the policy must have been trained; None to skip this check.
 
     Raises:
         InputError: If the file is missing, damaged, newer than this program, or of another arm.
@@ -129,7 +134,7 @@ def maker_of(name: str, camera_noise_mm: float = 0.0, compensation: str = "raw")
 
 
 def policy_name(name: str) -> str:
-    """Return a policy's name for tables; a file or folder is named by the end of its path."""
+    """Return a policy's name for tables; the name of a file or folder is the end of its path."""
     path = Path(name)
     if path.suffix in foreign.SUFFIXES:
         return path.stem
@@ -214,9 +219,9 @@ def contenders_of(
             name followed by "#ls" for its least-squares part alone. One policy is combined with each of several
             calibrations, and one calibration with each of several policies.
         labels: Display names, one for each policy; made from policies and calibrations by default.
-        arm: Arm to which the calibrations must belong; None where the environment has none.
+        arm: Arm to which the calibrations must belong; None if the environment has no arm.
         camera_noise_mm: Standard deviation of the camera noise that an adaptive policy assumes, mm per axis.
-        allow: Names of the calibrations' reservations to accept (`pickenv.base.obey`).
+        allow: Reservations of the calibrations to accept, by name: "fitted-frames", "do-not-use" (`pickenv.base.obey`).
 
     Raises:
         InputError: If the numbers of policies, calibrations and labels do not match, a name is unknown, or two labels
@@ -259,12 +264,12 @@ def contenders_of(
 def load_compensator(path: str | Path, arm: Arm, allow: Collection[str] = ()) -> Compensate:
     """Load a calibration file and return its compensator.
 
-    Use it in environments that give fruit positions in the arm's own base frame.
+    Use the compensator in environments that give fruit positions in the arm's own base frame.
 
     Args:
         path: Calibration file.
         arm: Arm to which the calibration must belong.
-        allow: Names of the calibration's reservations to accept (`pickenv.base.obey`).
+        allow: Reservations of the calibration to accept, by name: "fitted-frames", "do-not-use" (`pickenv.base.obey`).
 
     Raises:
         InputError: If the file is missing, damaged or of another arm, or has a reservation that ``allow`` does not
@@ -276,7 +281,7 @@ def load_compensator(path: str | Path, arm: Arm, allow: Collection[str] = ()) ->
 
 
 def check_labels(labels: Sequence[str]) -> None:
-    """Raise an error if viewers would show a label under an empty key, or two labels under the same key.
+    """Raise an error if two labels are not distinct by their letters and digits, which identify a policy in viewers.
 
     Raises:
         InputError: If a label has no letter or digit, or two labels differ in punctuation and capitals only.
@@ -294,7 +299,7 @@ def _ready(policy: Policy) -> PolicyMaker:
 
 
 def _pair(policy: Given) -> tuple[Given, str | Path | Calibration | None]:
-    """Return a policy and its calibration; a calibration file gives the scripted policy with this calibration."""
+    """Return a policy and its calibration; for a calibration file, return the scripted policy and this calibration."""
     if not isinstance(policy, str | Path):
         return policy, None
     path, training = Path(str(policy).partition("#")[0]), Path(policy) / "policy.npz"
@@ -307,7 +312,7 @@ def _pair(policy: Given) -> tuple[Given, str | Path | Calibration | None]:
 def _calibrated(
     given: str | Path | Calibration | None, arm: Any, allow: Collection[str]
 ) -> tuple[str, Compensate | None]:
-    """Return a calibration's name for labels, "raw" without a calibration, and its compensator."""
+    """Return a calibration's name for labels and its compensator; "raw" and None without a calibration."""
     if given is None:
         return "raw", None
     calibration, part = given, ""
@@ -327,7 +332,7 @@ def _name(policy: Given) -> str:
 
 
 def _labels(policies: Sequence[str], stages: Sequence[str]) -> list[str]:
-    """Return labels that name what differs between the contenders: the calibration, the policy, or both."""
+    """Return one label per contender, made of what differs between them: the calibration, the policy, or both."""
     if len(policies) == 1:
         return [policies[0] if stages[0] == "raw" else stages[0]]
     if len(set(policies)) == 1:

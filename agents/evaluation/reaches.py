@@ -63,7 +63,7 @@ def pick_canopies(
 
 
 LONGEST_EPISODE = 10_000
-"""Number of steps after which an episode counts as having no time limit."""
+"""Number of steps after which an environment counts as having no time limit."""
 
 
 def episode_seeds(seed: int, count: int) -> tuple[int, ...]:
@@ -77,8 +77,8 @@ class Moment(NamedTuple):
     Attributes:
         reward: Reward of the step; 0 after the reset.
         info: The environment's info.
-        target: Joint values ``(n,)``, rad or m, to which the controller has sent the arm; it takes the arm to be there.
-            None if the environment does not report them.
+        target: Joint values ``(n,)``, rad or m, to which the controller has sent the arm, and where it believes the arm
+            to be. None if the environment does not report them.
     """
 
     reward: float
@@ -125,7 +125,7 @@ def run_episodes(
 def run_reaches(
     env: gym.Env[Any, Any], policy: Policy, seeds: Sequence[int], progress: Callable[[int], None] | None = None
 ) -> Reaches:
-    """Run one episode per seed and return the last step of each.
+    """Run one episode per seed, and return the final states of the episodes.
 
     Args:
         env: A reach environment with a time limit.
@@ -145,7 +145,8 @@ def run_reaches(
 
 
 MOST_ROWS = 2048
-"""Largest number of environments whose joints a compensator gets in one call (`pickenv.envs.reaching.batch.BLOCK`)."""
+"""Largest number of environments whose joints a compensator gets in one call, as
+`pickenv.envs.reaching.batch.BLOCK`."""
 
 PolicyMaker = Callable[[Any, int], Policy]
 """Function ``(env, seed)`` that makes a policy for an environment."""
@@ -158,7 +159,7 @@ class Rollout:
     Attributes:
         reaches: Last step of each episode.
         arm: Index of each episode's arm ``(R,)``.
-        wanted_rotation: Tool attitude that each episode wants ``(R, 3, 3)``, as a rotation matrix.
+        wanted_rotation: Wanted tool attitude of each episode ``(R, 3, 3)``, as a rotation matrix.
         error_mm: Distance between the tool's true position and the fruit after each step ``(steps, R)``.
     """
 
@@ -168,14 +169,14 @@ class Rollout:
     error_mm: Array
 
     def capture(self, gripper: Gripper) -> Array:
-        """Probability ``(R,)`` that the gripper captures the fruit at the end of each episode."""
+        """Return the probability ``(R,)`` that the gripper captures the fruit at the end of each episode."""
         target = Pose(np.zeros((len(self.arm), 3)), self.wanted_rotation)
         axis = displace_pose(target, self.reaches.pose_error).rotation[..., 2]
         offset = self.reaches.fruit_position - self.reaches.tool_position
         return capture_probability(gripper, *misalignment(offset, axis, self.wanted_rotation[..., 2]))
 
     def cycle_steps(self, tolerance_mm: float) -> Array:
-        """Number of steps ``(R,)`` until the error stays within ``tolerance_mm`` to the end; NaN if it never does."""
+        """Return the number of steps ``(R,)`` until the error stays within ``tolerance_mm``; NaN if it never does."""
         inside = np.flip(np.logical_and.accumulate(np.flip(self.error_mm <= tolerance_mm, axis=0), axis=0), axis=0)
         return np.where(inside.any(axis=0), inside.argmax(axis=0) + 1.0, np.nan)
 
@@ -197,15 +198,15 @@ def roll_out(
     Args:
         make: Function ``(env, seed)`` that makes the policy; its attribute ``envs``, if it has one, makes the
             environments.
-        arms: Number of arms to run; the population has ``first`` arms more.
+        arms: Number of arms to run. The population from which they are taken has ``first + arms`` arms.
         episodes: Number of fruit per arm. Fruit, arms and camera noise depend on ``seed`` alone, so that runs can be
-            paired.
+            compared pair by pair.
         seed: Seed of the episodes and of the policy's own random draws.
         compensators: One compensator per arm, or None for raw arms.
         sequential: Whether each arm reaches for its fruit one after the other, for policies that learn from episode to
             episode.
         steps: Number of steps in an episode.
-        first: Index in the population of the first arm; the arms after it have the next indices.
+        first: Index of the first arm to run in the population; the other arms have the next indices.
         arguments: Further keyword arguments of `pickenv/Reach-v0`.
 
     Raises:

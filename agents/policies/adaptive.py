@@ -36,7 +36,7 @@ class LookingReach(ScriptedReach):
     """
 
     called = "remembering"
-    """Name of the policy in error messages."""
+    """Kind of the policy, as error messages name it."""
 
     def __init__(self, env: Any) -> None:
         """Read the nominal arm from ``env``."""
@@ -133,7 +133,7 @@ class AdaptiveReach(LookingReach):
             self.filters = [self.start] * arms
 
     def corrected(self, rows: NDArray[np.intp], joints: Array) -> Array:
-        """Return joint targets at which the filters' arm models have the nominal arm's tool positions at ``joints``."""
+        """Return joint targets ``(r, n)`` with the filters' arm models at the nominal tool positions."""
         return aimed(self.geometry, [self.filters[row] for row in rows], joints)
 
     def learn(self, rows: NDArray[np.intp], joints: Array, seen: Array, looks: NDArray[Any]) -> None:
@@ -157,7 +157,7 @@ class FeelingPick(ScriptedPick):
         Args:
             env: Environment, single or native vector.
             memory: Policy that models the arms of ``env`` and corrects their joint targets.
-            how: Keyword arguments of `ScriptedPick` except `patience`, because the policy learns from arms that have
+            how: Keyword arguments of `ScriptedPick` except `patience`, because the policy learns only after the arm has
                 arrived.
 
         Raises:
@@ -174,7 +174,7 @@ class FeelingPick(ScriptedPick):
         self._held: NDArray[np.bool_] = np.zeros(0, dtype=np.bool_)
 
     def act(self, observation: NDArray[np.float32]) -> NDArray[np.float32]:
-        """Return the next action, after learning from fruit that the gripper has just taken."""
+        """Return the next action ``(..., n + 1)``, after learning from fruit that the gripper has just taken."""
         values = np.atleast_2d(np.asarray(observation, dtype=float))
         held = values[:, -6] + values[:, -5] > 0.5
         if len(self._held) == len(held):

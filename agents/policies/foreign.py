@@ -1,7 +1,7 @@
-"""Policies that others trained or wrote: registered policies, Stable-Baselines3 zip files, files with `make_policy`.
+"""Policies from outside pickenv: registered policies, zip files of Stable-Baselines3, and files with `make_policy`.
 
-Each of them can execute code, so load only what you trust. A policy file (.npz) of `pickenv train`
-executes nothing.
+All of these can execute code, so load only files that you trust. A policy file (.npz) of `pickenv train` executes
+nothing.
 """
 
 from __future__ import annotations
@@ -123,7 +123,7 @@ def faults_in(path: Path, what: str) -> Iterator[None]:
 
     Args:
         path: File that holds the code.
-        what: Noun for what the user should mend, such as "policy".
+        what: Word for the thing that the user should correct, such as "policy".
 
     Raises:
         InputError: In place of any error that the code raises.

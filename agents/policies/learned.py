@@ -1,4 +1,4 @@
-"""Learned policies: an actor's weights in one verified file, loaded without executing code and run by NumPy."""
+"""Learned policies: an actor's weights in one file with a checksum, loaded without executing code and run by NumPy."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Actor:
     record: Mapping[str, Any]
 
     def through_layers(self, values: Array, activation: str) -> Array:
-        """Return the last layer's output for inputs ``(..., inputs)``; ``activation`` follows every other layer."""
+        """Return the last layer's output for inputs ``(..., inputs)``; ``activation`` follows each earlier layer."""
         for i, (weight, bias) in enumerate(zip(self.weights, self.biases, strict=True)):
             values = values @ weight + bias
             if i + 1 < len(self.weights):
@@ -57,7 +57,7 @@ class Actor:
     def write(
         self, path: str | Path, kind: str, version: int, header: Mapping[str, Any], arrays: Mapping[str, Array]
     ) -> Path:
-        """Write the policy to one verified file (`pickenv.base.container`), completely or not at all.
+        """Write the policy to one file with a checksum (`pickenv.base.container`), completely or not at all.
 
         Args:
             path: File; ``.npz`` is appended if missing.
@@ -90,7 +90,7 @@ def actor_parts(
         others: Number of arrays that belong to no layer.
 
     Raises:
-        Exception: Of any type, if the content is not that of an `Actor`.
+        Exception: Any type of exception, if the content is not that of an `Actor`.
     """
     layers = (len(arrays) - others) // 2
     weights, biases = (tuple(arrays[f"{name}{i}"].astype(float) for i in range(layers)) for name in ("weight", "bias"))
@@ -108,7 +108,8 @@ def actor_parts(
 
 AnyActor = TypeVar("AnyActor", bound=Actor)
 Parts = Callable[[Mapping[str, Any], Mapping[str, NDArray[Any]]], AnyActor]
-"""Function that makes a policy from a file's header and arrays; raises an exception of any type if it cannot."""
+"""Function that makes a policy from the header and the arrays of a file. If it cannot, it raises any type of
+exception."""
 
 
 def read_actor(name: str | Path, arm: Arm | None, kind: str, version: int, make: Parts[AnyActor]) -> AnyActor:
@@ -175,7 +176,7 @@ class LearnedPolicy(Actor):
         return np.asarray(action if scaled else scaling.commands(values, action), dtype=np.float32)
 
     def save(self, path: str | Path) -> Path:
-        """Write the policy to one verified file; ``.npz`` is appended if missing."""
+        """Write the policy to one file with a checksum; ``.npz`` is appended if missing."""
         scaling = asdict(self.scaling) if isinstance(self.scaling, Scaling) else self.scaling.header
         header = {"scaling": scaling, "activation": self.activation, "squashed": self.squashed}
         return self.write(path, KIND, FORMAT, header, {})
@@ -233,7 +234,7 @@ def policy_path(name: str | Path) -> Path:
 
 
 def _from_parts(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> LearnedPolicy:
-    """Make the policy that a file's header and arrays describe; raise any type of exception if there is none."""
+    """Make the policy that a file's header and arrays describe; raise any type of exception if they describe none."""
     scaling: Scaling | ToolSteps
     if "increment" in header["scaling"]:  # a picking policy moves the tool of an arm that has a name
         scaling = ToolSteps(load_arm(header["arm"]).nominal, np.array(header["scaling"]["increment"], dtype=float))

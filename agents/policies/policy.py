@@ -82,7 +82,7 @@ def joined_parts(geometry: Geometry, parts: ObservationParts) -> Array:
 
 
 def attitude_after(pose: Pose, turn: Array) -> Array:
-    """Rotate poses by rotation vectors ``turn (..., 3)``, rad, base frame; return their attitudes ``(..., 3, 3)``."""
+    """Rotate the attitudes of poses by rotation vectors ``turn (..., 3)``, rad, base frame; return ``(..., 3, 3)``."""
     return displace_pose(pose, np.concatenate([np.zeros_like(turn), turn], axis=-1)).rotation
 
 
@@ -121,12 +121,12 @@ class ReachController:
         self.reset()
 
     def reset(self) -> None:
-        """Forget the last episode: the next reading is where the predicted joints start again."""
+        """Forget the last episode; the prediction of joints starts again from the next reading."""
         self._sent: Array | None = None
         self._still: Any = 0
 
     def commanded(self, readings: Array) -> Array:
-        """Return the joints ``(..., n)`` that the arm has been sent to, rad or m; without delays, the readings."""
+        """Return the joints ``(..., n)``, rad or m, to which the arm has been sent, or the readings without delays."""
         if not self.lag:
             return readings
         if self._sent is None or self._sent.shape != readings.shape:
@@ -157,7 +157,7 @@ class ReachController:
 
     @property
     def settled(self) -> Any:
-        """Whether the latest reading was taken after the arm had stopped, per row ``(...)``; True without delays."""
+        """Whether each row's latest reading was taken after the arm had stopped ``(...)``; True without delays."""
         return self._still > self.lag if self.lag else True
 
     def action(self, step: Array) -> NDArray[np.float32]:
@@ -174,7 +174,7 @@ class ReachController:
 
 
 COUNTS = 2e-5
-"""Half an encoder count, rad or m. A settled arm has missed its command if the reading differs from it by more."""
+"""Half an encoder count, rad or m. If the reading of a settled arm differs more from the command, the arm missed it."""
 
 STANDING = 1e-3
 """Share of an increment below which a joint step counts as standing still."""

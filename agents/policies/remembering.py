@@ -1,9 +1,9 @@
 """Policies with a memory of past picks: they learn in training how to correct an arm's errors while picking.
 
-They are trained on `pickenv.wrappers.SameArm`. Before each pick they choose the offset to the fruit at which the arm
-aims. A recurrent policy (LSTM) observes the last pick and keeps a state. A policy with a window observes the last picks
-and weighs them by attention, depending on how near they were. Both are stored as a few matrices in one verified file
-and run by NumPy. Nothing in the file is executed.
+They are trained on `pickenv.wrappers.SameArm`. Before each pick they choose an offset from the fruit, at which the arm
+then aims. A recurrent policy (LSTM) observes the last pick and keeps a state. A policy with a window observes the last
+picks and weighs them by attention, depending on how near they were. Both are stored as a few matrices in one file with
+a checksum, and run by NumPy. Nothing in the file is executed.
 """
 
 from __future__ import annotations
@@ -33,7 +33,8 @@ STEEPEST = 20.0
 
 LSTM = ("input", "input_bias", "state", "state_bias")
 WINDOW = ("near", "near_bias", "query", "key", "value", "value_bias")
-"""`LSTM` and `WINDOW` name the arrays of the two kinds of memory, inputs first."""
+"""`LSTM` and `WINDOW` are the names of the arrays of the two kinds of memory, with the layers next to the inputs
+first."""
 
 State = tuple[Array, Array]
 """State of a recurrent policy: its hidden output and its cell state, ``(N, units)`` each."""
@@ -110,11 +111,11 @@ class RememberingPolicy(Actor):
         return np.zeros((rows, units)), np.zeros((rows, units))
 
     def aim(self, seen: NDArray[Any], state: State) -> tuple[NDArray[np.float32], State]:
-        """Return the offsets from fruit to aim, as actions of `pickenv.wrappers.SameArmVector`, and the next state.
+        """Return the offset of each aim from its fruit, as actions of `pickenv.wrappers.SameArmVector`, and the state.
 
         Args:
             seen: Observations ``(N, inputs)`` of the same wrapper.
-            state: State from `begin`, or the one returned at the last pick.
+            state: State from `begin`, or the state returned at the last pick.
 
         Raises:
             InputError: If the observations have another length than those of the training.
@@ -131,7 +132,7 @@ class RememberingPolicy(Actor):
         return self.through_layers(layer, "tanh").clip(-1.0, 1.0).astype(np.float32), state
 
     def save(self, path: str | Path) -> Path:
-        """Write the policy to one verified file; ``.npz`` is appended if missing."""
+        """Write the policy to one file with a checksum; ``.npz`` is appended if missing."""
         return self.write(path, REMEMBERING, REMEMBERING_FORMAT, {"memory": asdict(self.memory)}, self.arrays)
 
 
@@ -160,7 +161,8 @@ def remembers(name: str | Path) -> bool:
 class RememberingReach(LookingReach):
     """Reach policy that aims the nominal arm beside the fruit, at an offset that a policy with a memory chooses.
 
-    With a compensator, it observes the errors that remain after compensation, although it was not trained on them.
+    With a compensator, the policy observes the errors that remain after compensation, although it was not trained on
+    such errors.
     """
 
     def __init__(self, env: Any, policy: RememberingPolicy) -> None:
@@ -190,7 +192,7 @@ class RememberingReach(LookingReach):
 
 
 def _policy_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> RememberingPolicy:
-    """Make the policy that a file's header and arrays describe; raise any type of exception if there is none."""
+    """Make the policy that a file's header and arrays describe; raise any type of exception if they describe none."""
     kind = LSTM if "state" in arrays else WINDOW
     if not all(np.isfinite(arrays[name]).all() for name in kind):
         raise InputError("its memory holds numbers that are not finite")

@@ -135,13 +135,13 @@ class ScriptedScene(ScriptedReach):
         return None if reading.camera is None else reading.camera - reading.offset
 
     def _along(self, joints: Array, distance: float) -> Array:
-        """Return joints whose tool is moved by ``distance`` along its own axis, m."""
+        """Return joints ``(n,)`` with the tool ``distance``, m, further along its own axis than at ``joints``."""
         for _ in range(3):
             joints = self._moved(joints, forward(self.geometry, joints).rotation[:, 2] * distance / 3.0)
         return joints
 
     def _drawn(self, joints: Array, distance: float) -> Array:
-        """Return joints whose tool is ``distance`` along its axis from the fruit, m; its attitude may change."""
+        """Return joints ``(n,)`` with the tool ``distance``, m, along its axis from the fruit, in any attitude."""
         assert self._wanted is not None
         goal, g = forward(self.geometry, self._wanted), self.geometry
         target, free = goal.position + goal.rotation[:, 2] * distance, np.ones(g.joints, dtype=bool)
@@ -157,7 +157,7 @@ class ScriptedScene(ScriptedReach):
         return np.asarray(joints)
 
     def _moved(self, joints: Array, shift: Array) -> Array:
-        """Return joints whose tool is moved by ``shift (3,)``, m, with its attitude kept as far as possible."""
+        """Return joints with the tool displaced by ``shift (3,)``, m, and its attitude kept as far as possible."""
         jacobian = joint_jacobian(self.geometry, joints)
         step = truncated_inverse(jacobian) @ np.concatenate([shift, np.zeros(3)])
         if np.linalg.norm(jacobian[:3] @ step - shift) > STRAY * np.linalg.norm(shift):  # the attitude gives way
@@ -176,7 +176,7 @@ class SeeingScene(ScriptedScene):
     """
 
     def __init__(self, env: Any) -> None:
-        """Read the arm and the camera's pose on the tool from ``env``."""
+        """Read the arm, and the camera's pose in the tool's frame, from ``env``."""
         super().__init__(env)
         self._eye, self._eye_axes, self._slope = self.env.scene.wrist_eye
         self._detector = load_stereo_camera("li2016")
@@ -196,7 +196,7 @@ class SeeingScene(ScriptedScene):
 
 
 def _state_of(observation: Any) -> Any:
-    """Return the state vector of a scene's observation, which may be the observation itself."""
+    """Return the state vector of a scene's observation, which is the whole observation or a part of it."""
     if isinstance(observation, dict) and "environment_state" not in observation:
         raise InputError("the observation holds no state; make the environment with obs_type='state'")
     return observation["environment_state"] if isinstance(observation, dict) else observation
@@ -243,13 +243,14 @@ class ServoScene(policy.ReachController):
 
 
 SETTLED = 16
-"""Number of steps that the arm stands before the policy measures the gap to the fruit."""
+"""Number of steps for which the arm stands still before the policy measures the gap to the fruit."""
 
 STRAY = 0.01
-"""Largest relative position error of a move that keeps the tool's attitude; above it, the attitude may change."""
+"""Largest relative position error of a move that keeps the tool's attitude. If it is larger, the attitude may
+change."""
 
 MOST_WAITED = 60
-"""Number of steps after which the policy goes on although the joints have not arrived."""
+"""Number of steps after which the policy goes on even if the joints have not arrived."""
 
 # The oracle: a policy that knows the true arm. What remains with it, no calibration can remove.
 
@@ -261,7 +262,7 @@ ITERATIONS = 6
 class OracleReach(ScriptedReach):
     """Reach policy that solves the inverse kinematics of the true arm at rest, effects included, and drives there.
 
-    It knows neither the state of backlash and friction nor the arm's temperature. Errors that depend on these states
+    The policy knows neither the state of backlash and friction nor the arm's temperature, so errors due to these
     remain. The environment's plant (the true arm with its errors) may change, and is read anew in every episode.
     """
 
@@ -271,7 +272,7 @@ class OracleReach(ScriptedReach):
 
 
 def _of_true_arm(plant: Plant, joints: Array, pose: Pose) -> Array:
-    """Return joints near ``joints`` at which the tool of the true arm at rest has the pose ``pose``."""
+    """Return joints ``(..., n)`` near ``joints``, rad or m, with the tool of the true arm at rest at ``pose``."""
     nominal = plant.arm.nominal
     for _ in range(ITERATIONS):
         back = truncated_inverse(joint_jacobian(plant.geometry, joints))
@@ -343,7 +344,7 @@ PASSED = 10.0
 """Factor on the arrival tolerance, for waypoints before the fruit."""
 
 GENTLE = 0.75
-"""Tool speed as a share of the speed that bruises fruit; the rest is a margin for swing and following error."""
+"""Tool speed as a share of the speed that bruises fruit; the margin is for swing and following error."""
 
 HASTY: dict[str, Any] = {"settle": 0.0, "tool_speed": np.inf}
 """Arguments of `ScriptedPick` for full speed without waiting."""
@@ -436,7 +437,14 @@ class ScriptedPick(policy.ReachController):
         return actions[0] if single else actions
 
     def _plan(self, rows: Any, joints: Array, seen: Array, turn: Array) -> None:
-        """Plan the waypoints: below the last fruit, below the next one, and at it."""
+        """Plan three waypoints: below the last fruit, below the next one, and at the next one.
+
+        Args:
+            rows: Indices of the environments.
+            joints: Present joints ``(rows, n)``, rad or m.
+            seen: Measured positions of the next fruit ``(rows, 3)``, m, base frame.
+            turn: Rotation vectors from the believed to the upright tool attitude ``(rows, 3)``, rad.
+        """
         upright = policy.attitude_after(forward(self.geometry, joints), turn)
         aim = np.broadcast_to(self.aim, self._fruit.shape)[rows]
         down = np.broadcast_to(self.approach, len(self._fruit))[rows][..., None] * np.array([0.0, 0.0, 1.0])
@@ -448,7 +456,10 @@ class ScriptedPick(policy.ReachController):
         self._fruit[rows], self._spent[rows] = seen, 0.0
 
     def _corrected(self, rows: Any, at: Array) -> Array:
-        """Return the joints at which to grasp in the environments ``rows``; here the nominal joints ``at``."""
+        """Return the joints ``(..., n)`` at which to grasp in the environments ``rows``; here they are ``at``.
+
+        ``at`` are the nominal joints at the fruit, rad or m.
+        """
         return at
 
     def _solve(self, position: Array, rotation: Array, start: Array) -> Array:
@@ -460,7 +471,10 @@ class ScriptedPick(policy.ReachController):
         return np.asarray(np.abs(goals - joints).max(axis=-1))
 
     def _shares(self, joints: Array, away: Array) -> Array:
-        """Return shares of the joint increments, scaled together so that the tool's path is nearly straight."""
+        """Return the action ``(..., n)`` towards joints that are ``away`` off, within the limits of speed.
+
+        All joints are scaled by one factor, so that the tool's path is nearly straight.
+        """
         step = self.gain[..., None] * away
         share = step / self.increment
         way = np.linalg.norm((joint_jacobian(self.geometry, joints)[..., :3, :] @ step[..., None])[..., 0], axis=-1)
@@ -483,14 +497,14 @@ class OraclePick(ScriptedPick):
 
 
 SLAVE_ARRIVED = 1e-3
-"""Joint error below which a slave's joint counts as arrived, m or rad."""
+"""Joint error below which a joint of a slave (picking arm) counts as arrived, m or rad."""
 PATIENCE = 3
 """Number of control periods that a raised cup waits for its sensor before it gives up."""
 
 
 @dataclass(eq=False)
 class _Arm:
-    """State of one slave: its fruit still to pick, and the phase of the present pick."""
+    """State of one slave (picking arm) of the machine: its fruit still to pick, and the phase of its present pick."""
 
     queue: list[int] = field(default_factory=list)
     fruit: int | None = None
@@ -499,9 +513,9 @@ class _Arm:
 
 
 class ScriptedHarvest:
-    """Scripted policy for `pickenv/Harvest-v0` that drives every slave arm through its planned picks.
+    """Scripted policy for `pickenv/Harvest-v0` that drives every slave (picking arm) through its planned picks.
 
-    An arm goes out to a fruit only if it cannot meet another arm that is out.
+    A slave goes out to a fruit only if it cannot collide with another slave that is out at a fruit.
     """
 
     def __init__(self, env: Any) -> None:
@@ -537,7 +551,7 @@ class ScriptedHarvest:
         return dict(zip(observations, self.act(shared).reshape(-1, 3), strict=True))
 
     def _decoded(self, values: Array) -> tuple[Array, Array, Array, NDArray[np.bool_]]:
-        """Return joints, each blade's remaining time, fruit in the base frame, and flags of fruit hanging in reach."""
+        """Return joints, each blade's remaining time, fruit positions (base frame, m), and flags of fruit in reach."""
         machine, n = self.machine, self.machine.joints
         joints = machine.lower + (values[:n] + 1) / 2 * (machine.upper - machine.lower)
         slots = values[n + machine.arms :].reshape(-1, 4)
@@ -554,7 +568,7 @@ class ScriptedHarvest:
             arm.queue, arm.fruit = list(queue), None
 
     def _goal(self, i: int, arm: _Arm, here: Array, cutting: bool, hangs: NDArray[np.bool_]) -> Array:
-        """Return the next joint goal of slave ``i``, and advance its phase."""
+        """Return the next joint goal of slave ``i``, rad or m, and advance the phase of its pick."""
         home, work = self.machine.slave_home, self._work
         if arm.fruit is None:
             if not arm.queue or work is None:
@@ -580,7 +594,7 @@ class ScriptedHarvest:
         return {"travel": below, "out": out, "rise": np.asarray(at)}[arm.phase]
 
     def _clear(self, i: int, fruit: int) -> bool:
-        """Whether slave ``i`` can go to ``fruit`` without meeting an arm that is out."""
+        """Whether slave ``i`` can go out to ``fruit`` without colliding with another slave that is out at a fruit."""
         assert self._work is not None
         return not any(
             arm.fruit is not None and arm.phase != "travel" and self._work.conflict[i, fruit, k, arm.fruit]

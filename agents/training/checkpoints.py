@@ -31,7 +31,7 @@ LIMIT = 1 << 35
 EPISODES = "_current_ep_start"
 SEEN = ("observations", "next_observations")
 BUFFER = ("actions", "rewards", "dones", "timeouts", "ep_start", "ep_length", EPISODES, *SEEN)
-"""Names of arrays that a replay buffer may have. All but `EPISODES` are as long as the buffer."""
+"""Names of the arrays that a replay buffer may have. All arrays but `EPISODES` are as long as the buffer."""
 
 COUNTS = ("num_timesteps", "_n_updates", "_episode_num")
 PARTS = {
@@ -116,7 +116,7 @@ def take_checkpoint(path: Path, content: State, model: Any, env: Sb3Vec) -> None
     Args:
         path: Checkpoint file, named in error messages.
         content: State that `read_checkpoint` returned.
-        model: Model that `make_model` has just made, changed in place.
+        model: Model just made by `make_model`, changed in place.
         env: Environments of the model, changed in place.
 
     Raises:

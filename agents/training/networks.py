@@ -1,4 +1,4 @@
-"""Networks of policies for stable-baselines3: SAC and TQC that scale inside, and PPO with attention over past picks."""
+"""Networks for stable-baselines3: SAC and TQC with scaled observations, and PPO with attention over past picks."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ from pickenv.wrappers import MOST_SEEN, PickMemory, Scaling, joined_observation
 
 
 MOST = 3.0
-"""Largest absolute value of an action divided by its share, as the critics read it. Hindsight goals lie near the tool,
-where shares are near zero."""
+"""Bound on an action divided by its share (`ScaledFeatures.share`), as the critics read it. It matters for hindsight
+goals, which lie near the tool, where shares are near zero."""
 
 
 class ScaledFeatures(BaseFeaturesExtractor):
     """Feature extractor that scales observations; it has no trained parameters."""
 
     def __init__(self, observation_space: spaces.Dict, actions: bool = True) -> None:
-        """Make the extractor for a goal observation space; ``actions`` says whether actions are scaled with the gap."""
+        """Make the extractor for a goal observation space; ``actions`` says whether actions shrink with the gap."""
         joints = observation_space["observation"].shape[0] - 3  # type: ignore[index]  # and the believed position
         scaling = Scaling(joints, goal=True, actions=actions)
         super().__init__(observation_space, scaling.features)
@@ -123,7 +123,7 @@ class TqcPolicy(_ScaledNetworks, tqc.TQCPolicy):
 
 WIDTH, MADE = 32, 16
 """`WIDTH` is the size of keys and queries, a multiple of `HEADS`. `MADE` is the number of learnt features of each pick,
-which add to its measured error."""
+which are used beside its measured error."""
 
 
 class HistoryFeatures(BaseFeaturesExtractor):

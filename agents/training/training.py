@@ -92,7 +92,7 @@ def train(training: Training, out: str | Path, *, resume: bool = False, progress
             take_checkpoint(path, state, model, env)
 
         def judged(policy: LearnedPolicy | RememberingPolicy, steps: int) -> dict[str, float]:
-            """Evaluate a policy after so many steps; the result replaces those at as many steps or more."""
+            """Evaluate a policy after ``steps`` steps; the result replaces results after as many steps or more."""
             training_setup.check_inputs(training, inputs)
             rows[:] = [row for row in rows if row["steps"] < steps]
             rows.append({"steps": float(steps)} | training_setup.judge(policy, training))

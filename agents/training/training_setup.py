@@ -49,7 +49,7 @@ class Training:
             list of plants (a plant is the true arm with its errors). The environments are then divided among the
             plants, and each plant has its own population of arms.
         compensate: Calibration file whose compensator corrects the commands during training, or None.
-        allow: Names of the calibration's reservations to accept (`pickenv.base.obey`).
+        allow: Reservations of the calibration to accept, by name: "fitted-frames", "do-not-use" (`pickenv.base.obey`).
         checkpoint_every: Environment steps between checkpoints.
         evaluate_every: Environment steps between evaluations.
         scaled_actions: Whether actions are scaled with the gap to the fruit (`pickenv.wrappers.GapScaling`).
@@ -81,7 +81,7 @@ class Training:
 
     @property
     def chosen(self) -> dict[str, Any]:
-        """Tuned hyperparameters, overridden by the attribute ``parameters``."""
+        """Tuned hyperparameters of the algorithm, overridden by the attribute ``parameters``."""
         return tuned(self.algorithm, self.env_id) | deepcopy(self.parameters)  # stable-baselines3 adds to them
 
     @property
@@ -102,7 +102,7 @@ class Training:
 
     @property
     def total(self) -> int:
-        """Total number of environment steps."""
+        """Total number of environment steps of the training."""
         return self.steps or int(self.chosen["n_timesteps"])
 
 
@@ -110,7 +110,7 @@ def _stored(name: str, value: Any) -> Any:
     """Return a setting as a checkpoint gives it back.
 
     Raises:
-        InputError: If a checkpoint cannot hold it.
+        InputError: If a checkpoint cannot store the value.
     """
 
     def plain(part: Any) -> Any:
@@ -244,8 +244,8 @@ def make_model(training: Training, out: Path | None = None) -> tuple[Any, Any]:
         The Stable-Baselines3 model and its environments.
 
     Raises:
-        InputError: If the algorithm is "ppo" and the observations are goal observations, or a memory has several
-            layers, of which a policy file would hold the first alone.
+        InputError: If the algorithm is "ppo" and the observations are goal observations. Also if a memory has several
+            layers, because a policy file stores only one.
     """
     from sb3_contrib import TQC, RecurrentPPO
     from stable_baselines3 import PPO, SAC, HerReplayBuffer
@@ -379,7 +379,7 @@ def tuned(algorithm: str, env_id: str) -> dict[str, Any]:
     """Return the tuned hyperparameters of an algorithm on an environment.
 
     Raises:
-        InputError: If the algorithm is unknown, or was never tuned on the environment.
+        InputError: If the algorithm is unknown, or has no tuned hyperparameters for the environment.
     """
     check_known("algorithm", algorithm, ALGORITHMS)
     parameters: dict[str, dict[str, Any]] = resolve_name(f"pickenv.zoo.hyperparams.{algorithm}:hyperparams")

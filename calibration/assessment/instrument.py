@@ -1,7 +1,8 @@
 """Check what was stated about instruments, frames and arm against the measured rows.
 
-A wire whose zero is wrong by millimetres still leaves small misses, because the anchor and the links absorb the error.
-The arm is then wrong at other poses. After the fit, a number that was stated as known is therefore tried as an unknown.
+A wire whose zero is wrong by millimetres still leaves small residuals, because the fit of anchor and links absorbs the
+error. The arm is then wrong at other poses. Each number that was stated as known is therefore fitted afterwards, to see
+whether the residuals shrink.
 """
 
 from __future__ import annotations
@@ -33,13 +34,12 @@ from pickenv.calibration.model.prior import ANGLES, FRAMES, LENGTHS, TERMS, ZERO
 # interval follows from an assumption that is printed with it. SI units.
 
 DRAWS = 400
-"""Number of random bases and tools that are drawn for the interval."""
+"""Number of random bases and tools from which the interval of a `BaseFrameError` is computed."""
 
 SCALES = (0.2, 1.0)
-"""Smallest and largest assumed standard deviation of the true base and tool from those of the controller, per axis.
+"""Smallest and largest standard deviation, mm and mrad per axis, of the true base and tool about the controller's.
 
-They are in units of 1 mm and 1 mrad. Between them, the logarithm of the standard deviation is drawn from a uniform
-distribution.
+Each draw takes a standard deviation between the two; its logarithm is uniformly distributed.
 """
 
 NEAR = 0.05
@@ -131,12 +131,12 @@ CONTRADICTED = 5.0
 """Distance of a fitted number from its stated value, in standard deviations, above which the rows contradict it."""
 
 MATTERS = 0.03
-"""Share by which the misses must shrink, once the stated number is fitted, for a contradiction to matter."""
+"""Share by which the residuals must shrink, once the stated number is fitted, for a contradiction to matter."""
 
 LENS_MATTERS = 0.2
-"""Share by which a fitted lens must shrink the misses in pixels for the stated lens to be in doubt.
+"""Share by which a fitted lens must shrink the residuals in pixels for the stated lens to be in doubt.
 
-A lens has nine numbers, which always absorb some of the misses.
+A lens has nine numbers, which always absorb some of the residuals.
 """
 
 
@@ -163,11 +163,11 @@ def with_zeros_fitted(data: Observations) -> Iterator[tuple[str, DistanceObserva
 def said_of_instruments(model: ErrorModel, found: Identification, data: Observations) -> Said:
     """Yield findings on the instruments, each a weight and a sentence.
 
-    They concern stated numbers that the rows contradict, and lengths that were not measured.
+    Findings concern stated numbers that the rows contradict, and lengths that were not measured.
 
     Args:
-        model: The error model that was identified, without further terms.
-        found: The identification.
+        model: The geometric parameters that were identified.
+        found: The identification of the geometry.
         data: The rows that were fitted.
     """
     for name, wire, free in with_zeros_fitted(data):
@@ -300,7 +300,7 @@ SURE_BY = 2.0
 """Number of standard deviations that are subtracted from a link parameter's change before it is judged."""
 
 ONE_STEP = 0.5
-"""Largest share of the remaining squared errors that a step function of one joint may explain without a caution.
+"""Largest share of the fit's squared residuals that a step function of one joint may explain without a caution.
 
 Eight measured series stay below 0.16.
 """
@@ -309,7 +309,7 @@ STEPS = np.linspace(0.1, 0.9, 17)
 """Quantiles of a joint's values at which a step of the errors is tried."""
 
 POSES = 200
-"""Number of random joint vectors over which a motion of the whole arm is computed."""
+"""Number of random joint vectors at which parameter changes are projected onto a motion of the base or the tool."""
 
 
 def said_against(found: Identification, data: Observations) -> Said:
@@ -362,7 +362,7 @@ def _frame(found: Identification, prior: PriorModel, which: str) -> Iterator[str
 
 
 def _region(found: Identification, data: Observations) -> Iterator[str]:
-    """Yield a caution if a step at one joint's value explains most of the remaining errors."""
+    """Yield a caution if a step at some value of one joint explains most of the fit's squared residuals."""
     if len(data.joints) < len(STEPS) or data.poses is None:
         return
     misses = data.misses(found.arm_model, unknowns_of(found, data))
@@ -378,7 +378,7 @@ def _region(found: Identification, data: Observations) -> Iterator[str]:
 
 
 def _step(values: Array, misses: Array) -> tuple[float, float, float]:
-    """Return the largest share of squared misses that one step explains, the joint's value there, and its size, m."""
+    """Return the largest share of squared residuals that a step explains, the joint's value there, and its size, m."""
     best = (0.0, 0.0, 0.0)
     for at in np.quantile(values, STEPS).tolist():
         above = values > at

@@ -1,8 +1,8 @@
-"""Error statistics with confidence intervals.
+"""Compute error statistics with confidence intervals.
 
-They are mean, RMS of the norm, per-axis RMS, standard deviation, 95th percentile and maximum, and held-out R^2. Mean
-and RMS are both printed, because an "RMSE" in a paper need not be the RMS of the norm. If it is smaller than the mean,
-it cannot be that (digest, fact 6).
+The statistics are mean, RMS of the norm, per-axis RMS, standard deviation, 95th percentile, maximum and held-out R^2.
+Both mean and RMS are printed, because an "RMSE" in a paper need not be the RMS of the norm: an "RMSE" that is smaller
+than the mean is not.
 """
 
 from __future__ import annotations

@@ -30,7 +30,7 @@ SIGNIFICANCE = 0.05
 """Significance level of the tests."""
 
 SAME = 1e-9
-"""Range of the rows' gains (reductions of the error), as a share of the largest, that rounding alone can cause."""
+"""Range of the rows' gains (reductions of the error), as a share of the largest, up to which all count as equal."""
 
 ALIKE = 1.2
 """Ratio of two errors below which they count as equal."""
@@ -43,7 +43,7 @@ MANY_NOISES = 20.0
 NOT_CONVERGED = "the identification did not converge, so its parameters mean nothing"
 
 ENOUGH, SEVERAL = 3, 10
-"""Smallest numbers of held-out rows: to judge a calibration, and to contradict a gain that all rows together show."""
+"""Smallest numbers of held-out rows: `ENOUGH` to judge a calibration, `SEVERAL` to confirm a gain of all rows."""
 
 Grade = Literal["good", "with care", "do not use"]
 
@@ -92,7 +92,7 @@ class Completeness:
 
 
 def completeness(found: Identification, noise: str = "stated noise") -> Completeness:
-    """Apply the chi^2 test to an identification; ``noise`` is what sentences call the noise."""
+    """Apply the chi^2 test to an identification; ``noise`` is the term for the noise in sentences."""
     chi_square, freedom = found.chi_square, found.degrees_of_freedom  # without spare equations SciPy's law gives NaN
     large, small = float(stats.chi2.sf(chi_square, freedom)), float(stats.chi2.cdf(chi_square, freedom))
     return Completeness(chi_square, freedom, large, small, noise)
@@ -204,7 +204,7 @@ class Workspace:
 
     @property
     def reservation(self) -> str | None:
-        """A sentence that says why the calibration is not reliable in the declared workspace; None if it is."""
+        """A sentence that says why the calibration is unreliable in the declared workspace; None if it is reliable."""
         over = self.declared
         if over.calibrated < HARDLY * self.remains:
             return None
@@ -264,8 +264,8 @@ def workspace_error(
         joints: Joints that represent the workspace ``(M, n)``, rad or m.
         region: Name of the workspace.
         remains: RMS error on held-out rows, m.
-        between: For a whole robot, indices of the two links between which each row was measured ``(N, 2)``. The
-            workspace's joints are assigned to the same pairs of links in turn.
+        between: For a whole robot (a tree of links), indices of the two links between which each row was measured
+            ``(N, 2)``. The workspace's joints are assigned to the same pairs of links in turn.
     """
     if solution.prior is None or not solution.prior.proper:
         return None
@@ -316,7 +316,7 @@ def _region(
 
 
 def _size(errors: Array) -> tuple[float, tuple[float, float]]:
-    """Return the root mean square of the errors of several arms, and their 95 % interval."""
+    """Return the root mean square over arms of their errors ``(A,)``, m, and the 95 % interval of these errors."""
     low, high = np.percentile(errors, [2.5, 97.5]).tolist()
     return float(np.sqrt(np.mean(errors**2))), (low, high)
 
@@ -374,18 +374,18 @@ def grade_quality(
         found: The identification.
         trained: Errors on the fitted rows without a learnt residual: ``(N, 6)``, ``(N, 3)`` or ``(N, 1)``, m and rad.
         before: Held-out errors of the nominal arm: ``(M, 6)``, ``(M, 3)`` or ``(M, 1)``, m and rad. Unless base and
-            tool are known, they were fitted first. None if there is no nominal arm, because tool poses were given in
-            place of joint values.
+            tool are known, those of the nominal arm were fitted first. None if there is no nominal arm, because tool
+            poses were given in place of joint values.
         after: Held-out errors of the calibrated arm, in the shape of ``before``.
         workspace: Expected errors where rows were measured and where the arm will work.
         geometric: The identification of the geometry alone, from which observability is computed; ``found`` if None.
         parametric: Held-out errors without a learnt residual, to be compared with ``trained``; ``after`` if None.
-        noise: What sentences call the instrument's noise.
+        noise: Words for the instrument's noise in sentences.
         blocks: Number of the block of rows (or of the single row) that each held-out error belongs to ``(M,)``. It is
             needed if errors of one block or row are correlated.
         said: Further findings, each a weight and a sentence.
         unit: The unit in which errors are shown: "mm", or "deg" if the errors are angles in rad.
-        rows: Number of held-out rows, and what sentences call them. If None, "rows", one for each error.
+        rows: Number of held-out rows, and the word for them in sentences. If None, the number of errors and "rows".
     """
     count, called = rows or (len(after), "rows")
     bare = geometric or found
@@ -476,9 +476,9 @@ def _cause(found: Identification, before: Array, after: Array, unlearnt: Array, 
 
 
 def _chance(before: Array, after: Array, blocks: Rows | None) -> float:
-    """Compute the p-value of the gain from ``before`` to ``after`` if both arms were equally good.
+    """Compute the p-value of the gain from ``before`` to ``after``; the null hypothesis is that both arms are equal.
 
-    It is that of a one-sided paired t test over poses, or over blocks if they are given.
+    The test is a one-sided paired t test over poses, or over blocks if they are given.
     """
     gain = np.linalg.norm(before[:, :3], axis=1) - np.linalg.norm(after[:, :3], axis=1)
     if blocks is not None:

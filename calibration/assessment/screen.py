@@ -135,7 +135,7 @@ OWN = (
     "they belong to this unit and this session: another robot of the same model, or this one after a repair or in "
     "another set-up, needs its own"
 )
-"""Note below a table of harmonics; on a measured arm, the harmonics of one session made another session worse."""
+"""Note below a table of harmonics. On a measured arm, harmonics of one session increased the errors of another one."""
 
 
 def harmonic_rows(found: Identification) -> list[dict[str, Any]]:
@@ -166,7 +166,7 @@ def harmonic_block(rows: Sequence[Mapping[str, Any]]) -> Block:
 
 
 TOLD = 2.0
-"""Compliance, in its standard uncertainties, up to which only a lower bound on the stiffness is shown."""
+"""Ratio of a compliance to its standard uncertainty up to which only a lower bound on the stiffness is shown."""
 
 NOTE = (
     "from torques; where none are known, as at a target, those of the arm's own weight are taken, which were fitted to "
@@ -178,7 +178,7 @@ def stiffness_rows(found: Identification, data: Observations) -> list[dict[str, 
     """Return the identified stiffness of each joint as values for JSON, with its standard deviation.
 
     Stiffnesses are in N*m/rad for revolute joints, in N/m for prismatic ones. If torques were measured, their RMS is
-    given too, in N*m or N. So is the RMS of the part of them that the arm's own weight does not explain.
+    given too, in N*m or N, and the RMS of the part that the arm's own weight does not explain.
 
     Args:
         found: The identification.

@@ -82,7 +82,7 @@ def write_lens(lens: Lens, path: str | Path) -> Path:
 
 
 def _numbers(path: Path, found: dict[str, Any], names: tuple[str, ...]) -> Array:
-    """The numbers of a matrix, flat, found under the first of ``names`` that the file has."""
+    """Return the numbers of a matrix as a flat array, from the first of ``names`` that the file has."""
     entry = next((found[name] for name in names if name in found), None)
     values = entry.get("data") if isinstance(entry, dict) else entry
     try:
@@ -176,7 +176,7 @@ class Board:
 
     @property
     def corners(self) -> Array:
-        """Positions of the corners ``(K, 3)``, m: between squares, row by row, or the four of each tag, clockwise."""
+        """Positions ``(K, 3)``, m, of the squares' inner corners row by row, or of each tag's corners clockwise."""
         if self.kind != "apriltags":
             x, y = np.meshgrid(np.arange(1, self.columns), np.arange(1, self.rows))
             return self.square * np.stack([x.ravel(), y.ravel(), np.zeros(x.size)], axis=1).astype(float)
@@ -220,13 +220,13 @@ def opencv() -> Any:
 
 
 def _dictionary(name: str) -> Any:
-    """OpenCV's object of a dictionary of markers, by its name here."""
+    """Return OpenCV's dictionary of markers for a key of `DICTIONARIES`."""
     aruco = opencv().aruco
     return aruco.getPredefinedDictionary(getattr(aruco, DICTIONARIES[name]))
 
 
 def opencv_board(board: Board) -> Any:
-    """Return the board as an OpenCV object; the board must have markers, which plain chessboards have not.
+    """Return a board with markers (ChArUco or AprilTags) as an OpenCV object.
 
     Raises:
         InputError: If the dictionary has too few markers for the board.
@@ -305,8 +305,10 @@ def write_board(board: Board, path: str | Path, margin: float = 0.01) -> Path:
 
 
 FEW_MARKERS = 4
-"""If a picture shows no corner and at most this many markers, all with numbers of the board, the message is that too
-little of the board is seen. Otherwise the message is that the markers are of another board."""
+"""Largest number of markers, in a picture without corners, for the message that too little of the board is seen.
+
+If the picture shows more markers, or one that the board does not have, the message is that they are of another board.
+"""
 
 WINDOW = 5
 """Half width, px, of the square around a corner whose gradients determine the corner's uncertainty."""
@@ -367,7 +369,7 @@ def find_tags(dictionary: str, numbers: Sequence[int], picture: Grey, where: str
 
 
 def corners_at(count: int, numbers: ArrayLike, places: ArrayLike, std: ArrayLike) -> Corners:
-    """Return all corners of a board, or points of another target, from the ones that a picture shows.
+    """Return arrays of all corners of a board, or points of another target, from those that a picture shows.
 
     Args:
         count: Number of corners on the board.
@@ -382,7 +384,7 @@ def corners_at(count: int, numbers: ArrayLike, places: ArrayLike, std: ArrayLike
 
 
 def corner_std(picture: Grey, corners: Array, least: float) -> Array:
-    """Standard uncertainty ``(N,)``, px, of corners along the direction in which it is largest.
+    """Compute the standard uncertainty ``(N,)``, px, of corners along the direction in which it is largest.
 
     The covariance of a corner is s^2 (sum g g^T)^-1, with the standard deviation s of the noise and the gradients g
     around the corner. The square of ``least`` is added to the variance.
@@ -404,13 +406,16 @@ def corner_std(picture: Grey, corners: Array, least: float) -> Array:
 
 
 def picture_noise(grey: Array) -> float:
-    """Standard deviation of a picture's noise, grey values (Immerkaer 1996), from a median that edges hardly change."""
+    """Compute the standard deviation of a picture's noise, in grey values (Immerkaer 1996).
+
+    It is computed from a median, which edges hardly change.
+    """
     twice = np.diff(np.diff(grey, 2, axis=0), 2, axis=1)
     return max(float(np.median(np.abs(twice))) / 0.6745 / 6.0, 0.3)  # no less than rounding to whole grey values
 
 
 def _found(board: Board, picture: Grey) -> tuple[NDArray[np.int64], Array]:
-    """Numbers ``(N,)`` of the corners found in a picture, and their places ``(N, 2)``, px; empty if none is found."""
+    """Return the numbers ``(N,)`` and pixels ``(N, 2)`` of the corners found in a picture; empty if none is found."""
     cv2 = opencv()
     none = np.zeros(0, dtype=np.int64), np.zeros((0, 2))
     if board.kind == "chessboard":
@@ -429,9 +434,9 @@ def _found(board: Board, picture: Grey) -> tuple[NDArray[np.int64], Array]:
 
 
 def _upright(picture: Grey, places: Array, inner: tuple[int, int]) -> Array:
-    """A chessboard's corners ``(K, 2)`` in the order that begins at its black outer square.
+    """Return a chessboard's corners ``(K, 2)``, px, in the order that begins at the board's black outer square.
 
-    If that square is white, OpenCV found them from the other end, and their order is reversed.
+    If the outer square at OpenCV's first corner is white, OpenCV's order is reversed.
     """
     grid = places.reshape(inner[1], inner[0], 2).astype(float)
     right, down = grid[0, 1] - grid[0, 0], grid[1, 0] - grid[0, 0]
@@ -446,7 +451,7 @@ def _grey_at(picture: Grey, place: Array) -> float:
 
 
 def _tag_corners(dictionary: str, picture: Grey) -> tuple[NDArray[np.int64], Array]:
-    """Numbers ``(N,)`` of the corners of all markers of a dictionary in a picture, and their places ``(N, 2)``, px."""
+    """Return numbers ``(N,)`` and pixels ``(N, 2)`` of the corners of all markers of a dictionary in a picture."""
     cv2 = opencv()
     how = cv2.aruco.DetectorParameters()
     how.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
@@ -456,7 +461,7 @@ def _tag_corners(dictionary: str, picture: Grey) -> tuple[NDArray[np.int64], Arr
 
 
 def _reason(board: Board, picture: Grey) -> str:
-    """The likely reason why a picture shows no corner."""
+    """Return the likely reason why no corner was found in a picture."""
     if len(_found(board, np.ascontiguousarray(picture[:, ::-1]))[0]):
         return "it is mirrored; give pictures as the camera makes them, not as a mirror shows them"
     if board.kind == "chessboard":

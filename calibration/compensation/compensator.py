@@ -3,10 +3,10 @@
 q_command = q + J+ (F_nominal(q) - F_identified(q) - residual(q)), repeated at the corrected joints. J+ is truncated to
 the task's rank, since the paper's J^-1 does not exist for an arm of fewer than six joints. Joint limits are kept. An
 arm of fewer than six joints cannot reach both position and attitude; the position has priority (`attitude_weight`).
-Near joint limits and singular poses a correction can increase the error. Of the target and its corrections, the command
-is therefore the one with the smallest expected error. One pose is computed on Python floats, as in a control loop. Many
-poses are computed on NumPy in blocks, as in vector environments. The residual's network is most of the cost, so it is
-evaluated once, at joints that are corrected by geometry alone.
+Near joint limits and singular poses a correction can increase the error. The command is therefore the target or one of
+its corrections, whichever has the smallest expected error. One pose is computed on Python floats, as in a control loop.
+Many poses are computed on NumPy in blocks, as in vector environments. The residual's network is most of the cost, so it
+is evaluated once, at joints that are corrected by geometry alone.
 """
 
 from __future__ import annotations
@@ -61,7 +61,7 @@ class TruncatedSolver:
     The Jacobians are factorised once and can be solved for any number of right-hand sides.
 
     Args:
-        columns: The columns of J.
+        columns: The n columns of J, each with six components ``(N,)``.
         m: ``numpy`` or ``torch``.
     """
 
@@ -129,7 +129,7 @@ class TruncatedSolver:
 
 
 def _dot(one: Sequence[Scalar], other: Sequence[Scalar]) -> Scalar:
-    """Scalar product of components; products with plain zeros are left out."""
+    """Return the scalar product of two lists of components; products with plain zeros are left out."""
     terms = [a * b for a, b in zip(one, other, strict=True) if not (_is_zero(a) or _is_zero(b))]
     return sum(terms[1:], terms[0]) if terms else 0.0
 
@@ -139,7 +139,7 @@ def _is_zero(value: Scalar) -> bool:
 
 
 def _factorised(gram: list[list[Scalar]]) -> tuple[list[list[Scalar]], list[Scalar]]:
-    """Unit lower triangle L and the inverse of the diagonal D of the lower triangle ``gram`` = L D L^T."""
+    """Factorise the lower triangle ``gram`` as L D L^T; return L below its unit diagonal, and the inverse of D."""
     lower: list[list[Scalar]] = []
     inverse: list[Scalar] = []
     for *row, diagonal in gram:
@@ -153,7 +153,7 @@ def _factorised(gram: list[list[Scalar]]) -> tuple[list[list[Scalar]], list[Scal
 
 
 def _forward(lower: list[list[Scalar]], right: Sequence[Scalar]) -> list[Scalar]:
-    """The solution x of L x = right, for the part of the unit lower triangle L below its diagonal."""
+    """Solve L x = right, where ``lower`` is L below its diagonal and the diagonal is 1."""
     solution: list[Scalar] = []
     for row, value in zip(lower, right, strict=True):
         for factor, known in zip(row, solution, strict=True):
@@ -163,7 +163,7 @@ def _forward(lower: list[list[Scalar]], right: Sequence[Scalar]) -> list[Scalar]
 
 
 def _inverse_trace(lower: list[list[Scalar]], inverse_diagonal: list[Scalar]) -> Scalar:
-    """Compute the trace of the inverse of L D L^T: the squares of L^-1, weighted by D^-1."""
+    """Compute the trace of the inverse of L D L^T: the sum of the squares in L^-1, weighted by D^-1."""
     total: Scalar = 0.0
     inverse: list[list[Scalar]] = []  # of L, below its diagonal
     for i, row in enumerate(lower):
@@ -173,7 +173,7 @@ def _inverse_trace(lower: list[list[Scalar]], inverse_diagonal: list[Scalar]) ->
 
 
 def _without(direction: Sequence[Scalar], vector: Sequence[Scalar]) -> list[Scalar]:
-    """``vector`` without its part along the unit vector ``direction``."""
+    """Return ``vector`` without its part along the unit vector ``direction``."""
     along = _dot(direction, vector)
     return [value - along * part for value, part in zip(vector, direction, strict=True)]
 
@@ -234,10 +234,10 @@ class Compensator:
         nominal: The geometry that the controller uses.
         identified: The calibrated geometry.
         residual: Terms and learnt residual of the calibration as one function, or None.
-        iterations: Number of corrections. Each starts from the joints of the one before, and all use the factors of one
-            Jacobian. On the picking arm with the network of Qiao 2026, one correction leaves 1.4 um of the predicted
-            error on average. Two corrections leave 0.9 um, because the correction of the joints changes the residual.
-            Without a residual, one correction leaves 1 um and two leave nothing.
+        iterations: Number of corrections. Each starts from the joints of the previous one, and all use the factors of
+            one Jacobian. On the picking arm with the network of Qiao 2026, one correction leaves 1.4 um of the
+            predicted error on average. Two corrections leave 0.9 um, because the correction of the joints changes the
+            residual. Without a residual, one correction leaves 1 um and two leave nothing.
         single_precision: Whether corrections are computed in single precision if many poses are passed at once. This is
             faster and adds an error of 0.1 um.
         reservations: Reasons against using the compensator, by name (`pickenv.base.obey`).
@@ -330,7 +330,7 @@ class Compensator:
         return np.asarray(np.clip(rows + correction, self.nominal.lower, self.nominal.upper))
 
     def _within_limits(self, m: ModuleType, joints: Sequence[Scalar]) -> list[Scalar]:
-        """Clip joints to their limits: a target beyond them may be the best of all candidates."""
+        """Clip joints to their limits, since the best candidate may be a target beyond the limits."""
         limits = zip(self.nominal.lower.tolist(), self.nominal.upper.tolist(), strict=True)
         return [clipped(m, q, *limit) for q, limit in zip(joints, limits, strict=True)]
 
@@ -401,7 +401,7 @@ def corrected(
 
 
 def _weighed(weight: float, parts: Sequence[Scalar]) -> Sequence[Scalar]:
-    """Six components of an error or a Jacobian column, with the last three (attitude) multiplied by ``weight``."""
+    """Return the six components of an error or Jacobian column, the last three (attitude) multiplied by ``weight``."""
     return parts if weight == 1.0 else [*parts[:3], *(weight * part for part in parts[3:])]
 
 
@@ -410,7 +410,7 @@ Expected = tuple[Sequence[Scalar], Scalar]
 
 
 def _expected(m: ModuleType, joints: Sequence[Scalar], error: Sequence[Scalar]) -> Expected:
-    """Joints with the size of the pose error expected at them, from the error's six components."""
+    """Return joints with the norm of the pose error expected there, from the error's six components."""
     x, y, z, u, v, w = error
     return joints, m.sqrt(x * x + y * y + z * z + u * u + v * v + w * w)
 
@@ -427,14 +427,14 @@ def _nearer(m: ModuleType, one: Expected | None, other: Expected) -> Expected:
 
 
 def _less(error: Sequence[Scalar], learnt: Sequence[Scalar]) -> list[Scalar]:
-    """A pose error minus the learnt residual, component by component."""
+    """Return a pose error minus the learnt residual, component by component."""
     return [part - expected for part, expected in zip(error, learnt, strict=True)]
 
 
 def _moved(
     m: ModuleType, joints: Sequence[Scalar], step: Sequence[Scalar], limits: Sequence[tuple[float, float]]
 ) -> list[Scalar]:
-    """Joints after a step, within their limits."""
+    """Return joints after a step, clipped to their limits."""
     return [clipped(m, q + dq, low, high) for q, dq, (low, high) in zip(joints, step, limits, strict=True)]
 
 

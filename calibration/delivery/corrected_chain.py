@@ -41,7 +41,7 @@ from pickenv.calibration.pipeline.calibration import Calibration
 
 
 NEAR, TURNED = 1e-4, 2e-4
-"""Largest distance, m, and angle, rad, between two axes that count as equal; rounding in a file causes so much."""
+"""Largest distance, m, and angle, rad, between two axes that count as equal; rounding in a file can cause as much."""
 LEAST_SHARE = 1e-3
 """Deviation below which a relation of table and file (`SameChain`) counts as exact.
 
@@ -76,7 +76,7 @@ class _Axis:
         return _Axis(by.position + by.rotation @ self.point, by.rotation @ self.direction, self.slides)
 
     def apart(self, other: _Axis) -> tuple[float, float]:
-        """Distance, m (0 if this joint slides), and angle, rad, from this axis to another."""
+        """Return the distance, m (0 if this joint slides), and the angle, rad, from this axis to another."""
         turned = math.atan2(np.linalg.norm(np.cross(self.direction, other.direction)), self.direction @ other.direction)
         return (0.0 if self.slides else float(np.linalg.norm(_across(self.point - other.point, other)))), turned
 
@@ -172,10 +172,10 @@ def _fits(
 def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose]:
     """Yield candidate roots, which make the first axes of both chains equal.
 
-    They are the frames as they are, the best fit of all axes, and the first axis of one chain put on that of the other.
-    The last of these leaves a shift along the axis and a turn about it. The first later axis that is not parallel fixes
-    the shift, and the second axis the turn. If the arm begins with a prismatic joint, only the first two are tried; in
-    these, joints have equal readings in both chains.
+    They are the identity, if the first axes agree with it; the best fit of all axes; and the first axis of the table
+    put on that of the file. This last one leaves a shift along the axis and a turn about it. The first later axis that
+    is not parallel fixes the shift, and the second axis the turn. If the arm begins with a prismatic joint, only the
+    first two are tried; in these, joints have equal readings in both chains.
     """
     target = theirs[0].turned(turn)
     if mine[0].same(target):
@@ -195,10 +195,10 @@ def _roots(mine: list[_Axis], theirs: list[_Axis], turn: float) -> Iterator[Pose
 
 
 def _height(axes: list[_Axis]) -> float:
-    """Compute the position along the first axis, m from its point, at which the chain leaves it.
+    """Compute the position along the first axis, m from the axis's point, at which the chain leaves this axis.
 
-    It is the foot of the common normal of two axes: the last one parallel to the first axis, and the next one. It does
-    not depend on joint values. It is 0 if all axes are parallel, or if a prismatic joint comes before.
+    The position is the foot of the common normal of two axes: the last one parallel to the first axis, and the next
+    one. It does not depend on joint values. It is 0 if all axes are parallel, or if a prismatic joint comes before.
     """
     first = axes[0]
     for last, following in itertools.pairwise(axes):
@@ -243,7 +243,7 @@ def _value(last: _Axis, here: _Axis, wanted: _Axis) -> float:
 
 
 def _across(vector: Array, axis: _Axis) -> Array:
-    """The part of a vector that is perpendicular to an axis."""
+    """Return the part of a vector that is perpendicular to an axis."""
     return np.asarray(vector - axis.direction * (axis.direction @ vector))
 
 
@@ -258,8 +258,8 @@ def _along(axis: _Axis, value: float) -> Pose:
 def frames_apart(arm: Geometry, file: Geometry, root: Pose, sign: Array, zero: Array) -> tuple[float, float]:
     """Compute the largest distance, m, and angle, rad, between the link frames of table and file over several poses.
 
-    The frames are made equal at the first pose. The result is the largest change over the other poses of
-    K_i = N_i^-1 G^-1 U_i. N_i is a link frame of the table, U_i one of the file, and G is the root.
+    The frames are made equal at the first pose. The result is the largest change of K_i = N_i^-1 G^-1 U_i over the
+    other poses. N_i is a link frame of the table, U_i the same link's frame in the file, and G is the root.
 
     Args:
         arm: The arm's geometry before its calibration.
@@ -286,14 +286,15 @@ def corrected_origins(
 ) -> tuple[list[tuple[ChainJoint, Pose]], Pose]:
     """Compute the corrected origin of each joint of a file, and the calibrated tool's pose in the last joint's frame.
 
-    A whole robot has no one tool: the second result is then the identity. The fitted places of its sensors and targets
-    are left out, since they are no part of the robot.
+    A whole robot (a tree of links) has no single tool: the second result is then the identity. The fitted places of its
+    sensors and targets are left out, since they are no part of the robot.
 
     Args:
         nominal: The arm's geometry before its calibration.
         identified: The calibrated geometry in the robot's own base. If base and tool were fitted, they are those of
             ``nominal``.
-        branches: The file's joints from root to tip; for a whole robot, those up to each named part of its tree.
+        branches: The file's joints from root to tip, as the only item. For a whole robot, one item for each named part
+            of its tree.
         same: The relation of ``nominal`` to the file.
     """
     root, sign, zero = same
@@ -330,13 +331,13 @@ def _moved_origins(
     signs: Sequence[float],
     corrected: Mapping[str, Pose],
 ) -> tuple[list[Pose], Pose, Pose]:
-    """Compute the corrected origins of a file's joints, and the pose after the last joint in the file and corrected.
+    """Compute the corrected origins of a file's joints, and the pose after the last joint without and with correction.
 
     Args:
         before: Poses of the arm's links in the file's root, at the file's zero, before the calibration.
-        after: These poses after the calibration.
+        after: The same poses after the calibration.
         joints: The joints of the file.
-        signs: Sense of each link's motion in the table against the file's, 1 or -1.
+        signs: 1 or -1 for each link, the direction of its motion in the table relative to the file.
         corrected: Origins that are already corrected, by the joint's name.
     """
     links = links_of(joints)
@@ -372,7 +373,7 @@ def _slips(before: Sequence[Pose], link: int, joint: ChainJoint) -> bool:
 
 
 def _laid_upon(laid: Pose, joint: ChainJoint, sign: float) -> Pose:
-    """The pose of a file's joint in its link's frame, put exactly on the z axis: this removes the file's rounding."""
+    """Return the pose of a file's joint in its link's frame, put exactly on the z axis to undo the file's rounding."""
     axis = laid.rotation @ joint.axis
     turn = Rotation.align_vectors(sign * Z[None], axis[None])[0].as_matrix()
     position = laid.position if joint.slides else Z * laid.position[2]
@@ -394,7 +395,7 @@ NOTHING = 1e-12
 
 @dataclass(frozen=True, eq=False)
 class Correction:
-    """Corrected poses of a file's joints and tool; for a whole robot, joints alone.
+    """Corrected poses of a file's joints and tool; for a whole robot (a tree of links), joints alone.
 
     Attributes:
         moves: Each of the file's joints with its new origin, in the frame of `ChainJoint.origin`.
@@ -418,7 +419,7 @@ def correction(calibration: Calibration, rows: Sequence[JointRow], path: Path, f
     """Compute the corrected poses of the joints and the tool in a robot's own file.
 
     A link that a joint moves has its frame on that joint's axis. If the tip is such a link, the calibrated tool can lie
-    beside the axis. It then becomes a frame of its own that is fixed to the tip.
+    beside the axis. The tool then becomes a new frame that is fixed to the tip.
 
     Args:
         calibration: The calibration.

@@ -51,10 +51,10 @@ def onnx_document(calibration: Calibration, _: Order) -> Document:
 
 
 def _onnx_model(learnt: LearntResidual, network: Bpnn, geometry: Geometry, words: tuple[str, ...]) -> Any:
-    """The ONNX model of a network: joints to inputs (sine and cosine of those that turn far), two scalings, the layers.
+    """Build the ONNX model of a network: inputs (sine and cosine of joints that turn far), two scalings, and layers.
 
     Args:
-        learnt: The learnt residual; its inputs bring the first standardisation.
+        learnt: The learnt residual; its inputs hold the first standardisation.
         network: Its network, with the second standardisation and the layers.
         geometry: The arm.
         words: Lines of the model's documentation.
@@ -128,14 +128,14 @@ def export(
     sample: int = 0,
     seed: int = 0,
 ) -> Document:
-    """Write a calibration as a robot, a controller, a simulator or another program reads it.
+    """Write a calibration to a file that a robot, a controller, a simulator or another program reads.
 
     Args:
         calibration: The calibration.
         out: The file to write.
         kind: Name of a registered exporter; if None, it follows from the name of ``onto`` or else of ``out``.
-        onto: The robot's own file (URDF, MJCF, kinematics YAML, LeRobot's JSON, a description with ros2_control), in
-            which only what the calibration corrects is changed. In "robot.urdf#link", the link is the tip.
+        onto: The robot's own file (URDF, MJCF, kinematics YAML, LeRobot's JSON, a description with ros2_control). The
+            written copy differs only in what the calibration corrects. In "robot.urdf#link", the link is the tip.
         arm: The arm, for the joint speeds of a new arm file or URDF. It is not needed for a shipped arm.
         counts_per_turn: Encoder counts per turn, for tables of offsets.
         sample: Number of arms that are drawn from the calibration's posterior and written beside a new MJCF.
@@ -175,7 +175,7 @@ def export(
 
 
 def _robot_file(onto: str | Path | None) -> tuple[Path | None, str | None]:
-    """The robot's own file, and the link named behind its "#"; None for what is not given."""
+    """Return the robot's own file and the link that is named after its "#"; each is None if it is not given."""
     if onto is None:
         return None, None
     path, mark, tip = str(onto).rpartition("#")

@@ -142,7 +142,7 @@ def _way(nominal: Geometry, joints: Array, rows: slice, columns: NDArray[np.int6
 
 
 def _deviation(calibration: Calibration, joints: Array, rows: slice, columns: NDArray[np.int64]) -> Array:
-    """Standard deviations of the offsets (n,), from the covariance of the identified parameters; NaN if unknown."""
+    """Compute standard deviations of the offsets (n,), rad or m, from the parameters' covariance; NaN if unknown."""
     sure = uncertainty_from(calibration.record)
     if sure is None:
         return np.full(calibration.arm.joints, np.nan)
@@ -159,7 +159,7 @@ def _deviation(calibration: Calibration, joints: Array, rows: slice, columns: ND
 def _filling(calibration: Calibration) -> tuple[Array, str]:
     """Return joint values that fill the measured joint ranges, or else the joint limits, and a text that says which.
 
-    They are a Halton sequence, so a calibration always gives the same ones.
+    The values are a Halton sequence, so they are always the same for one calibration.
     """
     arm, ranges = calibration.arm, calibration.record.get("joint_ranges")
     low, high = (arm.lower, arm.upper) if ranges is None else np.array(ranges, dtype=float)
@@ -187,7 +187,7 @@ FIELDS = ("id", "drive_mode", "homing_offset", "range_min", "range_max")
 
 
 def _lerobot_motors(path: Path) -> dict[str, dict[str, int]]:
-    """The motors of a LeRobot calibration file by name, each with the whole numbers of `FIELDS`."""
+    """Return the motors of a LeRobot calibration file by name, each with the whole numbers of `FIELDS`."""
     text = read_text(path, "a LeRobot calibration (.json)")
     motors: Any = parsed(lambda: json.loads(text), path, "JSON")
     if isinstance(motors, dict) and isinstance(motors.get("homing_offset"), list):
@@ -279,7 +279,7 @@ def offset_table(calibration: Calibration, order: document.Order) -> document.Do
 def _table(
     rows: list[dict[str, Any]], out: Path, form: str, calibration: Calibration, notes: tuple[str, ...]
 ) -> document.Document:
-    """Rows as CSV with comment lines above (None is an empty cell), or as JSON if ``out`` ends in .json."""
+    """Make a document of rows: CSV below comment lines (None is an empty cell), or JSON if ``out`` ends in .json."""
     words = (*document.provenance(calibration), *notes)
     if out.suffix.lower() == ".json":
         content = {"format": form, "origin": list(words), "rows": rows}
@@ -378,14 +378,14 @@ def dh_table(calibration: Calibration, order: document.Order) -> document.Docume
 
 
 def _parameters(geometry: Geometry) -> dict[str, float]:
-    """A geometry's parameters by name, rad and m, in the order of `parameter_names`."""
+    """Return a geometry's parameters by name, rad and m, in the order of `parameter_names`."""
     links = [getattr(geometry, kind) for kind in LINK_PARAMETERS]
     frames = [[*pose.position, *rotation_vector(pose.rotation)] for pose in (geometry.base, geometry.tool)]
     return dict(zip(geometry.parameter_names, np.concatenate([*links, *frames]).tolist(), strict=True))
 
 
 def _table_rows(geometry: Geometry) -> Iterator[tuple[str, int, str, str]]:
-    """Table, row number, joint and parameter of each row to write; parameters are named as in the modified table."""
+    """Yield table, row number, joint and parameter of each row; parameters are named as in the modified table."""
     for table, shift in (("modified", 0), ("standard", 1)):
         for i, joint in enumerate(geometry.link_names):
             for kind in LINK_PARAMETERS:

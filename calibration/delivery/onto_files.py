@@ -1,7 +1,7 @@
 """Write a calibration into a robot's own files, or into new ones: arm file, URDF, MJCF, kinematics YAML, transforms.
 
-If the tip is the last joint's own link, the calibrated tool can lie beside that joint's axis. It then becomes a new
-link `TIP_calibrated` that is fixed to the tip. In an MJCF it is a site of that name.
+If the tip is the last joint's own link, the calibrated tool can lie beside that joint's axis. The tool then becomes a
+new link `TIP_calibrated` that is fixed to the tip. In an MJCF it becomes a site of that name.
 
 Written against URDF as ROS 2 has it (https://wiki.ros.org/urdf/XML, version 1.0); xacro must be expanded before.
 Lengths are in metres, rpy in radians about fixed axes.
@@ -107,12 +107,12 @@ def _leading_tables(geometry: Geometry) -> list[int]:
 
 
 def _entries(table: Mapping[str, Any]) -> list[str]:
-    """Lines of a TOML table of texts, numbers and vectors."""
+    """Return the lines of a TOML table of texts, numbers and vectors."""
     return [f"{key} = {_toml(value)}" for key, value in table.items()]
 
 
 def _toml(value: Any) -> str:
-    """A value in TOML: a text with its escapes and no control characters, a number with all its digits, or a vector."""
+    """Return a value in TOML: a text with escapes and no control characters, a number with all digits, or a vector."""
     if isinstance(value, str):
         return '"' + one_line(value).replace("\\", "\\\\").replace('"', '\\"') + '"'
     if isinstance(value, np.ndarray):
@@ -165,7 +165,7 @@ def _new_urdf(calibration: Calibration, arm: Arm) -> document.Document:
 def _behind_tip(
     data: bytes, tags: list[document.StartTag], last: str, tip: str, frame: str, pose: Pose, path: Path
 ) -> list[document.Edit]:
-    """Edits that add the calibrated tool as a link fixed to the tip, or move the one of an earlier calibration.
+    """Return the edits that add the calibrated tool as a link fixed to the tip, or move that link if it exists.
 
     Args:
         data: The file's text.
@@ -193,7 +193,7 @@ def _behind_tip(
 
 
 def _joint(tags: list[document.StartTag], name: str) -> int:
-    """Index of the joint of that name that has a child link; transmissions name joints too, but have none."""
+    """Return the index of the joint of that name that has a child link, unlike the joints named in transmissions."""
     holders = {tag.parent for tag in tags if tag.name == "child"}
     return next(i for i, tag in enumerate(tags) if i in holders and tag.is_named("joint", name))
 
@@ -214,7 +214,7 @@ def _rpy(pose: Pose) -> str:
 
 
 def _moved(data: bytes, tags: list[document.StartTag], joint: int, new: Pose) -> list[document.Edit]:
-    """Edits that give a joint a new origin; position or attitude keeps its text if it does not change."""
+    """Return the edits that give a joint a new origin; an unchanged position or attitude keeps its text."""
     values, tag = corrected_chain.changed(_origin(tags, joint), new, "xyz", "rpy", _rpy), _origin_tag(tags, joint)
     if tag is not None or not values:
         return [] if tag is None else document.attribute_edits(data, tag, values)
@@ -311,10 +311,10 @@ def mjcf_files(path: str | Path, sample: int) -> list[Path]:
 
 
 def _named(tags: list[document.StartTag], kind: str, name: str, path: Path) -> document.StartTag:
-    """The start tag of the body or site of that name in the file itself.
+    """Return the start tag of the body or site of that name in the file itself.
 
     Raises:
-        InputError: If there is none; the message says whether it may stand in an included file.
+        InputError: If there is no such tag; the message says whether it may be in an included file.
     """
     tag = next((tag for tag in tags if tag.is_named(kind, name)), None)
     if tag is not None:
@@ -328,7 +328,7 @@ def _named(tags: list[document.StartTag], kind: str, name: str, path: Path) -> d
 
 
 def _moved_body(data: bytes, tag: document.StartTag, values: MjcfValues, new: Pose) -> list[document.Edit]:
-    """Edits that give a body or site a new pose; position or attitude keeps its text if it does not change."""
+    """Return the edits that give a body or site a new pose; an unchanged position or attitude keeps its text."""
     texts = corrected_chain.changed(values.pose(tag.attributes), new, "pos", "quat", _quaternion)
     orientation = next((key for key in ORIENTATIONS if key in tag.attributes), "quat")
     edits: list[document.Edit] = []
@@ -339,13 +339,13 @@ def _moved_body(data: bytes, tag: document.StartTag, values: MjcfValues, new: Po
 
 
 def _quaternion(pose: Pose) -> str:
-    """The text of a pose's orientation as MJCF's quat: w, x, y, z."""
+    """Return a pose's orientation as the text of MJCF's quat: w, x, y, z."""
     *xyz, w = Rotation.from_matrix(np.asarray(pose.rotation)).as_quat(canonical=True)
     return numbers_text([w, *xyz])
 
 
 def _files(tags: list[document.StartTag]) -> Iterator[str]:
-    """Paths of the meshes and included files that a model names, relative to its folder."""
+    """Yield the paths of the meshes and included files that a model names, relative to the model's folder."""
     compiler = dict(item for tag in tags if tag.name == "compiler" for item in tag.attributes.items())
     folder = compiler.get("meshdir", compiler.get("assetdir", ""))
     strips = compiler.get("strippath", "false") == "true"
@@ -395,13 +395,13 @@ def kinematics_yaml_document(calibration: Calibration, order: document.Order) ->
 
 
 def _ur_values(origin: Pose) -> dict[str, float]:
-    """The numbers of a link's origin, m and rad, by their keys in the YAML."""
+    """Return the numbers of a link's origin, m and rad, by their keys in the YAML."""
     values = [*origin.position, *roll_pitch_yaw(np.asarray(origin.rotation))]
     return {key: float(value) for key, value in zip(UR_KEYS, values, strict=True)}
 
 
 def _edits(data: bytes, name: str, values: dict[str, float], path: Path) -> list[document.Edit]:
-    """Edits that give a link's keys new numbers; they are searched for between the link's name and the next link's.
+    """Return the edits that give new numbers to a link's keys, which stand between its name and the next link's name.
 
     Raises:
         InputError: If the link lacks one of the keys.
@@ -425,7 +425,7 @@ def _edits(data: bytes, name: str, values: dict[str, float], path: Path) -> list
 
 
 def yaml_number(value: float) -> str:
-    """Format a number with all its digits so that YAML 1.1 reads it as a number; it would read 1e-05 as a text."""
+    """Format a number with all its digits so that YAML 1.1 reads a number; YAML 1.1 would read 1e-05 as a text."""
     text = repr(value)
     return text.replace("e", ".0e") if "e" in text and "." not in text else text
 

@@ -47,9 +47,9 @@ def refuse_trained(train: Observations, test: Observations) -> None:
 
     A held-out row may be a repeated measurement at a training pose. Then its reading differs by the scatter of
     instrument and arm. A copy is at the same pose (`SAME_POSE`) and has the same reading, within
-    `Observations.rounding` or within the last digit written. Copies are refused if they are more than repeated
-    measurements would give by chance (binomial test, `UNLIKELY`). If readings are labels, such as a socket's number,
-    the joint values are compared in their place.
+    `Observations.rounding` or within the last digit written. Copies are refused if there are more of them than
+    repeated measurements would give by chance (binomial test, `UNLIKELY`). If readings are labels, such as a socket's
+    number, the joint values are compared in their place.
 
     Raises:
         InputError: If there are copies; the message names the files and lines of these rows and of the training rows.
@@ -77,7 +77,10 @@ def said_of_repeats(train: Observations, test: Observations) -> Said:
 
 
 def _copies(known: Observations, other: Observations) -> tuple[Rows, Rows]:
-    """Rows of ``other`` that copy rows of ``known``, and the copied rows; none if so few may be chance."""
+    """Return indices of rows of ``other`` that copy rows of ``known``, and of the copied rows.
+
+    Both are empty if chance can explain so few equal readings.
+    """
     none = np.zeros(0, dtype=np.int64)
     mine, theirs = known.readings(), other.readings()
     if type(known) is not type(other) or mine.shape[1] != theirs.shape[1] or not len(mine) or not len(theirs):
@@ -99,13 +102,13 @@ def _copies(known: Observations, other: Observations) -> tuple[Rows, Rows]:
 
 
 def _nearest(known: Array, other: Array, within: float) -> Rows:
-    """Index of the row of ``known`` nearest to each row of ``other``; -1 if none has all coordinates ``within``."""
+    """Return the index of each ``other`` row's nearest row of ``known``; -1 if none has all coordinates ``within``."""
     _, nearest = KDTree(known).query(other, p=np.inf, distance_upper_bound=within * (1.0 + 1e-6) + 1e-12)
     return np.where(nearest < len(known), nearest, -1)
 
 
 def _digit(values: Array) -> float:
-    """The smallest decimal step to which any of these numbers is written, at least 1e-9."""
+    """Return the smallest decimal step, at least 1e-9, to which any of these numbers is written."""
     return next((10.0**-n for n in range(9) if np.allclose(values, np.round(values, n), rtol=0.0, atol=1e-10)), 1e-9)
 
 
@@ -118,7 +121,7 @@ MANY_FAR = 0.05
 """Share of rows that are outliers above which the verdict gives a caution."""
 
 ANOTHER_ARM = 5.0
-"""A station whose median miss is more than this many times that of the others has probably measured another arm."""
+"""A station whose median residual is more than this many times that of the others probably measured another arm."""
 
 FEW = 4
 """Fewer held-out rows than this are listed one by one, and never taken for rows of another set-up."""
@@ -164,7 +167,7 @@ class LeftOut:
         return f"{(self.position or 0.0) * MISS_UNITS[self.unit]:.3g} {self.unit}"
 
     def text(self) -> str:
-        """A sentence on the row, for people."""
+        """Return a line that names the row, its error and the reason, for people."""
         if self.position is None or self.sigma is None:
             return f"{self.file}: row {self.line}: {self.why}"
         turned = "" if self.attitude is None else f", {np.degrees(self.attitude):.3g} deg"
@@ -269,7 +272,7 @@ def said_of_files(listed: Sequence[LeftOut], kept: Sequence[Observations]) -> Sa
 
 
 def said_of_stations(found: Identification, data: Observations) -> Said:
-    """Yield a caution for each station with far larger misses than the others, although its frames were fitted."""
+    """Yield a caution for each station with far larger residuals than the others, although its frames were fitted."""
     if not data.stations or len({part.miss_unit for part in data.parts}) > 1:
         return
     sizes = np.linalg.norm(data.misses(found.arm_model, unknowns_of(found, data)), axis=1)
@@ -287,7 +290,7 @@ def said_of_stations(found: Identification, data: Observations) -> Said:
 
 
 def _other_set_up(arm: Arm, found: Identification, scales: Array, train: Observations, test: Observations) -> str:
-    """The reason why most held-out rows miss: another unit, another place of base or tool, or something else."""
+    """Return why most held-out rows do not fit: another unit, another place of base or tool, or something else."""
     files = ", ".join(dict.fromkeys(origins_of(test).place(row)[0] for row in range(len(test.joints))))
     scale, unit_name = MISS_UNITS[test.miss_unit], test.miss_unit
     away = f"{np.median(misses_of(found, test)) * scale:.3g} {unit_name}"
@@ -335,7 +338,7 @@ def mixed_unit(arm: Arm, sigma: Callable[[Measurements], Array], measurements: M
 
 
 def _readings(arm: Arm, data: Measurements) -> Iterator[tuple[str, Measurements]]:
-    """Copies of the rows with a joint column, a position or the attitude read in another unit, each with its name."""
+    """Yield copies of the rows with one column read in another unit, each with words that name column and unit."""
     length, angle = ("mm", "m", 1e-3), ("deg", "rad", np.pi / 180)
     values = {"joints": data.joints, "position": data.position}
     columns = [
@@ -375,7 +378,10 @@ def without_blind_views(data: Observations) -> tuple[Observations, tuple[LeftOut
 
 
 def _blind_views(views: PixelObservations) -> dict[int, str]:
-    """Views that are left out, with the reason: no corner, or in a board's picture too few, or all near one line."""
+    """Return the reasons why views are left out, by the view's index: too few corners, or all near one line.
+
+    In a table of corners, a view without corners is the only one left out.
+    """
     counts, found = views.seen.sum(axis=1), views.pictures is not None and not views.board[:, 2].any()
     least, remarks = LEAST_CORNERS if found else 1, views.remarks
     reasons = {}

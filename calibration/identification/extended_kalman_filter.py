@@ -17,7 +17,7 @@ from pickenv.calibration.identification.least_squares import identifiability
 from pickenv.calibration.model.arm_model import ArmModel, ErrorModel
 
 PRIOR = 10.0
-"""Prior standard deviation of a parameter, in its tolerances: 10 mm and 0.6 deg for geometry."""
+"""Prior standard deviation of a parameter as a multiple of its tolerance: 10 mm and 0.6 deg for geometry."""
 
 HOUR = 3600.0
 """Seconds in an hour; drifts are stated per root hour."""
@@ -30,7 +30,7 @@ class FilterState:
     Attributes:
         arm_model: Current estimate: geometry and coefficients of terms.
         columns: Indices ``(p,)`` of the estimated parameters in ``arm_model.parameter_names``.
-        tolerance: Scale of each estimated parameter ``(p,)``, m or rad.
+        tolerance: Typical deviation of each estimated parameter ``(p,)``, m or rad.
         covariance: Covariance of the parameters' errors ``(p, p)``, m and rad.
     """
 
@@ -55,7 +55,7 @@ def start_filter(
         start: Geometry, or geometry with terms, to start from.
         joints: Joints ``(N, n)``, rad or m, of poses like those to be measured; they decide what is identifiable.
         full_pose: False if only positions will be measured.
-        prior: Prior standard deviation of each parameter, in its tolerances.
+        prior: Prior standard deviation of each parameter, as a multiple of its tolerance.
 
     Raises:
         InputError: If the poses give fewer equations than there are candidate parameters.
@@ -88,7 +88,7 @@ def random_walk(state: FilterState, tolerances: float) -> Array:
 
     Args:
         state: The filter's state.
-        tolerances: Standard deviation of each parameter's drift after one hour, in that parameter's tolerances. It
+        tolerances: Standard deviation of each parameter's drift after one hour, as a multiple of its tolerance. It
             grows with the square root of time.
     """
     return np.asarray(np.diag((tolerances * state.tolerance) ** 2) / HOUR)

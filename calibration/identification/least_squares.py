@@ -1,8 +1,8 @@
 """Rank-aware iterated least squares, Qiao 2026 eqs (11)-(12): identify a geometry from measurements.
 
 Redundant parameters are detected at the start and left out. The normal equations of eq (11) are replaced by a QR
-solution. So a redundant model gives the same geometry as its base set, and not one that is wrong by metres (Qiao 2026
-digest, fact 3).
+solution. A redundant model therefore gives the same geometry as its identifiable subset. The normal equations would
+give one that is wrong by metres.
 """
 
 from __future__ import annotations
@@ -140,7 +140,7 @@ def unknowns_of(found: Identification, observations: Observations) -> Array:
 
 
 def is_angle(name: str) -> bool:
-    """Whether a parameter's name is that of an angle."""
+    """Return whether a parameter's name is that of an angle."""
     return name.startswith(("alpha", "theta", "beta")) or name.partition("_")[2].startswith("r")
 
 
@@ -327,7 +327,7 @@ def judged_step(step: Any, explained: Any, weighted: Any, before: Any, after: An
 def _jacobian(
     model: ErrorModel, sets: Sequence[Observations], arm: ArmModel, unknowns: Sequence[Array], tolerance: Array
 ) -> Array:
-    """Stated, scaled Jacobian: unknowns first, then the model's columns."""
+    """Return the Jacobian in standard uncertainties per ``tolerance``: unknowns first, then the model's columns."""
     parts = [part.jacobian(arm, values) for part, values in zip(sets, unknowns, strict=True)]
     jacobian = np.zeros((len(tolerance), sum(len(by_arm) for by_arm, _ in parts))).T
     row, column, first = 0, 0, len(tolerance) - len(model.columns)
@@ -342,7 +342,7 @@ def _jacobian(
 def _displaced(
     arm: ArmModel, unknowns: Sequence[Array], model: ErrorModel, change: Array
 ) -> tuple[ArmModel, list[Array]]:
-    """The arm and the unknowns after ``change`` (unknowns first, then the model's parameters)."""
+    """Return the arm and the unknowns after ``change`` (unknowns first, then the model's parameters)."""
     *steps, ours = np.split(change, np.cumsum([len(values) for values in unknowns]))
     delta = np.zeros(len(arm.parameter_names))
     delta[model.columns] = ours
@@ -350,7 +350,7 @@ def _displaced(
 
 
 def _solve(matrix: Array, right: Array, damping: float) -> Array:
-    """Least-squares step through QR; ``damping`` adds Levenberg's ridge relative to the mean column norm."""
+    """Compute the least-squares step by QR; ``damping`` adds Levenberg's ridge relative to the mean column norm."""
     if damping:
         ridge = np.sqrt(damping) * np.linalg.norm(matrix) / np.sqrt(matrix.shape[1])
         matrix = np.vstack([matrix, ridge * np.eye(matrix.shape[1])])
@@ -377,12 +377,12 @@ def triangle(matrix: Array, right: Array) -> tuple[Array, Array]:
 
 
 def rms_of(values: Array) -> float:
-    """Root mean square of an array."""
+    """Return the root mean square of an array."""
     return float(np.sqrt(np.mean(values**2)))
 
 
 def _covariance(matrix: Array, scale: Array, variance: float) -> Array:
-    """Covariance of parameters from rows of this variance, the rows of priors among them; their columns are scaled."""
+    """Compute the parameters' covariance ``(P, P)`` from rows of this variance with columns scaled by ``scale``."""
     inverse_r = np.linalg.inv(np.linalg.qr(matrix, mode="r"))
     return np.asarray(variance * (inverse_r @ inverse_r.T * np.outer(scale, scale)))
 
@@ -390,7 +390,7 @@ def _covariance(matrix: Array, scale: Array, variance: float) -> Array:
 def _enough_poses(
     model: ErrorModel, arm: ArmModel, sets: Sequence[Observations], unknowns: Sequence[Array], rank: int, rows: int
 ) -> None:
-    """Refuse data sets with fewer equations, ``rows``, than parameters that such measurements identify elsewhere."""
+    """Refuse data sets with fewer equations (``rows``) than parameters that such data identify at random poses."""
     parameters = len(model.names) + sum(len(values) for values in unknowns)
     if rows >= 2 * parameters:
         return  # whatever the rank elsewhere, there are enough
@@ -422,10 +422,10 @@ class Identifiability:
 
     Attributes:
         names: All parameters, in order.
-        kept: Indices of the identifiable base set.
-        dropped: By name of each other parameter, the deviations of kept parameters, by name, m or rad. Together they
-            have the same effect as a deviation of 1 m or 1 rad of the dropped parameter. They are empty if the dropped
-            parameter has no effect on the measurements.
+        kept: Indices of the kept parameters, a largest identifiable subset (the base set).
+        dropped: The dropped parameters by name. Each has a dictionary of deviations of kept parameters, by name, m or
+            rad, which together have the same effect as a deviation of 1 m or 1 rad of the dropped parameter. It is
+            empty if the dropped parameter has no effect on the measurements.
         r_diagonal: |R_kk| of the scaled stacked Jacobian per parameter, about 0 for dropped ones (Qiao 2026 eq (9)).
             Divided by its mean it is the paper's ratio phi (eq (10)).
         singular_values: Singular values of the kept parameters' scaled stacked Jacobian, per pose (over sqrt(N)).
@@ -449,7 +449,7 @@ class Identifiability:
 
     @property
     def kept_names(self) -> tuple[str, ...]:
-        """Names of the identifiable base set."""
+        """Names of the kept parameters, a largest identifiable subset (the base set)."""
         return tuple(self.names[k] for k in self.kept)
 
 
@@ -540,7 +540,10 @@ def identifiable_parameters(
 
 
 def _longest_link(geometry: Geometry, visible: Identifiability) -> dict[str, dict[str, float]]:
-    """The longest link that can be seen, and how the other lengths would grow with it."""
+    """Return the longest identifiable length, with the other lengths' deviations of the same effect.
+
+    The form is that of `Identifiability.dropped`; it is empty if no length is identifiable.
+    """
     names = [f"a{i}" for i in range(geometry.links)] + [f"d{i + 1}" for i in range(geometry.links)]
     values = dict(zip(names, [*geometry.a, *geometry.d], strict=True))
     lengths = {name: float(values[name]) for name in visible.kept_names if values.get(name, 0.0) != 0.0}

@@ -2,7 +2,7 @@
 
 Each row gets one weight from a Cauchy loss of its error in robust standard deviations. These come from medians, so that
 nearly half of the rows may be wrong (Holland and Welsch 1977). Readings of one instrument in one unit are a channel.
-Every channel has a scale of its own, because units and instruments differ. A set-up is one place of the instrument, and
+Every channel has a separate scale, because units and instruments differ. A set-up is one place of the instrument, and
 one place of its target on the tool. SI units.
 """
 
@@ -40,8 +40,10 @@ GOOD = 0.05
 """A fit whose error is below this share of the spread needs no further starts."""
 
 STARTS = 24
-"""Four times the number of further tools that are tried if neither the closed form nor the nominal tool gives a good
-fit. They are the best of ``8 * STARTS`` random tools."""
+"""Number that sets how many further tools are tried if neither the closed form nor the nominal tool gives a good fit.
+
+A quarter as many are tried, the best of ``8 * STARTS`` random tools.
+"""
 
 
 @single_threaded()
@@ -77,7 +79,7 @@ def misfit(geometry: Geometry, measurements: Measurements) -> tuple[float, float
 
 
 def _starts(geometry: Geometry, measurements: Measurements) -> Iterator[Geometry]:
-    """Starting geometries, the best first: closed form and nominal tool, then other tools (the same every time)."""
+    """Yield starting geometries: closed form and nominal tool, then random tools with a fixed seed; best ones first."""
     bare = ArmModel.of(replace(geometry, base=identity_pose(), tool=identity_pose()))
     chain = bare.pose(measurements.joints, measurements.conditions)
 
@@ -129,7 +131,7 @@ def registered(geometry: Geometry, tool: Pose, chain: Pose, measurements: Measur
 
 
 def _closed_form_tool(chain: Pose, measurements: Measurements, nominal: Pose) -> Pose:
-    """The tool's pose in the last link's frame, by linear equations."""
+    """Compute the tool's pose in the last link's frame from linear equations."""
     if measurements.rotation is None:
         return Pose(_offset_from_positions(chain, measurements.position), nominal.rotation)
     turn, tool_turn = _turns_from_attitudes(chain.rotation, measurements.rotation)
@@ -142,7 +144,10 @@ def _closed_form_tool(chain: Pose, measurements: Measurements, nominal: Pose) ->
 
 
 def _offset_from_positions(chain: Pose, position: Array) -> Array:
-    """The tool offset u from M p - s - Q u = o, which is linear in M = R^T, s = R^T t and u."""
+    """Compute the tool offset u ``(3,)``, m, from M p - s - Q u = o, which is linear in M = R^T, s = R^T t and u.
+
+    R and t are the base's rotation and position, p the measured position, Q and o those of the last link.
+    """
     count, middle = len(position), position.mean(axis=0)
     by_rotation = np.einsum("ik,nj->nikj", np.eye(3), position - middle).reshape(count, 3, 9)
     by_shift = np.broadcast_to(-np.eye(3), (count, 3, 3))
@@ -152,7 +157,7 @@ def _offset_from_positions(chain: Pose, position: Array) -> Array:
 
 
 def _turns_from_attitudes(chain: Array, measured: Array) -> tuple[Array, Array]:
-    """Base and tool rotation of measured = R chain T: the null vector of measured T^T - R chain = 0."""
+    """Compute base rotation R and tool rotation T of measured = R chain T, as null vector of measured T^T - R chain."""
     # Row-major vec: vec(A X) = (A kron 1) vec X, vec(Y B) = (1 kron B^T) vec Y. Of rotations the normal equations are
     # [[N, -S], [-S^T, N]] with the sum S of A^T kron B^T, so that the null vector is S's first pair of singular ones.
     across = np.einsum("nji,nlk->ikjl", measured, chain)
@@ -211,8 +216,8 @@ OUTLIER_SIGMA = 10.0
 """Rows whose error exceeds this many robust standard deviations are outliers; errors of the arm model stay below it."""
 
 WEIGHTINGS, SELECTIONS, FOURS = 30, 10, 500
-"""Largest number of re-weighted least squares, largest number of repeated alignments, and number of random sets of four
-poses."""
+"""Largest number of re-weighted least-squares fits, largest number of repeated alignments, and number of random sets of
+four poses."""
 
 CAUCHY = 2.385
 """Error, in standard deviations per coordinate, at which a row's weight is 0.5; the efficiency is 95 % for normal
@@ -220,9 +225,12 @@ noise."""
 
 
 Sizes = tuple[Array, Array, Array]
-"""Three arrays. The first is the error of each of N rows in its worst channel ``(N,)``, in robust standard deviations.
-The second is the Cauchy weight of each row ``(N,)``. The third is each channel's robust standard deviation ``(C,)``, in
-stated standard uncertainties."""
+"""Sizes of the errors of N rows, as three arrays; a channel is the readings of one instrument in one unit.
+
+The first is the error of each row in its worst channel ``(N,)``, in robust standard deviations. The second is the
+Cauchy weight of each row ``(N,)``. The third is each channel's robust standard deviation ``(C,)``, in stated standard
+uncertainties.
+"""
 
 
 def robust_identify(model: ErrorModel, start: Geometry | ArmModel, data: Observations) -> tuple[Identification, Sizes]:
@@ -293,8 +301,8 @@ def sizes_of(
 ) -> Sizes:
     """Return the sizes of the rows' errors (`Sizes`), in standard deviations of the channels.
 
-    Without ``scales`` the standard deviations are robust ones, computed from the rows. They are never below the
-    instrument's own uncertainty.
+    A channel is the readings of one instrument in one unit. Without ``scales`` the standard deviations are robust ones,
+    computed from the rows. They are never below the instrument's own uncertainty.
 
     Args:
         arm: The arm.
@@ -335,7 +343,7 @@ def sigma_of(found: Identification, data: Observations, scales: Array | None = N
 
 
 def misses_of(found: Identification, data: Observations) -> Array:
-    """Size of the largest miss (measured minus predicted) of each row ``(N,)``, m, or rad for directions."""
+    """Return the size of the largest miss (measured minus predicted) of each row ``(N,)``, m, or rad for directions."""
     misses = data.misses(found.arm_model, unknowns_of(found, data))
     largest = np.zeros(len(data.joints))
     np.maximum.at(largest, data.rows_of_misses, np.linalg.norm(misses, axis=1))
@@ -343,7 +351,7 @@ def misses_of(found: Identification, data: Observations) -> Array:
 
 
 def _median(values: Array, counts: Array) -> float:
-    """The weighted median of values ``(N,)``; NaN values are ignored."""
+    """Return the weighted median of values ``(N,)``; NaN values are ignored."""
     order = np.argsort(values, kind="stable")[: np.count_nonzero(values == values)]
     below = np.cumsum(counts[order])
     first, last = np.searchsorted(below, below[-1] * np.array([0.5 - 1e-12, 0.5 + 1e-12]))
@@ -362,8 +370,8 @@ LEAST_ROWS = 8
 """Least number of rows with which a file's set-up can be determined."""
 
 TRIES, PLAUSIBLE = 12, 10.0
-"""Iterations of the fit that judges a grouping, twice what a right one needs, and largest plausible ratio of misses
-within one set-up."""
+"""Largest number of iterations of the fit that judges a grouping, and largest plausible ratio of misses within one
+set-up. A right grouping needs half as many iterations."""
 
 ROBUST_ROWS = 2000
 """Largest number of rows of the robust fit, equally spaced; all rows are judged by this fit."""
@@ -376,7 +384,7 @@ beside its geometry."""
 def rough_start(nominal: Geometry, data: Observations) -> Geometry:
     """Return the geometry with rough base and tool, from which a fit can start.
 
-    Poses of boards give both. The positions of the reflector that is seen most often give the base, and with at least
+    Views of a board give both. The positions of the reflector that is seen most often give the base, and with at least
     three known reflectors also the tool. Other kinds give the nominal geometry.
 
     Raises:
@@ -412,8 +420,8 @@ def robust_frames(arm: Arm, data: Observations) -> Geometry:
 def robust_fit(arm: Arm, data: Observations, known: bool = False) -> tuple[Identification, Sizes]:
     """Identify the geometry from the rows that agree with each other; the result is deterministic.
 
-    If the arm's masses are known, the joints yield under their weight: else the rows with the largest torques would
-    seem far off.
+    If the arm's masses are known, the fitted joints yield under the links' weight. Without this, the rows with the
+    largest torques would seem to be outliers.
 
     Args:
         arm: The arm.
@@ -440,8 +448,8 @@ def stations_of(arm: Arm, data: Sequence[Observations], own: Collection[str]) ->
     Args:
         arm: The arm.
         data: The data sets.
-        own: Names of the frames ("base", "tool") that each station but the first has for itself. A data set whose
-            instrument has no frame has no base of its own.
+        own: Names of the frames ("base", "tool") that each station after the first does not share with the arm. A data
+            set whose instrument has no frame always shares the base.
 
     Raises:
         InputError: If a set does not fit the arm.
@@ -474,13 +482,13 @@ def scene_of(arm: Arm, data: Sequence[Observations]) -> Stacked:
 
 
 def _stations(arm: Arm, parts: Sequence[Observations], owners: Sequence[Mapping[str, int]]) -> Stacked:
-    """Stations whose frames, looked for from where they are if the arm is nominal, are their own or another station's.
+    """Return data sets as stations, with starting values of the frames that they do not share with the arm.
 
     Args:
         arm: The arm.
         parts: The data sets; the first has the arm's own frames.
-        owners: For each set but the first, the number of the station that each frame belongs to; a frame that is left
-            out is the arm's.
+        owners: For each set after the first, the number of the station that each frame belongs to. Frames that are left
+            out are shared with the arm.
     """
     starts = [robust_frames(arm, part) if part.framed else arm.nominal for part in parts[1:]]
     stations = [InstrumentStation(parts[0])]
@@ -515,12 +523,12 @@ def by_set_up(arm: Arm, parts: Sequence[Measurements]) -> Measurements | Stacked
 
 
 def set_ups(arm: Arm, parts: Sequence[Measurements]) -> tuple[SetUp, ...]:
-    """Group files that share base and tool by the Bayesian information criterion, adding one file after the other.
+    """Group files that share base and tool, one file after the other, by the Bayesian information criterion.
 
-    Errors of the rows of one file are alike, so at most `COUNTED_ROWS` of each file count. So a file has frames of its
-    own only if these remove a large part of the remaining error. A file with too few rows, or whose rows do not fit the
-    arm, is put into the first set-up. If the two cannot be joined as one data set, the file shares the frames of that
-    set-up.
+    Errors of the rows of one file are similar, so at most `COUNTED_ROWS` of each file count. A file therefore gets new
+    frames only if these remove a large part of the remaining error. A file with too few rows, or whose rows do not fit
+    the arm, is put into the first set-up. If the file cannot be joined with that set-up as one data set, it shares the
+    set-up's frames.
 
     Args:
         arm: The arm.
@@ -538,7 +546,10 @@ def set_ups(arm: Arm, parts: Sequence[Measurements]) -> tuple[SetUp, ...]:
 
 
 def _near_rows(arm: Arm, part: Measurements) -> tuple[Measurements, Geometry] | None:
-    """Some rows that agree with each other, and the arm with frames fitted to them; None if too few, or none fit."""
+    """Return some rows that agree with each other, and the arm with frames fitted to them.
+
+    The result is None if there are too few rows, or if they do not fit the arm.
+    """
     part = part.select(equally_spaced(len(part), FILE_ROWS))
     if len(part) < LEAST_ROWS:
         return None
@@ -550,7 +561,7 @@ def _near_rows(arm: Arm, part: Measurements) -> tuple[Measurements, Geometry] | 
 
 
 def _with_file(groups: tuple[SetUp, ...], parts: Sequence[Measurements], i: int) -> Iterator[tuple[SetUp, ...]]:
-    """All ways to add one more file to the set-ups: to each that it can join, or as a new set-up."""
+    """Yield all ways to add one more file to the set-ups: to each that it can join, or as a new set-up."""
     for number, (members, own) in enumerate(groups):
         if parts[members[0]].joinable(parts[i]):
             yield (*groups[:number], ((*members, i), own), *groups[number + 1 :])
@@ -561,9 +572,9 @@ def _with_file(groups: tuple[SetUp, ...], parts: Sequence[Measurements], i: int)
 
 
 def _plausible(near: Mapping[int, tuple[Measurements, Geometry]], groups: Sequence[SetUp], i: int) -> bool:
-    """Whether a file and the set-up that it joins see each other's rows about as their own, with the nominal arm.
+    """Return whether the frames of a file and of the set-up that it joins fit each other's rows almost as their own.
 
-    Either way is enough: a file may tell little of its own frames.
+    One of the two directions is enough, since a file may hardly determine its frames. The arm is nominal.
     """
 
     def ratio(rows: int, arm: int) -> float:
@@ -574,12 +585,12 @@ def _plausible(near: Mapping[int, tuple[Measurements, Geometry]], groups: Sequen
 
 
 def _missed(rows: Measurements, by: Geometry) -> float:
-    """Median miss of the rows under an arm, plus a micrometre, m."""
+    """Return the median position error of the rows under an arm, m, plus a micrometre."""
     return 1e-6 + float(np.median(np.linalg.norm(rows.difference(by)[:, :3], axis=1)))
 
 
 def _criterion(arm: Arm, near: Mapping[int, tuple[Measurements, Geometry]], groups: Sequence[SetUp]) -> float:
-    """Schwarz's criterion of an arm and these set-ups; each file has a scatter of its own."""
+    """Compute Schwarz's (Bayesian) information criterion of these set-ups; each file has a separate scatter."""
     sets, stations = [], []
     for number, (members, own) in enumerate(groups, start=1):
         rows = rows_together([near[i][0] for i in members])

@@ -24,22 +24,22 @@ from pickenv.calibration.model.observations import Observations, equally_spaced
 from pickenv.calibration.model.prior import LENGTHS, MADE, PriorModel
 
 PASSES = 4
-"""Largest number of solutions; each weighs rows and priors by the residuals of the one before."""
+"""Largest number of solutions; each weighs rows and priors by the residuals of the previous one."""
 
 MANY, FEW = 4000, 1500
-"""With more than `MANY` rows, noise and scales are first estimated on `FEW` of them, equally spaced."""
+"""With more than `MANY` rows, noise and prior widths are first estimated on `FEW` of them, equally spaced."""
 
 SETTLED = 0.1
 """Passes end when neither noise nor scales change by more than this share."""
 
 SPREAD = 3.0
-"""Prior of a tolerance class's scale: it is within this factor of 1 with a probability of two thirds."""
+"""Factor about 1 within which a scale of prior widths lies, before measuring, with a probability of two thirds."""
 
 NODES = (-2.4, -1.2, 0.0, 1.2, 2.4)
 """Nodes of the grid over the logarithm of each scale, in standard deviations from its mean."""
 
 STAGES, NARROWEST = 3, 0.4
-"""Number of grids, each centred by the one before, and the least width of a grid relative to the one before."""
+"""Number of grids, each centred by the previous one, and least width of a grid relative to the previous one."""
 
 LIGHT = 1e-3
 """Nodes whose weight is below this share of the largest weight are left out."""
@@ -184,7 +184,7 @@ def averaged_over_scales(
 
 
 def leverages(columns: Array) -> Array:
-    """Leverage of each equation in a fit ``(E,)``, if every parameter's prior is the standard normal distribution.
+    """Compute the leverage of each equation ``(E,)`` in a fit in which every parameter has a standard normal prior.
 
     Args:
         columns: Whitened derivatives ``(E, P)``, in units of the priors' standard deviations.
@@ -194,7 +194,7 @@ def leverages(columns: Array) -> Array:
 
 
 def _settled(before: tuple[RowNoise, dict[str, float]], after: tuple[RowNoise, dict[str, float]]) -> bool:
-    """Whether neither noise nor scales have changed by more than `SETTLED`."""
+    """Return whether noise and scales have both changed by no more than `SETTLED`."""
     (old, old_scales), (new, new_scales) = before, after
     values = [np.log(new.scatter / old.scatter), np.log(new.channels / old.channels)]
     values += [np.log([new_scales[name] / old_scales.get(name, 1.0) for name in new_scales] or [1.0])]

@@ -86,7 +86,7 @@ class Linearised:
         return np.arange(len(self.names) - len(self.arm.coefficients))
 
     def coefficients_of(self, term: int) -> Places:
-        """Indices of the coefficients of the term with this index."""
+        """Return the indices of the coefficients of the term with this index."""
         counts = [len(member.names(self.arm.geometry)) for member in self.arm.terms]
         first = len(self.fitted) + sum(counts[:term])
         return np.arange(first, first + counts[term])
@@ -199,7 +199,7 @@ m."""
 
 
 def harmonics_of(found: Identification) -> list[Harmonic]:
-    """The identified harmonics, in order of decreasing amplitude."""
+    """Return the identified harmonics, in order of decreasing amplitude."""
     model, names_fitted = found.arm_model, found.identifiability.kept_names
     place = {name: i for i, name in enumerate(names_fitted)}
     names = model.parameter_names[len(model.geometry.parameter_names) :]
@@ -235,7 +235,7 @@ def nearby(wave: PeriodicTerm) -> PeriodicTerm:
 
 
 def _harmonics(pairs: Sequence[tuple[int, float]]) -> PeriodicTerm:
-    """A term of the harmonics with these joints and orders."""
+    """Return a term of the harmonics with these joints and orders."""
     return PeriodicTerm(tuple(i for i, _ in pairs), tuple(order for _, order in pairs))
 
 
@@ -342,7 +342,7 @@ def refined(
 
 
 def _solution_with_priors(linear: Linearised, observations: Observations) -> tuple[Array, Array, Array, Array]:
-    """Columns of all rows, the rows' residual, the matrix of the normal equations with priors, and the solution."""
+    """Return all rows' columns, their residual, the matrix of the normal equations with priors, and the solution."""
     columns, residual = linear.equations(observations)
     matrix = columns.T @ columns + np.diag(linear.ridge)
     return columns, residual, matrix, solved(matrix, residual @ columns + linear.pull, np.arange(len(matrix)))
@@ -359,12 +359,12 @@ WARM = 5.0
 """Range of temperatures, K, above which thermal expansion is tried."""
 
 NAMES = ("compliance", "bending", "gravity", "periodic", "thermal")
-"""Terms that can be chosen, in the order of trial; those under known torques or masses come before gravity."""
+"""Terms that can be chosen, in the order of trial; those that need torques or masses come before gravity."""
 
 
 TermChoice = tuple[str, dict[str, float], tuple[Term, ...]]
 """Result of `choose_terms`: names of the chosen terms (some of `NAMES` joined by "+", or "none"), RMS misses, and the
-terms. The misses are cross-validated, m, by the names of every combination tried."""
+terms. The RMS misses are cross-validated, m, one for each combination tried, by its names."""
 
 
 def identify_terms(
@@ -388,9 +388,9 @@ def choose_terms(arm: Arm, bare: Identification, observations: Observations) -> 
     """Choose terms by blocked cross-validation within training rows, which are in the order they were measured.
 
     Terms are tried one after the other in the order of `NAMES`. A term is added only if it cuts the RMS error with the
-    terms chosen so far by more than the share `MARGIN`. The order matters: on the WAM's grid, harmonics alone score
-    better than gravity alone, but extrapolate worse. If gravity and harmonics are chosen, gravity is kept only if the
-    chosen terms without gravity have a larger error, by the same margin.
+    terms chosen so far by more than the share `MARGIN`. The order matters: on the measured grid of a WAM arm, harmonics
+    alone score better than gravity alone, but extrapolate worse. If gravity and harmonics are chosen, gravity is kept
+    only if the chosen terms without gravity have a larger error, by the same margin.
 
     Args:
         arm: The arm.
@@ -429,7 +429,8 @@ def terms_of(names: str, arm: Arm, bare: Identification, observations: Observati
         observations: Training rows.
 
     Raises:
-        InputError: If a name is unknown or given twice, or compliance is named and no torques were measured.
+        InputError: If a name is unknown or given twice. Also if compliance is named and neither torques nor the links'
+            masses are known, or if bending is named and the masses are unknown.
     """
     requested = [name for name in names.split("+") if name != "none"]
     for name in requested:
@@ -496,7 +497,7 @@ class _Trial:
 
     @staticmethod
     def of(arm: Arm, bare: Identification, observations: Observations, names: tuple[str, ...] | None = None) -> _Trial:
-        """A trial of the named terms, or of all terms whose conditions the data have."""
+        """Return a trial of the named terms, or of all terms whose conditions the data have."""
         data = observations.select(equally_spaced(len(observations.joints), ROWS))
         if names is None:
             missing = {
@@ -513,7 +514,7 @@ class _Trial:
         return _Trial(bare, data, names, equations, counts)
 
     def places(self, names: tuple[str, ...]) -> tuple[list[Places], Places]:
-        """Indices of the parameters fitted with the named terms: for each block left out, and for all blocks."""
+        """Return indices of the parameters fitted with the named terms: for each block left out, and for all blocks."""
         model = self.equations
         others = [model.coefficients_of(self.names.index(name)) for name in names if name != "periodic"]
         base = np.concatenate([model.fitted, *others])
@@ -526,7 +527,7 @@ class _Trial:
         return [np.r_[base, path] for path in paths], np.r_[base, on_all]
 
     def score(self, names: tuple[str, ...]) -> float:
-        """RMS miss with the named terms over all blocks, each block under a fit to the other blocks, m."""
+        """Compute the RMS miss, m, with the named terms over all blocks, each under a fit to the other blocks."""
         squares, counts = 0.0, 0.0
         for number, (block, places) in enumerate(zip(self.equations.blocks, self.places(names)[0], strict=True)):
             solution = solved(*self.equations.without(number), places)
@@ -536,7 +537,7 @@ class _Trial:
         return float(np.sqrt(squares / counts))
 
     def terms(self, names: tuple[str, ...]) -> tuple[Term, ...]:
-        """The terms of these names, with the orders of the harmonics refined."""
+        """Return the terms of these names, with the orders of the harmonics refined."""
         terms = {name: self.equations.arm.terms[self.names.index(name)] for name in names}
         if "periodic" in names:
             wave = terms.pop("periodic")

@@ -28,7 +28,8 @@ class Conditions:
     Attributes:
         payload: Mass held at the tool ``(N,)``, kg.
         temperature: Temperature above the reference ``(N,)``, K.
-        torque: Measured joint torques or forces ``(N, n)``, N*m or N, positive along the joint as gravity's are.
+        torque: Measured joint torques or forces ``(N, n)``, N*m or N; positive if the load, such as gravity, pushes in
+            the joint's positive direction.
         between: For a robot whose links form a tree, indices of the links that carry the sensor and its target
             ``(N, 2)``, see `pickenv.arm.kinematics.geometry.LinkTree`.
     """
@@ -58,11 +59,11 @@ class Conditions:
         return np.stack(columns, -1) if columns else None
 
     def input_names(self) -> tuple[str, ...]:
-        """Names of the columns of `inputs`."""
+        """Return the names of the columns of `inputs`."""
         return tuple(name for name in ("payload", "temperature") if getattr(self, name) is not None)
 
     def refuse_other_inputs(self, record: Mapping[str, Any]) -> None:
-        """Refuse a temperature where a residual was learnt with payloads, and the other way round.
+        """Refuse conditions other than those that a residual was learnt with, such as a temperature for a payload.
 
         Args:
             record: Record of the calibration that has the residual.
@@ -79,13 +80,13 @@ class Term(Protocol):
     """A physical effect beyond geometry, whose pose displacement is linear in the effect's k coefficients."""
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
-        """Names of the term's coefficients."""
+        """Return the names of the term's coefficients."""
 
     def tolerances(self, geometry: Geometry) -> Array:
-        """Scale of each coefficient ``(k,)``, in its own unit: the change that moves the tool by about 1 mm."""
+        """Return the scale of each coefficient ``(k,)``, in its unit: the change that moves the tool by about 1 mm."""
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
-        """Pose displacement per unit of each coefficient ``(N, 6, k)``, m and rad, world axes."""
+        """Return the pose displacement per unit of each coefficient ``(N, 6, k)``, m and rad, world axes."""
 
     def displacement(self, geometry: Geometry, joints: Array, conditions: Conditions, coefficients: Array) -> Array:
         """Return the pose displacement ``(N, 6)``, m and rad, world axes, for these coefficients ``(k,)``."""
@@ -93,10 +94,10 @@ class Term(Protocol):
 
 
 class JointTerm(Term, Protocol):
-    """A term of the error model that displaces joints, one for each coefficient; the tool moves to first order."""
+    """A term that displaces one joint per coefficient; the tool's displacement follows to first order."""
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
-        """Return each coefficient's joint ``(k,)``, and that joint's motion per unit of it ``(N, k)``, rad or m."""
+        """Return each coefficient's joint ``(k,)``, and the motion of that joint, rad or m, per unit ``(N, k)``."""
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
         """Return the pose displacement per unit of each coefficient ``(N, 6, k)``, m and rad, world axes.
@@ -169,7 +170,7 @@ class ArmModel:
         return np.reshape(total, (*joints.shape[:-1], 6))
 
     def jacobian(self, joints: Array, conditions: Conditions | None = None) -> Array:
-        """Derivative of the pose with respect to every parameter ``(N, 6, 5n + 12 + k)``."""
+        """Return the derivative of the pose with respect to every parameter ``(N, 6, 5n + 12 + k)``."""
         if conditions is not None and conditions.between is not None:
             return self._by_way(joints, conditions, lambda model, *rows: model.jacobian(*rows))
         conditions, geometric = conditions or Conditions(), parameter_jacobian(self.geometry, joints)
@@ -177,7 +178,7 @@ class ArmModel:
         return np.concatenate([geometric, *columns], axis=-1) if columns else geometric
 
     def _by_way(self, joints: ArrayLike, conditions: Conditions, question: Callable[..., Array]) -> Array:
-        """Answers for the rows ``(N, ...)`` of a whole robot, those between the same two links at once."""
+        """Return results of ``question`` for rows ``(N, ...)`` of a whole robot, for one pair of links at a time."""
         assert conditions.between is not None
         ways, way = np.unique(conditions.between, axis=0, return_inverse=True)
         answer, joints = np.zeros(0), np.asarray(joints, dtype=float)
@@ -208,10 +209,10 @@ class ArmModel:
 
 
 LENGTH_TOLERANCE = 1e-3
-"""Scale of a length's deviation, m."""
+"""Typical deviation of a length, m, by which the length's column of the Jacobian is scaled."""
 
 ANGLE_TOLERANCE = 1e-3
-"""Scale of an angle's deviation, rad (0.057 deg)."""
+"""Typical deviation of an angle, rad (0.057 deg), by which the angle's column of the Jacobian is scaled."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -222,7 +223,7 @@ class ErrorModel:
         columns: Indices into the arm's ``parameter_names`` ``(P,)``, in order of preference: of redundant parameters,
             the earlier one is kept.
         names: The parameters' names.
-        tolerance: Scale of each parameter's deviation ``(P,)``, m or rad.
+        tolerance: Typical deviation of each parameter ``(P,)``, m or rad, by which its Jacobian column is scaled.
     """
 
     columns: NDArray[np.int64]
@@ -261,7 +262,7 @@ def complete_model(geometry: Geometry) -> ErrorModel:
 def frames_model(geometry: Geometry) -> ErrorModel:
     """Return the model of base and tool pose alone.
 
-    They are fitted before the error of a nominal arm is computed.
+    Base and tool are fitted before the error of a nominal arm is computed.
     """
     return _model(geometry, [name for name in geometry.parameter_names if name.startswith(("base_", "tool_"))])
 
@@ -279,7 +280,7 @@ def with_terms(model: ErrorModel, arm: ArmModel) -> ErrorModel:
 
 
 def _link_names(geometry: Geometry) -> list[str]:
-    """Names of the MDH parameters in the order alpha, a, d, theta: lengths come before joint angles.
+    """Return the names of the MDH parameters in the order alpha, a, d, theta: lengths come before joint angles.
 
     Where an offset and angles are redundant (d3 = (theta2 - theta1) / a1 of the picking arm), the offset is thus kept:
     a length expresses a finite deviation exactly, angles only to first order.

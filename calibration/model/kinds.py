@@ -47,7 +47,7 @@ def tool_points(model: ArmModel, joints: Array, conditions: Conditions, tip: Arr
 
 
 def tool_points_jacobian(model: ArmModel, joints: Array, conditions: Conditions, tip: Array) -> tuple[Array, Array]:
-    """Derivatives of `tool_points` with respect to the arm's parameters ``(N, 3, P)`` and ``tip`` ``(N, 3, 3)``."""
+    """Return derivatives of `tool_points` with respect to arm parameters ``(N, 3, P)`` and ``tip`` ``(N, 3, 3)``."""
     rotation = model.pose(joints, conditions).rotation
     return observations.point_jacobian(model.jacobian(joints, conditions), rotation @ tip), rotation
 
@@ -92,7 +92,7 @@ def steady_solution(matrix: Array, right: Array) -> Array:
 
 
 def _normal(points: Array) -> Array:
-    """The normal ``(3,)`` of the plane nearest to points ``(N, 3)``, fitted without those that lie far off it."""
+    """Return the normal ``(3,)`` of the plane nearest to points ``(N, 3)``; points far off the plane are left out."""
     near, axes = np.ones(len(points), dtype=bool), np.eye(3)
     for _ in range(STEPS):
         middle = points[near].mean(axis=0)
@@ -126,9 +126,9 @@ class _Point:
 
     @staticmethod
     def start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
-        """First values of the centre A of points p whose distances r from A are read as l = r + z, and of the zero z.
+        """Return first values of a centre A and a zero z, if the distances r of points p from A are read as l = r + z.
 
-        |p|^2 - l^2 = 2 p.A - 2 l z + a constant (z^2 less |A|^2), which is linear in A, z and the constant.
+        |p|^2 - l^2 = 2 p.A - 2 l z + z^2 - |A|^2. This is linear in A, z and the constant z^2 - |A|^2.
         """
         middle, begin = points.mean(axis=0), float(readings.mean()) if unknown else zero
         p, length = points - middle, readings - begin
@@ -161,7 +161,7 @@ class _Plane(_Point):
 
     @staticmethod
     def start(points: Array, readings: Array, zero: float, unknown: bool) -> tuple[Array, float]:
-        """First values of the plane, and the zero as given.
+        """Return first values of the plane, and the zero as given.
 
         The normal is the shortest axis of the points, or the direction along which the readings grow, whichever
         explains the readings better.
@@ -257,16 +257,16 @@ class SocketObservations(Observations):
         return self.socket
 
     def span(self, tool: Array) -> float:
-        """The largest distance of the tool positions from their mean, m."""
+        """Return the largest distance of the tool positions from their mean, m."""
         return float(np.linalg.norm(tool - tool.mean(axis=0), axis=1).max())
 
     def missed(self, model: ArmModel, numbers: Array) -> Array:
-        """Socket minus predicted tool point ``(N, 3)``, m."""
+        """Return socket minus predicted tool point ``(N, 3)``, m."""
         sockets, ball = numbers[:-3].reshape(-1, 3), tool_points(model, self.joints, self.conditions, numbers[-3:])
         return np.asarray(sockets[self.socket] - ball)
 
     def readings(self) -> Array:
-        """The number of each row's socket ``(N, 1)``."""
+        """Return the number of each row's socket ``(N, 1)``."""
         return self.socket[:, None].astype(float)
 
     def start(self, model: ArmModel) -> Array:
@@ -280,14 +280,14 @@ class SocketObservations(Observations):
         return np.concatenate([*sockets, self.tip])[self.numbers.free]
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """Whitened derivatives of tool point minus socket with respect to arm parameters and instrument's numbers."""
+        """Return whitened derivatives of tool point minus socket by arm parameters and by the instrument's numbers."""
         by_model, by_tip = tool_points_jacobian(model, self.joints, self.conditions, numbers[-3:])
         places = np.eye(len(self._names))[self.socket]
         by_socket = -np.einsum("ns,ij->nisj", places, np.eye(3)).reshape(*by_tip.shape[:2], -1)
         return by_model / self.std, np.concatenate([by_socket, by_tip], axis=-1) / self.std
 
     def bonds(self, numbers: Array) -> tuple[Array, Array]:
-        """Whitened equations of the known spacings: residual ``(M,)`` and derivatives ``(M, K)``."""
+        """Return whitened equations of the known spacings: residual ``(M,)`` and derivatives ``(M, K)``."""
         (first, second), sockets = self.pairs.T, numbers[:-3].reshape(-1, 3)
         difference = sockets[first] - sockets[second]
         apart = np.linalg.norm(difference, axis=1)
@@ -367,14 +367,14 @@ class DistanceObservations(Observations):
         )
 
     def missed(self, model: ArmModel, numbers: Array) -> Array:
-        """Measured minus predicted readings ``(N, 1)``, m."""
+        """Return measured minus predicted readings ``(N, 1)``, m."""
         *values, zero, scale = numbers[:-3]
         points = tool_points(model, self.joints, self.conditions, numbers[-3:])
         distance = SURFACES[self.surface].gap(np.array(values), points)[0]
         return np.asarray(self.length - (1.0 + scale) * distance - zero)[:, None]
 
     def readings(self) -> Array:
-        """The measured lengths ``(N, 1)``, m."""
+        """Return the measured lengths ``(N, 1)``, m."""
         return self.length[:, None]
 
     def start(self, model: ArmModel) -> Array:
@@ -458,7 +458,7 @@ class ReflectorObservations(Observations):
         return Observations.imagined(replace(self, seen=np.ones_like(self.seen)), joints)
 
     def readings(self) -> Array:
-        """The measured points ``(N, 3 k)``, m, with zeros for reflectors that were not seen."""
+        """Return the measured points ``(N, 3 k)``, m, with zeros for reflectors that were not seen."""
         return np.where(self.seen[..., None], self.points, 0.0).reshape(len(self.joints), -1)
 
     @cached_property
@@ -486,20 +486,20 @@ class ReflectorObservations(Observations):
         return Measurements(*seen, source=self.source, conditions=self.conditions.select(rows))
 
     def seen_from(self, model: ArmModel) -> Array:
-        """Mean of each reflector's measured positions in the tool frame that the model predicts ``(k, 3)``, m."""
+        """Return the mean of each reflector's measured positions ``(k, 3)``, m, in the predicted tool frames."""
         tool = model.pose(self.joints, self.conditions)
         local = np.einsum("nij,nki->nkj", tool.rotation, self.points - tool.position[:, None])
         weight = self.seen[..., None] / np.maximum(self.seen.sum(axis=0), 1)[:, None]
         return np.asarray(np.sum(np.where(self.seen[..., None], local, 0.0) * weight, axis=0))
 
     def missed(self, model: ArmModel, numbers: Array) -> Array:
-        """Measured minus predicted position of each reflector seen ``(R, 3)``, m."""
+        """Return measured minus predicted positions of the reflectors seen ``(R, 3)``, m."""
         tool = model.pose(self.joints, self.conditions)
         predicted = tool.position[:, None] + np.einsum("nij,kj->nki", tool.rotation, numbers.reshape(-1, 3))
         return np.asarray((self.points - predicted)[self.seen])
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """Whitened derivatives of the predicted positions with respect to arm parameters and reflectors' places."""
+        """Return whitened derivatives of the predicted positions by arm parameters and by reflectors' places."""
         tool, pose = model.pose(self.joints, self.conditions), model.jacobian(self.joints, self.conditions)
         count = self.points.shape[1]
         lever = np.einsum("nij,kj->nki", tool.rotation, numbers.reshape(-1, 3))
@@ -572,7 +572,7 @@ class TiltObservations(Observations):
         )
 
     def readings(self) -> Array:
-        """The measured components ``(N, K)``."""
+        """Return the measured components ``(N, K)``."""
         return self.components
 
     def start(self, model: ArmModel) -> Array:
@@ -600,7 +600,7 @@ class TiltObservations(Observations):
         return np.concatenate(parts)[self.numbers.free]
 
     def missed(self, model: ArmModel, numbers: Array) -> Array:
-        """Measured minus predicted components ``(N, K)``, rad.
+        """Return measured minus predicted components ``(N, K)``, rad.
 
         With three axes, the norm of a row is the angle between the measured and the predicted direction.
         """
@@ -609,7 +609,7 @@ class TiltObservations(Observations):
         return np.asarray(self.components - local @ np.array(axes).T)
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """Whitened derivatives of the components with respect to arm parameters, axes and down direction."""
+        """Return whitened derivatives of the components by arm parameters and by axes and down direction."""
         *axes, (down, by_down) = (direction(vector) for vector in numbers.reshape(-1, 3))
         rotation = model.pose(self.joints, self.conditions).rotation
         turned = model.jacobian(self.joints, self.conditions)[:, 3:]
@@ -624,7 +624,7 @@ class TiltObservations(Observations):
         return by_model / self.std[..., None], by_own / self.std[..., None]
 
     def bonds(self, numbers: Array) -> tuple[Array, Array]:
-        """Equations that keep the fitted directions at length one, weighted as strongly as all readings together."""
+        """Return equations that keep fitted directions at length one, weighted as strongly as all readings together."""
         fitted = np.flatnonzero(self.numbers.std.reshape(-1, 3).all(axis=1))
         strong = np.sqrt(len(self.joints)) / float(np.median(self.std))
         residual, jacobian = np.zeros(len(fitted)), np.zeros((len(fitted), len(numbers)))

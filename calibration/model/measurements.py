@@ -26,7 +26,7 @@ from pickenv.calibration.model.arm_model import ANGLE_TOLERANCE, LENGTH_TOLERANC
 from pickenv.calibration.model.observations import Observations, Origins, Rows, hash_of, origins_of, worked_out
 
 OWN_CONDITIONS = ("temperature_degC", "payload_kg")
-"""Columns of our own CSV format besides those of joints and poses."""
+"""Columns of pickenv's own CSV format besides those of joints and poses."""
 ROOM_TEMPERATURE = 20.0
 """Temperature that counts as the reference where none is given, degC."""
 POSITION_STD = 15e-6
@@ -81,7 +81,7 @@ class Measurements(Observations):
     per_row = ("position", "rotation")
 
     def __len__(self) -> int:
-        """Number of poses."""
+        """Return the number of poses."""
         return len(self.joints)
 
     @worked_out
@@ -100,7 +100,7 @@ class Measurements(Observations):
         return np.asarray(1.0 / np.repeat([self.position_std, self.attitude_std], 3)[: self.rows_per_pose])
 
     def difference(self, model: Geometry | ArmModel) -> Array:
-        """Measured minus predicted pose ``(N, rows_per_pose)``, m and rad (rotation vector), in instrument axes."""
+        """Return measured minus predicted poses ``(N, 6 or 3)``, m and rad (rotation vector), in instrument axes."""
         predicted = ArmModel.of(model).pose(self.joints, self.conditions)
         if self.rotation is None:
             return np.asarray(self.position - predicted.position)
@@ -122,16 +122,16 @@ class Measurements(Observations):
         return flat.reshape(len(flat), -1).T, np.zeros((flat[0].size, 0))
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
-        """Measured minus predicted positions ``(N, 3)``, m."""
+        """Return measured minus predicted positions ``(N, 3)``, m."""
         return self.difference(model)[:, :3]
 
     def equations(self) -> tuple[Rows, Rows]:
-        """Row and channel of each equation; positions are channel 0, attitudes channel 1."""
+        """Return the row and channel of each equation; positions are channel 0, attitudes channel 1."""
         channels = np.repeat([0, 1], 3)[: self.rows_per_pose]
         return np.repeat(np.arange(len(self)), self.rows_per_pose), np.tile(channels, len(self))
 
     def readings(self) -> Array:
-        """The measured positions ``(N, 3)``, m."""
+        """Return the measured positions ``(N, 3)``, m."""
         return self.position
 
     @property
@@ -140,23 +140,22 @@ class Measurements(Observations):
         return self
 
     def joinable(self, other: Measurements) -> bool:
-        """Whether two data sets can be joined: both of the same kind and frames, with about the same uncertainty."""
+        """Return whether two data sets can be joined: same kind and frames, and about the same uncertainty."""
         stds, others = (self.position_std, self.attitude_std), (other.position_std, other.attitude_std)
         return (self.kind, self.frames) == (other.kind, other.frames) and np.allclose(others, stds, ALIKE, 0.0)
 
     def positions_only(self) -> Measurements:
-        """The same data set without attitudes."""
+        """Return the same data set without attitudes."""
         return replace(self, rotation=None)
 
     def fingerprint(self) -> str:
-        """One hash over joints, positions and attitudes together."""
+        """Return one hash over joints, positions and attitudes together."""
         return hash_of(self.joints, self.position, *([] if self.rotation is None else [self.rotation]))
 
     def table(self) -> tuple[list[str], Array]:
-        """Column names with units, and the values in those units, one row per pose.
+        """Return column names with units, and the values in those units, one row per pose.
 
-        Payload and temperature are among them where they are known. Torques are not: our format has no columns for
-        them.
+        Known payloads and temperatures have columns. Torques have none, since pickenv's CSV format cannot hold them.
         """
         names = [*joint_columns(self.prismatic), "x_mm", "y_mm", "z_mm"]
         columns = [self.joints * screen_units(self.prismatic), self.position * 1e3]
@@ -183,7 +182,7 @@ class Measurements(Observations):
 
 
 def joint_columns(prismatic: Sequence[bool]) -> list[str]:
-    """Names of the joint columns of pickenv's CSV format."""
+    """Return the names of the joint columns of pickenv's CSV format."""
     return [f"q{i + 1}_{screen_unit(slides)[0]}" for i, slides in enumerate(prismatic)]
 
 
@@ -193,7 +192,7 @@ def screen_unit(length: bool) -> tuple[str, float]:
 
 
 def screen_units(prismatic: Sequence[bool]) -> Array:
-    """Factors ``(n,)`` from rad or m to the unit of each joint on screens, deg or mm."""
+    """Return the factors ``(n,)`` from rad or m to the unit of each joint on screens, deg or mm."""
     return np.array([screen_unit(slides)[1] for slides in prismatic])
 
 
@@ -285,7 +284,7 @@ OWN = ("base", "tool")
 """Names of the frames that may differ between stations."""
 
 FRAME_TOLERANCES = np.repeat([LENGTH_TOLERANCE, ANGLE_TOLERANCE], 3)
-"""Scales of the six deviations of a frame, m and rad."""
+"""Typical deviations of a frame's six coordinates, m and rad, by which their Jacobian columns are scaled."""
 
 ALIKE = 0.1
 """Data sets whose uncertainties differ by no more than this share count as measured by one instrument."""
@@ -304,8 +303,8 @@ class InstrumentStation:
         base: Starting value of the station's own base frame; None if the station uses the arm's base frame.
         tool: Starting value of the station's own tool frame; None if the station uses the arm's tool frame.
         scale: Factor on the data's standard uncertainties, which weighs instruments by their scatter.
-        owners: Number of the station that owns a frame, by the frame's name ("base" or "tool"). This station owns a
-            frame that is not among the names.
+        owners: Number of the station that owns a frame, by the frame's name ("base" or "tool"). This station owns the
+            frames that are not listed.
     """
 
     data: Observations
@@ -326,17 +325,17 @@ class InstrumentStation:
         return "" if self.number == 1 else f"_{self.number}"
 
     def unknowns(self) -> tuple[str, ...]:
-        """Names of the data's own unknowns, then of the frames' deviations, such as base2_x."""
+        """Return the names of the data's own unknowns, then of the frames' deviations, such as base2_x."""
         names = tuple(f"{name}{self.suffix}" for name in self.data.unknowns())
         frames = [f"{frame}{self.owners.get(frame, self.number)}" for frame in self.frames]
         return names + tuple(f"{frame}_{name}" for frame in frames for name in FRAME_PARAMETERS)
 
     def tolerances(self) -> Array:
-        """Scales of the data's own unknowns, then of the frames' deviations (`FRAME_TOLERANCES`)."""
+        """Return the scales of the data's own unknowns, then of the frames' deviations (`FRAME_TOLERANCES`)."""
         return np.concatenate([self.data.tolerances(), np.tile(FRAME_TOLERANCES, len(self.frames))])
 
     def start(self, model: ArmModel) -> Array:
-        """Starting values of the data's own unknowns, then zeros for the frames' deviations."""
+        """Return starting values of the data's own unknowns, then zeros for the frames' deviations."""
         frames = np.zeros(6 * len(self.frames))
         return np.concatenate([self.data.start(self.seen(model, frames)[0]), frames])
 
@@ -419,7 +418,7 @@ class Stacked(Observations):
 
     @worked_out
     def conditions(self) -> Conditions:
-        """Those conditions that every station recorded."""
+        """The conditions that every station recorded."""
         parts = [vars(part.conditions) for part in self.parts]
         common = [name for name in parts[0] if all(part[name] is not None for part in parts)]
         return Conditions(**{name: np.concatenate([part[name] for part in parts]) for name in common})
@@ -449,26 +448,26 @@ class Stacked(Observations):
         return np.concatenate([part.rows_of_misses + first for part, first in rows])
 
     def equations(self) -> tuple[Rows, Rows]:
-        """Row and channel of each equation; no two stations share a channel."""
+        """Return the row and channel of each equation; no two stations share a channel."""
         parts = [part.equations() for part in self.parts]
         rows = [np.where(row >= 0, row + first, -1) for (row, _), first in zip(parts, self._first_rows(), strict=True)]
         return np.concatenate(rows), _numbered([channels for _, channels in parts])
 
     def unknowns(self) -> tuple[str, ...]:
-        """Names of the unknowns of all stations."""
+        """Return the names of the unknowns of all stations."""
         return tuple(dict.fromkeys(name for station in self.stations for name in station.unknowns()))
 
     def tolerances(self) -> Array:
-        """Scales of the deviations of all stations' unknowns."""
+        """Return the scales of the deviations of all stations' unknowns."""
         return self._of_all([station.tolerances() for station in self.stations])
 
     def start(self, model: ArmModel) -> Array:
-        """Starting values of the unknowns of all stations."""
+        """Return starting values of the unknowns of all stations."""
         return self._of_all([station.start(model) for station in self.stations])
 
     @cached_property
     def _places(self) -> list[Rows]:
-        """The place of each station's unknowns among all."""
+        """Indices of each station's unknowns among the unknowns of all stations."""
         place = {name: i for i, name in enumerate(self.unknowns())}
         return [np.array([place[name] for name in station.unknowns()], dtype=int) for station in self.stations]
 
@@ -479,12 +478,12 @@ class Stacked(Observations):
         return values
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Whitened residuals of all stations."""
+        """Return the whitened residuals of all stations."""
         stations = self._with(unknowns)
         return np.concatenate([part.data.residual(*part.seen(model, values)) / part.scale for part, values in stations])
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Whitened derivatives of all stations with respect to the arm, and to the unknowns of all stations."""
+        """Return the whitened derivatives of all stations with respect to the arm, and to all stations' unknowns."""
         parts = [station.jacobian(model, values) for station, values in self._with(unknowns)]
         by_unknowns = [np.zeros((len(by_own), len(unknowns))) for _, by_own in parts]
         for (_, by_own), places, columns in zip(parts, self._places, by_unknowns, strict=True):
@@ -492,17 +491,17 @@ class Stacked(Observations):
         return np.concatenate([by_arm for by_arm, _ in parts]), np.concatenate(by_unknowns)
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
-        """Misses of all stations ``(R, 3)``, m; misses with fewer components are padded with zeros."""
+        """Return the misses of all stations ``(R, 3)``, m; misses with fewer components are padded with zeros."""
         parts = [station.data.misses(*station.seen(model, values)) for station, values in self._with(unknowns)]
         return np.concatenate([np.pad(part, ((0, 0), (0, WIDEST - part.shape[1]))) for part in parts])
 
     def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
-        """Derivatives ``(E, 6)`` of all equations, each with respect to the tool pose of its own station."""
+        """Return derivatives ``(E, 6)`` of all equations, each with respect to the tool pose of its own station."""
         stations = self._with(unknowns)
         return np.concatenate([part.data.by_tool(*part.seen(model, values)) / part.scale for part, values in stations])
 
     def readings(self) -> Array:
-        """Readings of all stations, each station in columns of its own."""
+        """Return the readings of all stations ``(N, k)``, each station's in separate columns."""
         return np.asarray(block_diag(*(part.readings() for part in self.parts)))
 
     def select(self, rows: ArrayLike) -> Self:
@@ -518,7 +517,7 @@ class Stacked(Observations):
         """Return the data set with each station's ``scale`` multiplied by its scatter, relative to the first station's.
 
         Args:
-            scales: Scatter by channel ``(C,)``.
+            scales: Scatter of each channel ``(C,)``, that is of the readings of one instrument in one unit.
         """
         factors = scales[self._first_channels()].tolist()
         stations = zip(self.stations, factors, strict=True)
@@ -594,7 +593,7 @@ def rows_together(parts: Sequence[Measurements]) -> Measurements:
 
 
 def frame_columns(geometry: Geometry, frame: str) -> Rows:
-    """Indices of the six parameters of a frame, "base" or "tool", among those of a geometry."""
+    """Return the indices of the six parameters of a frame, "base" or "tool", among those of a geometry."""
     return 5 * geometry.links + 6 * OWN.index(frame) + np.arange(6)
 
 

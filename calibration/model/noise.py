@@ -64,7 +64,7 @@ class RowNoise:
 
     Attributes:
         scatter: Standard deviation of each equation ``(E,)``, larger where rows lie closer together than usual.
-        channels: Standard deviation by channel ``(C,)``.
+        channels: Standard deviation of each channel ``(C,)``, that is of the readings of one instrument in one unit.
         share: Share of the variance that neighbouring rows have in common.
         length: Distance of joints over which rows have that share in common, rad or m.
         common: Factor on variances of rows with the usual number of neighbours, which carry less information than
@@ -109,7 +109,7 @@ def noise_of(data: Observations, model: ArmModel, unknowns: Array, leverage: Arr
     Args:
         data: The rows.
         model: The fitted model.
-        unknowns: The data's own unknowns.
+        unknowns: Values of the data's own unknowns, such as places of reflectors ``(u,)``.
         leverage: Leverage of each equation ``(E,)``, 0 to 1: the share of the equation that the fit used to determine
             parameters.
     """
@@ -138,7 +138,7 @@ def noise_of(data: Observations, model: ArmModel, unknowns: Array, leverage: Arr
 
 
 def neighbours(joints: Array, length: float) -> Array:
-    """Effective number of neighbours of each row ``(N,)``, itself included: the sum of exp(-d^2 / 2 l^2) over rows.
+    """Compute the effective number of neighbours of each row ``(N,)``, itself included: the sum of exp(-d^2 / 2 l^2).
 
     Args:
         joints: Joints ``(N, n)``, rad or m, between which d is the distance.
@@ -156,20 +156,20 @@ def neighbours(joints: Array, length: float) -> Array:
 
 
 def counted(joints: Array) -> Array:
-    """Weight of each row ``(N,)``: 1, or less for rows with more neighbours than usual, whose errors are alike."""
+    """Return the weight of each row ``(N,)``: 1, or less for rows with more neighbours than usual (similar errors)."""
     like = neighbours(joints, ALIKE)
     return np.asarray(np.minimum(_usual(like, FREE) / like, 1.0))
 
 
 def _usual(like: Array, share: float) -> float:
-    """Quantile of the neighbour counts ``like`` at this share of the facts, where a cluster of rows is one fact."""
+    """Return the quantile ``share`` of the neighbour counts ``like``; in it, a cluster of rows counts as one row."""
     order = np.argsort(like)
     facts = np.cumsum(1.0 / like[order])
     return float(like[order][np.searchsorted(facts, share * facts[-1])])
 
 
 def _alike(joints: Array, white: Array, rows: Rows) -> tuple[float, float]:
-    """Share of the variance that neighbours have in common, and its length; zeros if the rows do not show one."""
+    """Fit the share of the variance that neighbours have in common, and its length scale; both 0 if there is none."""
     if len(joints) < 4 * POSE or (rows < 0).any() or len(white) % len(joints):
         return 0.0, 0.0
     columns = white.reshape(len(joints), -1)
@@ -187,7 +187,7 @@ def _alike(joints: Array, white: Array, rows: Rows) -> tuple[float, float]:
 
 
 def _log_likelihood(covariance: Array, columns: Array) -> float:
-    """Log-likelihood, up to a constant, of columns ``(N, k)``, each scaled by its own most likely variance."""
+    """Compute the log-likelihood, up to a constant, of columns ``(N, k)``, each scaled by its most likely variance."""
     factor = cho_factor(covariance, lower=True, check_finite=False)
     squares = np.maximum(np.sum(columns * cho_solve(factor, columns, check_finite=False), axis=0), 1e-300)
     return float(-0.5 * len(columns) * np.log(squares).sum() - columns.shape[1] * np.log(np.diag(factor[0])).sum())
@@ -203,7 +203,7 @@ def _of_pictures(
     scatter: Array,
     sizes: Array,
 ) -> RowNoise:
-    """Noise of rows with many equations each: the scatter of every channel, and the pose error that a row shares."""
+    """Estimate the noise of rows with many equations: each channel's scatter, and the pose error that a row shares."""
     places = [np.flatnonzero(many & (rows == row)) for row in np.unique(rows[many])]
     channel = np.array([channels[at[0]] for at in places])
     gram = np.stack([tool[at].T @ tool[at] for at in places])

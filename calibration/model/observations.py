@@ -62,7 +62,7 @@ class Clocks:
         return self.rate_std < self.expected_rate_std / 2
 
     def text(self) -> str:
-        """A sentence on the clocks and the rows, for people."""
+        """Return a sentence on the clocks and the rows, for people."""
         rows = f"from {self.rows} {'still phases' if self.still else 'rows of motion'}"
         clock = f"its clock is {uncertain(self.offset * 1e3, self.offset_std * 1e3)} ms ahead of the joint log's"
         if self.rate_told:
@@ -70,7 +70,7 @@ class Clocks:
         return f"{self.file}: {rows}; {clock}"
 
     def as_dict(self) -> dict[str, Any]:
-        """The clocks and the rows for JSON; the rate is None if the recording is too short to estimate it."""
+        """Return the clocks and the rows for JSON; the rate is None if the recording is too short to estimate it."""
         return {
             "file": self.file,
             "moment_s": self.moment,
@@ -84,7 +84,7 @@ class Clocks:
 
 
 def uncertain(value: float, std: float) -> str:
-    """Text of a value and its standard uncertainty, with two significant digits of the uncertainty."""
+    """Return a value and its standard uncertainty as text, with two significant digits of the uncertainty."""
     digits = max(1 - int(np.floor(np.log10(max(std, 1e-12)))), 0)
     return f"{value:.{digits}f} ± {std:.{digits}f}"
 
@@ -111,12 +111,12 @@ class Origins:
     repeat: float | None = None
 
     def select(self, rows: ArrayLike) -> Origins:
-        """The origins of the given rows (indices or a mask)."""
+        """Return the origins of the given rows (indices or a mask)."""
         rows = np.asarray(rows)
         return replace(self, file=self.file[rows], line=self.line[rows])
 
     def place(self, row: int) -> tuple[str, int]:
-        """File and line of one row."""
+        """Return the file and line of one row."""
         return self.files[int(self.file[row])], int(self.line[row])
 
 
@@ -175,11 +175,11 @@ class Stated:
         return np.flatnonzero(np.isfinite(self.std[self.free]))
 
     def unknowns(self) -> tuple[str, ...]:
-        """Names of the fitted numbers."""
+        """Return the names of the fitted numbers."""
         return tuple(self.names[i] for i in self.free)
 
     def start(self) -> Array:
-        """Stated values of the fitted numbers."""
+        """Return stated values of the fitted numbers."""
         return self.values[self.free]
 
     def whole(self, unknowns: Array) -> Array:
@@ -197,7 +197,7 @@ class Stated:
         return np.asarray(((self.start() - unknowns) / self.std[self.free])[self._known])
 
     def jacobian(self) -> Array:
-        """Whitened derivatives of the numbers in `residual` with respect to all fitted numbers."""
+        """Return the whitened derivatives of the numbers in `residual` with respect to all fitted numbers."""
         return np.asarray(np.diag(1.0 / self.std[self.free])[self._known])
 
 
@@ -225,8 +225,9 @@ class Observations:
         per_row: Names of the arrays that hold one entry per row, beside the joints.
         width: Number of equations of each miss.
         miss_unit: Unit of `misses` on screens: "mm" for metres, "deg" for radians.
-        rounding: Change of a reading that is rounded to 0.01 mm or 0.001 deg, in m, rad or px. It is a third of such
-            instruments' scatter, so a pose that is measured again gives the same reading with a probability of 0.2.
+        rounding: Largest change of a reading by rounding to 0.01 mm or 0.001 deg, in m, rad or px. Instruments that
+            round so scatter by three times as much, so a pose that is measured again gives the same reading with a
+            probability of 0.2.
         stations: The `InstrumentStation` of each data set, if these are several data sets in one fit (`Stacked`).
     """
 
@@ -301,7 +302,7 @@ class Observations:
         return np.zeros(0), np.zeros((0, len(numbers)))
 
     def readings(self) -> Array:
-        """Readings of each row ``(N, k)``, in the kind's unit; rows with equal readings and joints are repetitions."""
+        """Return readings ``(N, k)`` in the kind's unit; rows with equal readings and equal joints are repetitions."""
         raise NotImplementedError
 
     def from_the_first(self, model: ArmModel, unknowns: Array) -> Any:
@@ -326,15 +327,15 @@ class Observations:
         return self.poses
 
     def span(self, tool: Array) -> float:
-        """Size to compare `misses` with: the spread of the tool positions ``(N, 3)``, m, or 1 rad for directions."""
+        """Return a size to compare `misses` with: the spread of positions ``(N, 3)``, m, or 1 rad for directions."""
         return 1.0 if self.miss_unit == "deg" else float(np.linalg.norm(tool.std(axis=0)))
 
     def fingerprint(self) -> str:
-        """One hash over joints and readings together, which a calibration records."""
+        """Return one hash over joints and readings together, which a calibration records."""
         return hash_of(self.joints, self.readings())
 
     def by_tool(self, model: ArmModel, unknowns: Array) -> Array:
-        """Derivatives ``(E, 6)`` of the equations with respect to the tool's pose, in the tool's axes."""
+        """Return the derivatives ``(E, 6)`` of the equations with respect to the tool's pose, in the tool's axes."""
         return self.jacobian(model, unknowns)[0][:, [name.startswith("tool_") for name in model.parameter_names]]
 
     def channels_of(self, other: Observations) -> Rows:
@@ -354,11 +355,11 @@ class Observations:
         return self
 
     def unknowns(self) -> tuple[str, ...]:
-        """Names of the kind's own unknowns: the numbers that are not known exactly."""
+        """Return the names of the kind's own unknowns: the numbers that are not known exactly."""
         return self.numbers.unknowns()
 
     def tolerances(self) -> Array:
-        """Scale of each unknown's deviation, in the unknown's unit (lengths: m)."""
+        """Return the scale of each unknown's deviation, in the unknown's unit (lengths: m)."""
         return self.numbers.scales[self.numbers.free]
 
     def start(self, model: ArmModel) -> Array:
@@ -379,7 +380,7 @@ class Observations:
         return np.arange(len(self.joints))
 
     def equations(self) -> tuple[Rows, Rows]:
-        """Row and channel of each equation of `residual` ``(E,)``; the row is -1 if the equation belongs to no row.
+        """Return row and channel of each equation of `residual` ``(E,)``; the row is -1 if an equation has none.
 
         A channel holds readings of one unit and one uncertainty; positions and attitudes of poses are two channels. By
         default the equations of the misses come first, then those of the numbers, which belong to no row. All are in
@@ -390,17 +391,20 @@ class Observations:
         return rows, np.zeros(len(rows), dtype=np.int64)
 
     def misses(self, model: ArmModel, unknowns: Array) -> Array:
-        """Measured minus predicted positions ``(R, 3)`` or lengths ``(R, 1)``, m, or directions ``(R, k)``, rad."""
+        """Return the R misses of the data, that is measured minus predicted readings.
+
+        These are positions ``(R, 3)`` or lengths ``(R, 1)``, m, or directions ``(R, k)``, rad.
+        """
         return self.missed(model, self.numbers.whole(unknowns))
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Whitened residual ``(E,)`` of the misses, the numbers' stated values, and further equations (`bonds`)."""
+        """Return whitened residuals ``(E,)``: misses, the numbers' stated values, and further equations (`bonds`)."""
         numbers = self.numbers.whole(unknowns)
         statements = self.numbers.residual(unknowns)
         return np.concatenate([self.whitened(model, numbers).ravel(), statements, self.bonds(numbers)[0]])
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
-        """Whitened derivatives with respect to arm parameters ``(E, 5n + 12 + k)`` and unknowns ``(E, u)``."""
+        """Return whitened derivatives with respect to arm parameters ``(E, 5n + 12 + k)`` and unknowns ``(E, u)``."""
         numbers, free = self.numbers.whole(unknowns), self.numbers.free
         by_arm, by_numbers = self.derivatives(model, numbers)
         by_arm = by_arm.reshape(-1, by_arm.shape[-1])
@@ -426,13 +430,13 @@ class Observations:
         return replace(self, joints=joints, conditions=alike, origins=None, **self._arrays(rows))  # type: ignore[type-var]
 
     def _arrays(self, rows: NDArray[Any]) -> dict[str, Any]:
-        """The given rows of every array that holds one entry per row, by name."""
+        """Return the given rows of every array that holds one entry per row, by name."""
         values = {name: getattr(self, name) for name in self.per_row}
         return {name: None if value is None else value[rows] for name, value in values.items()}
 
 
 def hash_of(*parts: Array) -> str:
-    """One hash over all arrays, rounded to 1e-9 m or rad; writing and reading a CSV file keeps the hash."""
+    """Return one hash over all arrays, rounded to 1e-9 m or rad; writing and reading a CSV file keeps it."""
     integers = [np.rint(part * 1e9).astype(np.int64) for part in parts]
     return hashlib.sha256(b"".join(part.tobytes() for part in integers)).hexdigest()[:16]
 
@@ -444,7 +448,7 @@ def origins_of(data: Observations) -> Origins:
 
 
 def point_jacobian(pose_jacobian: Array, lever: Array) -> Array:
-    """Jacobian ``(..., 3, P)`` of a point that is fixed to the tool.
+    """Return the jacobian ``(..., 3, P)`` of a point that is fixed to the tool.
 
     Args:
         pose_jacobian: Jacobian of the tool's pose ``(..., 6, P)``.
@@ -455,7 +459,7 @@ def point_jacobian(pose_jacobian: Array, lever: Array) -> Array:
 
 
 def nearest_rotation(matrix: Array) -> Array:
-    """The rotations nearest to matrices ``(..., 3, 3)`` (orthogonal Procrustes with positive determinant)."""
+    """Return the rotations nearest to matrices ``(..., 3, 3)`` (orthogonal Procrustes with positive determinant)."""
     u, _, vt = np.linalg.svd(matrix)
     signs = np.ones(matrix.shape[:-1])
     signs[..., 2] = np.sign(np.linalg.det(u @ vt))
@@ -517,7 +521,7 @@ def same_poses(joints: Array) -> Rows:
 
 
 def pose_count(joints: Array) -> int:
-    """Number of different poses among rows with joints ``(N, n)``, rad or m."""
+    """Return the number of different poses among rows with joints ``(N, n)``, rad or m."""
     return len(np.unique(same_poses(joints)))
 
 
@@ -619,8 +623,8 @@ def contiguous_folds(groups: Rows, poses: Rows, folds: int) -> list[tuple[Rows, 
     Args:
         groups: Group of each row ``(N,)``, such as its socket or station.
         poses: The pose of each row ``(N,)``, as `same_poses` numbers them.
-        folds: Number of folds, or more than the largest group has poses: then there are as many folds as it has poses,
-            so that none is empty. Groups of one pose each count as one group.
+        folds: Number of folds. If the largest group has fewer poses, there are only as many folds as it has poses, so
+            that none is empty. If every group has one pose, all count as one group.
 
     Returns:
         Indices of the training rows and of the held-out rows, for each fold.

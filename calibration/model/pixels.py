@@ -3,7 +3,7 @@
 A target is a printed board, whose points are its corners, or any list of points in space. The instrument's frame is the
 target's if the camera is on the tool, and the camera's if it watches a target on the tool. Of camera and target, one is
 fixed in the world, and the other is on the flange. The fitted base says where the first one is, and the fitted tool
-where the second one is. This kind has no unknowns of its own but the numbers of the lens, if they are fitted. SI units;
+where the second one is. The only unknowns of this kind are the numbers of the lens, if they are fitted. SI units;
 pictures in px.
 """
 
@@ -52,7 +52,7 @@ class Lens:
 
 
 def projected(values: Array, points: Array) -> Array:
-    """Pixels ``(..., 2)`` of points in the camera's frame.
+    """Compute the pixels ``(..., 2)`` of points in the camera's frame.
 
     Args:
         values: The lens' numbers ``(9,)``, in the order of `LENS_NAMES`.
@@ -91,7 +91,7 @@ def undistorted(values: Array, pixels: Array) -> Array:
 
 
 def by_point(values: Array, points: Array) -> Array:
-    """Derivative of the pixels (`projected`) with respect to the points ``(..., 2, 3)``, px per m."""
+    """Compute the derivative of the pixels (`projected`) with respect to the points ``(..., 2, 3)``, px per m."""
     z = points[..., 2]
     x, y = points[..., 0] / z, points[..., 1] / z
     k1, k2, p1, p2, k3 = values[4:]
@@ -109,7 +109,7 @@ def by_point(values: Array, points: Array) -> Array:
 
 
 def by_values(values: Array, points: Array) -> Array:
-    """Derivative of the pixels (`projected`) with respect to the lens' numbers ``(..., 2, 9)``."""
+    """Compute the derivative of the pixels (`projected`) with respect to the lens' numbers ``(..., 2, 9)``."""
     fx, fy = values[:2]
     ideal = points[..., :2] / points[..., 2:]
     bent = distorted(values, ideal)
@@ -196,7 +196,7 @@ class PixelObservations(Observations):
         return Observations.imagined(full_views, joints)
 
     def starters(self) -> NDArray[np.bool_]:
-        """Mask ``(V,)`` of views that each determine the board's pose: `STARTING` points or more, not near one line."""
+        """Return a mask ``(V,)`` of views that show the board's pose: `STARTING` points or more, not near one line."""
         enough: NDArray[np.bool_] = self.seen.sum(axis=1) >= STARTING
         for row in np.flatnonzero(enough):
             places = self.corners[row][self.seen[row]]
@@ -227,7 +227,7 @@ class PixelObservations(Observations):
         return Measurements(*seen, source=self.source, conditions=views.conditions)
 
     def visible(self, model: ArmModel, unknowns: Array, margin: float = 0.0) -> NDArray[np.bool_]:
-        """Mask ``(V, K)`` of the corners whose predicted pixels are inside the picture.
+        """Return a mask ``(V, K)`` of the corners whose predicted pixels are inside the picture.
 
         A flat board must face the camera; other points are seen from all sides.
 
@@ -251,33 +251,33 @@ class PixelObservations(Observations):
         return np.asarray(ahead & near & ((places >= margin) & (places <= size - 1.0 - margin)).all(axis=-1))
 
     def in_camera(self, model: ArmModel) -> Array:
-        """The board's corners in the camera's frame ``(V, K, 3)``, m."""
+        """Return the board's corners in the camera's frame ``(V, K, 3)``, m."""
         tool = model.pose(self.joints, self.conditions)
         if self.mount == "world":
             return np.asarray(tool.position[:, None] + self.board @ np.swapaxes(tool.rotation, 1, 2))
         return np.asarray((self.board - tool.position[:, None]) @ tool.rotation)
 
     def pixel_errors(self, model: ArmModel, unknowns: Array) -> Array:
-        """Measured minus predicted pixels ``(R, 2)`` of the corners that were found, view by view."""
+        """Return measured minus predicted pixels ``(R, 2)`` of the corners that were found, view by view."""
         return self._errors(model, self.numbers.whole(unknowns))
 
     def _errors(self, model: ArmModel, values: Array) -> Array:
         return np.asarray((self.corners - projected(values, self.in_camera(model)))[self.seen])
 
     def missed(self, model: ArmModel, numbers: Array) -> Array:
-        """Errors of the corners that were found, as lengths at the board's distance ``(R, 2)``, m."""
+        """Return the errors of the corners that were found, as lengths at the board's distance ``(R, 2)``, m."""
         return np.asarray(self._errors(model, numbers) * self.in_camera(model)[self.seen][:, 2:] / numbers[:2])
 
     def whitened(self, model: ArmModel, numbers: Array) -> Array:
-        """Pixel errors ``(R, 2)``, in standard uncertainties."""
+        """Return the pixel errors ``(R, 2)``, in standard uncertainties."""
         return self._errors(model, numbers) / self.std[self.seen][:, None]
 
     def readings(self) -> Array:
-        """Pixels of the corners ``(V, 2 K)``, with zeros for corners not found; they serve only to compare rows."""
+        """Return the corners' pixels ``(V, 2 K)``, 0 for corners not found; they serve only to compare rows."""
         return np.where(self.seen[..., None], self.corners, 0.0).reshape(len(self.joints), -1)
 
     def derivatives(self, model: ArmModel, numbers: Array) -> tuple[Array, Array]:
-        """Whitened derivatives of the projected corners with respect to arm parameters and the lens' numbers."""
+        """Return whitened derivatives of the projected corners by arm parameters and by the lens' numbers."""
         tool, pose = model.pose(self.joints, self.conditions), model.jacobian(self.joints, self.conditions)
         rows, _ = np.nonzero(self.seen)
         points = self.in_camera(model)[self.seen]

@@ -3,8 +3,8 @@
 Every parameter has a prior, whose width (standard deviation) limits how far a fit moves it. Lengths and angles of parts
 have the widths of their tolerance class. Base and tool have a width of metres if the places of instrument and target
 are unknown. Coefficients of terms have widths near their tolerances. A parameter that the measurements do not determine
-stays at its prior's mean. The choices of the command line are widths too. With "offsets" the lengths and angles of
-parts have no width. With "full" all parameters have infinite width, as in the papers. SI units.
+stays at its prior's mean. The choices of a fit (`FIT_WORDS`) are widths, too. With "offsets", lengths and angles of
+parts have no width. With "full", all parameters have infinite width, as in the papers. SI units.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ TOLERANCE_CLASS = "cobot"
 """Default tolerance class of an arm's parts."""
 
 FRAME_STD = 10.0
-"""Standard deviation of a frame's coordinates about its aligned pose, m and rad: so wide that it tells nothing."""
+"""Standard deviation of a frame's coordinates about its aligned pose, m and rad: too wide to carry information."""
 
 COEFFICIENT = 1.0
-"""Prior standard deviation of a term's coefficient, in the coefficient's tolerances (1 mm or 1 mrad at the tool)."""
+"""Prior standard deviation of a term's coefficient, as a multiple of its tolerance (1 mm or 1 mrad at the tool)."""
 
 ANY_STIFFNESS = 100.0
-"""Prior standard deviation of a compliance, in its tolerances: stiffnesses from 100 N*m/rad or 1 kN/m are all
-plausible."""
+"""Prior standard deviation of a compliance, as a multiple of its tolerance: every stiffness above 100 N*m/rad or 1 kN/m
+is plausible."""
 
 FRAMES, ZEROS, LENGTHS, ANGLES, TERMS = "frames", "zeros", "lengths", "angles", "terms"
 """Groups of parameters: base and tool of unknown pose, joint zeros, lengths and angles of parts, terms'
@@ -72,7 +72,7 @@ class Prior(Observations):
         return np.zeros((0, self.reference.geometry.joints))
 
     def residual(self, model: ArmModel, unknowns: Array) -> Array:
-        """Expected minus current parameters ``(k,)``, in the priors' standard deviations."""
+        """Return expected minus current parameters ``(k,)``, in the priors' standard deviations."""
         return model.difference(self.reference)[self.columns] / self.std
 
     def jacobian(self, model: ArmModel, unknowns: Array) -> tuple[Array, Array]:
@@ -130,8 +130,8 @@ class PriorModel:
     def with_terms(self, terms: tuple[Term, ...]) -> PriorModel:
         """Return this model with further terms, whose coefficients are expected at zero.
 
-        Factors on widths that were estimated without the terms are left out: what the terms explain made the rows
-        look noisy, and the parts more accurate than they are.
+        Factors on widths that were estimated without the terms are left out. Without the terms, the rows seemed noisier
+        than they are, and the parts more accurate.
         """
         if not terms:
             return self
@@ -184,14 +184,14 @@ def prior_model(
 
 
 def expected_sizes(model: ArmModel) -> Array:
-    """Prior standard deviations of the terms' coefficients ``(k,)``, in the coefficients' tolerances."""
+    """Return prior standard deviations of the terms' coefficients ``(k,)``, as multiples of their tolerances."""
     counts = [len(term.names(model.geometry)) for term in model.terms]
     sizes = [ANY_STIFFNESS if isinstance(term, ComplianceTerm) else COEFFICIENT for term in model.terms]
     return np.repeat(sizes, counts)
 
 
 def _groups(parameters: ErrorModel, geometry: Geometry, known: bool) -> NDArray[np.str_]:
-    """The group of each parameter ``(P,)``; base and tool count as parts of the arm if the frames are known."""
+    """Return the group of each parameter ``(P,)``; base and tool count as parts of the arm if the frames are known."""
     frame = np.array([name.startswith(("base_", "tool_")) for name in parameters.names])
     zero = np.isin(parameters.columns, arm_model.joint_zeros_model(geometry).columns)
     part = np.where(geometry.parameter_is_angle[parameters.columns], ANGLES, LENGTHS)

@@ -1,7 +1,7 @@
 """Parametric terms of an arm model: compliance, bending, weight, periodic drive errors and thermal expansion.
 
-Each says what geometry cannot, and is linear in its coefficients, so that least squares finds them. It gives the tool's
-displacement per unit of its coefficients, in world axes. SI units.
+Each term describes an effect that a geometry cannot. It gives the tool's displacement per unit of its coefficients, in
+world axes. It is linear in the coefficients, so least squares can fit them. SI units.
 """
 
 from __future__ import annotations
@@ -32,7 +32,8 @@ class ComplianceTerm(JointTerm):
     """Joint compliance: deflection dq = c tau under torque tau, with c = 1/k per joint (rad/(N*m) or m/N).
 
     The torque is the measured one if the data contain torques. Otherwise it is the gravity torque from ``moments``, the
-    links' masses and first moments times g. These are fitted to measured torques, or are those of the arm's file.
+    links' masses and first moments times g. The moments are fitted to measured torques, or come from the masses in the
+    arm's file.
 
     Attributes:
         joints: Indices of the compliant joints, from 0.
@@ -45,11 +46,11 @@ class ComplianceTerm(JointTerm):
     moments: tuple[float, ...] = ()
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
-        """Names of the coefficients, with the joint's number from 1, such as compliance1."""
+        """Return the names of the coefficients, with the joint's number from 1, such as compliance1."""
         return tuple(f"compliance{i + 1}" for i in self.joints)
 
     def tolerances(self, geometry: Geometry) -> Array:
-        """Scale of each compliance: 1 mrad at 10 N*m, or 1 mm at 100 N."""
+        """Return the scale of each compliance: 1 mrad at 10 N*m, or 1 mm at 100 N."""
         return np.array([1e-5 if geometry.prismatic[i] else 1e-4 for i in self.joints])
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
@@ -88,16 +89,16 @@ class PeriodicTerm(JointTerm):
     order_std: tuple[float, ...] = ()
 
     def some(self, numbers: NDArray[np.int64]) -> PeriodicTerm:
-        """Return a term with only the harmonics at these indices, from 0, and without the orders' uncertainties."""
+        """Return a term with the harmonics at these indices (from 0) alone. Each keeps its order, not `order_std`."""
         return PeriodicTerm(tuple(self.joints[i] for i in numbers), tuple(self.orders[i] for i in numbers))
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
-        """Names of the coefficients, such as periodic1_13.5_sin: joint (counted from 1), order, and sine or cosine."""
+        """Return the coefficients' names, such as periodic1_13.5_sin: joint (from 1), order, and sine or cosine."""
         pairs = zip(self.joints, self.orders, strict=True)
         return tuple(f"periodic{i + 1}_{order:.5g}_{part}" for i, order in pairs for part in ("sin", "cos"))
 
     def tolerances(self, geometry: Geometry) -> Array:
-        """Scale of each coefficient: 1 mm for a prismatic joint, 3 mrad / order (equal slopes) for a revolute one."""
+        """Return each coefficient's scale: 1 mm if the joint is prismatic, else 3 mrad / order (equal slopes)."""
         pairs = zip(self.joints, self.orders, strict=True)
         return 1e-3 * np.repeat([1.0 if geometry.prismatic[i] else 3.0 / order for i, order in pairs], 2)
 
@@ -125,11 +126,11 @@ class OrderTerm(JointTerm):
     cosines: tuple[float, ...]
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
-        """Names of the order corrections, one per harmonic, numbered from 0: order0, order1."""
+        """Return the names of the order corrections, one per harmonic, numbered from 0: order0, order1."""
         return tuple(f"order{i}" for i in range(len(self.wave.orders)))
 
     def tolerances(self, geometry: Geometry) -> Array:
-        """Scale of each order's error: half the step of the grid on which orders are searched."""
+        """Return the scale of each order's error: half the step of the coarse grid on which orders are searched."""
         return np.full(len(self.wave.orders), ORDER_TOLERANCE)
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
@@ -145,11 +146,11 @@ class ThermalTerm(Term):
     """Thermal expansion: the lengths of all links grow with temperature by one common coefficient, 1/K."""
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
-        """The one coefficient's name, "thermal"."""
+        """Return the name of the only coefficient, "thermal"."""
         return ("thermal",)
 
     def tolerances(self, geometry: Geometry) -> Array:
-        """Scale of the coefficient: 1 mm on 1 m at 20 K."""
+        """Return the scale of the coefficient: 1 mm on 1 m at 20 K."""
         return np.array([5e-5])
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
@@ -183,7 +184,7 @@ class GravityTerm(JointTerm):
     Attributes:
         joints: Indices of the compliant joints, from 0.
         up: Direction opposite to gravity, in the axes of frame 0.
-        payload: Whether the payload has coefficients of its own.
+        payload: Whether the payload has separate coefficients.
     """
 
     joints: tuple[int, ...]
@@ -199,15 +200,15 @@ class GravityTerm(JointTerm):
         return _moments(self, geometry)
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
-        """Names of the coefficients, such as gravity2_3x: joint and link (both counted from 1), and moment."""
+        """Return the coefficients' names, such as gravity2_3x: joint and link (both counted from 1), and moment."""
         return tuple(f"gravity{i + 1}_{j + 1}{moment}" for i, j, moment in self.moments(geometry))
 
     def tolerances(self, geometry: Geometry) -> Array:
-        """Scale of each coefficient: 1e-3, that is 1 mrad at 1 m, or 1 mm for a prismatic joint."""
+        """Return the scale of each coefficient: 1e-3, that is 1 mrad at 1 m, or 1 mm for a prismatic joint."""
         return np.full(len(self.moments(geometry)), 1e-3)
 
     def owners(self, geometry: Geometry) -> NDArray[np.int64]:
-        """The joint that each coefficient belongs to ``(k,)``, from 0."""
+        """Return the joint that each coefficient belongs to ``(k,)``, from 0."""
         return np.array([i for i, _, _ in self.moments(geometry)])
 
     def steps(self, geometry: Geometry, joints: Array, conditions: Conditions) -> tuple[Sequence[int], Array]:
@@ -277,12 +278,12 @@ class GravityTerm(JointTerm):
 
 
 def _from_base(geometry: Geometry) -> Geometry:
-    """The geometry with its base as the sensor's frame, in which the direction up is known."""
+    """Return the geometry with poses relative to its base, in whose axes the direction up is known."""
     return geometry if geometry.tree is None else geometry.between(-1, geometry.tree.target)
 
 
 def _placed(geometry: Geometry, joints: Array) -> Array:
-    """Axes and origin of each link and of the tool ``(L + 1, 4, 3, N)``, world axes."""
+    """Return the axes x, y, z and the origin, m, of each link and of the tool ``(L + 1, 4, 3, N)``, in world axes."""
     chain = chain_of(geometry)
     links = frames(np, chain, split_joints(geometry.joints, joints))
     components = np.empty((len(links), 12, len(joints)))
@@ -296,16 +297,16 @@ def _placed(geometry: Geometry, joints: Array) -> Array:
 class BendingTerm(Term):
     """Deflection of joints across their axes, about x and y of their links' frames, under the weight of known masses.
 
-    Each link has three coefficients (rad/(N*m)), of a symmetric matrix from torques to turns where it is joined: xx, yy
-    and xy. Where across the axis x lies is a matter of the table, so xy cannot be left out. A recorded payload is not
-    part of the masses.
+    Each link has three coefficients, rad/(N*m): xx, yy and xy of a symmetric matrix from torques to rotations at the
+    link's joint. The DH table decides which direction across the axis is x, so xy cannot be left out. A recorded
+    payload is not part of the masses.
 
     Attributes:
         links: Indices of the links that yield where they are joined, from 0.
         up: Direction opposite to gravity, in the axes of frame 0.
         mass: Mass of each link ``(L,)``, kg.
         centre: Centre of mass of each link in its frame ``(L, 3)``, m.
-        pivots: Where each link is joined to the one before, along its axis from its frame ``(L,)``, m.
+        pivots: Position along each link's axis, from its frame, at which it is joined to the link before ``(L,)``, m.
     """
 
     links: tuple[int, ...]
@@ -315,11 +316,11 @@ class BendingTerm(Term):
     pivots: tuple[float, ...]
 
     def names(self, geometry: Geometry) -> tuple[str, ...]:
-        """Names of the coefficients, such as bending2_xy: link (counted from 1) and axes."""
+        """Return the names of the coefficients, such as bending2_xy: link (counted from 1) and axes."""
         return tuple(f"bending{i + 1}_{axes}" for i in self.links for axes in ("xx", "yy", "xy"))
 
     def tolerances(self, geometry: Geometry) -> Array:
-        """Scale of each coefficient: 1 mrad at 10 N*m."""
+        """Return the scale of each coefficient: 1 mrad at 10 N*m."""
         return np.full(len(self.names(geometry)), 1e-4)
 
     def columns(self, geometry: Geometry, joints: Array, conditions: Conditions) -> Array:
@@ -360,7 +361,7 @@ def weight_of(geometry: Geometry, payload: bool = False) -> GravityTerm:
 
     Args:
         geometry: The arm.
-        payload: Whether the payload has coefficients of its own.
+        payload: Whether the payload has separate coefficients.
     """
     up = geometry.base.rotation.T @ np.array([0.0, 0.0, 1.0])
     return GravityTerm(tuple(range(geometry.joints)), (float(up[0]), float(up[1]), float(up[2])), payload)
@@ -392,7 +393,7 @@ KINDS: dict[str, type] = {
 
 
 def kind_of_term(term: Term) -> str:
-    """The name of a term's kind."""
+    """Return the name of a term's kind."""
     return next(name for name, kind in KINDS.items() if isinstance(term, kind))
 
 
@@ -418,7 +419,7 @@ def term_from(content: Mapping[str, Any]) -> Term:
 
 
 def _tuples(value: Any) -> Any:
-    """Copy of a JSON value with every list, at any depth, turned into a tuple."""
+    """Return a copy of a JSON value with every list, at any depth, turned into a tuple."""
     if isinstance(value, Mapping):
         return {key: _tuples(part) for key, part in value.items()}
     return tuple(map(_tuples, value)) if isinstance(value, list | tuple) else value

@@ -221,15 +221,15 @@ def apply_calibration(
 
 
 def _sizes(errors: Array) -> tuple[Array, Array]:
-    """Sizes ``(N,)`` of the position and attitude parts of pose errors ``(N, 6)``, mm and deg."""
+    """Return sizes ``(N,)``, mm and deg, of the position and attitude parts of pose errors ``(N, 6)``, m and rad."""
     return np.linalg.norm(errors[:, :3], axis=1) * 1e3, np.degrees(np.linalg.norm(errors[:, 3:], axis=1))
 
 
 def toward(compensator: Compensator, wanted: Pose, start: Array) -> Array:
     """Compute the commands ``(N, n)``, rad or m, that bring the real tool to the poses ``wanted``.
 
-    The correction of eq (15) is repeated `PASSES` times. A joint that would have to go beyond its limit stays at the
-    limit, and the other joints take over what they can. On an arm with fewer than six joints, the position has
+    The correction of Qiao 2026 eq (15) is repeated `PASSES` times. A joint that would have to go beyond its limit stays
+    at the limit, and the other joints take over what they can. On an arm with fewer than six joints, the position has
     priority over the attitude.
 
     Args:
@@ -255,6 +255,6 @@ def toward(compensator: Compensator, wanted: Pose, start: Array) -> Array:
 
 
 def _carried(pose: Pose, believed: Geometry, fitted: Geometry) -> Pose:
-    """A tool pose from the controller's frame, expressed in the instrument's frame for the fitted tool."""
+    """Express a tool pose that is given in the controller's frame in the instrument's frame, for the fitted tool."""
     flange = behind(behind(inverse_pose(believed.base), pose), inverse_pose(believed.tool))
     return behind(behind(fitted.base, flange), fitted.tool)

@@ -1,4 +1,4 @@
-"""A fitted calibration of one arm: it predicts poses, compensates commands, and is saved as one verified file."""
+"""A fitted calibration of one arm: it predicts poses, compensates commands, and is saved as a file with a checksum."""
 
 from __future__ import annotations
 
@@ -444,7 +444,7 @@ class Calibration:
 
         Args:
             arm: The arm.
-            name: What the message calls the calibration.
+            name: Name of the calibration in the message.
 
         Raises:
             InputError: If the arm has another nominal geometry.
@@ -486,7 +486,7 @@ class Calibration:
             fast: Whether a residual network runs in single precision (`Bpnn.fast`).
 
         Raises:
-            InputError: If the calibration is of a whole robot.
+            InputError: If the calibration is of a whole robot (a tree of links).
         """
         if self.arm.tree is not None:
             raise InputError("a whole robot has no one tool to compensate; export its calibration onto its URDF")
@@ -519,7 +519,7 @@ class Calibration:
     def reservations(self) -> dict[str, str]:
         """Return the reasons against using this calibration, by name; each is a sentence that says what to do.
 
-        There are two: the verdict "do not use", and a base and tool that were fitted.
+        There can be two: the verdict "do not use", and a base and tool that were fitted.
         """
         sentences = {}
         verdict = self.record.get("verdict")
@@ -578,7 +578,7 @@ class Calibration:
         return replace(self, learnt=None)
 
     def save(self, path: str | Path) -> Path:
-        """Write the calibration as one verified file (see `pickenv.base.container`), and return the file's path.
+        """Write the calibration as one file with a checksum (`pickenv.base.container`), and return the file's path.
 
         The file is written whole or not at all.
 
@@ -619,8 +619,8 @@ class Calibration:
                 geometry.
             unit: If given, the serial number of the robot for which the calibration must have been made. Two robots
                 of one model have the same nominal geometry, and only this number distinguishes them.
-            whole: Whether the calibration of a whole robot is accepted. It cannot compensate, since such a robot has
-                no single tool.
+            whole: Whether the calibration of a whole robot (a tree of links) is accepted. It cannot compensate, since
+                such a robot has no single tool.
 
         Raises:
             InputError: If the file is missing, damaged in any byte, or of another version, arm or unit. Also if a

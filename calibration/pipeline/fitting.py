@@ -160,7 +160,7 @@ def fit_remainder(
     settings: BpnnSettings | None = None,
     progress: Callable[[int, int], None] | None = None,
 ) -> Fit:
-    """Add a learnt residual model to a fit: it predicts the errors that the fit leaves (eq (17)).
+    """Add a learnt residual model to a fit: it predicts the errors that the fit leaves (Qiao 2026 eq (17)).
 
     The model's inputs are the joints and the recorded conditions.
 
@@ -201,7 +201,7 @@ def fit_remainder(
 
 
 def _refuse_misfit(found: Identification, data: Observations) -> None:
-    """Refuse rows of wires, sockets and other kinds whose misses stay a large share of their span after the fit."""
+    """Refuse rows of wires, sockets and other kinds if errors after the fit are a large share of the tool's motion."""
     misses = data.misses(found.arm_model, unknowns_of(found, data))
     rms = float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))
     span = data.span(ArmModel.of(found.geometry).pose(data.joints, data.conditions).position)
@@ -234,8 +234,8 @@ class HeldOut:
         used: Name of the model that judged the rows; if rows were held out block by block, one name per block.
         blocks: Number of the block of rows that each error belongs to ``(M,)``; None if rows were held out once.
         pixels: For pictures, the geometry's errors in px, one array per view; empty for other kinds.
-        row: Number of the row that each error belongs to ``(M,)``, if rows held out once have several, as with
-            several reflectors or a board's corners; else None.
+        row: Number of the row that each error belongs to ``(M,)``, if rows were held out once and have several errors
+            each, such as those of several reflectors or of a board's corners; else None.
     """
 
     errors: dict[str, Array]
@@ -247,9 +247,9 @@ class HeldOut:
 
     @property
     def together(self) -> Rows | None:
-        """Number of the block, or of the row, whose errors count as correlated; None if each error is its own row's.
+        """Number of the block or row whose errors count as correlated, for each error; None if each row has one error.
 
-        Rows that are fewer than `LEAST_ROWS` are one group, which has no interval.
+        Fewer than `LEAST_ROWS` rows with several errors each count as one group, for which there is no interval.
         """
         if self.blocks is not None or self.row is None or self._values >= LEAST_ROWS:
             return self.row if self.blocks is None else self.blocks
@@ -275,7 +275,7 @@ class HeldOut:
 
     @property
     def rows(self) -> str:
-        """What sentences call the rows: "views" if they are pictures, else "rows"."""
+        """Word for the rows in sentences: "views" for pictures, else "rows"."""
         return "views" if self.pixels else "rows"
 
     @property

@@ -272,12 +272,12 @@ class Result:
         return self.calibration.save(path)
 
     def export(self, out: str | Path, *, kind: str | None = None, onto: str | Path | None = None) -> Path:
-        """Write the calibration as a robot, a controller or another program reads it, and return the file's path.
+        """Write the calibration to a file that a robot, controller or other program reads, and return the file's path.
 
         Args:
             out: The file to write.
             kind: Name of the kind of file; if None, it follows from the name of ``onto`` or else of ``out``.
-            onto: The robot's own file, in which only what the calibration corrects is changed. See
+            onto: The robot's own file. The written copy differs only in what the calibration corrects. See
                 `pickenv.calibration.export`.
         """
         from pickenv.calibration.delivery.export import export
@@ -513,9 +513,9 @@ def workspace_joints(text: str | Path | None, geometry: Geometry) -> tuple[str, 
     Random joints are drawn with a fixed seed, so equal inputs give equal joints.
 
     Args:
-        text: A file of targets (joints or tool poses in our own columns), or ranges joined by commas. Ranges of joints
-            are in deg or mm (``q1=-90:90``). Ranges of the tool's position in the controller's base frame are in mm
-            (``x=300:900``). Joints without a range move within their limits. None for all poses within the limits.
+        text: A file of targets (joints or tool poses in pickenv's own columns), or ranges joined by commas. Ranges of
+            joints are in deg or mm (``q1=-90:90``). Ranges of the tool's position in the controller's base frame are in
+            mm (``x=300:900``). Joints without a range move within their limits. None for all poses within the limits.
         geometry: The arm's nominal geometry.
 
     Raises:

@@ -58,10 +58,10 @@ class Choices:
             lets it learn from the training rows, and uses it if it improves errors there.
         settings: Settings of the network "bpnn" that learns from ``learn_from``; None takes the paper's settings.
         fit: One of `pickenv.calibration.model.prior.FIT_WORDS`. "auto" fits all parameters with priors. "offsets" fits
-            the joint zeros alone. "full" fits all parameters without priors, as the papers do.
+            the joint zeros, and base and tool if unknown. "full" fits all parameters without priors, as the papers do.
         tolerances: Name or path of the tolerance class that sets the priors of the arm's parts. None takes the arm's
             own class; for an arm without a class, that of a cobot.
-        prior_scale: Factor on the standard deviations of the priors. None estimates it from the rows.
+        prior_scale: Factor on the standard deviations of the parts' priors. None estimates factors from the rows.
         workspace: The region for which the verdict holds (`pickenv.calibration.pipeline.result.workspace_joints`).
             None takes all poses within the joint limits.
     """
@@ -102,7 +102,7 @@ def refuse_options(train: Observations, choices: Choices) -> None:
 
 
 def _refuse_idle(choices: Choices, arm: Arm) -> None:
-    """Refuse options that another option, or tool poses in place of joint values, leave without effect.
+    """Refuse options that have no effect, because of another option or of tool poses in place of joint values.
 
     Raises:
         InputError: If such an option is set; the message names it.
@@ -123,7 +123,7 @@ Data = Observations | str | Path | Sequence[str | Path] | Sequence[Observations]
 Columns = str | Path | Sequence[str | Path] | None
 """Name or path of a description of the files' columns, or several of these, one for each file.
 
-None means our own columns.
+None means pickenv's own columns.
 """
 
 STATIONS: dict[str, tuple[str, ...]] = {"none": (), "base": ("base",), "tool": ("tool",), "base,tool": OWN}
@@ -211,7 +211,7 @@ def pool_of(path: str | Path, geometry: Geometry, columns: str | Path | None = N
     """Read candidate poses from a file: joints ``(N, n)``, rad or m, and the line of each pose in the file ``(N,)``.
 
     Args:
-        path: Without ``columns``, a file of joint targets or tool poses in our own columns; else a measurement file.
+        path: Without ``columns``, a file of joint targets or tool poses in pickenv's columns; else a measurement file.
         geometry: The arm's nominal geometry.
         columns: Description of the measurement file's columns.
 
@@ -234,7 +234,7 @@ def _each(columns: Columns) -> list[str | Path]:
 def _joined(
     arm: Arm, sets: list[Observations], stations: str | None, known: bool, like: Observations | None
 ) -> Observations:
-    """Join several data sets as stations of one arm, by ``stations`` or by their rows; return a single one as it is."""
+    """Join several data sets as stations of one arm, by ``stations`` or by their rows; a single one is unchanged."""
     named = any(any(origins_of(part).scene) or part.conditions.between is not None for part in sets)
     if stations is not None and named:
         raise InputError("[scene] says which files share a base or a tool; leave `stations` out")
@@ -385,15 +385,16 @@ def calibrate(
         arm: The arm, its name, or its file (`pickenv.arm.load_arm`); None if the files hold tool poses in place of
             joint values.
         data: One data set of any kind or several, or the files that hold them (CSV or YAML).
-        columns: Name or path of a description of the files' columns, or one for each file. None for our own columns.
+        columns: Name or path of a description of the files' columns, or one for each file. None for pickenv's own.
         stations: Which frames differ between files or data sets: "base", "tool", "base,tool" or "none". If None, files
             of poses or positions are grouped into set-ups by their rows. For other kinds of measurement, files that
             share a description are then one data set, and each data set has its own base and tool.
         test: Rows to judge by; if None, some rows of ``data`` are held out.
         split: How rows of ``data`` are held out. "random" holds some rows out and fits the calibration to the others.
             "blocked" holds out each of ten contiguous blocks of rows in turn. Each block is judged by a model that is
-            fitted and chosen without it. The calibration itself is fitted to all rows. Fewer than 40 poses are always
-            held out by blocks, and up to 20 poses one by one.
+            fitted and chosen without it. The calibration itself is fitted to all rows. Pictures are always held out
+            by blocks, and so are fewer than 40 poses unless ``test_rows`` is given. Up to 60 pictures, or 20 poses, are
+            held out one by one.
         test_rows: Number of rows that are held out at random; a fifth if None.
         choices: Terms, residual model, frames, robustness and seed. The defaults choose by the data.
         unit: Serial number of the robot; the calibration keeps it.
@@ -457,8 +458,8 @@ def _assessed(draft: Draft, held_out: fitting.HeldOut) -> Result:
 def _judged_by_blocks(draft: Draft) -> Result:
     """Calibrate with all rows, and judge each block by a calibration that the same stages make from the other blocks.
 
-    Terms are chosen anew without each block. Residual models are chosen only twice, on the odd and on the even blocks,
-    since to choose one for every block would take ten times as long; a block takes the choice that it had no part in.
+    Terms are chosen anew without each block. A choice of residual models for each block would take too long, so they
+    are chosen only twice, on the odd and on the even blocks. Each block takes the choice made without it.
     """
     checked = _check(draft)
     complete = _fitted(checked)
@@ -489,9 +490,10 @@ def _judged_by_blocks(draft: Draft) -> Result:
 
 
 def _folds(train: Observations) -> list[tuple[Rows, Rows]]:
-    """Return for each block the rows to fit and the rows held out.
+    """Return the rows to fit and the rows held out, for each block of `observations.contiguous_folds`.
 
-    With few pictures or poses, a block is one of them from each group.
+    There are `observations.BLOCKS` blocks of neighbouring poses. With at most `FEW_VIEWS` pictures or `FEW_ROWS`
+    poses, one picture or pose of every group is held out at a time.
     """
     poses, count = observations.same_poses(train.joints), pose_count(train.joints)
     few = count <= (FEW_VIEWS if train.kind == "pixels" else FEW_ROWS)
@@ -514,7 +516,7 @@ def _chosen(checked: Draft, rows: Rows) -> str | None:
 def _check(draft: Draft) -> Draft:
     """Refuse options that do not apply, and leave out outlier rows.
 
-    A named residual model is refused, unless it is forced, if too few rows are left to judge it.
+    A named residual model that is not forced is refused if too few rows are left to judge it.
     """
     choices, train, test = draft.choices, draft.train, draft.test
     if choices.frames is not None and choices.frames not in FRAMES:
@@ -589,7 +591,7 @@ def _add_terms(draft: Draft) -> Draft:
 
 
 def _learn(draft: Draft) -> Draft:
-    """Learn a residual model: the named one from poses of its own, or one that wins within the training rows."""
+    """Learn a residual model: the named one from ``choices.learn_from``, or one that wins within the training rows."""
     choices = draft.choices
     if choices.learn_from is not None:
         settings = (choices.settings or BpnnSettings()) if choices.residual == "bpnn" else None

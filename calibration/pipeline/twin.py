@@ -74,7 +74,7 @@ def scatter_of(data: Measurements, repeat: float | None = None) -> Scatter:
 
 
 def repeated_std(data: Measurements) -> float | None:
-    """Standard deviation of repeated measurements at equal joints, m, per position coordinate; None without repeats."""
+    """Compute the standard deviation, m, of a position coordinate in repeats at equal joints; None without repeats."""
     _, group = np.unique(np.round(data.joints, 9), axis=0, return_inverse=True)
     group = group.ravel()
     counts = np.bincount(group)
@@ -183,7 +183,7 @@ def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]
 
 
 def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
-    """The layout of a plant's coefficients, and the matrix ``(k, t)`` from the terms' coefficients to the plant's."""
+    """Return a plant's layout of coefficients, and the matrix ``(k, t)`` that computes these from the terms'."""
     sizes = [len(term.names(geometry)) for term in terms]
     units = np.split(np.eye(sum(sizes)), np.cumsum(sizes, dtype=int))  # the last part is empty
     harmonics, moments, up = [], [], (0.0, 0.0, 1.0)

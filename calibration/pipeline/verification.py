@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Array, Geometry, identity_pose, rotation_matrix
-from pickenv.base import InputError
+from pickenv.base import DO_NOT_USE, InputError
 from pickenv.calibration.assessment.metrics import ErrorStatistics, error_statistics
 from pickenv.calibration.assessment.quality import no_gain
 from pickenv.calibration.assessment.screen import Block, error_cells, figure
@@ -105,8 +105,8 @@ def restationed(
     """Refit base, tool or both of a calibrated arm to a few rows of another station.
 
     A station is one placement of the instrument and its target. The prior of the frames is their old place with the
-    standard deviations `CHANGE_STD`. It hardly matters in directions that the rows determine. In other directions the
-    frames do not change.
+    standard deviations `CHANGE_STD`. This prior hardly matters in directions that the rows determine. In other
+    directions the frames do not change.
 
     Args:
         calibration: The calibration.
@@ -189,7 +189,7 @@ def _telling(model: ArmModel, data: Measurements, frames: ErrorModel, count: int
 
 
 def _starts(model: ArmModel, few: Measurements, own: Collection[str]) -> Iterator[ArmModel]:
-    """Yield starting points for the frames' fit: the model as it is, then with frames near the new ones."""
+    """Yield starting points for the frames' fit: the model with its old frames, then with estimates of the new ones."""
     geometry = model.geometry
     yield model
     if set(own) == {"tool"}:
@@ -287,6 +287,7 @@ class Verification:
         no_gain: The reason why the rows do not show that the calibrated arm is better than the nominal arm; None if
             they show it.
         measured: Share of the rows that lie in the region that the calibration measured; None if that is not known.
+        reservation: The sentence about the calibration's own verdict "do not use"; None if it has another verdict.
     """
 
     status: Status
@@ -301,6 +302,7 @@ class Verification:
     left_out: tuple[LeftOut, ...]
     no_gain: str | None = None
     measured: float | None = None
+    reservation: str | None = None
 
     @property
     def ratio(self) -> float:
@@ -333,7 +335,9 @@ class Verification:
         if self.left_out:
             far = tuple((item.text(),) for item in self.left_out)
             blocks.append(Block("Rows left out", (), far, "too far off to be measurements of these poses"))
-        return "\n".join([f"verdict: {self.status.upper()}: {self.reason}", *(block.text() for block in blocks)])
+        heading = [f"verdict: {self.status.upper()}: {self.reason}"]
+        heading += [] if self.reservation is None else [f"reservation: {self.reservation}"]
+        return "\n".join([*heading, *(block.text() for block in blocks)])
 
     def _moved(self, name: str) -> Iterator[str]:
         """Yield a frame's shift (mm) and turn (deg) as texts that name the number of undetermined directions."""
@@ -347,6 +351,7 @@ class Verification:
         return {
             "status": self.status,
             "reason": self.reason,
+            "reservation": self.reservation,
             "rows": self.rows,
             "refit_rows": self.refitted,
             "calibrated_mm": self.calibrated.as_dict(),
@@ -377,8 +382,9 @@ def verify(
     Args:
         calibration: The calibration.
         data: New poses or positions of the same robot.
-        refit: Which of "base" and "tool" are refitted first, because the instrument or its target was moved. Of a whole
-            robot both always are, because its calibration does not hold where sensors and targets stood.
+        refit: Which of "base" and "tool" are refitted first, because the instrument or its target was moved. For a
+            whole robot (a tree of links) both always are, because its calibration does not hold the places of sensors
+            and targets.
         refit_rows: Number of rows to which these frames are refitted. The calibration is judged on the other rows.
 
     Raises:
@@ -427,7 +433,7 @@ def verify(
         return _cause(there, judging.select(far), errors[far], expected[far], places, refit)
 
     status, reason = _verdict(verification, cause)
-    return replace(verification, status=status, reason=reason)
+    return replace(verification, status=status, reason=reason, reservation=calibration.reservations().get(DO_NOT_USE))
 
 
 def promised(calibration: Calibration, data: Measurements) -> Array:
@@ -440,7 +446,7 @@ def promised(calibration: Calibration, data: Measurements) -> Array:
 
 
 def _since(rest: Rows, errors: Array, expected: Array) -> int | None:
-    """Return the place in ``rest`` from which on all blocks have too large errors; None if there is no such place."""
+    """Return the index in ``rest`` from which on all blocks have too large errors; None if there is no such index."""
     if len(rest) < 4 * BLOCKS:
         return None
     parts = np.array_split(np.arange(len(rest)), BLOCKS)
@@ -465,7 +471,7 @@ def _cause(
     """Find the cause of errors larger than promised: moved frames, a region not measured, or changed joint zeros."""
     most, size = GROWN * float(np.sqrt(expected.mean())), position_rms(errors)
     far, all_found = size > ELSEWHERE * most / GROWN, set(refit) == set(OWN)
-    if far and not all_found and _left(there, data, own_frames_model(there.identified, OWN)) < size / MOSTLY:
+    if far and not all_found and _left(there, data, errors, own_frames_model(there.identified, OWN)) < size / MOSTLY:
         return "frames"
     if inside is not None and not inside.all() and not far:
         as_promised = inside.any() and position_rms(errors[inside]) ** 2 <= GROWN**2 * np.mean(expected[inside])
@@ -473,25 +479,25 @@ def _cause(
             return "elsewhere"
     zeros = joint_zeros_model(there.identified)
     inner = ErrorModel(zeros.columns[1:-1], zeros.names[1:-1], zeros.tolerance[1:-1])  # base and tool turn the others
-    if _left(there, data, inner.joined(own_frames_model(there.identified, refit))) <= most:
+    if _left(there, data, errors, inner.joined(own_frames_model(there.identified, refit))) <= most:
         return "joints"
-    if not all_found and _left(there, data, own_frames_model(there.identified, OWN)) <= most:
+    if not all_found and _left(there, data, errors, own_frames_model(there.identified, OWN)) <= most:
         return "frames"
     return "unknown"
 
 
-def _left(there: Calibration, data: Measurements, model: ErrorModel) -> float:
+def _left(there: Calibration, data: Measurements, errors: Array, model: ErrorModel) -> float:
     """Compute the RMS position error, m, after a fit of a model to the rows, corrected for the degrees of freedom."""
     if len(data) < len(model.names):
         return np.inf
-    learnt = there.errors(data) - data.difference(there.model)
+    learnt = errors - data.difference(there.model)  # in the axes of the other station's base
     try:
         solution = identify(model, there.model, _less(data, learnt), max_iterations=60)
     except InputError:
         return np.inf
-    errors = data.difference(solution.arm_model) + learnt
+    rest = data.difference(solution.arm_model) + learnt
     spare = 1.0 - solution.identifiability.rank / (len(data) * data.rows_per_pose)
-    return position_rms(errors) / float(np.sqrt(spare))
+    return position_rms(rest) / float(np.sqrt(spare))
 
 
 def _less(data: Measurements, learnt: Array) -> Measurements:

@@ -1,8 +1,8 @@
 """Further poses for an instrument that has already measured a few: wires, touches, reflectors, tilts, pictures.
 
 The first rows determine the instrument's own unknowns, such as the anchor of a wire, a touched point, or a camera's
-place and lens. From these unknowns follow the instrument's readings at other joints, and whether it could read anything
-there. The exchange of poses starts from the information that the first rows give. SI units.
+place and lens. These determine the instrument's readings at other joints, and whether it can read anything there. The
+exchange of poses starts from the information that the first rows give. SI units.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ def measurable_joints(geometry: Geometry, first: First, count: int, rng: np.rand
 def measurable(
     first: First, joints: Array, geometry: Geometry, *, move: bool = True
 ) -> tuple[Array, NDArray[np.bool_]]:
-    """Move joints to where the instrument can read something, and say at which of them it can.
+    """Move joints to where the instrument can read something, and mark those where it can.
 
     Args:
         first: The instrument.
@@ -142,7 +142,11 @@ def _misses(first: First, joints: Array) -> Array:
 
 
 def _short_of(first: First, joints: Array) -> Array:
-    """Distance ``(N, k)``, m, of the tool point from where it could be read: a place, or the first readings' range."""
+    """Return how far ``(N, k)``, m, the instrument is from a possible reading at joints ``(N, n)``.
+
+    For sockets it is the distance of the tool point from its place. For a distance, such as a wire's length, it is how
+    far the predicted reading lies outside the range of the first readings.
+    """
     data, misses = first[0], _misses(first, joints)
     if not isinstance(data, DistanceObservations):
         return misses
@@ -152,7 +156,7 @@ def _short_of(first: First, joints: Array) -> Array:
 
 
 def _shown(first: First, joints: Array) -> NDArray[np.bool_]:
-    """A mask ``(N,)`` of the views that would show enough of the board, about as far off as in the first views."""
+    """Return a mask ``(N,)`` of views that would show enough of the board, about as far off as in the first views."""
     data, model, _ = first
     views = readings_at(first, joints).views
     depth, first_depth = (part.in_camera(model)[..., 2].mean(axis=1) for part in (views, data.views))
@@ -261,9 +265,9 @@ def plan_like(
 
 
 def _design(geometry: Geometry, first: First, joints: Array, prior: PriorModel | None) -> plan.Design:
-    """The design of the candidates, given first rows and priors.
+    """Return the design of the candidates, given first rows and priors.
 
-    It is for all parameters if they have priors, else for a base set: parameters that can be told apart.
+    It covers all parameters if they have priors, else a largest subset of identifiable ones.
     """
     data, there, unknowns = first
     count = len(unknowns)
@@ -294,16 +298,16 @@ def _design(geometry: Geometry, first: First, joints: Array, prior: PriorModel |
 
 
 def _scaled(first: First, data: Observations, model: ErrorModel, scale: Array) -> Array:
-    """Whitened, scaled Jacobian ``(equations, own + P)`` by the instrument's own unknowns and the P of the arm."""
+    """Return the whitened, scaled Jacobian ``(E, own + P)``: the instrument's own unknowns, then P arm parameters."""
     by_arm, by_own = data.jacobian(*first[1:])
     return np.asarray(np.hstack([by_own, by_arm[:, model.columns]]) * scale)
 
 
 def _by_pose(first: First, data: Observations, model: ErrorModel, scale: Array) -> Array:
-    """The whitened, scaled Jacobian of each pose by itself ``(N, r, own + P)``, with measured rows' equations alone.
+    """Return the whitened, scaled Jacobian of each pose ``(N, r, own + P)``, without equations that belong to no row.
 
-    At most r = 6 + own: a pose has six components, and the instrument has its own unknowns, so more equations (a
-    board's corners) tell no more directions. They are replaced by 6 + own equations that tell the same.
+    r is at most 6 + own, since a pose has six components and the instrument has ``own`` unknowns. If there are more
+    equations, such as those of a board's corners, they are replaced by 6 + own equations with the same information.
     """
     matrix, (row, _) = _scaled(first, data, model, scale), data.equations()
     matrix, row = matrix[row >= 0], row[row >= 0]

@@ -116,7 +116,7 @@ def gains(rows: Array, information: Array, weight: Array | None) -> Array:
 
 
 def move_seconds(joints: Array, speed: Array) -> Array:
-    """Times ``(N, N)``, s, of the moves between each two poses ``(N, n)``, at joint speeds ``(n,)``.
+    """Compute the times ``(N, N)``, s, of the moves between each two poses ``(N, n)``, at joint speeds ``(n,)``.
 
     Raises:
         InputError: If a speed is not finite and above zero.
@@ -129,7 +129,7 @@ def move_seconds(joints: Array, speed: Array) -> Array:
 
 
 def travel_seconds(joints: Array, speed: Array) -> float:
-    """Time, s, to visit the poses ``(N, n)`` in their order, from the first to the last."""
+    """Compute the time, s, to visit the poses ``(N, n)`` in their order, from the first to the last."""
     return float(move_seconds(joints, speed).diagonal(1).sum())
 
 
@@ -150,7 +150,7 @@ def _nearest_neighbours(cost: Array, start: int) -> NDArray[np.int64]:
 
 
 def _two_opt(way: NDArray[np.int64], cost: Array) -> NDArray[np.int64]:
-    """Shorten a way by reversing the stretch whose reversal saves the most time, until none does; its ends are free."""
+    """Shorten a tour: reverse the stretch that saves the most time, until none saves any; its ends may change."""
     count = len(way)
     if count < 3:
         return way
@@ -261,7 +261,7 @@ class PosePlan:
         return (*self.design.names, *self.design.model.names)
 
     def as_dict(self) -> dict[str, Any]:
-        """The plan's numbers for JSON; condition and O1 ratio at the top level are for the arm's own parameters."""
+        """Return the plan as values for JSON; top-level condition and O1 ratio are for the arm's own parameters."""
         figures: dict[str, Any] = {
             "poses": len(self.joints),
             "first_rows": self.first,
@@ -288,7 +288,7 @@ class PosePlan:
         return figures
 
     def report(self) -> str:
-        """A short report of the plan in words, for people."""
+        """Return a short report of the plan in words, for people."""
         lines = [
             f"{len(self.joints)} of {len(self.design.joints)} candidates, {self.criterion}, {self.design.kind} "
             f"measurements, {len(self.parameters)} parameters, in {self.seconds:.2f} s"
@@ -453,7 +453,7 @@ def plan_poses(
 
     @cache
     def drawn(size: int) -> Array:
-        """Random sets ``(DRAWS, size, n)`` of poses to compare the plan with."""
+        """Draw random sets ``(DRAWS, size, n)`` of poses to compare the plan with."""
         if isinstance(candidates, int):
             return random_joints(geometry, DRAWS * size, rng).reshape(DRAWS, size, -1)
         return np.stack([joints[rng.choice(len(joints), size, replace=False)] for _ in range(DRAWS)])
@@ -550,16 +550,16 @@ def finished_plan(
 
 
 def _observed(design: Design, rows: Array) -> dict[str, float]:
-    """Observability of the parameters by rows ``(M, r, p)`` together with the information known beforehand."""
+    """Compute the observability of parameters from rows ``(M, r, p)`` and the information that exists already."""
     stacked = np.vstack([rows.reshape(-1, rows.shape[-1]), np.sqrt(design.known)])
     values = np.linalg.svd(stacked, compute_uv=False)
     return observability(np.asarray(values, dtype=float), len(rows))
 
 
 def _against_chance(geometry: Geometry, design: Design, chosen: NDArray[np.int64], sets: Array) -> dict[str, Any]:
-    """Observability of the planned poses beside that of random sets, for JSON.
+    """Compare the observability of the planned poses with that of random sets, as values for JSON.
 
-    The random set with the median condition number stands for all; the O1 ratio is to the mean O1 of all sets.
+    Random sets are represented by the one with the median condition number. The O1 ratio is relative to their mean O1.
     """
     rows = (_rows(geometry, design.model, design.weight, joints) for joints in sets)
     random_sets = sorted((_observed(design, part) for part in rows), key=itemgetter("condition"))
@@ -575,12 +575,12 @@ def _against_chance(geometry: Geometry, design: Design, chosen: NDArray[np.int64
 
 
 def _least(design: Design) -> int:
-    """Least number of poses, which gives a few more equations than parameters; 1 if the parameters have priors."""
+    """Return the least number of poses: a few more equations than parameters, or 1 pose if parameters have priors."""
     return 1 if design.known.any() else -(-len(design.model.names) // int(design.rows.shape[1])) + 1
 
 
 def plan_sizes(count: int, least: int, most: int) -> list[int]:
-    """Numbers of poses to compare: half (at least ``least``), one, two, four, eight times ``count``, up to ``most``."""
+    """Return numbers of poses: half (at least ``least``), one, two, four and eight times ``count``, up to ``most``."""
     sizes = {max(least, count // 2), *(count * times for times in (1, 2, 4, 8))}
     return sorted(size for size in sizes if size <= most)
 

@@ -103,5 +103,5 @@ def _messages(path: Path, topic: str) -> tuple[dict[str, str], list[tuple[int, A
 
 
 def _seconds(time: int) -> str:
-    """A time in ns as decimal text, s, with all its digits."""
+    """Return a time in ns as decimal text in s, with all its digits."""
     return f"{time // 10**9}.{time % 10**9:09d}"

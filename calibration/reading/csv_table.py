@@ -139,7 +139,7 @@ class Table:
                 )
 
     def select(self, rows: Sequence[int], where: str = "") -> Table:
-        """Return a table of the rows with the given indices; messages call it ``where``, by default as before."""
+        """Return a table of the rows with these indices; ``where`` names it in messages, by default the old name."""
         cells, lines = [self.rows[row] for row in rows], [self.lines[row] for row in rows]
         return Table(where or self.where, self.header, cells, lines, self.decimal)
 
@@ -179,7 +179,7 @@ class Table:
         return np.array(blank)
 
     def _number(self, text: str, name: str, line: int) -> float:
-        """The finite number that a cell's text spells, with this file's decimal sign."""
+        """Return the finite number that a cell's text spells, with this file's decimal sign."""
         grouped = self.decimal == "," and "." in text  # a point beside a decimal comma groups thousands
         value = decimal_number("" if grouped else text.replace(self.decimal, "."))
         if value is not None and np.isfinite(value):
@@ -340,7 +340,7 @@ def _refuse_other_separator(rows: list[list[str]], path: Path, separator: str, d
 
 
 def _parquet_table(path: Path) -> Table:
-    """The table of a Parquet file, whose numbers keep all their digits; missing values are empty cells."""
+    """Read the table of a Parquet file, whose numbers keep all their digits; missing values are empty cells."""
     require("pyarrow")
     import pyarrow.lib
     import pyarrow.parquet
@@ -355,7 +355,7 @@ def _parquet_table(path: Path) -> Table:
 
 
 def _yaml_table(path: Path, text: str) -> Table:
-    """The table of a YAML list or mapping of entries; nested values become columns such as pose.x, target_joints.0."""
+    """Read a YAML list or mapping of entries as a table; nested values become columns such as pose.x or joints.0."""
     content = yaml_content(text, path)
     entries = list(content.values()) if isinstance(content, Mapping) else content
     plain = isinstance(entries, list) and all(isinstance(entry, Mapping) for entry in entries)

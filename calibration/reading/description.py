@@ -2,7 +2,7 @@
 
 It names separator, decimal sign, units, conventions and uncertainties. One of its sections says what was measured:
 [position] (poses, if [rotation] is there too), [reflectors], [wire], [touches] and so on. The folder `descriptions`
-holds those that are shipped.
+holds the descriptions that come with pickenv.
 """
 
 from __future__ import annotations
@@ -246,9 +246,9 @@ class PixelsTable:
 class TargetTable:
     """Section [target]: positions of points on a rigid target, in the target's own frame, and the points' numbers.
 
-    For a body with tags on its faces, the points are the corners of all tags. Without ``numbers``, they count from 0.
-    If ``dictionary`` names the tags' kind, they are found in pictures: the four corners of tag k, clockwise as OpenCV
-    finds them, then have the numbers 4 k to 4 k + 3.
+    For a body with tags on its faces, the points are the corners of all tags. Without ``numbers``, points are numbered
+    from 0. If ``dictionary`` names the tags' kind, the tags are found in pictures: the four corners of tag k, clockwise
+    as OpenCV finds them, then have the numbers 4 k to 4 k + 3.
     """
 
     points: Annotated[tuple[float, ...], MM]
@@ -349,7 +349,7 @@ class PosesTable:
 
     @property
     def attitudes(self) -> RotationTable:
-        """The columns of the attitude as a section of their own; for a quaternion, the unit is of no account."""
+        """The columns of the attitude as a section [rotation]; for a quaternion, the unit has no effect."""
         return RotationTable(self.rotation_columns, self.rotation_unit, self.convention)
 
 
@@ -453,7 +453,7 @@ def _pairs(value: Any, _context: Any) -> tuple[tuple[str, str], ...]:
 
 @toml_table
 class SceneTable:
-    """Section [scene]: names of the sensor and of its target, and the links of a whole robot that carry them.
+    """Section [scene]: names of sensor and target, and the links that carry them on a whole robot (a tree of links).
 
     Files that name the same sensor share one sensor pose. Files that name the same target share one target pose. A
     sensor or target without a name belongs to this file alone. One without a link is fixed in the world. An
@@ -461,9 +461,9 @@ class SceneTable:
 
     ``sensor_column`` and ``target_column`` hold the names row by row. If ``sensor`` is given as well, only the rows of
     this sensor are read; otherwise the rows of each name are a data set. The same holds for targets. ``links`` are the
-    links of named sensors and targets; the others are on ``sensor_link`` and ``target_link``.
+    links of named sensors and targets; without an entry they are on ``sensor_link`` and ``target_link``.
 
-    ``series_column`` holds names of series. The rows of a series are read like a file of their own, so that the
+    ``series_column`` holds names of series. The rows of a series are read like a separate file, so that the
     instrument or the tool may have moved between two series. With ``series``, only that series is read.
     """
 
@@ -657,7 +657,7 @@ def description_path(name: str | Path) -> Path:
 
 
 def _refuse_repeats(description: DescriptionFile, path: Path) -> None:
-    """Refuse a description that gives one column for two quantities, which a fit need not reveal.
+    """Refuse a description that gives one column for two quantities, a fault that a fit may not reveal.
 
     Raises:
         InputError: If a column is given twice; the message names it and both its uses.

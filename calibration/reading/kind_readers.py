@@ -238,7 +238,7 @@ The misfit is below the first limit if the unit is right, and at or above the se
 
 @register("instrument", "reflectors")
 def _reflectors(files: Files, section: description.ReflectorsTable) -> kinds.ReflectorObservations:
-    """Read positions of several reflectors; one counts as lost only if it is marked as the description says."""
+    """Read positions of several reflectors; a reflector is lost only if it is marked as the description says."""
     first = files.first
     points, visible_parts = [], []
     for table in files.tables:
@@ -303,7 +303,7 @@ def _distances(files: Files, section: description.ContactTable, read: Array, **m
 
 
 def _contact(files: Files, section: description.ContactTable) -> dict[str, Any]:
-    """The fields that all contact measurements share: joints, uncertainty, kind and tool point.
+    """Return the fields that all contact measurements share: joints, uncertainty, kind and tool point.
 
     Raises:
         InputError: If the contact column of a row is 0 or empty.
@@ -361,7 +361,7 @@ def _rests(files: Files, section: description.ContactTable, socket: Rows, **more
 
 @register("instrument", "tilt")
 def _tilt(files: Files, section: description.TiltTable) -> kinds.TiltObservations:
-    """Read the downward direction's components along the sensor's axes; an inclination gives its sine."""
+    """Read the components of the downward direction along the sensor's axes; for inclinations they are the sines."""
     values = np.concatenate([table.values(section.columns) for table in files.tables])
     std = np.full(values.shape, section.std)
     if section.unit != "g":
@@ -504,7 +504,7 @@ def views_table(
 
 
 def _entry(file: Path) -> dict[str, str]:
-    """The entries of a YAML file that describes one view, with the file's name (no ending) added as "file"."""
+    """Return the entries of a YAML file that describes one view, with the file's name (no ending) added as "file"."""
     content = yaml_content(read_text(file, "a YAML file"), file)
     entry = {str(key): str(value) for key, value in content.items()} if isinstance(content, dict) else {}
     if not entry:
@@ -513,12 +513,12 @@ def _entry(file: Path) -> dict[str, str]:
 
 
 def _by_number(file: Path) -> list[tuple[int, str]]:
-    """A sort key by the numbers in a file's name, so that 2.yaml comes before 10.yaml."""
+    """Return a sort key by the numbers in a file's name, so that 2.yaml comes before 10.yaml."""
     return [(int(part), "") if part.isdigit() else (-1, part) for part in re.split(r"(\d+)", file.name)]
 
 
 def _pictures(table: Table, pixels: description.PixelsTable, home: Path) -> list[Path]:
-    """The path of each row's picture."""
+    """Return the path of each row's picture."""
     pattern = str(pixels.picture)
     if STEM in pattern:
         return [home / pattern.replace(STEM, stem) for stem in table.texts("file")]
@@ -528,7 +528,7 @@ def _pictures(table: Table, pixels: description.PixelsTable, home: Path) -> list
 def _found_in_pictures(
     table: Table, file: description.DescriptionFile, pictures: Sequence[Path], camera: Lens
 ) -> tuple[list[Corners], list[str]]:
-    """The corners in each row's picture, and for each picture the reason why it shows none (empty if it shows some).
+    """Detect the corners in each row's picture; return them, and why a picture shows none (empty if it shows some).
 
     A few pictures without a corner are kept, to be listed in reports.
 
@@ -563,7 +563,7 @@ def _found_in_pictures(
 
 
 def _grey(path: Path) -> Grey:
-    """A picture's grey values ``(h, w)``."""
+    """Read a picture's grey values ``(h, w)``, 0 to 255."""
     picture = opencv().imread(str(path), opencv().IMREAD_GRAYSCALE)
     if picture is None:
         raise InputError(f"{path} is no picture that OpenCV can read; give a JPEG or PNG file")
@@ -573,7 +573,7 @@ def _grey(path: Path) -> Grey:
 def _found_in_table(
     table: Table, pixels: description.PixelsTable, known: Sequence[int]
 ) -> tuple[list[int], list[Corners]]:
-    """The first row of each view, and its corners, read from a table of corners; ``known`` are the corners' numbers."""
+    """Return the first row of each view in a table of corners, and its corners; ``known`` are the corners' numbers."""
     assert pixels.view is not None and pixels.corner is not None
     views, numbers, places = table.texts(pixels.view), table.value(pixels.corner), table.values(pixels.columns)
     rows: list[int] = []
@@ -615,7 +615,7 @@ def _lens(given: description.LensTable, home: Path) -> Lens:
 
 
 def _lens_std(given: description.LensTable) -> Array:
-    """Standard uncertainty of each number of the lens: 0 if fixed, infinite if free, or the stated prior."""
+    """Return the standard uncertainty of each number of the lens: 0 if fixed, infinite if free, or the stated prior."""
     if given.lens == "prior":
         return np.array([given.prior_px] * 4 + [given.prior_distortion] * 5)
     return np.full(len(LENS_NAMES), 0.0 if given.lens == "fixed" else np.inf)

@@ -1,4 +1,4 @@
-"""Read measurement files of any kind: in our own columns, or in foreign columns that a column description explains.
+"""Read measurement files of any kind: in pickenv's columns, or in other columns that a column description explains.
 
 `read_measurements` reads poses or positions. `read_observations` reads any kind, from one file or several.
 """
@@ -38,7 +38,7 @@ def read_measurements(
     Args:
         path: The file.
         geometry: The arm's nominal geometry, for joint count and types.
-        columns: Name or path of a column description; None for our own format.
+        columns: Name or path of a column description; None for pickenv's own format.
         repeats: Whether a row may equal another to the last digit, as repeated measurements of a pose can. If False,
             such rows are refused.
 
@@ -64,7 +64,7 @@ def read_observations(
     Args:
         paths: The files.
         geometry: The arm's nominal geometry, for joint count and types.
-        columns: Name or path of a column description; None for our own format.
+        columns: Name or path of a column description; None for pickenv's own format.
         repeats: Whether a row may equal another to the last digit, as repeated measurements of a pose can. If False,
             such rows are refused.
 
@@ -113,11 +113,11 @@ Log = tuple[csv_table.Table, Path]
 def _by_scene(
     logs: list[Log], given: description.DescriptionFile | None
 ) -> list[tuple[description.DescriptionFile | None, list[Log]]]:
-    """Split files by the sensor, target and series of their rows; each part has the description of its own alone.
+    """Split files by the sensor, target and series of their rows; a part's description names its sensor and target.
 
     Raises:
-        InputError: If a row names none, if no row names the sensor, target or series of the description, or if a link
-            is of no sensor or target.
+        InputError: If a row has an empty name, if no row names the sensor, target or series of the description, or if a
+            link is of no sensor or target.
     """
     if given is None or given.scene == description.SceneTable():
         return [(given, logs)]
@@ -185,7 +185,7 @@ def _data_set(
 
 
 def own_description(geometry: Geometry, header: list[str], where: str) -> description.DescriptionFile:
-    """Make the column description of a file in our own CSV format.
+    """Make the column description of a file in pickenv's own CSV format.
 
     Args:
         geometry: The arm's nominal geometry, whose joints give the names of joint columns.
@@ -193,7 +193,7 @@ def own_description(geometry: Geometry, header: list[str], where: str) -> descri
         where: The file, for messages.
 
     Raises:
-        InputError: If a joint column is missing or its unit unknown, or if a condition's column is not of our format.
+        InputError: If a joint column is missing or its unit unknown, or if a condition's column is not of that format.
     """
     expected = joint_columns(geometry.prismatic)
     joints, units = [], []
@@ -284,7 +284,7 @@ def _rows(
 
 
 def _frames(tables: list[csv_table.Table]) -> Frames:
-    """Read the word "known" or "fitted" that files in our own format have for base and tool; "fitted" if none has one.
+    """Read the word "known" or "fitted" for base and tool from files in pickenv's own format; "fitted" if none has it.
 
     Raises:
         InputError: If a row has another word, or if the rows do not all have the same one.
@@ -327,7 +327,7 @@ def _poses(files: Files, _section: Any) -> Measurements:
     """Read poses or positions.
 
     Raises:
-        InputError: If a row cannot be right, or if [rotation] names no convention; the message then lists the errors
+        InputError: If a row is implausible, or if [rotation] names no convention; the message then lists the errors
             that each convention would leave.
     """
     first, position = files.first, files.values()

@@ -46,7 +46,7 @@ CHORD = 0.1
 """Time over which speeds are computed, s: short against a motion, and long enough to suppress noise."""
 
 LEAST_OVERLAP, LEAST_CORRELATION = 0.3, 0.4
-"""Two conditions on a clock offset to be tried: smallest overlap of the logs, and smallest correlation of the speeds.
+"""Two conditions for trying a clock offset: smallest overlap of the logs, and smallest correlation of the speeds.
 
 The overlap is a share of the shorter log.
 """

@@ -59,7 +59,7 @@ SLOW_ROWS = 2000
 
 
 def _through(layers: Layers, values: NDArray[Any]) -> NDArray[Any]:
-    """Values ``(..., in)`` through a network with ReLU between its layers."""
+    """Compute the outputs ``(..., out)`` of a network with ReLU between its layers for inputs ``(..., in)``."""
     for weight, threshold in layers[:-1]:
         values = values @ weight
         np.maximum(values, threshold, out=values)
@@ -117,7 +117,7 @@ class Bpnn:
         return replace(self, fast=True)
 
     def predict(self, joints: ArrayLike) -> Array:
-        """Residual pose error ``(..., 6)`` (m and rad, world axes) at joints ``(..., n)``.
+        """Predict the residual pose error ``(..., 6)`` (m and rad, world axes) at joints ``(..., n)``.
 
         Many poses go through the network in blocks of `ROWS`. Machine code gives bitwise the same result for a pose
         that is predicted alone and among other poses.
@@ -192,7 +192,7 @@ def train_bpnn(
 
     Args:
         joints: Training joints ``(N, n)``, rad or m.
-        residuals: Measured minus identified pose ``(N, 6)``, m and rad (eq (17)).
+        residuals: Measured minus identified pose ``(N, 6)``, m and rad (Qiao 2026 eq (17)).
         rng: Seeds weights, dropout and shuffling. Equal generators give equal networks on one machine. With
             ``MKL_CBWR=COMPATIBLE`` in the environment, networks are also equal between AVX2 and AVX-512.
         settings: Training settings; the defaults of `BpnnSettings` if left out.
@@ -234,7 +234,7 @@ def _network(inputs: int, outputs: int, settings: BpnnSettings):  # type: ignore
 
 
 def _train(model, x, y, rng, settings, progress) -> Array:  # type: ignore[no-untyped-def]
-    """Run the training loop of eq (18) and return each epoch's loss.
+    """Run the training loop of Qiao 2026 eq (18) and return each epoch's loss.
 
     A short last batch is filled from the start of the epoch's shuffle.
     """
@@ -265,7 +265,7 @@ def _train(model, x, y, rng, settings, progress) -> Array:  # type: ignore[no-un
 
 
 def _folded(model) -> tuple[tuple[Array, ...], tuple[Array, ...]]:  # type: ignore[no-untyped-def]
-    """Weights and biases with each batch normalisation folded into the linear layer before it."""
+    """Return weights and biases with each batch normalisation folded into the linear layer before it."""
     from torch import nn
 
     weights, biases = [], []
@@ -343,7 +343,7 @@ class CompiledNetwork:
 
 
 def _arranged(layer: Layer, inputs: int, outputs: int) -> NDArray[np.float32]:
-    """A layer's numbers in the order in which they are read: weights by tiles, then the bias."""
+    """Return a layer's numbers in the order in which the code reads them: weights by tiles, then the bias."""
     matrix, bias = layer
     padded = np.zeros((inputs + 1, outputs), dtype=np.float32)
     padded[: len(matrix), : len(bias)], padded[-1, : len(bias)] = matrix, bias
@@ -352,7 +352,7 @@ def _arranged(layer: Layer, inputs: int, outputs: int) -> NDArray[np.float32]:
 
 
 def _network_code(poses: int, starts: Sequence[int], shapes: Sequence[tuple[int, int]]) -> str:
-    """Code that takes so many poses at a time through all layers, whose numbers begin at ``starts``.
+    """Return LLVM code that takes ``poses`` poses at a time through all layers, whose numbers begin at ``starts``.
 
     Two buffers hold the layers' outputs in turn.
     """
@@ -382,7 +382,7 @@ done:
 
 
 def _layer(poses: int) -> str:
-    """Code of one layer: for a pose alone, with vectors of outputs, or for several poses, with vectors of poses."""
+    """Return LLVM code of one layer: with vectors of outputs for a single pose, with vectors of poses for several."""
     alone = poses == 1
     lanes, sums = (TILE, 1) if alone else (poses, SUMS)
     of_outputs, of_poses = (_row, _repeated) if alone else (_repeated, _row)
@@ -440,13 +440,13 @@ done:
 
 
 def _row(name: str, base: str, offset: str, lanes: int) -> str:
-    """Code that loads numbers that stand side by side."""
+    """Return LLVM code that loads numbers which are adjacent in memory."""
     return f"""  {name}p = getelementptr float, ptr {base}, i64 {offset}
   {name} = load <{lanes} x float>, ptr {name}p, align 4"""
 
 
 def _repeated(name: str, base: str, offset: str, lanes: int) -> str:
-    """Code that loads one number and repeats it."""
+    """Return LLVM code that loads one number and repeats it in all lanes."""
     vector = f"<{lanes} x float>"
     return f"""  {name}p = getelementptr float, ptr {base}, i64 {offset}
   {name}l = load float, ptr {name}p, align 4

@@ -179,7 +179,7 @@ def _trial(measurements: Measurements, refit: Refit, train_rows: Rows, test_rows
 
 
 def _left_by(name: str, seed: int, fitter: Fitter | None, trial: Trial) -> Array:
-    """Residual of the trial's held-out rows after subtracting a model that learns from its training rows."""
+    """Return the held-out rows' residual minus the prediction of a model that learns from the trial's training rows."""
     train, test, to_learn, untouched, _ = trial
     rows, rng = (train.joints, to_learn, train.prismatic), np.random.default_rng(seed)
     model = fit_residual(name, *rows, rng, conditions=train.conditions.inputs(), fitter=fitter)
@@ -187,7 +187,7 @@ def _left_by(name: str, seed: int, fitter: Fitter | None, trial: Trial) -> Array
 
 
 def _wins_outside(verdict: GateVerdict) -> bool:
-    """Whether the position RMS on the held-out blocks falls by more than `MARGIN`."""
+    """Return whether the residual cuts the position RMS on the held-out blocks by more than `MARGIN`."""
     return verdict.blocked_rms is not None and verdict.blocked_rms < (1.0 - MARGIN) * verdict.geometric_blocked_rms
 
 
@@ -217,7 +217,7 @@ def _verdict(
 
 
 def _compared(before: Array, after: Array, counts: Array) -> tuple[bool, str]:
-    """Whether a residual wins (True: positions gain, attitudes do not lose), and the reason in words."""
+    """Return whether a residual wins, and the reason in words; positions must gain, and attitudes must not lose."""
     gain = 1.0 - position_rms(after, counts) / position_rms(before, counts)
     if not gain > MARGIN:
         return False, f"no gain: {'cuts' if gain >= 0 else 'raises'} the blocked RMS by {abs(gain):.0%}"

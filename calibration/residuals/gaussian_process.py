@@ -46,7 +46,7 @@ class Regressor(Protocol):
         """
 
     def predict(self, inputs: ArrayLike) -> Array:
-        """Outputs ``(..., k)`` at standardised inputs ``(..., F)``."""
+        """Predict outputs ``(..., k)`` at standardised inputs ``(..., F)``."""
 
     def arrays(self) -> Mapping[str, NDArray[Any]]:
         """Return all arrays by name, for saving without pickle."""
@@ -75,7 +75,7 @@ class SavedArrays:
 
 
 def column_std(values: Array, constant: float) -> Array:
-    """Standard deviation of each column of ``values`` ``(N, F)``, or ``constant`` for columns that do not vary.
+    """Compute the standard deviation of each column of ``values`` ``(N, F)``; ``constant`` for those that do not vary.
 
     Set ``constant`` to 1 for inputs, so that changes of a constant input after training keep their size. Set it to a
     tiny number for outputs, so that a model's error on a constant output stays tiny.
@@ -151,7 +151,7 @@ class Rbf(SavedArrays):
         return Rbf(middles, solution[0], solution[1] * scale, offset)
 
     def predict(self, inputs: ArrayLike) -> Array:
-        """Outputs ``(..., k)`` (m, rad) at standardised inputs ``(..., F)``."""
+        """Predict outputs ``(..., k)`` (m, rad) at standardised inputs ``(..., F)``."""
         basis = _gaussians(np.asarray(inputs, dtype=float), self.centres, self.width)
         return np.asarray(basis @ self.weights + self.offset)
 
@@ -278,7 +278,7 @@ class GaussianProcess(SavedArrays):
         return GaussianProcess(learnt, lengths, amplitudes, noises, weights, mean, std)
 
     def predict(self, inputs: ArrayLike) -> Array:
-        """Mean outputs ``(..., k)`` (m, rad) at standardised inputs ``(..., F)``."""
+        """Predict mean outputs ``(..., k)`` (m, rad) at standardised inputs ``(..., F)``."""
         inputs = np.asarray(inputs, dtype=float)
         flat = inputs.reshape(-1, inputs.shape[-1])
         mean = np.empty((len(flat), len(self.amplitude)))
@@ -289,7 +289,7 @@ class GaussianProcess(SavedArrays):
         return np.reshape(mean * self.output_std + self.output_mean, (*inputs.shape[:-1], mean.shape[1]))
 
     def targets(self, output: int) -> Array:
-        """Training targets of one output ``(M,)``, minus their mean and divided by ``output_std``."""
+        """Return the training targets of one output ``(M,)``, minus their mean and divided by ``output_std``."""
         smooth = self._kernel(output, self.rows) @ self.weights[output]
         return np.asarray(smooth + (self.noise[output] ** 2 + JITTER) * self.weights[output])
 
@@ -298,7 +298,7 @@ class GaussianProcess(SavedArrays):
 
 
 def _most_likely(inputs: Array, target: Array, rng: np.random.Generator, drawn: int) -> tuple[float, Array, float]:
-    """Amplitude, length scales and noise at the best optimum of the marginal likelihood over all starts."""
+    """Return amplitude, length scales and noise at the best optimum of the marginal likelihood over all starts."""
     count = np.array([1, inputs.shape[1], 1])
     plain = [np.log(np.repeat(start, count)) for start in PLAIN_STARTS]
     low, high = np.log(np.repeat(DRAWN_STARTS, count, axis=0)).T
@@ -315,7 +315,7 @@ def _most_likely(inputs: Array, target: Array, rng: np.random.Generator, drawn: 
 
 
 def _search(start: Array, inputs: Array, target: Array, precision: float) -> tuple[Array, float]:
-    """The optimum ``(F + 2,)`` that one start leads to, and the negative log marginal likelihood there."""
+    """Return the optimum ``(F + 2,)`` that one start leads to, and the negative log marginal likelihood there."""
     from scipy.optimize import fmin_l_bfgs_b
 
     bounds = np.log([AMPLITUDES, *[LENGTH_SCALES] * inputs.shape[1], NOISES]).tolist()
@@ -353,14 +353,14 @@ def negative_log_likelihood(theta: Array, inputs: Array, target: Array) -> tuple
 
 
 def _factor(smooth: Array, noise: float) -> Array:
-    """Lower Cholesky factor of the kernel matrix with noise and `JITTER` on its diagonal."""
+    """Return the lower Cholesky factor of the kernel matrix with noise and `JITTER` on its diagonal."""
     matrix = smooth.copy()
     matrix[np.diag_indices_from(matrix)] += noise**2 + JITTER
     return np.asarray(cholesky(matrix.T, lower=True, overwrite_a=True, check_finite=False))
 
 
 def _kernel(left: Array, right: Array, length: Array, amplitude: float) -> Array:
-    """Kernel without noise between rows, computed in place: fresh memory costs more than the arithmetic."""
+    """Compute the kernel without noise between rows, in place, since fresh memory costs more than the arithmetic."""
     a, b = left / length, right / length
     kernel = a @ b.T
     kernel -= 0.5 * np.sum(a**2, axis=1)[:, None]
@@ -399,7 +399,7 @@ def feature_process(process: GaussianProcess, count: int, rng: np.random.Generat
 
 
 def _of_output(process: GaussianProcess, output: int, normal: Array) -> tuple[Array, Array, Array]:
-    """Frequencies ``(F, K)``, mean weights, and the weights' factor for one output of `feature_process`."""
+    """Return frequencies ``(F, K)``, mean weights, and the weights' factor for one output of `feature_process`."""
     frequency = normal.T / process.length_scales[output][:, None]
     scale = float(process.amplitude[output]) / np.sqrt(len(normal))
     angle = process.rows @ frequency

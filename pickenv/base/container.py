@@ -76,9 +76,7 @@ class Container:
 
 @contextmanager
 def refusing_damage(path: str | Path, what: str, remake: str) -> Iterator[None]:
-    """Return a context that turns every exception into an `InputError`.
-
-    Reading a damaged file can raise any exception.
+    """Return a context that turns every exception into an `InputError`, since a damaged file can raise any exception.
 
     Args:
         path: The file that is read in the context.
@@ -173,7 +171,7 @@ def write_container(
 
     Raises:
         InputError: If the file cannot be written.
-        TypeError: If an array holds objects.
+        TypeError: If an array holds anything but numbers or text.
         ValueError: If a blob is named `header.json`, or its name ends in .npy.
     """
     # As they lie, so that sums repeat to the bit.
@@ -238,7 +236,7 @@ def _bounded(path: Path, limit: int) -> bytes:
 
 
 def _verified(content: bytes, limit: int) -> Container:
-    """The container in ``content``; raises an exception of any kind where the bytes are no container."""
+    """Return the container in the bytes of a file; raise an exception of any type if they are not a container."""
     if content[-LENGTH:] != seal(memoryview(content)[:-LENGTH]):
         raise ValueError("its seal does not hold: a byte was changed or lost")
     with zipfile.ZipFile(io.BytesIO(content)) as archive:
@@ -273,7 +271,7 @@ def _verified(content: bytes, limit: int) -> Container:
 
 
 def _description(name: str, value: NDArray[Any], numbers: bytes) -> dict[str, Any]:
-    """The header's entry for an array."""
+    """Return the entry for an array in the header: its type, shape, memory order and SHA-256."""
     if not PLAIN.fullmatch(value.dtype.str):
         raise TypeError(f"array {name!r} holds {value.dtype}; only numbers and text can be saved")
     fortran = value.flags.f_contiguous and not value.flags.c_contiguous
@@ -281,7 +279,7 @@ def _description(name: str, value: NDArray[Any], numbers: bytes) -> dict[str, An
 
 
 def _preamble(entry: Mapping[str, Any]) -> bytes:
-    """The bytes before the numbers of a .npy file (version 1.0); an unknown type or shape is a ValueError."""
+    """Return the bytes before the numbers in a .npy file (version 1.0); raise an error if type or shape is invalid."""
     dtype, shape = str(entry["dtype"]), entry["shape"]
     lengths_fit = len(shape) <= MOST_AXES and all(type(length) is int and length >= 0 for length in shape)
     if not PLAIN.fullmatch(dtype) or not lengths_fit:
@@ -292,7 +290,7 @@ def _preamble(entry: Mapping[str, Any]) -> bytes:
 
 
 def _size(entry: Mapping[str, Any]) -> int:
-    """The number of bytes that an array's numbers take."""
+    """Return the number of bytes that an array's numbers take."""
     return int(math.prod(entry["shape"]) * np.dtype(entry["dtype"]).itemsize)
 
 
@@ -368,7 +366,7 @@ def check_sealed_parquet(content: bytes, path: object, remake: str) -> None:
 
 
 def _footer(content: bytes) -> int:
-    """The offset at which a Parquet file's footer begins, bytes; 0 if ``content`` is no Parquet file."""
+    """Return the offset at which a Parquet file's footer begins, bytes; 0 if ``content`` is no Parquet file."""
     length = int.from_bytes(content[-8:-4], "little")
     is_one = content[:4] == content[-4:] == PARQUET and len(content) >= length + 12
     return len(content) - 8 - length if is_one else 0

@@ -40,7 +40,7 @@ def extra_of(module: str) -> str | None:
 
 
 def missing(module: str) -> MissingExtra:
-    """Return the error to raise if a module of an extra is not installed."""
+    """Return the error to raise if ``module``, which an extra brings, is not installed."""
     top = module.partition(".")[0]
     return MissingExtra(f"this needs {top}, which is not installed; get it with: {command_for(str(extra_of(top)))}")
 
@@ -51,7 +51,7 @@ def command_for(*extras: str) -> str:
 
 
 def absent_extras(*extras: str) -> tuple[str, ...]:
-    """Return the extras, among ``extras``, of which at least one package is not installed."""
+    """Return those of ``extras`` of which at least one package is not installed."""
     return tuple(extra for extra in extras if not all(map(is_there, EXTRAS[extra])))
 
 

@@ -82,7 +82,7 @@ def _unwritable(path: Path, error: OSError) -> InputError:
 
 
 def _fault_of_the_disk(error: BaseException | None) -> OSError | None:
-    """The operating system's error that is, or on a full disk caused, ``error``; None if there is none."""
+    """Return ``error`` if it is an OSError, else the full-disk error that came before it; None if there is neither."""
     if isinstance(error, OSError):
         return error
     before = None if error is None else error.__context__
@@ -98,7 +98,7 @@ def _temporary(target: Path) -> Path:
 
 @cache
 def _machine() -> str:
-    """Short name of the machine, and of the container if any, on which process ids are unique."""
+    """Return a short name for the machine or container within which process ids are unique."""
     processes = Path("/proc/self/ns/pid")
     space = os.readlink(processes) if processes.is_symlink() else ""
     return hashlib.sha256(f"{platform.node()} {space}".encode()).hexdigest()[:8]
@@ -106,7 +106,7 @@ def _machine() -> str:
 
 @cache
 def _sweep(folder: Path) -> None:
-    """Remove, once per folder, the temporary files of this machine's processes that no longer run."""
+    """Remove the temporary files of this machine's ended processes from a folder, at the first call for the folder."""
     if not os.access(folder, os.R_OK):
         return
     ours = re.compile(rf"\.pickenv-{_machine()}-(\d+)-[0-9a-f]{{8}}(\..*)?")
@@ -117,7 +117,7 @@ def _sweep(folder: Path) -> None:
 
 
 def _is_running(process: int) -> bool:
-    """Whether a process of that id is running; always True on Windows, where asking would end the process."""
+    """Return whether the process with this id is running; always True on Windows, where `os.kill` would end it."""
     try:
         if sys.platform != "win32":
             os.kill(process, 0)
@@ -129,7 +129,7 @@ def _is_running(process: int) -> bool:
 
 
 def _flush_folder(folder: Path) -> None:
-    """Flush a folder's entries to the disk, where possible: Windows opens no folders, some servers flush none."""
+    """Flush a folder's entries to the disk if possible; Windows and some file servers do not support it."""
     if sys.platform == "win32" or not os.access(folder, os.R_OK):
         return
     handle = os.open(folder, os.O_RDONLY)
@@ -143,7 +143,7 @@ def _flush_folder(folder: Path) -> None:
 
 
 def _write_into(path: Path, write: Callable[[Path], Any]) -> None:
-    """Let ``write`` fill a file elsewhere, then write its content into what ``path`` leads to."""
+    """Let ``write`` fill a temporary file, then write the content to the device, pipe or stream at ``path``."""
     with tempfile.TemporaryDirectory() as folder:
         temporary = Path(folder) / f"content{path.suffix}"
         write(temporary)
@@ -156,7 +156,7 @@ def _write_into(path: Path, write: Callable[[Path], Any]) -> None:
 
 
 def _stream(path: Path) -> int | None:
-    """Number of the standard stream that ``path`` leads to, as /dev/stdout does, even into a file; else None."""
+    """Return 1 or 2 if ``path`` is the target of standard output or standard error (/dev/stdout), else None."""
     for number in (1, 2):
         with suppress(OSError):  # a closed stream, a file that is not there yet
             if os.path.samestat(os.fstat(number), path.stat()):
@@ -201,14 +201,14 @@ def separate(inputs: Mapping[str, Named], outputs: Mapping[str, Named]) -> None:
 
 
 def _paths(named: Named) -> Iterator[Path]:
-    """The files that an option names."""
+    """Yield the paths of the files that an option names."""
     for name in () if named is None else (named,) if isinstance(named, str | Path) else named:
         path, _, tip = str(name).rpartition("#")
         yield Path(path) if path.endswith((".urdf", ".xml")) and tip else Path(name)
 
 
 def _check_name(path: Path) -> None:
-    """Refuse a name that no file can have, or that a folder has, since after hours of computing it is too late."""
+    """Raise an error if an output's name is too long or is that of a folder, before hours of computing."""
     try:
         folder = path.exists() and path.is_dir()
     except OSError as error:
@@ -218,14 +218,14 @@ def _check_name(path: Path) -> None:
 
 
 def _same(one: Path, other: Path) -> bool:
-    """Whether two paths lead to the same file, which need not exist yet."""
+    """Return whether two paths lead to the same file, which need not exist yet."""
     if one.exists() and other.exists():
         return one.samefile(other)
     return os.path.normcase(os.path.realpath(one)) == os.path.normcase(os.path.realpath(other))
 
 
 def _is_device(path: Path) -> bool:
-    """Whether ``path`` leads to something that is neither file nor folder: a device, a pipe."""
+    """Return whether ``path`` leads to a device or a pipe, that is to neither a file nor a folder."""
     return path.exists() and not path.is_file() and not path.is_dir()
 
 
@@ -234,7 +234,7 @@ def _is_device(path: Path) -> bool:
 LOCK = ".lock"
 
 _held: set[str] = set()
-"""Folders that this process has locked, and may lock again while it has them."""
+"""Folders that this process has locked; another `locked` of one of them in this process does nothing."""
 
 
 @contextmanager
@@ -268,7 +268,7 @@ def locked(folder: str | Path) -> Iterator[None]:
 
 
 def _take(folder: Path) -> int:
-    """Lock ``folder``; return the open lock file, which holds this process's id."""
+    """Lock ``folder``, write this process's id into the lock file, and return the open file's descriptor."""
     path = folder / LOCK
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -290,7 +290,7 @@ def _take(folder: Path) -> int:
 
 
 def _is_still(path: Path, handle: int) -> bool:
-    """Whether ``path`` still leads to the file that ``handle`` opened."""
+    """Return whether ``path`` still leads to the open file with the descriptor ``handle``."""
     with suppress(FileNotFoundError):
         return os.path.samestat(os.fstat(handle), path.stat())
     return False

@@ -2,12 +2,12 @@
 
 `estimate` computes estimates and their intervals from the rows of a table. Errors at several fruit of one arm are
 correlated, so an arm counts once, with its mean. Where a policy was trained several times, arms and training seeds are
-two crossed random factors. Another arm and another training would both give another estimate.
+two crossed random factors: another arm would give another estimate, and so would another training.
 
 The other functions take arrays. Values of one arm are correlated, and so are those of one tree, or of one block of
 contiguous poses of a file. So compute one statistic per arm first, and pass one value per arm. A function returns None
-where the sample is too small, or does not show how far another sample might differ. An interval that is too narrow
-would be worse. Equal data give equal ends.
+if the sample is too small or its values do not vary, because an interval that is too narrow would be worse than none.
+Equal data give equal intervals.
 
 How often each interval covers the true value is measured in tests/coverage, for errors like those of arms.
 """
@@ -37,7 +37,7 @@ LEAST_RUNS = 5
 """Smallest number of runs (training seeds, repeated calibrations) for an interval. Means of runs are nearly normal."""
 
 MOST_SKEWNESS = 3.0
-"""Largest skewness that is corrected for. A larger sample skewness shows little but the one largest value."""
+"""Largest skewness that is corrected for. A larger sample skewness comes mostly from the single largest value."""
 
 MOST_ALIKE = 0.6
 """Largest correlation of neighbouring values in a series for which `ordered_interval` is valid."""
@@ -50,7 +50,7 @@ _TAILS = (0.025, 0.975)
 
 
 def mean_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
-    """95 % interval of the mean of independent values ``(n,)``: Student's t, corrected for skewness.
+    """Return the 95 % interval of the mean of independent values ``(n,)``: Student's t, corrected for skewness.
 
     Errors of arms are skewed: an arm that is three times as bad as the others is not rare. The plain t interval covers
     the mean of such errors too seldom, and misses on the upper side. The correction is Hall's (1992, J. R. Stat. Soc.
@@ -78,20 +78,20 @@ def mean_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
 
 
 def _t(freedom: float, tail: float) -> float:
-    """The quantile of Student's t distribution."""
+    """Return the quantile at probability ``tail`` of Student's t distribution with ``freedom`` degrees of freedom."""
     from scipy.special import stdtrit  # late: half of SciPy comes along
 
     return float(stdtrit(freedom, tail))
 
 
 def ordered_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
-    """95 % interval of the mean of a series of values ``(n,)`` in which neighbours are correlated.
+    """Return the 95 % interval of the mean of a series of values ``(n,)`` in which neighbours are correlated.
 
     The standard error of the mean is estimated from the first few cosine coefficients of the series. Standard error and
     coefficients both grow with the correlation of neighbours (Mueller and Watson 2008, Econometrica 76). The critical
-    value is computed as by Mueller and Watson (2022, Econometrica 90), for the largest correlation, `MOST_ALIKE`. For
-    such values the interval of `mean_interval` is a little more than half as wide, and covers the mean in only 69 % of
-    samples.
+    value is computed as by Mueller and Watson (2022, Econometrica 90), for the largest correlation, `MOST_ALIKE`. With
+    this correlation, the interval of `mean_interval` is a little more than half as wide as this one, and covers the
+    mean in only 69 % of samples.
 
     Args:
         values: The values in the order of time, such as one per block of contiguous poses of a file.
@@ -110,7 +110,7 @@ def ordered_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
 
 @cache
 def _slow_waves(count: int) -> tuple[Array, float]:
-    """The cosines ``(waves, count)`` that make the narrowest interval, and the critical value of that interval."""
+    """Return the cosines ``(waves, count)`` that give the narrowest interval, and this interval's critical value."""
     from scipy.optimize import brentq
     from scipy.special import gammaln
 
@@ -129,7 +129,7 @@ def _slow_waves(count: int) -> tuple[Array, float]:
 
 
 def _beyond(critical: float, covariance: Array) -> float:
-    """Probability that a normal mean lies farther from the truth than its interval reaches.
+    """Return the probability that the interval around a normal mean does not cover the true mean.
 
     Args:
         critical: Half of the interval's width, as a multiple of the root mean square of the cosine coefficients.
@@ -149,7 +149,7 @@ def _beyond(critical: float, covariance: Array) -> float:
 def statistic_interval(
     table: ArrayLike, statistic: Statistic, least: int = LEAST, *, ordered: bool = False
 ) -> Ends | None:
-    """95 % interval of a smooth statistic of a table's rows, such as a ratio of sums, by the jackknife.
+    """Return the 95 % interval of a smooth statistic of a table's rows, such as a ratio of sums, by the jackknife.
 
     It is the interval of the mean of the jackknife pseudo-values, shifted by the statistic of all rows minus this mean.
     Quantiles are not smooth; use `quantile_interval` for them.
@@ -174,7 +174,7 @@ def statistic_interval(
 
 
 def norm_interval(vectors: ArrayLike, least: int = LEAST) -> Ends | None:
-    """95 % interval of the norm of the mean of independent vectors ``(n, k)``, such as the accuracy of a pose.
+    """Return the 95 % interval of the norm of the mean of independent vectors ``(n, k)``, such as a pose's accuracy.
 
     The ends are those of the jackknife (`statistic_interval`). The norm of a sample mean is above zero although the
     true mean may be zero. So the lower end is zero if Hotelling's T^2 test (1931, Ann. Math. Stat. 2) does not reject a
@@ -201,7 +201,7 @@ def norm_interval(vectors: ArrayLike, least: int = LEAST) -> Ends | None:
 
 
 def ratio_interval(over: ArrayLike, under: ArrayLike, least: int = LEAST) -> Ends | None:
-    """95 % interval of a ratio of sums over clusters of any sizes, such as fruit per hour over trees.
+    """Return the 95 % interval of a ratio of sums over clusters of any sizes, such as fruit per hour over trees.
 
     The interval is Student's t with two corrections. The variance is corrected for large clusters, which pull the ratio
     towards themselves and have too small residuals (HC2; MacKinnon and White 1985). The degrees of freedom are
@@ -228,7 +228,10 @@ def ratio_interval(over: ArrayLike, under: ArrayLike, least: int = LEAST) -> End
 
 
 def _ratio_spread(above: Array, below: Array) -> tuple[float, float]:
-    """The variance of a ratio of sums over n > 1 clusters, and its degrees of freedom: n - 1 if clusters are equal."""
+    """Return the variance of a ratio of sums over n > 1 clusters, and its degrees of freedom.
+
+    Equally large clusters give n - 1 degrees of freedom.
+    """
     weight = below / below.sum()
     residual = (above - above.sum() / below.sum() * below) / below.sum()
     rest = np.maximum(1.0 - weight, 1e-12)
@@ -250,7 +253,7 @@ def pseudo_values(table: Array, statistic: Statistic) -> Array:
 
 
 def share_interval(successes: float, trials: int) -> Ends:
-    """95 % interval of the share of successes in independent trials: Wilson's score interval (1927).
+    """Return the 95 % interval of the share of successes in independent trials: Wilson's score interval (1927).
 
     Args:
         successes: The number of successes, or the sum of their probabilities.
@@ -265,10 +268,10 @@ def share_interval(successes: float, trials: int) -> Ends:
 
 
 def paired_share_interval(successes: ArrayLike, others: ArrayLike) -> Ends:
-    """95 % interval of the difference between two shares of successes in the same trials: Newcombe's method 10.
+    """Return the 95 % interval of the difference between two shares of successes in the same trials.
 
     The difference is the first share minus the second. Wilson's intervals of both shares are combined with the
-    correlation that the pairs show (Newcombe 1998).
+    correlation that the pairs show (Newcombe 1998, method 10).
 
     Args:
         successes: Whether each trial succeeded under the first condition ``(n,)``.
@@ -297,7 +300,7 @@ def paired_share_interval(successes: ArrayLike, others: ArrayLike) -> Ends:
 
 
 def clustered_share_interval(successes: ArrayLike, trials: ArrayLike, least: int = LEAST) -> Ends | None:
-    """95 % interval of the share of successes over clusters of trials, such as the fruit of many arms.
+    """Return the 95 % interval of the share of successes over clusters of trials, such as the fruit of many arms.
 
     It is Wilson's interval for an effective number of trials. This number follows from the variance of the
     share between clusters (the design effect; Korn and Graubard 1998). Only clusters with a failure count for the
@@ -327,10 +330,11 @@ def clustered_share_interval(successes: ArrayLike, trials: ArrayLike, least: int
 
 
 def crossed_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
-    """95 % interval of the mean of values ``(A, B)`` over two crossed random factors: A arms and B training seeds.
+    """Return the 95 % interval of the mean of values ``(A, B)`` over A arms and B training seeds (crossed factors).
 
-    The variance of the mean, (MS_A + MS_B - MS_AB) / (A B), is from the two-way analysis of variance. The degrees of
-    freedom are Satterthwaite's (1946).
+    By the two-way analysis of variance with mean squares MS, the variance of the mean is
+    (MS_A + MS_B - MS_AB) / (A B), but at least the larger of MS_A / (A B) and MS_B / (A B). The degrees of freedom are
+    Satterthwaite's (1946).
 
     Args:
         values: One value for each arm with each training seed ``(A, B)``.
@@ -353,7 +357,7 @@ def crossed_interval(values: ArrayLike, least: int = LEAST) -> Ends | None:
 
 
 def quantile_interval(values: ArrayLike, probability: float) -> tuple[float | None, float | None]:
-    """95 % interval of a quantile of independent values ``(n,)``, without an assumption about their distribution.
+    """Return the 95 % interval of a quantile of independent values ``(n,)``, whatever their distribution.
 
     It is computed from fractional order statistics (Hutson 1999, J. Appl. Stat.).
 
@@ -372,7 +376,7 @@ def quantile_interval(values: ArrayLike, probability: float) -> tuple[float | No
 
 @cache
 def quantile_levels(count: int, probability: float) -> tuple[float | None, float | None]:
-    """Return the levels in a sample of ``count`` values at which `quantile_interval` has its two ends.
+    """Return the two ends of `quantile_interval` as quantile levels of a sample of ``count`` values.
 
     A level is a plotting position by Hazen's rule, 0..1. It is None for an open end.
 
@@ -384,7 +388,7 @@ def quantile_levels(count: int, probability: float) -> tuple[float | None, float
     from scipy.special import betainc
 
     def beyond(rank: float, tail: float) -> float:
-        """Probability that the order statistic of this rank lies below the quantile, minus the tail."""
+        """Return the probability that the order statistic of this rank lies below the quantile, minus ``tail``."""
         return float(betainc(rank, count + 1.0 - rank, probability)) - tail
 
     def end(tail: float, side: float, innermost: float, outermost: float) -> float | None:
@@ -400,7 +404,7 @@ def quantile_levels(count: int, probability: float) -> tuple[float | None, float
 
 
 def _equal(values: Array) -> bool:
-    """Whether values differ by rounding alone, or by less than arithmetic can square."""
+    """Return whether values differ only by rounding, or by so little that the square would be zero."""
     return not np.ptp(values) > max(1e-12 * np.abs(values).max(), 1e-150)
 
 
@@ -424,8 +428,8 @@ def _wilson(share: float, trials: float) -> Ends:
 # Numbers with their intervals, of arrays and of rows.
 
 MANY = 30
-"""Smallest number of arms for `mean_interval` of the arms' shares, which are skewed. With 10 arms it covers their mean
-in 92 to 96 %."""
+"""Smallest number of arms for `mean_interval` of the arms' shares, which are skewed. With 10 arms this interval covers
+the true mean in only 92 to 96 % of samples."""
 
 MARGIN_MM = 0.05
 """Difference of mean errors that does not matter for picking, mm: a twentieth of the best gripper's tolerance."""
@@ -493,17 +497,17 @@ def estimate(
         over: One or two columns of random units (such as arms, and training seeds) that the intervals are over. Within
             a combination, rows of the same units are averaged. Over two columns only means, and shares of one column,
             have intervals.
-        of: The statistic, which is one of the following. "mean". "share": the share of successes, from one column of
-            successes or their probabilities, or from two columns, successes and trials. "ratio": the ratio of the sums
-            of two columns. "removed": the relative reduction of the mean, from the rows at ``against``, or from the
-            first of two columns to the second. A probability: that quantile over units. A function: it is applied to
-            the units' means ``(units, values)``.
+        of: The statistic, which is one of the following. "mean": the mean. "share": the share of successes, from one
+            column of successes or their probabilities, or from two columns, successes and trials. "ratio": the ratio of
+            the sums of two columns. "removed": the relative reduction of the mean, from the rows at ``against``, or
+            from the first of two columns to the second. A probability, such as 0.95: that quantile over units. A
+            function: it is applied to the units' means ``(units, values)``.
         against: Values of some ``by`` columns, which name a reference. If given, an estimate is the paired difference:
             combination minus reference. References, and combinations without a reference, get no estimate.
         least: Smallest number of units for an interval of a mean.
         lost: Limit above which a value counts as lost. The mean leaves lost values out, and their share is estimated
-            beside it. Otherwise one value in twenty that is ten times as large would change a mean much, and few units
-            would not show it.
+            separately. Otherwise a few values ten times as large as the others would change the mean much, and a sample
+            of few units might not contain one.
 
     Returns:
         For each combination, a dictionary of the ``by`` columns, "estimate", "units", "runs" and perhaps "lost".
@@ -553,7 +557,7 @@ def estimate(
 
 
 def _without_lost(values: Array, lost: float, least: int) -> dict[str, Any]:
-    """The columns "estimate", "units", "runs" and "lost" of `estimate` for values ``(units, repeats)``, some lost."""
+    """Return "estimate", "units", "runs" and "lost" as `estimate` does, from values ``(units, repeats)``."""
     gone = values > lost
     kept = (~gone).sum(axis=1)
     means = np.where(gone, 0.0, values).sum(axis=1)[kept > 0] / kept[kept > 0]
@@ -571,7 +575,7 @@ def unseen_share(runs: int) -> float:
 def _check_asked(
     names: Sequence[str], by: Sequence[str], over: Sequence[str], of: Any, against: Mapping[str, Any] | None
 ) -> None:
-    """Refuse arguments of `estimate` that do not go together."""
+    """Raise an error if arguments of `estimate` do not go together."""
     if not 1 <= len(over) <= 2:
         raise ValueError(f"an interval is over one or two columns, not over {list(over)}")
     if unknown := [name for name in against or () if name not in by]:
@@ -621,7 +625,7 @@ def _estimated(cube: Array, of: str | float | Statistic, least: int) -> Estimate
 
 
 def _removed(table: Array) -> float:
-    """The share of the first column's mean by which the second column's mean is smaller, of a table ``(units, 2)``."""
+    """Return the relative reduction of the mean from the first column of a table ``(units, 2)`` to the second."""
     before, after = table.mean(axis=0)
     return float(1.0 - after / before)
 

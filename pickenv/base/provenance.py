@@ -66,7 +66,7 @@ def code_fingerprint() -> str:
 
 @cache
 def _own_code() -> str:
-    """One line for each file of pickenv's code: its place and its hash."""
+    """Return one line for each file of pickenv's code: its path and its SHA-256."""
     root = Path(__file__).parents[1]
     files = (Path(folder) / name for folder, _, names in os.walk(root, followlinks=True) for name in names)
     code = {path.relative_to(root).as_posix(): path for path in files if path.suffix in (".py", ".toml")}
@@ -74,7 +74,7 @@ def _own_code() -> str:
 
 
 def made_with() -> dict[str, str]:
-    """Return what a file is made with: package versions, and the fingerprint of the code under "code"."""
+    """Return the package versions to record in a file, and the fingerprint of the code under the key "code"."""
     return versions() | {"code": code_fingerprint()}
 
 

@@ -68,7 +68,7 @@ def register(kind: str, name: str) -> Callable[[Thing], Thing]:
 
     Args:
         kind: One of `KINDS`.
-        name: Name of the extension: letters, digits, ``_`` and ``-``. A package may replace what it registered itself.
+        name: Name of the extension: letters, digits, ``_`` and ``-``. A package may replace its own extension.
 
     Raises:
         InputError: If the kind is unknown, the name is not of this form, or another package has registered the name.
@@ -220,7 +220,7 @@ def _load_entry_point(kind: str, name: str) -> None:
 
 
 def _entry_points(kind: str) -> Mapping[str, tuple[metadata.EntryPoint, ...]]:
-    """The entry points of a kind by name, without those whose name something that ships with pickenv has."""
+    """Return the entry points of a kind by name, except (with a warning) those with the name of a shipped extension."""
     offers: dict[str, tuple[metadata.EntryPoint, ...]] = {}
     for point in _installed(tuple(sys.path)):
         entry = _entries[kind].get(point.name)
@@ -234,7 +234,7 @@ def _entry_points(kind: str) -> Mapping[str, tuple[metadata.EntryPoint, ...]]:
 
 @lru_cache(maxsize=4)
 def _installed(path: tuple[str, ...]) -> tuple[metadata.EntryPoint, ...]:
-    """All entry points in pickenv's groups; ``path`` is where Python looks, and is the key of the cache."""
+    """Return all entry points in pickenv's groups; ``path`` is Python's search path, used only as the cache key."""
     del path
     points = metadata.entry_points()
     return tuple(point for kind in KINDS for point in points.select(group=f"pickenv.{kind}"))

@@ -20,7 +20,7 @@ from pickenv.base.errors import InputError
 
 Thing = TypeVar("Thing")
 Progress = Callable[[str, int, int], None]
-"""Gets the name of a stage, the number of its parts that are done, and the number of all its parts."""
+"""A function that is called with the name of a stage, its number of finished parts, and its number of all parts."""
 
 PIECE = 1 << 20
 """Number of bytes read at once."""
@@ -169,7 +169,7 @@ def screen_width(otherwise: int = UNBOUNDED) -> int:
 
 
 def folded(text: str, width: int) -> list[str]:
-    """Return the lines of a text wrapped at ``width`` characters; all lines but the first are indented."""
+    """Return a text's lines, wrapped at ``width`` characters; all lines but the first are indented by four spaces."""
     return wrap(text, width, subsequent_indent="    ", break_long_words=False, break_on_hyphens=False) or [""]
 
 

@@ -37,7 +37,7 @@ def fault(wanted: str, kind: str = "wanted", **said: Any) -> Exception:
     Args:
         wanted: What the user should give: "a positive number" makes a message that ends "give a positive number".
         kind: Type of the error, as pydantic names it.
-        said: Further values of the error, by name, for whoever words the message.
+        said: Further values by name, from which the message is made (`_fault`).
     """
     from pydantic_core import PydanticCustomError
 
@@ -101,11 +101,11 @@ class Unit:
 
     @property
     def not_negative(self) -> Unit:
-        """This unit with a further check: it refuses negative numbers."""
+        """This unit, for numbers from zero upwards only."""
         return replace(self, least=0.0)
 
     def at_least(self, least: float) -> Unit:
-        """Return this unit, for numbers of at least ``least`` only."""
+        """Return this unit, for numbers of at least ``least`` only, in the file's unit."""
         return replace(self, least=least)
 
     def within(self, least: float, most: float, why: str = "") -> Unit:
@@ -186,7 +186,7 @@ class Kinds:
     tell: Callable[[Mapping[str, Any]], Any]
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
-        """Return a union schema in which each class's tag is its name in angle brackets."""
+        """Return the schema of the union; ``tell`` selects a table's class, whose tag is its name in angle brackets."""
         from pydantic_core import core_schema as core
 
         kinds = {f"<{kind.__name__}>": handler.generate_schema(kind) for kind in get_args(source)}
@@ -242,12 +242,12 @@ ONCE = afterwards(lambda values: 0 < len(set(values)) == len(values), "a list of
 """Annotation of a list that is not empty and has no entry twice."""
 
 IN_ORDER = afterwards(lambda ends: ends[0] <= ends[1], "the lower number first")
-"""Annotation of a range whose end is not below its beginning."""
+"""Annotation of a range (two numbers, which may be equal) with the lower number first."""
 
 LINE = Check(lambda value: isinstance(value, str) and value.isprintable(), "a text of one line")
 
 REQUIRED = "required"
-"""Annotates a field that a file must give although its class has a default."""
+"""Annotation of a field that a file must give although its class has a default."""
 
 FILLED_IN = ("name", "source")
 """Fields that a file may leave out although their class has no default."""
@@ -257,8 +257,8 @@ FILLED_IN = ("name", "source")
 def toml_table(kind: Class) -> Class:
     """Make a class a frozen dataclass that `read_toml` reads from a TOML table.
 
-    The table may have only the keys of the class's fields. It must have those of all fields without a default, except
-    `FILLED_IN`.
+    The table may have only the keys of the class's fields. It must have the keys of all fields without a default,
+    except those in `FILLED_IN`.
     """
     table: Any = kind if "__dataclass_fields__" in vars(kind) else dataclass(frozen=True)(kind)
     table.__pydantic_config__ = {"alias_generator": lambda name: _keys(table)[name][0], "extra": "forbid"}
@@ -268,7 +268,7 @@ def toml_table(kind: Class) -> Class:
 
 
 def _schema(kind: Any, handler: Any) -> Any:
-    """The class's own schema; unknown keys are told before wrong values, and these before missing keys."""
+    """Return the class's schema, which reports unknown keys first, then wrong values, then missing keys."""
     from pydantic import ValidationError
     from pydantic_core import core_schema as core
 
@@ -291,7 +291,7 @@ def _schema(kind: Any, handler: Any) -> Any:
 
 
 def _json(kind: Any, schema: Any, handler: Any) -> Any:
-    """The JSON schema of a table, with the keys that a file must give, and without defaults, which are in SI."""
+    """Return the JSON schema of a table, with its required keys, and without defaults, because these are in SI."""
     reference = handler(schema)
     table = handler.resolve_ref_schema(reference)
     table["required"] = [key for key, advice in _keys(kind).values() if advice]
@@ -302,7 +302,7 @@ def _json(kind: Any, schema: Any, handler: Any) -> Any:
 
 
 def _marks(hint: Any) -> Iterator[Any]:
-    """The annotations of a type, of the members of a union, and of what a file holds for the type."""
+    """Yield the annotations of a type, of its members if it is a union, and of the source types of `Then`."""
     for part in (hint, *get_args(hint)):
         for mark in getattr(part, "__metadata__", ()):
             yield from (mark, *(_marks(mark.source) if isinstance(mark, Then) else ()))
@@ -317,7 +317,7 @@ def units_of(kind: Any) -> dict[str, Unit]:
 
 @cache
 def _keys(kind: Any) -> dict[str, tuple[str, str]]:
-    """Each field's key in the file, and what to give if the key is missing (empty if it may be missing)."""
+    """Return for each field its key in the file, and what to give if the key is missing (empty if it may be)."""
     keys, hints = {}, get_type_hints(kind, include_extras=True)
     for part in fields(kind):
         marks = list(_marks(hints[part.name]))
@@ -333,7 +333,7 @@ def _keys(kind: Any) -> dict[str, tuple[str, str]]:
 
 @cache
 def _file_of(kind: Any) -> Any:
-    """The type of a file that holds ``kind``: some of its fields may stand in sections (`Key`)."""
+    """Return the type of a file from which ``kind`` is read; some fields may be in sections of the file (`Key`)."""
     groups: dict[str, list[Any]] = {}
     for attribute in fields(kind) if is_dataclass(kind) else ():
         hint = get_type_hints(kind, include_extras=True)[attribute.name]
@@ -426,7 +426,10 @@ def toml_of(path: str | Path) -> tuple[dict[str, Any], str]:
 
 
 def _without_huge(value: Any, key: str) -> Any:
-    """Refuse integers of more than TOML's 64 bits: Python reads them, but arithmetic with them fails later."""
+    """Return ``value``, or raise a ValueError that names ``key`` if it has an integer of more than TOML's 64 bits.
+
+    Python reads such integers, but arithmetic with them fails later.
+    """
     for part in value if isinstance(value, list) else ():
         _without_huge(part, key)
     for name, part in value.items() if isinstance(value, dict) else ():
@@ -478,7 +481,7 @@ def made(
 
 
 def _lacks(error: Any) -> bool:
-    """Whether an error is pydantic's own about a missing key, for which pickenv has a better sentence."""
+    """Return whether an error is pydantic's about a missing key; pickenv reports these itself, in a better sentence."""
     return error["type"] == "missing" and "ctx" not in error
 
 
@@ -487,14 +490,14 @@ WORDS = {"literal_error": "give {expected}", "string_type": "give a text", "tupl
 
 
 def _sentence(error: Mapping[str, Any], content: Any, where: str, text: str, owner: str) -> str:
-    """The sentence for one of pydantic's errors.
+    """Return the message for one of pydantic's errors: file, line and what is wrong.
 
     Args:
-        error: As pydantic gives it; parts of its place in angle brackets are tags of unions.
+        error: The error as pydantic gives it; parts of its ``loc`` in angle brackets are tags of unions.
         content: The content of the file.
         where: The file.
-        text: Its text, where lines are to be named.
-        owner: What the file as a whole is called; empty for nothing.
+        text: The file's text, so that the message can name the line; empty for no line.
+        owner: Name of the object that the file describes; empty for none.
     """
     place = [part for part in error["loc"] if not str(part).startswith("<")]
     key = error.get("ctx", {}).get("key") if error["type"] == "unknown" else None
@@ -503,7 +506,14 @@ def _sentence(error: Mapping[str, Any], content: Any, where: str, text: str, own
 
 
 def _fault(error: Mapping[str, Any], place: list[Any], content: Any, owner: str) -> str:
-    """The words of a message that name the key, its table, its value and what to give."""
+    """Return what is wrong with a value, without the file: the key, its table, the value, and what to give instead.
+
+    Args:
+        error: The error as pydantic reports it.
+        place: Keys and indices that lead to the value.
+        content: The whole file, as TOML gives it.
+        owner: Name of what the file describes, for keys outside of tables.
+    """
     details, kind = error.get("ctx", {}), error["type"]
     inside = _table_at(place, content) or owner
     match kind:
@@ -527,7 +537,7 @@ def _fault(error: Mapping[str, Any], place: list[Any], content: Any, owner: str)
 
 
 def _table_at(place: list[Any], content: Any) -> str:
-    """What a message calls a table: [load], joint 3, entry 2 of [backlash.joints]; empty for the file itself."""
+    """Return a table's name in messages: [load], joint 3, entry 2 of [backlash.joints]; empty for the whole file."""
     names = ".".join(part for part in place if isinstance(part, str))
     if not place or isinstance(place[-1], str):
         return f"[{names}]" * bool(place)
@@ -538,7 +548,7 @@ def _table_at(place: list[Any], content: Any) -> str:
 
 
 def _at(content: Any, place: list[Any]) -> Any:
-    """The value at a place in the content; None if there is no value."""
+    """Return the value at a place in the content; None if there is no value."""
     with suppress(LookupError, TypeError):
         return reduce(getitem, place, content)
     return None
@@ -554,8 +564,9 @@ MOST_READ = 1_000_000
 def line_of(text: str, place: list[Any]) -> int | None:
     """Return the line, from 1, at which the value at ``place`` of a valid TOML file begins, or None.
 
-    If there is no such value, the table around it is used. The text up to each line that names the key is parsed, with
-    open values closed, until it has the place. The search ends after `MOST_READ` characters.
+    If there is no such value, the line of the table around it is returned. The search parses the text up to each line
+    that names the key, with open brackets and quotes closed, until the value is there. It returns None after
+    `MOST_READ` characters.
 
     Args:
         text: The file's text.

@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import typer
 from typer import Option
 
-from pickenv.base import locked, require, separate
+from pickenv.base import InputError, locked, require, separate
 from pickenv.commands.showing import CommandOfNames, check_workers, deliver, print_table, progress_bars
 
 bench = typer.Typer(
@@ -33,7 +33,7 @@ def calibration(
     Args:
         json_file: Write the rows to this file.
         out: Folder for tables and finished work; an interrupted run continues.
-        only: Compute only these rows; a wrong name lists them all.
+        only: Compute only these rows; an unknown name prints all names.
         quick: The UR5 alone, on few rows: a minute.
         data: Folder of the measured data sets.
         draws: Number of arms drawn from each twin; 2 if left out.
@@ -84,7 +84,7 @@ def policies(
     arms: Annotated[int | None, Option(min=1)] = None,
     episodes: Annotated[int | None, Option(min=1)] = None,
     canopies: Annotated[int | None, Option(min=0)] = None,
-    split: Literal["test", "train"] = "test",
+    split: Literal["test", "train"] | None = None,
     seed: Annotated[int, Option(min=0)] = 0,
     seeds: int = 5,
     trainings: Annotated[int | None, Option(min=0)] = None,
@@ -93,22 +93,22 @@ def policies(
     executor: Literal["serial", "joblib"] = "serial",
     workers: Annotated[int | None, Option(min=1)] = None,
 ) -> None:
-    """Compare policies, raw and calibrated, on the ladder's rungs, with other arms for every seed; picks per hour too.
+    """Compare policies, raw and calibrated, at fixed difficulties (rungs), with other arms per seed; count picks too.
 
     Args:
         policy: Further policy: a file of `pickenv train` (.npz), or of SB3 (.zip) or Python, whose code is executed.
         json_file: Write the rows to this file.
         out: Folder for the table and finished work; an interrupted run continues.
-        plant: Plant preset in place of the ladder; may be repeated.
-        rung: Rung (difficulty) of the ladder, with its arms for judging; all if left out; may be repeated.
+        plant: Plant preset in place of the rungs; may be repeated.
+        rung: Rung (difficulty) with its own arms for judging; all if left out; may be repeated.
         arms: Number of arms drawn for each seed.
         episodes: Number of fruit per arm.
         canopies: Number of canopies for each arm of the picking task; 0 leaves the task out.
-        split: A rung's arms to judge on: test, or train for tuning and for checking these results.
+        split: A rung's arms to judge on: test, or train for tuning and for checking these results; test if left out.
         seed: The first seed.
         seeds: Number of seeds; at least 5.
         trainings: Number of trainings of each learned policy, made first; 5 if left out. Their seeds begin at --seed.
-        learned: Learned policy of the leaderboard to train, and to judge beside the oracle alone; may be repeated.
+        learned: Learned policy of the leaderboard to train, and to compare with the oracle alone; may be repeated.
         quick: Three policies on one arm per seed: a minute.
         executor: serial: in this process; joblib: in several processes, with the same results.
         workers: Number of processes; one per core if left out.
@@ -121,13 +121,15 @@ def policies(
     page = out / "leaderboard.md"
     separate({"--policy": policy}, {"--out": [page], "--json": json_file})
     require("torch", "pyarrow", *(["joblib"] if executor == "joblib" else []))
+    if split is not None and plant and not rung:
+        raise InputError(f"--split {split} chooses among a rung's arms; name one with --rung, or leave --split out")
     usual = policy_tables.QUICK if quick else policy_tables.LEADERBOARD
     settings = replace(
         usual,
         policies=(*(("oracle",) if learned else usual.policies), *dict.fromkeys(policy or [])),
         plants=(*(plant or ()), *policy_tables.rungs(rung or ())) or usual.plants,
         seeds=tuple(range(seed, seed + seeds)),
-        split=split,
+        split=split or usual.split,
         arms=arms or usual.arms,
         episodes=episodes or usual.episodes,
         canopies=usual.canopies if canopies is None else canopies,

@@ -52,7 +52,7 @@ def calibrate(
         arm: Arm name, or file ({arm_format}; .urdf#link, .xml#body; .urdf#link,link for a whole robot); not for
             tool poses given in place of joint values.
         columns: Column description, by name or path; pickenv's own if left out. Repeat it to give one per file.
-        stations: Frames that each file has of its own; if left out, found from rows of poses or positions, else both.
+        stations: Frames that differ between the files; if left out, found from rows of poses or positions, else both.
         frames: known: the instrument measures the arm's own tool in its own base frame; fitted: base and tool are
             fitted too. If left out, the files' column 'frames' decides; without this column, fitted.
         test_rows: Number of rows to hold out at random; a fifth if left out.
@@ -69,7 +69,7 @@ def calibrate(
             joint limits if left out.
         terms: Parametric terms: auto, none, or compliance (under measured torques, or the masses in the arm's file),
             bending (across the joints, under these masses), gravity (the arm's own weight, masses unknown), periodic
-            (harmonics of the drives, of orders that the data show), thermal joined by +.
+            (harmonics of the drives, of orders that the data show), thermal; join several by +.
         payload: Mass at the tool in all rows, kg, and its centre in the tool's frame, mm; it adds to the masses in the
             arm's file, for compliance and bending.
         residual: Residual model: auto (the best of ours, if it wins in cross-validation), none, {residual}.
@@ -92,6 +92,7 @@ def calibrate(
     typed = dict(locals())
     from pickenv.calibration.camera.boards import write_lens
     from pickenv.calibration.pipeline.fitting import lens_of
+    from pickenv.calibration.reading.description import load_description
     from pickenv.inspect.runs.run_folder import RECORD
 
     separate(
@@ -106,6 +107,8 @@ def calibrate(
     )
     if report is not None or run is not None:
         require("jinja2", "matplotlib", "plotly")  # said now, and not after the work
+    if lens_out is not None and (len(columns or []) != 1 or load_description((columns or [""])[0]).pixels is None):
+        raise pickenv.InputError("--lens-out is for one camera's pictures; give their --columns, or leave it out")
     choices = pickenv.Choices(**arguments_for(pickenv.Choices, typed))
     robot: str | pickenv.arm.Arm | None = arm
     if payload is not None:

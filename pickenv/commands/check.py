@@ -18,14 +18,14 @@ import pickenv
 from pickenv.base import InputError, check_sealed_parquet, read_container, refusing_damage, separate, write_json
 
 REFUSED = 3
-"""Exit code if a file is damaged or foreign."""
+"""Exit code if a file is damaged, or was not written by pickenv."""
 
 REMAKE = "make it anew with the command that made it"
 BENCH_FILES = ("measured_gains.json", "leaderboard.md")
-"""Files that `pickenv bench` writes before the list of its folder's files."""
+"""Files of `pickenv bench`. A folder that has one of these but no list of its files counts as damaged."""
 
 SEALED = (".npz", ".pt", ".parquet")
-"""Suffixes of the files that carry a seal."""
+"""Suffixes of the files that contain a seal, that is a checksum of their content."""
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Finding:
 
 
 SHOWN = 20
-"""Number of sound files that have a line each without `--details`."""
+"""Largest number of sound files for which a line each is printed without `--details`."""
 
 
 def check(
@@ -109,7 +109,7 @@ def findings_of(path: Path) -> list[Finding]:
 
 
 def folder_findings(folder: Path) -> list[Finding]:
-    """Check every file of a run, of a study, or of another folder that contains runs or sealed files."""
+    """Check every file of a run, of a study, or of any other folder that contains runs or files with a checksum."""
     from pickenv.experiments.engine import RECORD as EXPERIMENT
     from pickenv.experiments.policy_tables import EPISODES
     from pickenv.inspect.runs.run_folder import LIST, PARTS, RECORD, STUDY
@@ -138,12 +138,12 @@ def folder_findings(folder: Path) -> list[Finding]:
 
 
 def _faults(what: str, faults: Iterable[tuple[Path, str | None]]) -> list[Finding]:
-    """What is found about files of which it is known whether they are sound."""
+    """Return a finding for each file of kind ``what``, given its path and its fault (None for a sound file)."""
     return [Finding(str(path), what, reason=reason) for path, reason in faults]
 
 
 def listed_findings(folder: Path) -> list[Finding]:
-    """Check a run's record, or a folder's list of files, then the files that it names and all other files there."""
+    """Check the record of a run, or the list of a folder's files, then all files named there or lying in the folder."""
     from pickenv.inspect.runs.run_folder import FORMAT, LIST, RECORD, faults_of, faults_of_list
 
     is_run = (folder / RECORD).exists()
@@ -173,7 +173,7 @@ def file_finding(path: Path) -> Finding:
 
 
 def _kind_of(path: Path) -> tuple[str, int | None]:
-    """What a file is, and its version; an archive says so itself."""
+    """Return the kind of a file, and the version of its format; archives (.npz) contain both."""
     if path.suffix == ".parquet":
         return "chunk of a study", None
     if path.suffix == ".pt":
@@ -189,10 +189,12 @@ def _kind_of(path: Path) -> tuple[str, int | None]:
 
 
 def _verified(path: Path, kind: str) -> str:
-    """A few words about a file that is sound; of which version it may be, the reader of its kind knows.
+    """Verify a file of a given kind, and return a few words about its content.
+
+    The function that reads this kind decides which versions it accepts.
 
     Raises:
-        InputError: If it is not sound.
+        InputError: If the file is damaged or of a version that is not accepted.
     """
     match kind:
         case "calibration":
@@ -291,8 +293,8 @@ FILES: Mapping[str, str | tuple[str, Mapping[str, str]]] = {
         },
     ),
 }
-"""For each kind of file the place "module:name" of its class, or of a function that returns the class. For a kind with
-several sections: the name of the class to make, and the places of the classes of the sections."""
+"""For each kind of file, the place "module:name" of its class, or of a function that returns the class. For a kind with
+several sections, a pair: the name of the class to make, and the places of the sections' classes."""
 
 
 def class_of_file(kind: str) -> Any:

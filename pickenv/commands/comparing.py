@@ -72,9 +72,9 @@ def compare(
             kind {gripper}.
         plant: Plant preset or file; the environment's if left out.
         feedback: encoders or camera.
-        camera_noise: Standard deviation of what the camera sees, mm per axis.
+        camera_noise: Standard deviation of the camera's measurements, mm per axis.
         grid_step: Distance between neighbouring points of the error field of reaches, m.
-        allow: Use a calibration in spite of this: fitted-frames, do-not-use.
+        allow: Use a calibration in spite of this reservation: fitted-frames, do-not-use.
         details: Print medians, 95th percentiles, and the differences fruit by fruit as well.
         out: Run folder: recording, page, figures, every episode.
         json_file: Write the numbers to this file.

@@ -75,7 +75,7 @@ def plan_poses(
         fit: What will be fitted, with the values of `pickenv calibrate`.
         tolerances: Tolerance class of the arm's parts, by name or file.
         prior_scale: Factor on the class's tolerances: below 1 for parts that are made better.
-        curve: Print what half to eight times --n would bring.
+        curve: Print the expected result of half to eight times --n poses.
         seed: Seed of candidates and exchange.
         out: Write the joints in measuring order (.csv).
         json_file: Write the results to this file.
@@ -140,7 +140,8 @@ def verify(
     Verdicts: still good, no better than nominal, worse than nominal, drifted, outside what was measured, another
     station, another arm.
 
-    The verdict comes first; unless it is "still good" the exit code is 3.
+    The verdict comes first; unless it is "still good" the exit code is 3. It is 3 too if the calibration's own verdict
+    is "do not use".
 
     Args:
         calibration: Calibration file (.npz).
@@ -162,7 +163,8 @@ def verify(
     old = pickenv.Calibration.load(calibration, whole=True)
     data = pickenv.calibration.read_observations(files, old.arm, columns)
     verdict = verified(old, data, *frames_and_rows(refit, refit_rows))
-    good, arm = verdict.status == "still good", old.arm_name if old.arm_name in pickenv.arm.shipped_arms() else "ARM"
+    good = verdict.status == "still good" and verdict.reservation is None
+    arm = old.arm_name if old.arm_name in pickenv.arm.shipped_arms() else "ARM"
     if old.arm.tree is not None:
         arm = f"ROBOT.urdf#{','.join(old.arm.tree.names)}"
     step = next_step(arm, calibration, not good)
@@ -247,7 +249,7 @@ def export(
             robot.urdf#link names the tip.
         arm: Arm name or arm file, if it is not a shipped arm.
         counts_per_turn: Encoder counts per turn, for --as offsets.
-        sample: With --as mjcf: number of arms to draw that the data allow, …_1 and on.
+        sample: With --as mjcf: number of further files (…_1, …_2 and so on) with arms drawn from the posterior.
         seed: Seed of --sample.
         json_file: Write the names of the files written, and the notes about them, to this file.
         unit: Serial number of the robot, which must be the calibration's.

@@ -1,4 +1,4 @@
-"""`pickenv experiment`: units × factors → rows → numbers with intervals. `pickenv study`: the yields of a design."""
+"""`pickenv experiment` measures units at combinations of factors; `pickenv study` estimates the yields of a design."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def experiment(
 
 
 def _change(text: str) -> tuple[str, Any]:
-    """A name and its value, as TOML has it; a text needs no quotes."""
+    """Return the name and the value in a text NAME=VALUE; the value is read as TOML, but text needs no quotes."""
     import tomllib
 
     name, mark, value = text.partition("=")
@@ -140,12 +140,12 @@ def study(
         quick: 40 arms and 20 fruit at most.
         seed: Seed of all random numbers; the study's own if left out.
         executor: How the arms are computed: one by one in this process or in several, or many at once (batched).
-        workers: Number of processes; if left out one per core, and of the batched executor a single one.
+        workers: Number of processes; if left out one per core, or a single one for the batched executor.
         device: Device of the batched executor.
         out: Results folder; a study that it contains already is continued.
         json_file: Write the summary to this file.
-        report: Figures, report.html and arms.rrd in the results folder.
-        sobol: Sobol indices of the tolerances, which need further arms.
+        report: Write figures, report.html and arms.rrd into the results folder.
+        sobol: Compute Sobol indices of the tolerances, which need further arms.
         samples: Rows of the Sobol sample, a power of two; each needs an arm per group of tolerances, and two more.
         details: Print every setting, and the causes of the differences between arms.
 
@@ -187,7 +187,7 @@ def study(
 
 
 def _print(config: pickenv.experiments.StudyConfig, summary: dict[str, Any], details: bool) -> None:
-    """The verdict, and the yields, the highest first; with details all, and what their differences come from."""
+    """Print the verdict and the yields, the highest first; with ``details`` all numbers, and causes of differences."""
     from pickenv.experiments.study_findings import study_verdict
     from pickenv.inspect.runs.number_words import between
 
@@ -235,7 +235,7 @@ def _print(config: pickenv.experiments.StudyConfig, summary: dict[str, Any], det
 
 
 def _print_components(summary: dict[str, Any]) -> None:
-    """What the differences between arms come from, in a table for each setting."""
+    """Print a table for each setting with the causes of the differences between arms."""
     from pickenv.inspect.runs.number_words import said
 
     def cell(row: dict[str, Any], key: str) -> str:

@@ -24,10 +24,10 @@ from pickenv.base.extras import missing
 BAD_INPUT, FAULT, NOT_PRINTED, INTERRUPTED = 2, 70, 74, 130
 
 UNHEARD = (errno.EPIPE, errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-"""Error numbers with which printing fails: nobody reads the output any more, or the disk behind it is full."""
+"""Error numbers of failed printing: nobody reads the output any more, or the disk for the output is full or broken."""
 
 SHOWN = 300
-"""Largest number of characters of an unexpected error's message that are repeated."""
+"""Largest number of characters that are printed of an unexpected error's message."""
 
 
 def guarded(command: Callable[[], Any]) -> int:
@@ -79,7 +79,7 @@ def _unheard(error: OSError) -> int:
 
 
 def _fault(error: Exception) -> int:
-    """Say that this program is at fault, and where the details are."""
+    """Print that this program is at fault, write the details to a file, and return the exit code."""
     words = f"error: pickenv met a fault of its own ({shortened(f'{type(error).__name__}: {error}', SHOWN)})"
     details = f"pickenv {__version__}, Python {sys.version}\n{shlex.join(sys.argv)}\n\n"
     details += "".join(traceback.format_exception(error))

@@ -54,7 +54,7 @@ def inspect(
 
 
 def recordings_of(run: Path, policy: str | None = None) -> list[Path]:
-    """Return the recordings of a run folder; one is made if there is none. A recording (.rrd) is returned itself.
+    """Return the recordings of a run folder; one is made if there is none. For a recording (.rrd), return its path.
 
     Args:
         run: Run folder, or a recording.
@@ -101,7 +101,7 @@ def _record(run: pickenv.inspect.Run, policy: str | None) -> Path:
 
 
 def _record_evaluation(run: pickenv.inspect.Run, policy: str | None) -> Path:
-    """One policy's compensations side by side, on the first plant and with the first feedback."""
+    """Record an evaluation, and return the file: one policy with every compensation, first plant and first feedback."""
     from pickenv.experiments.policies import reaches_in
     from pickenv.experiments.policy_tables import read_episodes
 
@@ -117,7 +117,11 @@ def _record_evaluation(run: pickenv.inspect.Run, policy: str | None) -> Path:
 
 
 def _shown_policy(run: pickenv.inspect.Run, policy: str | None) -> str:
-    """The policy of an evaluation to show: the one asked for, or the first."""
+    """Return the policy of an evaluation to show: ``policy`` if given, else the first.
+
+    Raises:
+        InputError: If the evaluation has no such policy.
+    """
     from pickenv.experiments.policy_tables import read_episodes
 
     names = [name for (name,) in read_episodes(run).levels("policy")]
@@ -127,7 +131,7 @@ def _shown_policy(run: pickenv.inspect.Run, policy: str | None) -> str:
 
 
 def _path_of(run: pickenv.inspect.Run, policy: str | None) -> Path:
-    """The recording of one policy of an evaluation."""
+    """Return the path of the recording of one policy of an evaluation."""
     from pickenv.inspect.colours import policy_key
 
     return run.folder / f"{policy_key(_shown_policy(run, policy))}.rrd"
@@ -190,5 +194,5 @@ def report(
 
 
 def _numbers(run: Path) -> list[Path]:
-    """Files of a run that figures and pages are made of, and that none of them may replace."""
+    """Return the files of a run from which figures and pages are made; no output may replace one of these."""
     return [path for path in run.rglob("*") if path.is_file() and path.suffix not in MADE_FROM_NUMBERS]

@@ -41,9 +41,9 @@ def train(
     Args:
         context: The command line as it was typed.
         algo: Algorithm; ppo_lstm and ppo_history remember past picks and learn on many fruit of one arm.
-        env: Id of the environment; on pickenv/ReachTool-v0 any arm is learnt.
+        env: Id of the environment; a policy of pickenv/ReachTool-v0 fits any arm.
         compensate: Calibration file (.npz) that corrects the arm in training.
-        allow: Use the calibration in spite of this: fitted-frames, do-not-use.
+        allow: Use the calibration in spite of this reservation: fitted-frames, do-not-use.
         plant: Plant preset or plant file; the environment's if left out. May be repeated with ppo_lstm, ppo_history.
         feedback: What the policy sees besides its joints.
         camera_noise: Standard deviation of the gap between tool and fruit as the camera sees it, mm per axis.
@@ -104,7 +104,7 @@ def train(
 
 
 def _refuse_changes(context: typer.Context, begun: pickenv.agents.Training, out: Path) -> None:
-    """Refuse options on the command line that say something else than the training that is to go on."""
+    """Raise an error if an option on the command line differs from the training that is to be resumed."""
     usual = {"plant": None, "feedback": "encoders", "camera_noise_mm": 0.0, "fruit_noise_mm": 0.0, "tolerances": None}
     said = usual | begun.chosen.get("env_kwargs", {}) | vars(begun) | begun.arguments | {"steps": begun.total}
     said = {PARAMETERS.get(name, name): value for name, value in said.items()} | {"randomise": said["tolerances"]}
@@ -125,13 +125,16 @@ def _refuse_changes(context: typer.Context, begun: pickenv.agents.Training, out:
 
 
 def _refuse_class(option: str, plants: Sequence[str]) -> None:
-    """Refuse a tolerance class where every plant's name begins with the class that its arms are drawn from."""
+    """Raise an error if a tolerance class is given by ``option`` but the name of every plant begins with a class."""
     if plants and all(pickenv.arm.class_of(name) is not None for name in plants):
         raise InputError(f"`{option}` changes nothing: plant '{plants[0]}' names its class itself; leave it out")
 
 
 def _was_given(context: typer.Context, name: str) -> bool:
-    """Whether an option stands on the command line; Typer may bring a click of its own, so it is asked by name."""
+    """Return whether an option was given on the command line.
+
+    The source is compared by name, since Typer may bring its own copy of click.
+    """
     source = context.get_parameter_source(name)
     return source is not None and source.name == "COMMANDLINE"
 
@@ -293,7 +296,7 @@ def datasets(
 
 
 def _print_cards(cards: Sequence[dict[str, Any]], out: Path) -> None:
-    """Print what was recorded, and how it is read."""
+    """Print what was recorded, and how to read it."""
     columns = {
         "final_error_mm": ("error at the end, mean (mm)", 1.0),
         "success": ("success (%)", 100.0),

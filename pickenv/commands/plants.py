@@ -116,7 +116,7 @@ def iso9283(
         frames: known: the instrument measures the arm's own tool in its own base frame; fitted: base and tool are
             fitted to the rows. As the file says if left out.
         calibration: Fitted calibration (.npz) to test as well.
-        allow: Test the calibration in spite of this: fitted-frames, do-not-use.
+        allow: Test the calibration in spite of this reservation: fitted-frames, do-not-use.
         cycles: Number of measurements per pose; 30 by the standard.
         speed: Share of the largest speed.
         dwell: Waiting time before each measurement, s.
@@ -245,7 +245,7 @@ def show_measured(result: dict[str, Any], details: bool) -> None:
 
 
 def _reservations(result: dict[str, Any], cycles: int) -> Iterator[str]:
-    """What a reader of AP and RP must know about the rows, a sentence a line."""
+    """Yield sentences that a reader of AP and RP must know about the rows, such as too few cycles."""
     if result["fitted"]:
         frames, count, numbers = " and ".join(result["fitted"]), result["fitted_numbers"], result["of_numbers"]
         if count < numbers:
@@ -263,7 +263,7 @@ def _reservations(result: dict[str, Any], cycles: int) -> Iterator[str]:
 
 
 NARROW = 100
-"""Number of characters in a line about measured rows."""
+"""Number of characters in a line of output about measured rows."""
 
 WIDE = 170
 """Number of characters in a line of a table of five levels with their intervals."""
@@ -300,7 +300,7 @@ def conditions(
         sessions: Number of training sessions, each under other conditions.
         poses: Number of poses of a session.
         residual: Residual model: {residual}.
-        allow: Judge the calibration in spite of this: fitted-frames, do-not-use.
+        allow: Judge the calibration in spite of this reservation: fitted-frames, do-not-use.
         seed: Seed of all random numbers.
         details: Print the errors by payload, weather and hour as well.
         json_file: Write the results to this file.

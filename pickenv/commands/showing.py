@@ -1,4 +1,4 @@
-"""What commands share on the screen: help, progress bars, verdicts, tables and the list of files written.
+"""Show the output of commands on the screen: help, progress bars, verdicts, tables and the list of files written.
 
 A command's docstring is its help (`CommandOfNames`). Messages of the library name parameters in backticks; commands
 print the names of options in their place (`with_options`). Results are saved first and then printed, so that an error
@@ -79,14 +79,14 @@ class CommandOfNames(TyperCommand):
         super().__init__(*args, help=text, params=params, **more)
 
     def format_help(self, ctx: Any, formatter: Any) -> None:
-        """Replace each kind in braces by the names registered of it, and write the help to ``formatter``."""
+        """Replace each kind in braces by all names registered of this kind, and write the help to ``formatter``."""
         for param in self.params:
             if isinstance(param, TyperOption | TyperArgument) and param.help:
                 param.help = re.sub(r"\{(\w+)\}", lambda match: ", ".join(names(match[1])), param.help)
         super().format_help(ctx, formatter)
 
     def invoke(self, ctx: Any) -> Any:
-        """Run the command; meanwhile errors, warnings and `with_options` print the command's options for parameters."""
+        """Run the command; messages printed meanwhile name its options in place of the library's parameters."""
         before = dict(_options)
         _options.clear()
         siblings = {} if ctx.parent is None else getattr(ctx.parent.command, "commands", {})
@@ -119,11 +119,11 @@ PARAMETERS = {
     "plants": "plant",
     "policies": "policy",
 }
-"""For parameters of the library with another name in commands: the name in commands."""
+"""Names of parameters in commands, by their names in the library, where the two differ."""
 
 
 def with_options(text: str) -> str:
-    """Return a message of the library with the parameters in backticks replaced by options of the running command.
+    """Return a message in which parameters of the library (in backticks) are replaced by options of the command.
 
     ``give `terms` or `test='b.csv'`` `` becomes "give --terms or --test b.csv". A list becomes one option per value. If
     neither the running command nor `pickenv calibrate` has such an option, the name stays, without backticks.
@@ -149,12 +149,12 @@ def _option(match: re.Match[str]) -> str:
 
 
 def check_workers(workers: int | None, several: bool, executor: str) -> None:
-    """Raise an error if a number of processes was given to an executor that works in one.
+    """Raise an error if several processes are wanted from an executor that works in one.
 
     Args:
         workers: Number of processes, or None.
         several: Whether the executor works in several processes.
-        executor: Name of an executor that does.
+        executor: Name of an executor that works in several processes, for the message.
 
     Raises:
         InputError: If ``workers`` is above 1 and the executor works in one process.
@@ -222,8 +222,8 @@ def limited(quantity: str) -> Callable[[CallbackParam, Any], Any]:
 
 
 Save: TypeAlias = tuple[Path | None, Callable[[Path], Path | Iterable[Path]] | str | Mapping[str, Any] | list[Any]]
-"""A file or folder to write, or None to write nothing; and its text, its content for JSON, or a function that writes
-it."""
+"""A file or folder to write (None to write nothing), and what to write: a text, content for JSON, or a function that
+writes the file."""
 
 
 def deliver(saves: Iterable[Save], show: Callable[[], object] | str, next_step: str = "", more: str = "") -> None:
@@ -233,7 +233,7 @@ def deliver(saves: Iterable[Save], show: Callable[[], object] | str, next_step: 
         saves: The files to write, each with its content, or with a function that writes the file and returns the paths
             written.
         show: A text to print, whose first line is the verdict, or a function that prints the results. The paths of the
-            files follow.
+            written files are printed after it.
         next_step: What the reader can do next, with a command to copy; empty to print nothing.
         more: What `--details` would print; empty if it is printed already.
     """
@@ -261,7 +261,7 @@ def deliver(saves: Iterable[Save], show: Callable[[], object] | str, next_step: 
 
 
 def _print_result(text: str) -> None:
-    """Print a text whose first sentence, unfolded where `folded` had folded it, is the verdict."""
+    """Print a text whose first sentence is the verdict; a verdict folded over several lines is joined again."""
     lines = text.split("\n")
     count = next((i for i, line in enumerate(lines) if i > 0 and not line.startswith("    ")), len(lines))
     if verdict := " ".join(map(str.strip, lines[:count])):
@@ -271,12 +271,15 @@ def _print_result(text: str) -> None:
 
 
 FILES_OF_A_LINE = 4
-"""Largest number of files of one save that have a line each. If there are more, one line names the folder and the
-first."""
+"""Largest number of files of one save that have a line each. If there are more, one line names the folder and the first
+of them."""
 
 
 def _lines_of_files(place: Path, paths: Sequence[Path]) -> Iterator[str]:
-    """Lines on the files that one save wrote; of many in a folder the nearest are named, pages first."""
+    """Yield lines that name the files of one save: a line per file, or one line for many files in ``place``.
+
+    The one line begins with the files nearest to ``place``, and with pages (.html) before other files.
+    """
     if len(paths) <= FILES_OF_A_LINE or not all(path.is_relative_to(place) for path in paths):
         yield from (f"wrote {path}" for path in paths)
         return
@@ -344,14 +347,14 @@ def progress_bars(unit: str = "") -> Iterator[Callable[[str, int, int], None]]:
 
 
 LINE_SECONDS, QUICK = 10.0, 2.0
-"""Seconds between two lines about a stage if standard error is no terminal. Seconds after its start during which
-nothing is printed."""
+"""Time between two printed lines about a stage if standard error is no terminal, and time at the beginning of a command
+in which nothing is printed, s."""
 
 
 def progress_lines() -> Callable[[str, int, int], None]:
     """Return a function of (stage, done, total) that prints lines of progress to standard error, for log files.
 
-    A line is printed as a stage begins, every `LINE_SECONDS`, and as it ends.
+    A line is printed as a stage begins, every `LINE_SECONDS`, and as it ends, but none in the first `QUICK` seconds.
     """
     printed: dict[str, float] = {}
     start = time.monotonic()

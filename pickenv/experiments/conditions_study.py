@@ -1,9 +1,9 @@
-"""Study how a calibration's accuracy changes with payload, temperature and hour of day: the future work of Qiao 2026.
+"""Study how a calibration's accuracy changes with payload, temperature and hour of day, future work of Qiao 2026.
 
 Measurements are made in two ways: at the reference (no payload, usual temperature, start of work), and in sessions
 under other conditions, which are recorded. The recorded conditions can be inputs of parametric terms (payload: weight;
 temperature: thermal growth) and of a learnt residual (payload, temperature, hour). All calibrations are judged at poses
-and under conditions that are in no fit.
+and under conditions that no fit has used.
 
 The arm moves to every pose from another one and is held there for a minute. The measurements thus include friction and
 backlash.
@@ -46,7 +46,7 @@ REFERENCE, BLIND, TOLD, TERMS, BOTH = (
 
 
 RANGES = ("payload", "weather", "hours")
-"""Settings that are ranges of conditions."""
+"""Names of the settings that bound the ranges of the conditions."""
 
 
 @dataclass(frozen=True)
@@ -163,14 +163,14 @@ def measured_under(plant: Plant, state: State, rng: np.random.Generator) -> Meas
 
 
 Left: TypeAlias = Callable[[Measurements, State], Array]
-"""Function of N measurements and their conditions; it returns the pose errors after a calibration ``(N, 6)``, m and
-rad."""
+"""Function of N measurements and their conditions; it returns the pose errors that a calibration leaves ``(N, 6)``, m
+and rad."""
 
 
 def left_by(
     data: Measurements, state: State, *, model: ArmModel, learnt: LearntResidual | None = None, inputs: bool = False
 ) -> Array:
-    """Return measured minus predicted poses ``(N, 6)``, m and rad, of a model with or without learnt residual.
+    """Return measured minus predicted poses ``(N, 6)``, m and rad, for a model with or without a learnt residual.
 
     Args:
         data: The measurements.
@@ -191,10 +191,10 @@ def told(data: Measurements, state: State) -> Array:
 
 
 def calibrated(plant: Plant, settings: ConditionsSettings, rng: np.random.Generator) -> dict[str, Left]:
-    """Calibrate a true arm by every method, from equal numbers of poses.
+    """Calibrate a true arm by every method, each from the same number of poses.
 
     Returns:
-        For each method and for "raw", a function that computes the pose errors after calibration.
+        For each method and for "raw", a `Left`, which computes the pose errors after calibration.
     """
     arm, nominal = plant.arm, plant.arm.nominal
     apart = State.drawn(settings, rng)
@@ -237,13 +237,13 @@ def state_at(condition: str, level: float, count: int) -> State:
 def judged_on(
     plant: Plant, calibrations: Mapping[str, Left], settings: ConditionsSettings, rng: np.random.Generator
 ) -> Rows:
-    """Compute the position errors that calibrations leave at new poses, under conditions that are in no fit.
+    """Compute the position errors that calibrations leave at poses and conditions that no fit has used.
 
     A sweep sets one condition to each of the values of `levels_of`, with the other conditions at the reference. One
     more sweep, `HELD_OUT`, draws all conditions at random.
 
     Returns:
-        One row for each sweep, value of its condition, method and pose, with "error_mm". "level" is the number of the
+        One row for each sweep, value of its condition, method and pose, with "error_mm". "level" is the index of the
         value, from 0.
     """
     levels, count = levels_of(settings), 2 * settings.poses
@@ -266,8 +266,8 @@ def judged_arm(
     """Return the rows of `judged_on` for one arm: with all methods of calibration, or with one given calibration.
 
     Args:
-        rng: Not used; every arm has a random stream from the study's seed and the arm's number.
-        arm: The arm's number.
+        rng: Not used; every arm has a random stream from the study's seed and the arm's index.
+        arm: Index of the arm among the drawn ones, from 0.
         plants: The drawn true arms; with ``calibration``, the one true arm that it belongs to.
         settings: Settings of the study.
         calibration: If given, only this calibration and the raw arm are judged.
@@ -293,7 +293,7 @@ def conditions_study(
         plant: The plant that arms are drawn from; with ``calibration``, the true arm that the calibration belongs to.
         settings: Settings of the study.
         calibration: If given, only this calibration and the raw arm are judged, and no arms are drawn.
-        progress: Called with (name of the experiment, arms done, number of arms).
+        progress: Called with (name of the experiment, arms done, total number of arms).
 
     Returns:
         A mapping for JSON: ``{"plant", "settings", "interval_over", "sweeps": {name: {"levels", "methods": {method:

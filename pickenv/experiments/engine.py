@@ -1,9 +1,9 @@
 """Run experiments: measure units at every combination of factors, and keep the resulting rows in a folder.
 
 An experiment measures each unit (an arm, a seed, a part of a file's rows) at every combination of its factors. The
-values of a unit or factor are its levels. One level of each unit and factor make a piece of work, or piece, which gives
-any number of rows. The random numbers of a piece depend on the experiment's seed and on the levels of its units alone.
-Two levels of a factor are therefore measured with the same arms, fruit and noise. Results do not depend on the backend.
+values of a unit or factor are its levels. A piece is the work at one level of each unit and factor; it gives any number
+of rows. The random numbers of a piece depend on the experiment's seed and on the levels of its units alone. Two levels
+of a factor are therefore measured with the same arms, fruit and noise. Results do not depend on the backend.
 
 In a folder, every piece is a Parquet file with a seal, that is a checksum of its content. The file's name contains a
 hash over everything that the rows depend on: inputs, levels and the code that computes numbers. A piece whose file
@@ -50,8 +50,8 @@ if TYPE_CHECKING:
     import pyarrow as pa
 
 RECORD = "experiment.json"
-"""File in an experiment's folder that lists the pieces, with their keys and the versions of the packages that made
-them."""
+"""Name of the file in an experiment's folder that lists the pieces, their keys, and the versions of the packages that
+made them."""
 
 AGAIN = "run the experiment again, which makes it anew"
 
@@ -62,9 +62,9 @@ Progress = Callable[[str, int, int], None]
 
 Refused = Callable[[Levels, InputError], None]
 Piece = tuple[Levels, tuple[int, ...]]
-"""One level of each unit and factor of an experiment, as two values. The first has the levels by the name of the factor
-or unit. The second is, for each unit, the index of its level, from 0. With the experiment's seed it seeds the random
-numbers."""
+"""A piece of an experiment: one level of each unit and factor, as two values. The first has the levels by the name of
+the factor or unit. The second has the index of each unit's level, from 0; with the experiment's seed it determines the
+piece's random numbers."""
 
 
 @dataclass(frozen=True)
@@ -142,7 +142,7 @@ class Rows:
 def joined(parts: Sequence[Rows]) -> Rows:
     """Concatenate tables of rows; NaN, or empty text, fills the rows of a part that lacks a column.
 
-    Where the arrays of a column are shorter in one part than in another, the same values fill their ends.
+    If the arrays of a column are shorter in one part than in another, they are filled up in the same way.
     """
     filled = [part for part in parts if len(part)]
     names = dict.fromkeys(name for part in filled for name in part.columns)
@@ -193,7 +193,7 @@ class Experiment:
     fits: Callable[..., bool] | None = field(default=None, compare=False)
 
     def pieces(self) -> list[Piece]:
-        """Return the pieces that `fits` accepts; the first factor varies slowest, the last unit fastest."""
+        """Return the pieces that `fits` accepts, in order: the first factor varies slowest, the last unit fastest."""
         pieces: list[Piece] = []
         for levels in product(*self.factors.values()):
             for places in product(*(range(len(values)) for values in self.units.values())):
@@ -204,7 +204,7 @@ class Experiment:
         return pieces
 
     def measured(self, piece: Piece) -> Rows:
-        """Measure one piece, and return its rows; the levels of the piece are the first columns."""
+        """Measure one piece, and return its rows; their first columns are the piece's levels of units and factors."""
         levels, place = piece
         rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=place))
         with single_threaded():
@@ -213,14 +213,14 @@ class Experiment:
         return Rows(first | dict(rows.columns))
 
     def key(self, piece: Piece) -> str:
-        """Return one hash over everything that the rows of a piece depend on."""
+        """Return one hash over everything that the rows of a piece depend on: levels, seed, inputs and code."""
         levels, place = piece
         inputs = self.inputs(**levels) if callable(self.inputs) else self.inputs
         return input_key(self.name, self.seed, inputs, dict(levels), place)
 
 
 def input_key(*inputs: Any) -> str:
-    """Return one hash over these inputs and the code that computes numbers.
+    """Return one hash over ``inputs`` and over the code that computes numbers.
 
     Callers store a result under this hash, and compute it only if no result with this hash is stored.
     """
@@ -228,7 +228,7 @@ def input_key(*inputs: Any) -> str:
 
 
 def _file_name(name: str, levels: Levels, key: str) -> str:
-    """The name of the file of a piece of the experiment ``name``."""
+    """Return the name of the file that stores one piece (its rows at ``levels``) of the experiment ``name``."""
     label = re.sub(r"[^A-Za-z0-9.]+", "-", "_".join(map(str, levels.values()))).strip("-")[-80:]
     return f"{name}_{label}_{key[:16]}.parquet"
 
@@ -242,7 +242,7 @@ def run(
     progress: Progress | None = None,
     refused: Refused | None = None,
 ) -> Rows:
-    """Measure the pieces that the folder lacks, and return the rows of all pieces in the order of `Experiment.pieces`.
+    """Measure the pieces that the folder lacks, and return the rows of all pieces, in the order of `Experiment.pieces`.
 
     A piece whose file is damaged is computed again, with a warning.
 
@@ -253,7 +253,8 @@ def run(
         workers: Number of processes; None for one per core.
         progress: Called with (name of the experiment, pieces done, total number of pieces).
         refused: Called with the levels of a piece that cannot be measured, and with the `InputError` that says why.
-            Such a piece has no rows, and the next run tries it again. None: the first such piece ends the run.
+            Such a piece has no rows, and the next run tries it again. If None, the first such piece ends the run with
+            its error.
 
     Raises:
         InputError: If the backend is unknown or not installed, another process works in the folder, worker processes
@@ -316,7 +317,7 @@ def _computed(
     progress: Progress | None,
     refused: Refused | None,
 ) -> Iterator[tuple[int, Rows]]:
-    """Compute the pieces in ``todo``: yield the number and the rows of each, in any order; arguments as for `run`."""
+    """Compute the pieces with the indices ``todo``, and yield index and rows of each, in any order; see `run`."""
     done = len(pieces) - len(todo)
     for number, rows in spread(partial(_measured, experiment, pieces, refused is None), todo, backend, workers):
         if isinstance(rows, Rows):
@@ -329,7 +330,10 @@ def _computed(
 
 
 def _measured(experiment: Experiment, pieces: Sequence[Piece], ends: bool, number: int) -> Rows | InputError:
-    """The rows of a piece, or why it cannot be measured; that is raised where it ends the work."""
+    """Measure the piece with the index ``number``, and return its rows.
+
+    If the piece cannot be measured, the `InputError` is raised if ``ends`` is True, and returned otherwise.
+    """
     try:
         return experiment.measured(pieces[number])
     except InputError as error:
@@ -365,7 +369,7 @@ def kept_tables(folder: str | Path) -> Iterator[tuple[Path, pa.Table]]:
 
 
 def _write_record(folder: Path, pieces: Mapping[str, str]) -> None:
-    """Write the record of a folder: these pieces, and the pieces of earlier runs that are still in it."""
+    """Write the record of a folder: these pieces (key by file), and the pieces of earlier runs that are still there."""
     path, before = folder / RECORD, dict[str, str]()
     try:
         before |= _read_record(path)["pieces"] if path.is_file() else {}
@@ -381,7 +385,7 @@ def _read_record(path: Path) -> dict[str, Any]:
 
 
 def write_piece(path: Path, rows: Rows, name: str, key: str) -> None:
-    """Write rows as one sealed Parquet file, whole or not at all.
+    """Write rows as one Parquet file with a checksum, completely or not at all.
 
     Args:
         path: The file.
@@ -400,7 +404,7 @@ def write_piece(path: Path, rows: Rows, name: str, key: str) -> None:
 
 
 def piece_table(path: Path, key: str) -> pa.Table:
-    """Read the file of one piece as a table, and verify it.
+    """Read the file of one piece of an experiment as a table, and verify its checksum and key.
 
     Args:
         path: The file.
@@ -429,8 +433,9 @@ def check_experiment(folder: str | Path) -> list[tuple[Path, str | None]]:
     """Verify every file in an experiment's folder.
 
     Returns:
-        Pairs (path, fault): first the record (`RECORD`), then by name the pieces that the record lists and all other
-        files in the folder. The fault is None for a sound file, else a sentence that says why the file is refused.
+        Pairs (path, fault). The first is for the record (`RECORD`). The others, sorted by name, are for the pieces that
+        the record lists and for all other files in the folder. The fault is None for a sound file, else a sentence that
+        says why the file is refused.
     """
     folder = Path(folder)
     record = folder / RECORD
@@ -482,7 +487,7 @@ def _array_of(column: Any) -> NDArray[Any]:
 
 
 def write_rows(path: Path, rows: Rows) -> Path:
-    """Write rows as a .csv or .parquet file, whole or not at all.
+    """Write rows as a .csv or .parquet file, completely or not at all.
 
     Raises:
         InputError: If the file has any other suffix.

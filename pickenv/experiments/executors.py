@@ -27,8 +27,7 @@ def spread(
     """Call ``work`` with each number, and yield (number, result) as the calls end, in any order.
 
     When a call raises an exception, no other call is started. Calls in progress are finished and their results yielded;
-    then the exception is raised. (loky alone would kill the other workers, and its managing thread may then die with a
-    KeyError.)
+    then the exception is raised. Without this, loky would kill the other workers.
 
     Args:
         work: Function to call; a module-level function if other processes are to call it.
@@ -84,7 +83,10 @@ def spread(
 
 
 def _numbered(work: Callable[[int], Any], number: int, driver: int) -> tuple[int, Any, Exception | None]:
-    """One piece's number, its result, and the error that it failed with, if it did; called in a worker."""
+    """Call ``work`` in a worker process; return the number, the result, and the exception or None.
+
+    If ``work`` raises an exception, the result is None. The worker ends when the process with the id ``driver`` dies.
+    """
     from joblib.externals.loky import process_executor
 
     _end_with(driver)
@@ -100,7 +102,10 @@ def _numbered(work: Callable[[int], Any], number: int, driver: int) -> tuple[int
 
 @lru_cache(maxsize=1)
 def _end_with(driver: int) -> None:
-    """Make this worker end when its driver is killed; else it would wait for ever for somebody to take its rows."""
+    """Make this worker process end soon after its parent, the process with the id ``driver``, has ended.
+
+    Otherwise the worker would wait for ever for its rows to be fetched.
+    """
 
     def watch() -> None:
         while os.getppid() == driver:

@@ -64,7 +64,7 @@ STATISTIC = Check(
 
 
 def _are_levels(value: Any, counted: bool = True) -> bool:
-    """Whether these are levels: a list, or for what is ``counted`` its number."""
+    """Return whether a value is a list of levels, or, if ``counted``, a positive number of levels."""
     if isinstance(value, list):
         return bool(value) and all(isinstance(level, str | int | float) for level in value)
     return counted and isinstance(value, int) and not isinstance(value, bool) and value > 0
@@ -75,7 +75,8 @@ def _is_named(value: Any) -> bool:
 
 
 LEAST_DRAWS = 39
-"""Fewest draws of a design's constants for an interval: with probability 95 % their range contains one further draw."""
+"""Smallest number of draws of a design's constants for an interval. The range of 39 draws contains one further draw
+with probability 95 %."""
 
 FUNCTION = Check(_is_named, '"file.py:function" or "package.module:function"')
 
@@ -87,7 +88,7 @@ class Number:
     Attributes:
         title: Title above the table, with the unit.
         value: Column that the numbers are estimated from; a list of columns if the statistic needs several.
-        by: Columns that identify a number: each combination of their values has one number.
+        by: Columns that identify a number; each combination of their values has one number.
         over: One or two columns of units; the intervals are over these units.
         of: Statistic to estimate: "mean", "share", "ratio", "removed", a probability for that quantile over units, or
             "file.py:function" for a function of the units' means (`pickenv.base.intervals.estimate`).
@@ -97,14 +98,15 @@ class Number:
         across: Column of ``by`` whose levels become columns of the table; None gives every level its own line.
         margin: If given, a verdict follows each number. The verdict of a difference whose whole interval lies within
             plus or minus this margin is "carries over".
-        least: Fewest units for an interval of a mean; fewer suffice where units are runs whose means are nearly normal.
+        least: Smallest number of units for an interval of a mean. A small number is enough if each unit is a run whose
+            mean is nearly normal.
         lost: Limit above which a value counts as lost. The mean leaves lost values out; their share is printed beside
             it.
         draws: Unit whose level 0 is the design with its shipped constants, and whose other levels are draws of these
             constants (`pickenv.arm.plant.plant_file.with_drawn_constants`). The interval of a number then contains the
             number of one further draw with probability 95 %. It needs `LEAST_DRAWS` draws.
-        spread: Whether the standard deviation and the range of the units' means are shown beside each number. They
-            are of one column, and not beside ``across`` or "removed".
+        spread: Whether the standard deviation and the range of the units' means are shown beside each number. This
+            needs a single column ``value``, no ``across``, and a statistic other than "removed".
         digits: Digits after the point.
         scale: Factor on the printed numbers, such as 100 for percent.
         figure: Name of the table's figure; None for no figure.
@@ -205,7 +207,7 @@ class ExperimentFile:
 
 
 def _widen(rows: list[dict[str, Any]], measured: Rows, draws: str, asked: tuple[Any, ...]) -> None:
-    """Replace intervals over units by intervals over draws of constants; the former stay in the row as "sampled".
+    """Replace intervals over units by intervals over draws of constants, in place; "sampled" keeps the old estimate.
 
     The range of K numbers contains one further number with probability (K - 1) / (K + 1), for any distribution.
     """
@@ -229,7 +231,7 @@ def load_experiment(
     Args:
         path: The file (.toml).
         quick: Whether to replace units, factors and settings by the values in the file's table ``quick``.
-        seed: Seed in place of the one in the file; None keeps the latter.
+        seed: Seed in place of the one in the file; None keeps the file's seed.
         changes: New values of units, factors and settings, by name; they replace those in the file.
 
     Raises:
@@ -297,7 +299,7 @@ def load_experiment(
 
 
 def _measured(word: str, measure: Callable[..., Any], settings: Mapping[str, Any], **levels: Any) -> Rows:
-    """The rows that a user's function returns; an error that it raises is reported with the line and the levels."""
+    """Return the rows that a user's function measures; its errors are reported with line and levels."""
     levels_in_words = ", ".join(f"{name}={level!r}" for name, level in levels.items() if name != "rng")
     with faults_in(Path(inspect.getsourcefile(measure) or word), f"function, or leave out {levels_in_words}"):
         return Rows.of(measure(**levels, **settings))
@@ -308,7 +310,7 @@ def _levels(value: int | Sequence[Any]) -> Sequence[Any]:
 
 
 def _function(path: Path, word: str) -> Callable[..., Any]:
-    """The function that a file names."""
+    """Return the function that ``word`` names: "file.py:function", beside ``path``, or "package.module:function"."""
     place, name = word.split(":")
     try:
         if place.endswith(".py"):
@@ -325,7 +327,7 @@ def _function(path: Path, word: str) -> Callable[..., Any]:
 
 
 def _beside(file: Path) -> Any:
-    """Import a module that lies beside an experiment's file, so that processes which work on its pieces find it too."""
+    """Import a module that lies beside an experiment's file, and let worker processes find it too."""
     folder = str(file.parent.resolve())
     if folder not in sys.path:
         sys.path.insert(0, folder)
@@ -338,7 +340,7 @@ def _beside(file: Path) -> Any:
 
 
 def _origin(function: Callable[..., Any]) -> str:
-    """An identifier of a function's code: the hash of its file, and the version of the package that it is from."""
+    """Return a text that identifies a function's code: its package's version, and the SHA-256 of its file."""
     place = inspect.getsourcefile(inspect.unwrap(function))
     package = function.__module__.partition(".")[0]
     try:
@@ -352,16 +354,16 @@ MADE = ("estimate", "units", "runs", "lost", "sampled")
 """Keys of a row of estimates that are not names of levels."""
 
 RESERVED = (*MADE, "value", "ci95", "no_interval", "lost_ci95", "sampled95", "std", "range")
-"""Names that no column of ``by`` may have: those of the numbers beside the levels, here and in JSON."""
+"""Keys of a row of estimates, here and in JSON, which are therefore no allowed names of columns of ``by``."""
 
 
 def plain_estimates(tables: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """Return the tables of `ExperimentFile.estimates` with plain values, for JSON.
 
     Each row has its levels, "value", the 95 % interval "ci95", and "no_interval", the reason why there is no interval.
-    A row of several runs has "runs", the mean of each. A row of several units has "std" and "range" of their means. If
-    ``lost`` is set, the share of lost values is "lost", and the interval of this share "lost_ci95". If "ci95" is over
-    draws of constants, "sampled95" is the interval over units of the design with its shipped constants.
+    A row over several runs has "runs", the mean of each run. A row of several units has "std" and "range" of their
+    means. If ``lost`` is set, the share of lost values is "lost", and the interval of this share "lost_ci95". If "ci95"
+    is over draws of constants, "sampled95" is the interval over units for the shipped constants.
     """
 
     def plain(row: Mapping[str, Any]) -> dict[str, Any]:

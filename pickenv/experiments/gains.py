@@ -1,8 +1,8 @@
 """Errors of calibration models on held-out rows, mostly of simulated arms, and the share of the error that they remove.
 
 A network interpolates between neighbouring poses, so test poses close to training poses make it look too good. On
-held-out blocks of a grid it removes little or nothing of a measured arm's errors. Of a smooth simulated arm's errors it
-removes most. Units: m, rad; mm where names say so.
+held-out blocks of a grid, a network removes little or nothing of a measured arm's errors, but most of a smooth
+simulated arm's errors. Units: m, rad; mm where names say so.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def left_by_models(
     """Fit several models, and return their squared position errors on held-out rows.
 
     The models are the nominal arm, least squares, and least squares with parametric terms or a learnt residual. A model
-    is kept also where it is worse than least squares alone.
+    is kept even if it is worse than least squares alone.
 
     Args:
         arm: The arm.
@@ -57,7 +57,7 @@ def left_by_models(
         rng: Random numbers for the learnt models.
         terms: Parametric terms of each least-squares fit, by the name of the fit; values as for `Choices`.
         learnt: Residual model that each learnt model adds to least squares, by the name of the learnt model.
-        epochs: Training epochs of the paper's network; None trains the default network of `fit_remainder`.
+        epochs: Training epochs of the network of Qiao 2026; None trains the default network of `fit_remainder`.
         attitudes: Whether attitude residuals are learnt too.
         choices: Further fields of `Choices`.
 
@@ -107,13 +107,13 @@ def as_measured(plant: Plant, rows: Measurements, rng: np.random.Generator) -> M
 # Blocks of a grid of poses.
 
 ROWS, STEP, SEED = 400, 0.093, 20260
-"""Number of points of the grid, their distance in m, and the seed of the joints that give the workspace's extent."""
+"""Number of points of the grid, distance between them, m, and seed of the joints that give the workspace's extent."""
 
 WRIST = 0.3
 """Largest random offset of each revolute joint at a point of the grid, rad; prismatic joints get none."""
 
 FIELD = "field"
-"""Name of the plant whose residual errors after least squares are made like those of measured arms."""
+"""Name of the simulated plant whose errors after least squares resemble those of measured arms."""
 
 
 def grid_joints(nominal: Geometry, rows: int, rng: np.random.Generator) -> Array:
@@ -144,7 +144,7 @@ def blocks_apart(rows: Measurements, pair: tuple[int, int]) -> tuple[Measurement
 
     Args:
         rows: The rows, in the order in which they were measured.
-        pair: Numbers of the two held-out tenths, from 0 to 9.
+        pair: Indices of the two held-out tenths, from 0 to 9.
     """
     judging = np.isin(np.arange(len(rows)) * BLOCKS // len(rows), pair)
     return rows.select(np.flatnonzero(~judging)), rows.select(np.flatnonzero(judging))
@@ -158,7 +158,7 @@ def left_of_blocks(
     Args:
         arm: The arm.
         rows: The rows, in the order in which they were measured.
-        number: Number of this set of rows; modulo 10 it is the first held-out tenth.
+        number: Index of this set of rows; modulo 10 it is the index of the first held-out tenth.
         apart: Distance from the first held-out tenth to the second, in tenths of the rows.
         rng: Random numbers for the learnt models.
         models: Arguments of `left_by_models` that select the models.
@@ -171,7 +171,7 @@ def left_of_blocks(
 # What a network removes, as the demonstration shows it.
 
 ARMS = 5
-"""Number of arms drawn from each design; several, since the error that a network removes differs much between arms."""
+"""Number of arms drawn from each design. The share of the error that a network removes differs much between arms."""
 
 NETWORK: dict[str, Any] = {
     "terms": {LS: "none"},
@@ -181,7 +181,7 @@ NETWORK: dict[str, Any] = {
     "fit": "full",
     "frames": "fitted",
 }
-"""Arguments of `left_by_models` for the paper's calibration and its network, with base and tool fitted."""
+"""Arguments of `left_by_models` for the calibration and the network of Qiao 2026, with base and tool fitted."""
 
 
 @dataclass(frozen=True)
@@ -251,7 +251,7 @@ def blocked_gains(
 def _left_on_design(
     rng: np.random.Generator, design: str, designs: Mapping[str, np.random.SeedSequence], joints: Array, arms: int
 ) -> list[dict[str, float]]:
-    """RMS errors that models leave on each of ``arms`` arms, one stream of random numbers after the other."""
+    """Return the RMS errors, mm, that models leave on each of ``arms`` arms of a plant; see `left_of_blocks`."""
     plant, rng = load_plant(design), np.random.default_rng(designs[design])
     population = draw_plants(plant, load_tolerances("medium"), arms, rng)
     sets = ((number, simulated_tracker(plant_at(population, number), joints, rng)) for number in range(arms))

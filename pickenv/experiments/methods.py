@@ -1,7 +1,7 @@
-"""Calibrate simulated arms by the name of a method; each arm is measured in its own simulated tracker run.
+"""Calibrate simulated arms by a method, given by name; each arm is measured in its own simulated tracker run.
 
 "raw" is no calibration, and "ls" is least squares. "ls+MODEL" adds any registered residual model to least squares. Two
-such methods have names of their own: "ls_bpnn" adds the paper's network, "best" a Gaussian process.
+such methods have short names: "ls_bpnn" adds the network of Qiao 2026, "best" a Gaussian process.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ RESIDUALS = {"ls": None, "ls_bpnn": "bpnn", "best": "gp"}
 """Residual model that each of these methods adds to least squares; None where it adds none."""
 
 ORIGIN = "evaluated_arm_sha256"
-"""Key in the record of a kept calibration: the hash of the arm and of how it was calibrated."""
+"""Key in the record of a stored calibration, whose value is a hash of the arm and of how it was calibrated."""
 
 
 @dataclass(frozen=True)
@@ -45,9 +45,9 @@ class CalibrationPlan:
     """Settings with which each simulated arm is measured and fitted.
 
     Attributes:
-        identification_poses: Number of poses for least squares (the paper: 100).
-        residual_poses: Number of poses for the residual model (the paper: 200).
-        epochs: Training epochs of the network (the paper: 500).
+        identification_poses: Number of poses for least squares (Qiao 2026: 100).
+        residual_poses: Number of poses for the residual model (Qiao 2026: 200).
+        epochs: Training epochs of the network (Qiao 2026: 500).
         seed: Seed of poses, noise and networks; every arm has its own random stream.
         instrument: Instrument that measures the poses; a name of `pickenv.arm.load_instrument`, or a path.
     """
@@ -109,9 +109,9 @@ def residual_of(method: str) -> str | None:
 
 
 def sources_of(method: str, plan: CalibrationPlan) -> tuple[Any, ...]:
-    """Return the origin of a method's residual model (package and version; None without model), and the instrument.
+    """Return package and version of a method's residual model (None without one), and the instrument.
 
-    Results depend on both, and the names of method and instrument do not determine them.
+    Results depend on both, but the names of method and instrument do not determine them.
     """
     residual = residual_of(method)
     return None if residual is None else str(origin("residual", residual)), load_instrument(plan.instrument)
@@ -193,7 +193,7 @@ def reaches_behind(
         arguments: Further arguments of the environment.
 
     Returns:
-        How the episodes ended, by compensation.
+        The final states of the episodes, by compensation.
 
     Raises:
         InputError: If a compensation or an argument is unknown, or the environment has no vectorised implementation.

@@ -1,4 +1,4 @@
-"""Compare policies: policies × compensations × feedback × plants, on the same arms and fruit, with one row per episode.
+"""Compare policies on the same arms and fruit: one row per episode, for each compensation, feedback and plant.
 
 Arms are drawn from a population on which no policy was trained. Fruit, arms, pictures and calibrations depend on the
 seed alone, so any two policies on one plant can be compared pair by pair. Another seed has other fruit, arms, pictures
@@ -39,7 +39,7 @@ from pickenv.inspect.runs.run_folder import listed_files
 from pickenv.orchard import load_gripper
 
 RUNG = "rung:"
-"""Prefix of the name of a rung, that is a difficulty of the ladder; such a name may replace a plant's name."""
+"""Prefix of the name of a rung (a difficulty of `pickenv.envs.shared.difficulty`), which may replace a plant's name."""
 
 CYCLE_MM = 2.0
 """Distance to the fruit within which a cycle counts as finished, mm, for the cycle time."""
@@ -67,13 +67,13 @@ class PolicySettings:
             several seeds.
         compensations: Methods as for `calibrate_arm`, and "raw".
         feedback: Kinds of feedback: "encoders" (open loop) and "camera".
-        plants: Plant presets, or rungs of the ladder such as "rung:orchard". A rung has arms of its own for judging;
-            each seed takes different ones.
+        plants: Plant presets, or rungs of the ladder such as "rung:orchard". A rung has a population of arms for
+            judging, and each seed takes other arms of it.
         grippers: Names of grippers.
         arms: Number of arms drawn for each plant and seed.
         episodes: Number of fruit per arm.
         seeds: Seeds of arms, fruit, pictures and calibrations.
-        tolerances: Tolerance class of the arms of plants whose names begin with none.
+        tolerances: Tolerance class of the arms, unless the plant's name begins with a class.
         camera_noise_mm: Standard deviation, per axis, of the vector from tool to fruit as the camera measures it.
         fruit_noise_mm: Standard deviation, per axis, of the fruit's position in the observation.
         plan: How arms are calibrated; each seed in ``seeds`` replaces the seed of the plan.
@@ -167,7 +167,7 @@ class PolicySettings:
 
 
 def population_seed(seed: int) -> int:
-    """Return the seed from which a comparison's arms are drawn, given the seed of the comparison."""
+    """Return the seed from which the arms of a comparison are drawn, given the comparison's seed."""
     return seed_words(stream(seed, "arms"), 1)[0]
 
 
@@ -190,8 +190,8 @@ def run_policies(
         task: "reaching" runs every policy with every kind of feedback that it can use. "picking" runs each of
             `PICKERS`, and every learned policy that picks or has a memory, on the canopies of `pickenv/Pick-v0`. Each
             of these has the same plants and canopies, and runs one of its trainings per seed, in turn.
-        cache: Folder in which calibrations are stored for later runs. None: the folder "calibrations" in ``folder``; if
-            that is None too, no calibration is stored.
+        cache: Folder in which calibrations are stored for later runs. If None, it is the folder "calibrations" in
+            ``folder``; if ``folder`` is None too, no calibration is stored.
         backend: Backend that computes the pieces, as for `pickenv.experiments.run`.
         workers: Number of processes.
         progress: Called with (stage, done, total).
@@ -199,9 +199,9 @@ def run_policies(
             so on by name.
 
     Returns:
-        For reaching, one row per episode. It has plant, compensation, feedback, policy, seed, and training (the number
-        of the training, from 0). ``learned`` says whether the policy was learned. ``arm`` is the number of the arm,
-        which differs between seeds, and ``episode`` the number of the episode with this arm. ``error_mm`` and
+        For reaching, one row per episode. It has plant, compensation, feedback, policy, seed, and training (the index
+        of the training, from 0). ``learned`` says whether the policy was learned. ``arm`` is the index of the arm,
+        which differs between seeds, and ``episode`` the index of the episode with this arm. ``error_mm`` and
         ``attitude_deg`` are the errors at the end. ``way_mm`` is the position error after each step (NaN after the end
         of the episode). ``cycle_steps`` is the number of steps until the tool stays within `CYCLE_MM` of the fruit (NaN
         if it never does). ``chance_NAME`` is the probability that gripper NAME takes the fruit. The fields of
@@ -229,7 +229,7 @@ def run_policies(
 
 
 def _calibrations(settings: PolicySettings, kept: Path, experiment: Experiment) -> Experiment:
-    """The experiment that calibrates, and keeps one by one, the arms of another experiment."""
+    """Return an experiment that calibrates the arms of ``experiment``, and stores each calibration in ``kept``."""
     populations = {tuple(levels[name] for name in BEHIND) for levels, _ in experiment.pieces()}
     return Experiment(
         f"calibrations, {experiment.name}",
@@ -253,7 +253,10 @@ def _calibrated(settings: PolicySettings, kept: Path, *, plant: str, seed: int, 
 def _inputs(
     settings: PolicySettings, kinds: Mapping[str, Kind], *, plant: str, policy: str, seed: int, **levels: Any
 ) -> tuple[Any, ...]:
-    """The inputs that a piece's rows depend on beside its levels; other policies or seeds do not change them."""
+    """Return the inputs, besides its levels, that the rows of a piece depend on.
+
+    Other policies and seeds of the comparison are not among these inputs.
+    """
     learned = kinds[policy].files if policy in kinds else ()
     files = [path for name in learned for path in (Path(name), BASELINES / f"{name}.npz") if path.is_file()]
     return (
@@ -310,7 +313,7 @@ def _trainings(kinds: Mapping[str, Kind]) -> range:
 
 
 def _entrant(name: str) -> Kind:
-    """The kind of policy that a name stands for; which feedback a foreign policy can use is found by trying."""
+    """Return the properties of a policy; the feedback that a foreign policy can use is found by trying."""
     kind, able, refusal = kind_of(name), [], ""
     if kind.picks:
         maker_of(name)  # refuses it
@@ -332,7 +335,7 @@ def _reaches(
     settings: PolicySettings, kinds: Mapping[str, Kind], kept: Path, *, rng: np.random.Generator, plant: str,
     compensation: str, feedback: str, policy: str, seed: int, training: int,
 ) -> Columns:  # fmt: skip
-    """The episodes of one policy; their random numbers are drawn by the environments, not from ``rng``."""
+    """Run the episodes of one policy, and return their columns; ``rng`` is not used."""
     kind, population = kinds[policy], settings.population(plant, seed)
     world = settings.world(plant, seed, feedback)
     noise = float(np.hypot(world["camera_noise_mm"] or settings.camera_noise_mm, world["fruit_noise_mm"]))
@@ -364,7 +367,7 @@ def _reaches(
 
 
 def reaches_in(rows: Rows) -> Reaches:
-    """Return how the episodes of one plant ended, from the rows of `run_policies` for reaching.
+    """Return the final states of the episodes on one plant, from the rows of `run_policies` for reaching.
 
     Joints whose command is not finite in every row are left out.
     """
@@ -399,7 +402,7 @@ def _picking(settings: PolicySettings, kept: Path, fits: Callable[..., bool]) ->
 
 
 def _picker(policy: str, kinds: Mapping[str, Kind], training: int) -> tuple[Callable[[Any], Policy], str]:
-    """What makes a picking policy, and the feedback of its environment."""
+    """Return a function that makes a picking policy for an environment, and the environment's feedback."""
     if policy in PICKERS:
         return PICKERS[policy], "gripper" if policy == "adaptive" else "encoders"
     learned = load_any(kinds[policy].files[training])
@@ -412,10 +415,10 @@ def _picks(
     settings: PolicySettings, kinds: Mapping[str, Kind], kept: Path, *, rng: np.random.Generator, plant: str,
     gripper: str, policy: str, compensation: str, seed: int, training: int,
 ) -> Columns:  # fmt: skip
-    """Results of one picker with each arm of a seed, over all its canopies.
+    """Return the results of one picking policy with each arm of a seed, over all canopies of the arm.
 
-    A policy that learns from the fruit in its gripper meets an arm's canopies one after the other. Any other meets all
-    canopies of all arms side by side.
+    A policy that learns from the fruit in its gripper meets an arm's canopies one after the other. Any other policy
+    meets all canopies of all arms side by side.
     """
     first, arms = settings.first_arm(plant, seed), np.arange(settings.arms)
     world = settings.world(plant, seed, task="Pick") | {"arms": "per_episode", "population": first + settings.arms}

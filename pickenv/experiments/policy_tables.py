@@ -44,7 +44,7 @@ CELL = ("policy", "compensation", "feedback", "plant")
 KEYS = (*CELL, "gripper")
 
 HEADS = ("mean (mm)", "95 % interval (mm)", "median arm (mm)", "95th arm (mm)", "success (%)", "cycle (s)")
-"""Heads of the columns besides `KEYS`; an interval without a column of its own follows its number in brackets."""
+"""Heads of the columns after those of `KEYS`; any further interval stands in brackets behind its number."""
 
 STATISTICS: Mapping[str, str | float] = {"mean": "mean", "median arm": 0.5, "95th percentile arm": 0.95}
 
@@ -163,7 +163,7 @@ def cells_of(row: Mapping[str, Any]) -> list[str]:
 
 
 def nearest_words(rows: Sequence[Mapping[str, Any]], comparisons: Sequence[Mapping[str, Any]]) -> list[str]:
-    """Return a sentence for each plant: which policy and compensation end nearest to the fruit, and the gain over raw.
+    """Return a sentence per plant: which policy and compensation end nearest to the fruit, and the gain over raw.
 
     The oracle, which knows the true arm, is left out.
 
@@ -201,7 +201,7 @@ def pivoted(rows: Sequence[Mapping[str, Any]], shares: bool = False) -> tuple[li
 
 
 def _interval(row: Mapping[str, Any], sign: str = "") -> str:
-    """A row's interval in mm, or why there is none."""
+    """Return a row's 95 % interval as text, mm, or the reason why it has none."""
     return between(row["ci95"][0], row["ci95"][1], 3, sign) if row["ci95"] else f"none: {row['no_interval']}"
 
 
@@ -279,7 +279,7 @@ def page(run: Run, picture: TakePicture | None = None) -> str:
 
 
 def _labelled(rows: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Rows whose compensations have their names for people."""
+    """Return the rows with the keys of compensations replaced by their labels for readers, such as LS for ``ls``."""
     keys = ("compensation", "from", "to")
     return [row | {key: policy_label(row[key]) for key in keys if key in row} for row in rows]
 
@@ -343,10 +343,10 @@ def success_curves(rows: Rows, plant: str) -> Figure:
 
 
 def cycle_figure(rows: Rows, plant: str) -> Figure:
-    """Draw the mean error of each policy on a plant after every step against the time, with the Pareto front of all.
+    """Draw each policy's mean error after every step against time, on one plant, with the Pareto front of all policies.
 
-    The error after a step is that of a pick at this time. Policies with a camera are shown on raw arms only, since
-    compensations hardly change their errors.
+    The error after a step is the error of a pick that ends at this step. Policies with a camera are shown on raw arms
+    only, since compensations hardly change their errors.
     """
     curves = {}
     for key in rows.where(plant=plant).levels(*CELL):
@@ -383,10 +383,10 @@ QUICK = replace(
     LEADERBOARD, policies=("scripted", "servo", "ppo_encoders"), plants=(f"{RUNG}orchard",), arms=1, episodes=4,
     plan=CalibrationPlan(epochs=20), canopies=0,
 )  # fmt: skip
-"""Settings of a smaller leaderboard for trying things out, which takes minutes less."""
+"""Settings of a small leaderboard for trying things out; it takes minutes instead of hours."""
 
 PICK_BEHIND = ("raw", "ls")
-"""Compensations with which picks are counted; residual models hardly change picks any further."""
+"""Compensations with which picks are counted; a residual model would hardly change the picks."""
 
 
 def rungs(names: Sequence[str]) -> tuple[str, ...]:
@@ -401,7 +401,7 @@ def trained(folder: Path, seeds: range, recipes: Sequence[str], **how: Any) -> t
         folder: Folder in which trainings are stored.
         seeds: Seeds of the trainings of each recipe.
         recipes: Names of the recipes.
-        how: Arguments of `pickenv.experiments.run`, such as the backend.
+        how: Further arguments of `pickenv.experiments.run`, such as the backend.
 
     Raises:
         InputError: If the folder holds trainings of other seeds, which would be judged too.
@@ -437,7 +437,7 @@ def run_leaderboard(
         folder: Folder in which trainings, calibrations and rows are stored.
         trainings: Number of trainings of each recipe, whose policies are judged besides those of ``settings``; 0 trains
             none. Their seeds begin with the first of ``settings``.
-        learned: Names of the `RECIPES` that are trained; all if empty. Without canopies none learns to pick.
+        learned: Names of the `RECIPES` that are trained; all if empty. Without canopies no policy is trained to pick.
         how: Further arguments of `run_policies`, such as the backend.
 
     Returns:
@@ -479,7 +479,10 @@ def run_leaderboard(
 
 
 def _worth_judging(compensation: str, feedback: str, **levels: Any) -> bool:
-    """Behind compensations only blind policies are judged: the camera's gap is of the true tool already."""
+    """Return whether policies with this feedback are judged with this compensation.
+
+    With a camera, only raw arms are judged, because the camera measures the gap from the true tool.
+    """
     return compensation == "raw" or feedback == "encoders"
 
 
@@ -577,7 +580,7 @@ def leaderboard_tables(board: Mapping[str, Any]) -> dict[str, tuple[list[str], l
 
 
 def _by_policy(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Mapping[str, Any]]]:
-    """The rows of one plant by policy and feedback, each a mapping by compensation; the nearest raw ones first."""
+    """Return one mapping per policy and feedback, from compensation to row, sorted by the mean error on raw arms."""
     policies: dict[tuple[str, str], dict[str, Mapping[str, Any]]] = {}
     for row in rows:
         policies.setdefault((row["policy"], row["feedback"]), {})[row["compensation"]] = row
@@ -591,7 +594,7 @@ def _percent(share: float, ends: Sequence[float | None] | None) -> str:
 def leaderboard_summary(board: Mapping[str, Any]) -> tuple[list[str], list[list[str]]]:
     """Return the column heads and the lines of cells of a short table: one line per policy, one column per rung.
 
-    A cell has the mean error on raw arms, and after a slash that with the last compensation, mm.
+    A cell has two mean errors, mm: on raw arms, and after a slash with the last compensation.
 
     Args:
         board: Result of `run_leaderboard`.
@@ -606,7 +609,7 @@ def leaderboard_summary(board: Mapping[str, Any]) -> tuple[list[str], list[list[
 
 
 def leaderboard_page(board: Mapping[str, Any]) -> str:
-    """Return the leaderboard's tables in Markdown."""
+    """Return the leaderboard's tables as Markdown text."""
     parts = []
     for title, (heads, cells) in leaderboard_tables(board).items():
         lines = (f"| {' | '.join(line)} |" for line in (heads, ["---"] * len(heads), *cells))

@@ -34,9 +34,9 @@ def bench_json(settings: BenchSettings, gains: Gains, models: Rows, skipped: Map
     "rows" has one entry per data set, split and model; "row" is its name in `ROWS`. "split" is "random" or "blocks",
     that is contiguous parts, and "rows" the number of rows, each held out once. Their RMS position error is
     "held_out_mm" with the model, and "nominal_mm" with the nominal arm, base and tool fitted. "measured_reduction" is
-    the fraction by which "held_out_mm" is below the error of the model that "before" names; "ci95" is its interval.
-    "predicted_reduction" is the mean of this fraction over arms drawn from twins, and "predicted_ci95" the interval in
-    which one more arm's would lie.
+    the fraction by which "held_out_mm" is below the error of the model that "before" names; "ci95" is the fraction's
+    interval. "predicted_reduction" is the mean of this fraction over arms drawn from twins, and "predicted_ci95" the 95
+    % interval for one more drawn arm.
 
     "models" is the table of measured robots. Each entry has one error "value_mm", the ends of its spread "low_mm" and
     "high_mm", and in "used" the parts of the best model.
@@ -55,8 +55,8 @@ def blocked_json(gains: Gains, folds: int, made: str) -> dict[str, Any]:
 
     Args:
         gains: The gains.
-        folds: Number of folds that they were computed from.
-        made: The date on which they were computed.
+        folds: Number of folds that the gains were computed from.
+        made: The date on which the gains were computed.
     """
     arms: dict[str, dict[str, Any]] = {}
     for gain in (gain for gain in gains if gain["split"] != "random"):
@@ -71,9 +71,9 @@ def blocked_json(gains: Gains, folds: int, made: str) -> dict[str, Any]:
 
 
 def _model_json(row: dict[str, Any]) -> dict[str, Any]:
-    """One number of the table of measured robots as a JSON row; its ends are None where there is no interval.
+    """Return one number of the table of measured robots as a JSON row; without an interval, its ends are None.
 
-    The row is empty for the best model where only geometry was tried.
+    The row is empty if the model is "best" and only geometry was fitted.
     """
     spread = SPREAD[row["row"]]
     if row["model"] == "best" and spread.terms == "none":
@@ -90,7 +90,7 @@ def _ends(model: dict[str, Any]) -> list[float | None]:
 
 
 def agreement(gains: Gains) -> dict[str, Any]:
-    """Compute how far the gains that twins predict are from measured gains, beside those of a null prediction.
+    """Compute how far the gains predicted by twins are from the measured gains, and the same for a null prediction.
 
     Only gains on contiguous held-out rows count. The null prediction is the mean measured gain of all other robots;
     further data sets of the same robot are left out of this mean.
@@ -215,6 +215,6 @@ def spread_cells(models: Rows) -> list[tuple[str, ...]]:
 
 
 def _millimetres(model: dict[str, Any]) -> str:
-    """A value with its spread in brackets, three digits after the point below 1 mm."""
+    """Return a value with its spread in brackets as text, mm: three decimals below 1 mm, else two."""
     value = model["value_mm"]
     return said(value, None if np.isnan(model["low_mm"]) else _ends(model), 3 if value < 1.0 else 2)

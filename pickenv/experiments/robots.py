@@ -92,10 +92,10 @@ SETS = {name: RealSet(**entry) for name, entry in TABLES["sets"].items()}
 
 SPLITS = ("random", "blocks")
 GAINS = {f"gain_{name}_{split}": (name, split) for name in SETS if SETS[name].twinned for split in SPLITS}
-"""Rows that compare predicted with measured gains: robot's data set and split of each, by the row's name."""
+"""Rows that compare predicted with measured gains: for each row's name, the data set and how it is split."""
 
 BEFORE = {LS: NOMINAL, TERMS: LS, **dict.fromkeys(LEARNT, LS)}
-"""For each model, the model to whose error its reduction is relative."""
+"""For each model, the reference model: a reduction of the error is relative to the reference model's error."""
 
 BATCHES = 4
 """Largest number of batches of arms drawn from a twin; later batches replace arms that cannot be calibrated."""
@@ -131,15 +131,15 @@ def fold_errors(
     """Compute squared errors of one fold's held-out rows, for the measured arm and for arms drawn from the fold's twin.
 
     Args:
-        rng: Not used; random numbers depend on the seed of ``settings``, the row and the fold.
-        row: Key of `GAINS`, which selects a data set and a way to split it.
-        fold: Number of the fold, from 0.
+        rng: Not used; random numbers depend on the seed in ``settings``, on ``row`` and on ``fold``.
+        row: Name of a row of the bench's table, a key of `GAINS`. It selects a data set and a kind of split.
+        fold: Index of the fold, from 0.
         settings: Sizes of the computation, and its seed.
         data: Folder of the data sets.
 
     Returns:
         Columns with one entry per arm and held-out row. "drawn" is 0 for the measured arm, else the number of the drawn
-        arm, from 1. "at" is the number of the held-out row. Each model has a column of its squared errors, m^2. Three
+        arm, from 1. "at" is the index of the held-out row. Each model has a column of its squared errors, m^2. Three
         columns have the same number everywhere: "refused" (drawn arms that could not be calibrated), "rows" (rows of
         all folds) and "rows_in_file".
     """
@@ -171,10 +171,10 @@ def learnable(arm: Arm, rows: Observations, most: int) -> Measurements:
 def folds_of(
     poses: RowNumbers, split: str, folds: int, rng: np.random.Generator
 ) -> list[tuple[RowNumbers, RowNumbers]]:
-    """Split rows into folds; return for each fold the numbers of the rows to fit, and of the held-out rows.
+    """Split rows into folds; return for each fold the indices of the rows to fit, and of the held-out rows.
 
     Args:
-        poses: Number of the pose of each row ``(N,)``; rows of one pose stay in one fold.
+        poses: Index of the pose of each row ``(N,)``; rows of one pose stay in one fold.
         split: "random": the folds are random poses. "blocks": each fold is a contiguous part of the rows.
         folds: Number of folds.
         rng: Random numbers for the split.
@@ -196,13 +196,13 @@ def judged_fold(
     Args:
         arm: The arm.
         data: The measured rows of the arm.
-        rows: Numbers of the fitted rows, and numbers of the held-out rows.
+        rows: Indices of the fitted rows, and indices of the held-out rows.
         draws: Number of arms drawn from the twin.
         seed: Seed of all random numbers.
 
     Returns:
-        A list of squared errors of the held-out rows, of the measured arm and then of each drawn arm. And the number of
-        drawn arms that were replaced because they could not be calibrated.
+        Two values. The first is a list of the squared errors of the held-out rows: of the measured arm, then of each
+        drawn arm. The second is the number of drawn arms that were replaced because they could not be calibrated.
 
     Raises:
         InputError: If the measured rows, or too many of the drawn arms, cannot be calibrated.
@@ -252,14 +252,14 @@ class SpreadRow:
 
     @property
     def real(self) -> RealSet:
-        """The robot's data set."""
+        """Data files of the robot."""
         return SETS[self.name]
 
     @property
     def published(self) -> float | None:
         """Published mean error, mm; None if it is for other held-out rows than those of this row of the table.
 
-        It is for the separate test poses if the data set has some, else for random splits of the rows.
+        A published error is for the separate test poses if the data set has some, else for random splits of the rows.
         """
         return self.real.published if self.how == ("poses" if self.real.poses else "random") else None
 
@@ -304,7 +304,10 @@ def model_errors(rng: np.random.Generator, row: str, settings: BenchSettings, da
 
 
 def _stated(statistic: str, result: Result) -> Array:
-    """Errors of nominal, geometric and best model, each with its 95 % interval ``(3, 3)``, mm."""
+    """Return the errors of nominal, geometric and best model, mm, each with the ends of its 95 % interval.
+
+    The result ``(3, 3)`` has one row per model. Ends are NaN if there is no interval.
+    """
     models = [result.position[name] for name in (NOMINAL, GEOMETRIC, list(result.position)[-1])]
     return np.array(
         [[getattr(model, statistic), *(getattr(model, f"{statistic}_ci95") or (np.nan, np.nan))] for model in models]
@@ -314,7 +317,7 @@ def _stated(statistic: str, result: Result) -> Array:
 # All of them.
 
 ROWS = (*GAINS, *SPREAD)
-"""Names of every row that can be asked for."""
+"""Names of all rows that the bench can compute."""
 
 QUICK = ("gain_ur5_random", "gain_ur5_blocks", "ur5_random")
 
@@ -379,7 +382,7 @@ def _set_of(row: str) -> RealSet:
 
 
 def _inputs(row: str, settings: BenchSettings, data: Path, **_: int) -> tuple[Any, ...]:
-    """The inputs that a row's figures depend on beside the code."""
+    """Return the inputs, besides the code, that the results of a row of the bench depend on."""
     files = [file_sha256(path) for paths in _set_of(row).paths(data) for path in paths]
     return (settings, _set_of(row), SPREAD.get(row), files)
 
@@ -421,19 +424,23 @@ def gains_of(folds: Rows) -> list[dict[str, Any]]:
 
 
 def _interval(pairs: Array, split: str) -> Ends | None:
-    """The interval of the removed share of the RMS, from squares after and before ``(n, 2)`` of rows or ordered blocks.
+    """Return the 95 % interval of the share of the RMS error that a model removes, or None.
 
-    It is computed on the logarithm of the share left, which is less skewed.
+    It is computed on the logarithm of the remaining share, which is less skewed.
+
+    Args:
+        pairs: Squared errors after and before ``(n, 2)``, m^2, of random rows or of contiguous blocks in order.
+        split: "random" or "blocks".
     """
     ends = statistic_interval(pairs, lambda some: 0.5 * np.log(np.divide(*some.sum(axis=0))), ordered=split == "blocks")
     return None if ends is None else (float(-np.expm1(ends[1])), float(-np.expm1(ends[0])))
 
 
 def predicted_gain(after: Array, before: Array) -> tuple[float, Ends | None]:
-    """Compute the mean gain of drawn arms, and the 95 % interval in which one more arm's gain would lie.
+    """Compute the mean gain of drawn arms, and the 95 % prediction interval for the gain of one more drawn arm.
 
     Each fold has a twin of its own, from which arms are drawn independently. To first order in the squared errors, the
-    variance of the gain is therefore a sum over folds: of the variance between the arms of each fold's twin. It has
+    variance of the gain is therefore the sum, over folds, of the variance between the arms of a fold's twin. It has
     folds * (draws - 1) degrees of freedom.
 
     Args:

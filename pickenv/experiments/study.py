@@ -3,7 +3,7 @@
 A study is a list of settings. A setting is a population of arms, the way to calibrate them, and the payload that they
 carry. Files and columns are in mm, deg and kg, as their names say; the code computes in SI units.
 
-All random numbers follow from the study's seed and the arm's number, not from chunks, workers or settings. In every
+All random numbers depend on the study's seed and the arm's number alone, not on chunks, workers or settings. In every
 setting, arm 17 deviates in the same directions, reaches for the same fruit and is measured at the same poses. Different
 arms have different fruit, poses and noise. They are therefore independent samples of the design and its workspace.
 
@@ -63,7 +63,7 @@ from pickenv.envs.shared.task import GOAL_MARGIN
 from pickenv.experiments.engine import Rows, joined
 
 VERSION = 3
-"""Version of the rows, raised when a configuration gives other rows: old and new results never mix."""
+"""Version of the rows. It is raised when a configuration would give other rows, so that old and new never mix."""
 
 RAW, LS = "raw", "ls"
 METHODS = (RAW, LS, *(f"{LS}+{kind}" for kind in names("residual")))
@@ -121,7 +121,7 @@ class Setting:
 
     @property
     def calibration(self) -> Setting:
-        """This setting with number and payload set to 0, which do not change the calibration of an arm."""
+        """This setting with ``number`` and ``payload_kg`` set to 0, since neither changes an arm's calibration."""
         return replace(self, number=0, payload_kg=0.0)
 
 
@@ -148,12 +148,12 @@ class StudyConfig:
         radius_mm: An arm gets a fruit when its tool ends within this distance of the fruit, mm.
         share: An arm is within specification when it gets at least this share of its fruit, from 0 to 1.
         tolerances: Tolerance classes, by name or path.
-        it_grades: ISO 286-1 grades of the lengths, in place of the grade of each class; None keeps the latter.
+        it_grades: ISO 286-1 grades of the lengths, in place of the grade of each class; None keeps the class's grade.
         methods: Methods of calibration, of `METHODS`.
         poses: Numbers of calibration poses.
         noise: Standard deviations of the tracker's readings. They include its errors of range and of centring.
-        instrument: Instrument that measures the arms, with its waiting time; a name of `pickenv.arm.load_instrument`,
-            or a path.
+        instrument: Instrument that measures the arms, which also gives the waiting time before each reading; a name of
+            `pickenv.arm.load_instrument`, or a path.
         residual_poses: Number of further poses for a learnt residual.
     """
 
@@ -175,7 +175,7 @@ class StudyConfig:
     instrument: Annotated[str, INSTRUMENT, IN_CALIBRATION] = TRACKER
 
     def settings(self) -> tuple[Setting, ...]:
-        """Return all settings, numbered in this order: populations vary slowest, then calibrations, payloads fastest.
+        """Return all settings by number: populations vary slowest, then calibrations, and payloads fastest.
 
         The method "raw", which does not calibrate, has a single setting per population and payload: with 0 poses and no
         noise.
@@ -196,11 +196,11 @@ class StudyConfig:
         )
 
     def chunks(self) -> range:
-        """Return the numbers of all chunks."""
+        """Return the indices of all chunks (arms that are computed and stored together)."""
         return range(-(-self.arms // self.chunk))
 
     def arms_of(self, chunk: int) -> range:
-        """Return the numbers of the arms of a chunk."""
+        """Return the numbers of the arms in a chunk, given the chunk's index."""
         return range(chunk * self.chunk, min((chunk + 1) * self.chunk, self.arms))
 
     def quick(self) -> StudyConfig:
@@ -279,13 +279,13 @@ MAX_TILT = math.radians(30.0)
 """Largest angle of the tool with the vertical when it reaches for fruit, rad, as in `pickenv/Reach-v0`."""
 
 DRAWS = 1000
-"""Number of random joint vectors for every fruit after which an arm counts as unable to hold its tool upright."""
+"""Number of random joint vectors per fruit; if too few of them hold the arm's tool upright, the study is refused."""
 
 AT_ONCE = 4
-"""Number of random joint vectors drawn per fruit at a time; of shipped arms' two in five hold the tool upright."""
+"""Number of random joint vectors drawn per fruit at a time. About two in five hold a shipped arm's tool upright."""
 
 TRIED = 5
-"""Number of arms on which the numbers of poses are tried before a study begins."""
+"""Number of arms with which the numbers of poses are tried before a study begins."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -293,7 +293,7 @@ class Circumstances:
     """The fruit, calibration poses and tracker errors of one arm, which are the same in every setting.
 
     Attributes:
-        number: The arm's number.
+        number: Number of the arm in its population, from 0.
         fruit: Joints with which the nominal arm reaches each of the M fruit ``(M, n)``, rad or m.
         poses: Joints of the calibration poses ``(P, n)``, rad or m, from a Halton sequence. P is the largest number of
             poses of any setting; a setting with fewer uses the first ones.
@@ -307,7 +307,7 @@ class Circumstances:
 
     @property
     def perfect(self) -> Circumstances:
-        """These circumstances without random errors of tracker and friction."""
+        """These circumstances with all random errors of tracker and friction set to 0."""
         return replace(self, tracker=NormalDraws(*(np.zeros_like(part) for part in self.tracker)))
 
 
@@ -321,7 +321,7 @@ class Protocol:
         design: The plant that arms are drawn from, that is the nominal arm with its effects.
         tolerances: Tolerance classes by name.
         model: Error model whose parameters least squares identifies.
-        tracker: Instrument that measures the arms; `instrument` gives it the noise of a setting.
+        tracker: Instrument that measures the arms; the method `instrument` returns it with the noise of a setting.
     """
 
     config: StudyConfig
@@ -377,7 +377,7 @@ class Protocol:
 
 
 def prepared_study(config: StudyConfig) -> Protocol:
-    """Load everything that a study needs, and check on a few arms that there are fruit, and poses enough to calibrate.
+    """Load everything that a study needs, and check on a few arms that fruit exist and poses suffice for a calibration.
 
     Raises:
         InputError: If a plant, instrument or tolerance class does not exist, or its file has a refused value. Also if
@@ -402,7 +402,7 @@ def measured(protocol: Protocol, arm: Plant, setting: Setting, around: Circumsta
 
 
 def carrying(plant: Plant, payload_kg: float) -> Plant:
-    """Return the plant (a true arm) with a mass held at its tool; unchanged if the plant has no link masses."""
+    """Return the plant (a true arm) with a mass held at its tool, or unchanged if it has no link masses."""
     return plant if plant.load is None else replace(plant, load=replace(plant.load, payload=payload_kg))
 
 
@@ -414,7 +414,7 @@ def spread_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> Ar
 
 
 def _upright_joints(nominal: Geometry, count: int, rng: np.random.Generator) -> Array:
-    """Joints ``(count, n)``, away from their limits, that hold the tool upright; drawn evenly among all such joints."""
+    """Return joints ``(count, n)``, rad or m, drawn uniformly among those with the tool upright, away from limits."""
     margin = GOAL_MARGIN * (nominal.upper - nominal.lower)
     inner = replace(nominal, lower=nominal.lower + margin, upper=nominal.upper - margin)
     upright = np.empty((0, nominal.joints))
@@ -450,7 +450,8 @@ SIZES: Mapping[str, tuple[str, Callable[[Any], tuple[Any, ...]]]] = {
     "creep": ("base_tilt", lambda effect: (effect.creep,)),
     "settlement": ("base_tilt", lambda effect: (effect.settlement,)),
 }
-"""For each column, its effect and a function that returns its parameters; random effects have columns of their name."""
+"""Effect behind each column of sizes, and a function that returns the effect's parameters. Effects that give their own
+sizes, such as those of other packages, have columns named after the effect."""
 
 
 def deviations(design: Plant, arms: Plant) -> dict[str, Array]:
@@ -501,7 +502,7 @@ OK = "ok"
 NOT_FINITE = "the simulated arm has no finite pose at some fruit"
 ERROR = "error_mean_mm"
 FIGURES = (ERROR, "error_rms_mm", "error_p50_mm", "error_p95_mm", "error_max_mm", "attitude_mean_deg")
-"""Columns of errors over an arm's fruit. They, and ``share_within``, are NaN where the status is not `OK`."""
+"""Columns of errors over an arm's fruit. These columns and ``share_within`` are NaN where the status is not `OK`."""
 
 
 def outcomes_of(
@@ -544,7 +545,7 @@ def evaluate_chunk(protocol: Protocol, chunk: int, rng: object = None) -> Rows:
 
 
 def judged_chunk(protocol: Protocol, chunk: int, judge: Judge) -> Rows:
-    """Draw the arms of a chunk from each population, and return the rows of what ``judge`` computes for them."""
+    """Draw the arms of a chunk from each population, judge them with ``judge``, and return the rows of the chunk."""
     arms = protocol.config.arms_of(chunk)
     around = [protocol.circumstances(arm) for arm in arms]
     populations = []
@@ -599,7 +600,7 @@ def arm_commands(protocol: Protocol, setting: Setting, arm: Plant, around: Circu
 
 
 def _calibrated(protocol: Protocol, setting: Setting, arm: Plant, around: Circumstances) -> tuple[Compensator, int]:
-    """The compensator of one arm, and the steps of its least squares."""
+    """Calibrate one true arm; return its compensator, and the number of least-squares steps."""
     identified = identify_converged(protocol.model, protocol.nominal, measured(protocol, arm, setting, around))
     iterations = len(identified.residual_rms) - 1
     _, _, kind = setting.method.partition(f"{LS}+")
@@ -616,7 +617,7 @@ def _calibrated(protocol: Protocol, setting: Setting, arm: Plant, around: Circum
 
 
 def reach_status(missed: int, config: StudyConfig) -> str:
-    """Return `OK`, or the sentence that too many fruit are out of an arm's reach for the arm to be judged.
+    """Return `OK`, or a sentence if too many fruit are out of an arm's reach to judge the arm.
 
     Args:
         missed: Number of fruit that the arm's own calibration predicts to miss by more than the specified radius.

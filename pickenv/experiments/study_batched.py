@@ -1,4 +1,4 @@
-"""Calibrate and judge thousands of arms of a study at once, in torch; arms are the last axis of every component.
+"""Calibrate and judge thousands of arms of a study at once, in torch; the last axis of every component is over arms.
 
 Physics, least squares and compensation are those of `pickenv.experiments.study`, so the rows agree. The least squares
 of all arms start at the nominal geometry. The poses of an arm determine which parameters are redundant; these are
@@ -40,13 +40,13 @@ BLOCKS = {"cpu": 2**14, "cuda": 2**22}
 """Number of poses computed together on each device: as many as fit a core's caches, or as keep a GPU busy."""
 
 IN_TIME = 8
-"""Factor on the number of poses computed together for a plant with state, whose measuring is simulated in time."""
+"""Factor on the number of poses computed together for a plant with memory, whose measuring is simulated in time."""
 
 
 Commands: TypeAlias = tuple[Sequence[Tensor], NDArray[np.int64], NDArray[np.int64], NDArray[np.bool_]]
 """Corrected commands of N arms, as a tuple of four: joint commands, one array ``(M, N)`` per joint, rad or m; number of
-fruit out of each arm's reach ``(N,)``; number of least-squares steps ``(N,)``; and whether each arm was calibrated here
-``(N,)``. Reach is what the arm's calibration predicts. The other arms are calibrated one by one."""
+fruit that each arm cannot reach, by its own calibration ``(N,)``; number of least-squares steps ``(N,)``; and whether
+the batch could calibrate each arm ``(N,)``. All other arms are calibrated one by one."""
 
 
 def evaluate_batch(protocol: study.Protocol, chunk: int, rng: object = None, device: str = "cpu") -> Rows:
@@ -111,7 +111,7 @@ def _outcomes(
     around: Sequence[study.Circumstances],
     place: Place,
 ) -> list[Rows]:
-    """Outcomes of all arms of one population in each of its settings."""
+    """Return the outcomes of all arms of one population, in each of ``settings``."""
     placed, count = plants_on(plants, place), len(around)
     targets = in_components(torch, np.stack([met.fruit for met in around], axis=1), place)
     read = visited_frames(protocol, placed, around, place)
@@ -140,7 +140,16 @@ def _commands(
     fruit: tuple[list[Tensor], Frame],
     place: Place,
 ) -> Commands:
-    """Calibrate all arms, as they were read, as the setting says; correct their commands for targets, wanted frames."""
+    """Calibrate all arms by a setting's method, and return their corrected commands for the fruit.
+
+    Args:
+        protocol: The study.
+        setting: The setting.
+        read: Frames from `visited_frames`.
+        around: Fruit, calibration poses and tracker errors of each arm.
+        fruit: Nominal joints at the fruit, and the wanted frames of the tool.
+        place: Function that moves an array to the device on which torch computes.
+    """
     count, (targets, goals) = len(around), fruit
     if setting.method == study.RAW:
         none = np.zeros(count, dtype=np.int64)
@@ -155,7 +164,7 @@ def _commands(
 
 
 def _norms(components: Sequence[Tensor], count: int) -> Array:
-    """Norms of vectors of three components ``(M, N)``, as an array ``(N, M)``."""
+    """Return the norms ``(N, M)`` of vectors given by three components ``(M, N)``."""
     x, y, z = components
     norms = torch.sqrt(x * x + y * y + z * z)
     return np.ascontiguousarray(norms.expand(-1, count).cpu().numpy().T)
@@ -164,7 +173,7 @@ def _norms(components: Sequence[Tensor], count: int) -> Array:
 # Rank-aware least squares of many arms, step by step as `least_squares` takes them.
 
 STEPS = 10
-"""Largest number of undamped steps for an arm here; three or four are usual. An arm that needs more is computed
+"""Largest number of undamped steps for an arm in a batch; three or four are usual. An arm that needs more is calibrated
 alone."""
 
 
@@ -196,8 +205,8 @@ def identify_batch(
 
     Returns:
         The identified geometries, with link parameters ``(N, n)``; the number of least-squares steps ``(N,)``; and
-        whether the result of each arm is valid ``(N,)``. It is not if the arm has other redundant parameters than most,
-        or undamped steps do not suffice.
+        whether the result of each arm is valid ``(N,)``. A result is invalid if the arm has other redundant parameters
+        than most arms, or if undamped steps do not suffice.
     """
     nominal, count, poses = protocol.nominal, len(around), setting.poses
     design, instrument = protocol.design, protocol.instrument(setting)
@@ -243,10 +252,12 @@ def identify_batch(
 
 
 def _usual_parameters(matrix: Tensor) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
-    """The parameters ``(K,)`` that most arms can identify, and which arms those are ``(N,)``; as `identifiability`.
+    """Return the parameters ``(K,)`` that most arms can identify, and flags of the arms with exactly these ``(N,)``.
+
+    The rule is that of `identifiability`.
 
     Args:
-        matrix: Stacked, scaled Jacobians ``(N, rows, P)``, in order of preference.
+        matrix: Stacked, scaled Jacobians ``(N, rows, P)``, with the parameters in order of preference.
     """
     rows, parameters = matrix.shape[1:]
     r = matrix if rows <= parameters else torch.linalg.qr(matrix, mode="r").R
@@ -269,19 +280,19 @@ def _usual_parameters(matrix: Tensor) -> tuple[NDArray[np.int64], NDArray[np.boo
 
 
 def _links(chain: Chain, joints: Sequence[Tensor]) -> tuple[list[Frame], Frame]:
-    """Frames of the links and of the tool."""
+    """Return the frames of the links, and the frame of the tool, at ``joints`` (one tensor per joint, rad or m)."""
     links = frames(torch, chain, joints)
     return links, attach(links[-1], chain.tool)
 
 
 def _residual(weights: Tensor, tool: Frame, measured: Frame) -> Tensor:
-    """Whitened differences ``(N, 6P)`` of measured and predicted poses; ``weights`` of the six rows of a pose."""
+    """Return measured minus predicted poses ``(N, 6P)``, multiplied by ``weights`` (6,), the inverse of the noise."""
     error = torch.stack(frame_error(torch, tool, measured))
     return (error * weights[:, None, None]).permute(2, 0, 1).flatten(1)
 
 
 def _jacobian(nominal: Geometry, model: ErrorModel, weights: Tensor, links: Sequence[Frame], tool: Frame) -> Tensor:
-    """Whitened derivatives ``(N, 6P, K)`` by the parameters, in tolerances."""
+    """Return the weighted derivatives of poses ``(N, 6P, K)`` by the parameters, each in units of its tolerance."""
     shape = torch.broadcast_shapes(*(value.shape for value in tool[9:]))
     columns = torch.zeros((6, *shape, len(model.columns)), dtype=torch.float64, device=weights.device)
     for k, column in enumerate(model.columns.tolist()):
@@ -294,9 +305,9 @@ def _jacobian(nominal: Geometry, model: ErrorModel, weights: Tensor, links: Sequ
 
 
 def _solve(matrix: Tensor, weighted: Tensor) -> tuple[Tensor, Tensor]:
-    """Least-squares steps ``(N, K)``, and whether the equations were sound ``(N,)``.
+    """Return least-squares steps ``(N, K)``, and whether the normal equations could be solved ``(N,)``.
 
-    The normal equations are accurate enough: the next step makes up for what they lose of a step.
+    The normal equations are accurate enough, because the next step corrects the rounding error of a step.
     """
     turned = matrix.mT
     factor, failed = torch.linalg.cholesky_ex(turned @ matrix)
@@ -309,7 +320,7 @@ def _rms(weighted: Tensor) -> Tensor:
 
 
 def _displaced_links(geometry: Geometry, model: ErrorModel, change: Array) -> Geometry:
-    """Geometries ``(N, n)`` with ``change`` ``(N, K)`` added to the model's link parameters."""
+    """Return geometries with link parameters ``(N, n)``, to which ``change`` ``(N, K)`` is added."""
     shape = (len(change), geometry.joints)
     displaced = with_links(geometry, lambda values: np.broadcast_to(values, shape).copy())
     for k, column in enumerate(model.columns.tolist()):

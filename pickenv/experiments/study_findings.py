@@ -1,7 +1,7 @@
 """The findings of a finished study: its worst, median and best arms, the verdict in words, and figures.
 
 Each figure is drawn from rows of yields, quantiles or sensitivities; mm, degrees, percent. `study_drawings` lists the
-figures that a study allows, with captions, and says why others are left out.
+figures that a study allows, with captions, and gives the reason for each other figure.
 """
 
 from __future__ import annotations
@@ -44,8 +44,8 @@ class Findings:
         yields: Rows of `yields_of`.
         quantiles: Rows of `quantiles_of`.
         dense: Quantiles of the mean position error at the probabilities `DENSE`.
-        sensitivities: By number of setting: rows of `sensitivities_of`, or the reason why there are none. One setting
-            of each method is analysed, with all other varied columns at their middle values.
+        sensitivities: For each analysed setting, by its number, the rows of `sensitivities_of`, or the reason why there
+            are none. One setting of each method is analysed, with all other varied columns at their middle values.
     """
 
     protocol: study.Protocol
@@ -92,7 +92,7 @@ def ranked(rows: Dataset, setting: int) -> dict[str, tuple[int, float]]:
     """Return the arms of a setting with the largest, median and smallest mean position error.
 
     Returns:
-        For "worst", "median" and "best" the number of the arm, and its mean position error, mm.
+        The number of the arm and its mean position error, mm, for each of "worst", "median" and "best".
 
     Raises:
         InputError: If no arm of the setting has a result.
@@ -110,9 +110,9 @@ def ranked(rows: Dataset, setting: int) -> dict[str, tuple[int, float]]:
 # The verdict: which way of making and calibrating arms is enough, at which payload, and how surely.
 
 REQUIRED_YIELD = 0.95
-"""Yield from which a way of making and calibrating arms counts as sufficient."""
+"""Smallest yield at which a way of making and calibrating arms counts as sufficient."""
 CHOICES = ("tolerances", "it_grade", "method", "poses", "noise_mm", "noise_deg")
-"""Columns that a maker of arms chooses; the payload is what the arms then carry."""
+"""Columns that a manufacturer of arms can choose; the payload is not among them."""
 FEW = 200
 """Number of arms below which the verdict says how uncertain the yields are."""
 
@@ -184,7 +184,7 @@ def setting_label(row: Row) -> str:
 
 
 def _ease(row: Row) -> tuple[Any, ...]:
-    """Sort key that is larger where less is asked of a maker: by coarse grade, then few poses, then a noisy tracker."""
+    """Return a sort key that is larger for less effort: coarse grade first, then few poses, then a noisy tracker."""
     return row["it_grade"], -row["poses"], row["noise_mm"], row["method"] == study.RAW
 
 
@@ -196,14 +196,14 @@ def _way(row: Row) -> str:
 
 
 def _at(row: Row, loads: Sequence[float]) -> str:
-    """Words for a row's payload, where it has one or several were tried."""
+    """Return words for a row's payload, such as ", carrying 2 kg"; empty if no arm of the study carries one."""
     if row["payload_kg"]:
         return f", carrying {row['payload_kg']:g} kg"
     return ", without payload" if len(loads) > 1 else ""
 
 
 def _best_at(rows: Sequence[Row], load: float) -> str:
-    """Words for the best way of making and calibrating arms at one payload alone."""
+    """Return a sentence on the best way of making and calibrating arms for one payload."""
     best = max((row for row in rows if row["payload_kg"] == load), key=lambda row: row["yield"])
     return f"{_capital(_at(best, (load, load)))} the best is {_way(best)}: {_share(best)}."
 
@@ -214,7 +214,7 @@ def _capital(text: str) -> str:
 
 
 def _share(row: Row) -> str:
-    """A row's yield with its interval in words, percent."""
+    """Return a row's yield with its 95 % interval as text, in percent."""
     return percent(row["yield"], row["yield_low"], row["yield_high"], 1)
 
 
@@ -227,15 +227,15 @@ AXES: Mapping[str, tuple[str, str, str]] = {
     "noise_mm": ("the tracker's noise", "tracker noise, standard deviation per axis (mm)", "noise {:g} mm"),
     "payload_kg": ("the payload", "payload (kg)", "payload {:g} kg"),
 }
-"""Columns that may vary along a figure's axis; for each its name in words, the axis label and the format of a value."""
+"""Columns for the x axis of a figure; for each its name in words, the axis label and the format of a value."""
 ERROR_LABEL = "arm's mean position error (mm)"
 NOTE = 7.5
 """Font size of the line below a figure that says how to read it, points."""
 NOTE_LETTER, LEGEND = 0.062, 1.8
 """Width of a letter of the note below a figure, and width of a legend beside the panels, inches."""
 NEAREST, ALIKE = 0.015, 0.015
-"""Largest distance of curves that are drawn as one, about a line's width. The first is a share of the range shown, the
-second, for a logarithmic axis, a share of the values."""
+"""Largest distance between curves that are drawn as one, about a line's width. The first is a share of the range shown.
+The second is for a logarithmic axis, and is a share of the values."""
 LONGEST = 16
 """Largest number of parameters in a tornado figure; the others explain almost nothing."""
 
@@ -287,8 +287,8 @@ def yield_curves(yields: Sequence[Row], along: str, specification: str) -> Figur
 
     Args:
         yields: Rows of `yields_of`.
-        along: Column on the x axis, which the study varied. Of the other varied columns, colour and line style show
-            some. The rest are held at their middle values, which the legend names.
+        along: Column on the x axis, which the study varied. Colour and line style show some of the other varied
+            columns. All further ones are held at their middle values, which the legend names.
         specification: The text of `specified`: when an arm is within specification.
     """
     keys = ("yield", "yield_low", "yield_high")
@@ -373,21 +373,22 @@ def tornado(sensitivities: Sequence[Row], setting: str) -> Figure:
 
 
 def _judged(quantiles: Sequence[Row]) -> list[Row]:
-    """The rows of the mean position error, of settings that have any arm with a result."""
+    """Return the rows of the mean position error, of settings in which at least one arm has a result."""
     return [row for row in quantiles if row["quantity"] == study.ERROR and row["arms"]]
 
 
 def _arms(rows: Sequence[Row]) -> str:
-    """Words for the number of arms behind a figure; few arms are called a trial run."""
+    """Return words for the number of arms behind a figure; a small number is called a trial run."""
     arms = max((int(row["arms"]) for row in rows), default=0)
     return f"{arms} arms" + f" (a trial run: fewer than {FEW})" * (arms < FEW)
 
 
 def _curves(rows: Sequence[Row], along: str, keys: tuple[str, str, str], ylabel: str, note: str) -> Figure:
-    """Curves with bands: a panel per tolerance class; colour and line style for what varies beside the axis.
+    """Draw curves with bands, in a panel per tolerance class.
 
-    Curves that cannot be told apart are drawn once and named together; the title says what the axis does to the best
-    one: the largest mean of yields, the least mean of errors.
+    Colour and line style show what varies besides ``along``. Curves that cannot be told apart are drawn once, with one
+    label. The title gives the values of the best curve at both ends of the axis. The best curve has the largest mean
+    yield, or the smallest mean error.
     """
     of_yields = "yield" in keys
     factor = 100.0 if of_yields else 1.0
@@ -441,7 +442,7 @@ def _curves(rows: Sequence[Row], along: str, keys: tuple[str, str, str], ylabel:
 
 
 def _together(labels: Sequence[str]) -> str:
-    """One label for curves that are alike: LS, IT6 to IT16 (alike)."""
+    """Return one label for curves that look alike, such as LS, IT6 to IT16 (alike)."""
     if len(labels) == 1:
         return labels[0]
     last = (
@@ -451,14 +452,14 @@ def _together(labels: Sequence[str]) -> str:
 
 
 def _held_words(rows: Sequence[Row], shown: Sequence[str]) -> str | None:
-    """What was held, for the legend's title."""
+    """Return the legend's title: the values of the columns that were held constant; None if there are none."""
     calibrated = [row for row in rows if row["method"] != study.RAW]
     words = [_valued(name, calibrated[0]) for name in AXES if name not in shown] if calibrated else []
     return "\n".join(words) or None
 
 
 def _series(rows: Sequence[Row], along: str, beside: tuple[str, str]) -> Iterator[tuple[str, list[Row]]]:
-    """The label and the rows of each curve, ordered along the axis."""
+    """Yield the label and the rows of each curve, with the rows ordered along the axis."""
     keys = sorted({(row[beside[0]], row[beside[1]]) for row in rows}, key=lambda key: (key[0] != study.RAW, *key))
     for key in keys:
         curve = sorted((r for r in rows if (r[beside[0]], r[beside[1]]) == key), key=lambda row: row[along])
@@ -467,12 +468,12 @@ def _series(rows: Sequence[Row], along: str, beside: tuple[str, str]) -> Iterato
 
 
 def _valued(name: str, row: Row) -> str:
-    """A row's value on one of `AXES`, in words."""
+    """Return a row's value in a column of `AXES`, in words."""
     return AXES[name][2].format(row[name])
 
 
 def _looks(rows: Sequence[Row], beside: str) -> Callable[[Row], dict[str, Any]]:
-    """A function that gives a curve's style: its method's colour, and line and mark by its value of ``beside``."""
+    """Return a function from row to line style: colour by method, line pattern and mark by the value of ``beside``."""
     methods = list(dict.fromkeys(row["method"] for row in rows))
     colours = dict(zip(methods, style.rgb(policy_colours(methods)), strict=True))
     values = sorted({row[beside] for row in rows if beside != "poses" or row["method"] != study.RAW})
@@ -492,7 +493,7 @@ def _note(figure: Figure, text: str) -> None:
 
 
 def _parameter_label(name: str) -> str:
-    """A parameter's name for people: a2 for delta_a2_mm, joint stiffness 1 for size_joint_stiffness_1."""
+    """Return a parameter's name for readers: a2 for delta_a2_mm, joint stiffness 1 for size_joint_stiffness_1."""
     for end in ("_mm", "_deg"):
         name = name.removesuffix(end)
     return name.removeprefix("delta_").removeprefix("size_").removesuffix("_K").replace("_", " ")

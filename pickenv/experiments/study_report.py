@@ -1,8 +1,8 @@
 """Outputs in a study's folder: a report in one HTML file that needs no network, figures, and a recording for Rerun.
 
 The page has the verdict first, then yields, errors, the tolerances that matter, and the origin of the numbers. The
-recording shows a setting's worst, median and best arm side by side. Each arm is calibrated at its own poses, but all
-three reach for the fruit of the worst arm, so that they can be compared.
+recording shows a setting's worst, median and best arm side by side. Each arm is calibrated at its own poses. For
+comparison, all three reach for the fruit of the worst arm.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from pickenv.inspect.runs.run_folder import TakePicture
 COUNTS = ("within", "arms", "failed")
 MOST_REASONS = 10
 MATTERS = 8
-"""Number of parameters listed for each setting; the figure shows more."""
+"""Number of parameters in the table of each setting; the figure shows more."""
 
 
 def write_outputs(folder: str | Path, sobol_samples: int = 0) -> list[Path]:
@@ -116,7 +116,7 @@ def study_page(folder: str | Path, findings: Findings) -> str:
 
 
 def _percents(row: Row, key: str) -> tuple[str, str]:
-    """A share and its interval, percent, in two cells."""
+    """Return a share and its interval as texts for two table cells, percent."""
     low, high = (None if row[end] is None else 100 * row[end] for end in (f"{key}_low", f"{key}_high"))
     return f"{100 * row[key]:.1f}", between(low, high, 1)
 
@@ -140,7 +140,7 @@ def _yield_table(findings: Findings) -> PageTable:
 
 
 def _failures(findings: Findings) -> str | PageTable:
-    """Why arms have no result."""
+    """Return a table of the reasons why arms have no result, or a sentence if every arm has one."""
     reasons: Counter[str] = Counter()
     for batch in findings.rows.to_batches(columns=["status"], filter=pc.field("status") != OK, use_threads=False):
         reasons.update(batch["status"].to_pylist())
@@ -230,11 +230,11 @@ GRID_STEP = 0.1
 
 
 def record_study(folder: str | Path, setting: int, path: str | Path) -> Path:
-    """Write a recording (.rrd) of a setting's worst, median and best arm, whole or not at all.
+    """Write a recording (.rrd) of a setting's worst, median and best arm, completely or not at all.
 
     Args:
         folder: The study's folder.
-        setting: Number of the setting.
+        setting: Index of the setting, that is of one combination of the study's factors, from 0 as in its tables.
         path: The file to write, usually `arms.rrd`.
 
     Raises:
@@ -246,9 +246,9 @@ def record_study(folder: str | Path, setting: int, path: str | Path) -> Path:
 
 
 def arms_compared(folder: str | Path, setting: int) -> Comparison:
-    """Return the reaches of a setting's worst, median and best arm, in the format of a comparison of policies.
+    """Return the reaches of a setting's worst, median and best arm, as a comparison with one policy per arm.
 
-    `record_study` makes its recording from them.
+    `record_study` makes its recording from this comparison.
     """
     protocol = prepared_study(study_of(folder))
     config, nominal = protocol.config, protocol.nominal
@@ -260,7 +260,7 @@ def arms_compared(folder: str | Path, setting: int) -> Comparison:
     fruit = protocol.circumstances(places["worst"][0]).fruit
 
     def errors_of(name: str, number: int) -> RecordedPolicy:
-        """One arm's errors over the field and at the fruit, calibrated as the setting says."""
+        """Return one arm's errors over the field and at the fruit, with the arm calibrated as the setting says."""
         arm, around = arms[name], protocol.circumstances(number)
         loaded = carrying(arm, cell.payload_kg)
 

@@ -44,9 +44,9 @@ ROWS, SUMMARY, SOBOL = "rows", "summary.json", "sobol.json"
 SOBOL_AGAIN = "run `pickenv study` with `sobol` again"
 
 BATCHED = "batched"
-"""Name of the executor that computes all arms of a chunk at once; the others compute arm by arm."""
+"""Name of the executor that computes all arms of a chunk at once; the other executors compute arm by arm."""
 EXECUTORS = {"serial": "serial", "joblib": "loky", BATCHED: "loky"}
-"""The backend that computes the chunks, for each executor."""
+"""For each executor, the backend of `pickenv.experiments.run` that computes the chunks."""
 
 
 def run_study(
@@ -112,7 +112,7 @@ def _batched(protocol: study.Protocol, device: str) -> Callable[..., Any]:
 
 
 def _name(config: study.StudyConfig) -> str:
-    """The name of a study's experiment, with which its files' names begin."""
+    """Return the name of a study's experiment, with which the names of its files begin."""
     return f"study-{config.sha256()[:16]}"
 
 
@@ -141,7 +141,7 @@ def _summary(protocol: study.Protocol, folder: Path, files: Sequence[Path], abou
 
 
 def _components(protocol: study.Protocol, setting: study.Setting) -> dict[str, Any]:
-    """Causes of the differences between arms in a setting that represents its method, or why they are not known."""
+    """Return the causes of differences between the arms of a setting, or the reason why they are not known."""
     from pickenv.experiments.study_variance import components_of
 
     try:
@@ -196,7 +196,7 @@ def study_of(folder: str | Path) -> study.StudyConfig:
 
 
 def _chunks(folder: str | Path) -> Iterator[tuple[Path, pa.Table]]:
-    """The rows in order, a chunk at a time, each verified: memory does not grow with the number of arms."""
+    """Yield file and table of each chunk in order, verified; memory does not grow with the number of arms."""
     rows = Path(folder) / ROWS
     if not (rows / RECORD).is_file():
         raise InputError(f"{rows} holds no results; run `pickenv study` first")
@@ -335,7 +335,7 @@ def check_folder(folder: str | Path) -> list[tuple[Path, str | None]]:
 # Yields and quantiles. The rows are a Parquet data set of any size, of which memory holds a few columns of one setting.
 
 VARIED = ("it_grade", "poses", "noise_mm", "payload_kg")
-"""Columns that a study may vary, besides tolerance class and method."""
+"""Columns, besides tolerance class and method, that a study may vary."""
 
 PROBABILITIES = (0.05, 0.25, 0.5, 0.75, 0.95)
 
@@ -343,8 +343,9 @@ PROBABILITIES = (0.05, 0.25, 0.5, 0.75, 0.95)
 def held(rows: Sequence[Row], shown: Sequence[str]) -> list[Row]:
     """Return the rows in which every varied column, except those in ``shown``, is at its middle value.
 
-    The middle grade is one of the middle tolerance class, and the middle noise of attitudes one of the noise of
-    positions. Rows of raw arms, which have neither poses nor noise, need not be at the middle value of these.
+    The middle grade is chosen among the grades of the middle tolerance class, and the middle noise of attitudes among
+    those of the middle noise of positions. Rows of raw arms have neither poses nor noise, and are kept whatever these
+    columns hold.
     """
     for name in ("tolerances", *VARIED):
         if name not in shown:
@@ -359,7 +360,10 @@ def held(rows: Sequence[Row], shown: Sequence[str]) -> list[Row]:
 
 
 def _middle(rows: Sequence[Row], name: str) -> Any:
-    """The middle value of a column of calibrated arms, if there are any: of classes in their order, else by size."""
+    """Return the middle value of a column: of classes in their order, of numbers by size.
+
+    Only the rows of calibrated arms count, if there are any.
+    """
     calibrated = [row for row in rows if row["method"] != study.RAW] or rows
     values = list(dict.fromkeys(row[name] for row in calibrated))
     values = values if name == "tolerances" else sorted(values)
@@ -377,8 +381,8 @@ def yields_of(rows: ds.Dataset, required_share: float) -> pa.Table:
         required_share: Share of an arm's fruit that must lie within the specified radius.
 
     Returns:
-        One row per setting: its columns, ``arms``, ``failed`` (arms without a result), ``within`` (arms within
-        specification), ``yield`` and Wilson's 95 % interval ``yield_low``, ``yield_high``.
+        One row per setting: the setting's columns, ``arms``, ``failed`` (arms without a result), ``within`` (arms
+        within specification), ``yield`` and Wilson's 95 % interval ``yield_low``, ``yield_high``.
     """
     table = []
     for setting, arms in _by_setting(rows, ("status", "share_within")):
@@ -396,7 +400,7 @@ def quantiles_of(
 
     The i-th of N sorted values has probability (i - 1/2) / N (Hazen's definition). The 95 % band, from order
     statistics, needs no assumption about the distribution. With few arms the band of an extreme quantile has an open
-    end: with fewer than 72 arms, those below 5 % and above 95 %.
+    end. Fewer than 72 arms leave it open for quantiles below 5 % and above 95 %.
 
     Args:
         rows: Any number of a study's rows.
@@ -405,7 +409,8 @@ def quantiles_of(
 
     Returns:
         One row per setting, column and probability: the setting's columns, ``quantity``, ``arms``, ``probability``,
-        ``value`` and the 95 % band ``low``, ``high``. An open end is null; so are all three if no arm has a result.
+        ``value`` and the 95 % band ``low``, ``high``. An open end is null; ``value``, ``low`` and ``high`` are null if
+        no arm has a result.
     """
     quantiles: dict[str, list[dict[str, Any]]] = {column: [] for column in columns}
     for setting, arms in _by_setting(rows, ("status", *columns)):
@@ -422,7 +427,7 @@ def quantiles_of(
 
 
 def _by_setting(rows: ds.Dataset, columns: Sequence[str]) -> Iterator[tuple[dict[str, Any], Rows]]:
-    """Yield each setting, ordered by number, with the given columns of its rows."""
+    """Yield each setting, in order of its number, with the given columns of its rows."""
     settings: dict[int, dict[str, Any]] = {}
     for batch in rows.to_batches(columns=list(study.SETTING), use_threads=False):
         groups = pa.Table.from_batches([batch]).group_by(list(study.SETTING), use_threads=False).aggregate([])

@@ -1,8 +1,8 @@
 """Causes of differences between arms' errors: by drawing each cause anew, by Sobol indices, and by regression on rows.
 
-Components (`components_of`) are shares of four causes: the arm, its fruit, its poses and the tracker's errors. One
-cause is drawn again while the other three are held, on further arms that are not in the study. The quantity is the
-logarithm of the radius that contains the required share of an arm's fruit. This radius decides whether the arm is
+Components (`components_of`) are the shares of four causes: the arm, its fruit, its poses and the tracker's errors. One
+cause is drawn again while the other three are held constant, for new arms that are not in the study. The quantity is
+the logarithm of the radius that contains the required share of an arm's fruit. This radius decides whether the arm is
 within specification. With the logarithm, the shares are those of relative errors, and a few bad arms do not dominate.
 
 Sobol indices (`sobol_of`, Saltelli 2010) divide the variance of the squared RMS error, mm^2, among groups of
@@ -13,10 +13,10 @@ fruit and poses.
 Sensitivities (`sensitivities_of`) come from a regression on a study's rows. The squared error of an arm is a quadratic
 form of its deviations. The squared RMS error of an arm over its own fruit, mm^2, is therefore regressed on each
 standardised deviation x and on x^2. For independent deviations the variance of b x + c x^2 is the parameter's
-first-order share. The rest, 1 - R^2, is due to interactions, fruit and poses, the tracker, and deviations without a
-column. A regression gives a positive share to a tolerance without effect. The share that scatter alone would give is
-subtracted, so that the share of such a tolerance is zero on average. Intervals come from the jackknife over groups of
-arms (`_interval`).
+first-order share. The remaining share, 1 - R^2, is due to interactions, fruit and poses, the tracker, and deviations
+without a column. A regression gives a positive share to a tolerance without effect. The share that scatter alone would
+give is subtracted, so that the share of such a tolerance is zero on average. Intervals come from the jackknife over
+groups of arms (`_interval`).
 """
 
 from __future__ import annotations
@@ -58,9 +58,10 @@ def variance_indices(first: Array, second: Array, mixed: Array, names: Sequence[
         names: Names of the causes.
 
     Returns:
-        One row per cause. ``group`` is its name, ``first_order`` its share alone, and ``total`` its share with all its
-        interactions, which is never smaller. The ends of the 95 % intervals, over the R parts, are ``first_order_low``,
-        ``first_order_high``, ``total_low`` and ``total_high``. They are None if R is too small.
+        One row per cause. ``group`` is the cause's name, ``first_order`` its share alone, and ``total`` its share with
+        all its interactions, which is never smaller than the share alone. The ends of the 95 % intervals, over the R
+        parts, are ``first_order_low``, ``first_order_high``, ``total_low`` and ``total_high``. They are None if R is
+        too small.
 
     Raises:
         InputError: If all values of ``first`` and ``second`` are equal.
@@ -84,7 +85,11 @@ def variance_indices(first: Array, second: Array, mixed: Array, names: Sequence[
 
 
 def _ends(part: Array, whole: Array, value: float) -> tuple[float | None, float | None]:
-    """The interval of a ratio of means over blocks ``(R,)``: within 0 to 1, but holding the value that is shown."""
+    """Return the interval of the ratio of the means of ``part`` and ``whole`` over blocks ``(R,)``.
+
+    Its ends are clipped to 0 to 1, and moved if necessary so that it contains ``value``. They are None if R is too
+    small.
+    """
     if not part.any():
         return 0.0, 0.0  # the cause changes nothing
     ends = statistic_interval(np.stack([part, whole], axis=1), lambda rows: rows[:, 0].mean() / rows[:, 1].mean())
@@ -94,8 +99,8 @@ def _ends(part: Array, whole: Array, value: float) -> tuple[float | None, float 
 # Components.
 
 MOST_ARMS, LEAST_ARMS = 256, 30
-"""Largest and smallest number of arms for `components_of`. With 20 arms, 95 % intervals of total shares would contain
-the true value in 92 % of cases only."""
+"""Largest and smallest number of arms for `components_of`. With 20 arms, only 92 % of the 95 % intervals of total
+shares would contain the true value."""
 
 
 def components_of(protocol: Protocol, setting: Setting) -> list[dict[str, Any]]:
@@ -141,7 +146,10 @@ def components_of(protocol: Protocol, setting: Setting) -> list[dict[str, Any]]:
 
 
 def _log_errors(protocol: Protocol, setting: Setting, arms: Plant, around: Sequence[Circumstances]) -> Array:
-    """Logarithms of the radii that hold the required share of the arms' fruit ``(N,)``; NaN for an arm not judged."""
+    """Return the logarithms of the radii, m, that contain the required share of an arm's fruit ``(N,)``.
+
+    An arm that was not judged has NaN.
+    """
     from pickenv.experiments.study_batched import judge_batch
 
     (outcomes,) = judge_batch(protocol, [setting], arms, around)
@@ -166,7 +174,8 @@ GROUPS: Mapping[str, tuple[str, tuple[str, ...]]] = {
 }
 """For each group of effects, the effect and the random numbers (`random_columns`) that determine it."""
 SOBOL_STREAM = 7
-"""Spawn key of the random numbers, which differ from those of the study's rows."""
+"""Spawn key of the random numbers for Sobol indices. It is not a key of the study's rows, whose random numbers
+differ."""
 SCRAMBLES = 32
 """Number of independent Sobol sequences in a sample; the intervals are over them."""
 LEAST_SAMPLES = 8 * SCRAMBLES
@@ -250,8 +259,8 @@ def sobol_indices(
 
     Args:
         model: Function that returns one finite number for each of N rows ``(N,)``. Its arguments are uniform random
-            numbers ``(N, d)`` in 0..1, and the numbers of the rows in the sample ``(N,)``. The indices are averages
-            over whatever else depends on a row's number.
+            numbers ``(N, d)`` in 0..1, and the indices of the rows in the sample ``(N,)``. The Sobol indices are
+            averages over all other quantities that depend on a row's index.
         groups: For each group, the indices of its inputs among the d columns; each input belongs to one group.
         samples: Number of rows of the sample, a power of two. The model is evaluated at each row once per group, and
             twice more.
@@ -286,7 +295,7 @@ def sobol_indices(
 DEVIATION = re.compile(r"delta_.+_(mm|deg)|size_.+|(sine|cosine)_.+|rise_K")
 """Pattern of the names of columns that hold deviations drawn for an arm."""
 BLOCKS = 100
-"""Number of groups of arms that the jackknife leaves out in turn; an arm's number determines its group."""
+"""Number of groups of arms that the jackknife leaves out in turn. An arm's number determines its group."""
 ARMS_PER_TERM = 5
 """Smallest number of arms for each term of a regression; a regression with fewer is refused."""
 TAILS = (0.975, 0.025)
@@ -368,11 +377,11 @@ def tolerance_kind(column: str) -> str:
 
 
 def _moments(rows: Dataset, setting: int) -> tuple[list[str], Array]:
-    """Compute the sums that a regression needs; rows are read twice, for means and spreads and for products.
+    """Compute the sums that a regression needs, in two passes over the rows: means and spreads, then products.
 
     Returns:
         The names of the k deviations that vary, and sums of products ``(BLOCKS, 2 k + 2, 2 k + 2)`` of 1, x, x^2 and
-        the squared error in mm^2. x is the deviation minus its mean, over its standard deviation.
+        the squared error in mm^2. x is the deviation minus its mean, divided by its standard deviation.
     """
     names = [name for name in rows.schema.names if DEVIATION.fullmatch(name)]
     selection = (pc.field("setting") == setting) & (pc.field("status") == OK)
@@ -400,7 +409,7 @@ def _moments(rows: Dataset, setting: int) -> tuple[list[str], Array]:
 
 
 def _products(z: Array, block: NDArray[np.int64]) -> Array:
-    """Sums of products of the rows ``(n, q)`` of each block ``(BLOCKS, q, q)``."""
+    """Return the sums of outer products ``(BLOCKS, q, q)`` of the rows ``z (n, q)`` in each block."""
     order = np.argsort(block, kind="stable")
     count = np.bincount(block, minlength=BLOCKS)
     place = np.arange(len(block)) - np.repeat(np.cumsum(count) - count, count)
@@ -410,11 +419,13 @@ def _products(z: Array, block: NDArray[np.int64]) -> Array:
 
 
 def _regressed(sums: Array) -> tuple[Array, Array, Array, Array]:
-    """Regressions on 2 k terms, x and x^2 of k deviations, from the sums of products of S sets of arms ``(S, q, q)``.
+    """Compute a regression on 2 k terms, x and x^2 of k deviations, for each of S sets of arms.
+
+    ``sums`` ``(S, q, q)`` are the sums of products of `_moments`, with q = 2 k + 2.
 
     Returns:
         Slopes of the terms ``(S, 2 k)``, mm^2; covariances of the terms ``(S, 2 k, 2 k)``; variances of the squared
-        error, mm^4, and the shares of them that all terms explain (R^2), each ``(S,)``.
+        error, mm^4, and the shares of these variances that all terms explain (R^2), each ``(S,)``.
     """
     count, mean = sums[:, :1, :1], sums[:, :1] / sums[:, :1, :1]
     covariance = sums / count - mean.mT * mean
@@ -425,24 +436,25 @@ def _regressed(sums: Array) -> tuple[Array, Array, Array, Array]:
 
 
 def _explained(slopes: Array, covariance: Array, group: Sequence[int]) -> Array:
-    """What a group of deviations explains by these slopes of all terms ``(S, 2 k)``: a variance ``(S,)``."""
+    """Return the variance ``(S,)``, mm^4, that a group of deviations explains, given the terms' slopes ``(S, 2 k)``."""
     both = [*group, *(slopes.shape[1] // 2 + i for i in group)]  # x and x^2
     part = slopes[:, None, both]
     return np.asarray((part @ covariance[:, both][:, :, both] @ part.mT)[:, 0, 0])
 
 
 def _interval(share: float, chance: float, pseudo: Array) -> tuple[float, float]:
-    """Return the 95 % interval of a share, after what chance adds to the share is subtracted.
+    """Return the 95 % interval of a share, less the part of the share that is due to chance.
 
     The root of a share is a length in the space of slopes, with the same standard error everywhere. The share over that
     error squared is therefore noncentral chi-square, as if with ``chance / error**2`` degrees of freedom. The interval
-    contains the noncentralities that do not contradict such a share. It begins at zero if zero is one of them, and
-    contains the estimate if that is below zero.
+    contains all noncentralities that agree with such a share, and begins at zero if zero agrees too. An estimate below
+    zero is also inside.
 
     Args:
         share: The share, including what chance adds.
         chance: The part that chance adds.
-        pseudo: The jackknife's pseudo-values of the share's root; their skewness gives each side an error of its own.
+        pseudo: The jackknife's pseudo-values of the share's square root. From their skewness, the two sides of the
+            interval get different errors.
     """
     estimate, ends = share - chance, mean_interval(pseudo)
     if ends is None:

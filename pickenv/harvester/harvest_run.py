@@ -34,10 +34,10 @@ class Strategy:
 
     Attributes:
         name: Name for reports.
-        controller: Controller that converts nominal joints to commands, by its beliefs about the true machine.
+        controller: Controller that converts nominal joints to commands by models of the true arms (its beliefs).
         pick_point: Name of the method of `pickenv.harvester.pick_point`.
         assignment: Name of the method of `pickenv.harvester.assign`.
-        guard: Whether side arms wait while their ultrasonic ranger measures a middle arm too near.
+        guard: Whether a side arm waits while its ultrasonic ranger measures that a middle arm is too near.
         looks: Largest number of pictures of a zone. After each picture and its picks, another picture is taken only if
             some of these picks detached no fruit.
         unload_full: If true, the tubes are emptied only when one is full, and at the end. Otherwise they are emptied
@@ -101,10 +101,10 @@ class Harvest:
 
     Attributes:
         tree: The tree.
-        rng: Random generator of what happens to the fruit.
-        looking: Random generator of what the pictures show.
+        rng: Random generator for the outcomes of picks.
+        looking: Random generator for the pictures.
         leaves: Leaves of the tree, or None unless pictures are rendered.
-        seen: Whether at least a part of each fruit was in sight in some picture.
+        seen: Whether at least a part of each fruit was visible in some picture.
         located: Whether the position of each fruit was measured in some picture.
         reachable: Whether some arm could reach each fruit from a pick point.
         attempted: Whether a cup was sent to each fruit.
@@ -185,7 +185,7 @@ def harvest(
 
 
 def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone: Zone, look: int) -> Round | None:
-    """Take a picture of a zone and plan its picks; return None if the picture shows nothing that an arm reaches."""
+    """Take a picture of a zone and plan the picks; return None if the picture shows no fruit that an arm reaches."""
     state.spend("image", machine.cycle.image)
     numbers, places = _seen_in(eyes, state, zone, look)
     if not numbers.size:
@@ -204,7 +204,10 @@ def _plan(machine: Machine, strategy: Strategy, eyes: Eyes, state: Harvest, zone
 
 
 def _seen_in(eyes: Eyes, state: Harvest, zone: Zone, look: int) -> tuple[NDArray[np.int64], Array]:
-    """Detections in a zone's picture: index in the tree (m,), -1 for false ones, and measured positions, m, (m, 3)."""
+    """Return the detections in a zone's picture: index in the tree (m,), -1 if false, and position, m, (m, 3).
+
+    Positions are as measured, in the base frame. ``look`` counts the zone's pictures from 0.
+    """
     tree, rng = state.tree, state.looking
     hanging = np.flatnonzero(~state.detached)
     chances = None
@@ -288,9 +291,9 @@ def _record(true: TrueMachine, strategy: Strategy, model: Picking, state: Harves
 
 
 def _outcome(model: Picking, state: Harvest, numbers: NDArray[np.int64], tips: Array, entry: Array) -> Flags:
-    """Flags of a round's picks: attached, detached and collected, (3, picks), in the order of the picks.
+    """Return flags of a round's picks: attached, detached and collected, (3, picks), in the order of the picks.
 
-    A cup that is sent to a false detection comes back empty, but pushes the foliage all the same.
+    A cup that is sent to a false detection returns empty, but it pushes the foliage like any other cup.
 
     Args:
         model: Model of the outcomes of picking attempts.
@@ -318,7 +321,7 @@ def _outcome(model: Picking, state: Harvest, numbers: NDArray[np.int64], tips: A
 
 
 def _unload(machine: Machine, state: Harvest) -> None:
-    """Carry the fruit to the start pose and open the lids of the tubes; without fruit in them, do nothing."""
+    """Carry the fruit to the start pose and open the lids of the tubes; do nothing if all tubes are empty."""
     if not state.load.any():
         return
     state.spend("move", float(master_time(machine, state.master, machine.master_start)))
@@ -358,7 +361,7 @@ def work_trees(
         orchard: Model from which trees are drawn.
         grid: Division of each side into zones.
         count: Number of trees.
-        seed: Seed of the trees and of all that happens to them.
+        seed: Seed of the trees and of their harvest.
         workers: Number of processes.
         vision: Model of what the cameras show, one of `pickenv.orchard.VISIONS`.
 

@@ -32,7 +32,7 @@ def segment_distance(p: ArrayLike, q: ArrayLike, r: ArrayLike, s: ArrayLike) -> 
 
 
 def _square_between(m: Any, p: Point, q: Point, r: Point, s: Point) -> Scalar:
-    """Square of the distance between the segments p-q and r-s; ``m`` is NumPy, or `ONE` for single numbers."""
+    """Return the squared distance between the segments p-q and r-s; ``m`` is NumPy, or `ONE` for single numbers."""
     near = m.minimum(_square_from(m, p, r, s), _square_from(m, q, r, s))
     near = m.minimum(near, m.minimum(_square_from(m, r, p, q), _square_from(m, s, p, q)))
     crossing = (_side(r, s, p) * _side(r, s, q) < 0) & (_side(p, q, r) * _side(p, q, s) < 0)
@@ -40,7 +40,7 @@ def _square_between(m: Any, p: Point, q: Point, r: Point, s: Point) -> Scalar:
 
 
 def _square_from(m: Any, point: Point, a: Point, b: Point) -> Scalar:
-    """Square of the distance between a point and the segment a-b."""
+    """Return the squared distance between a point and the segment a-b."""
     along, across = b[0] - a[0], b[1] - a[1]
     x, y = point[0] - a[0], point[1] - a[1]
     share = (x * along + y * across) / m.maximum(along * along + across * across, 1e-18)
@@ -73,7 +73,7 @@ def pairs_of(arms: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
 
 
 def arm_distances(machine: Machine, slaves: ArrayLike) -> Array:
-    """Distances between the centre lines of each pair of slaves, m, (..., pairs); `pairs_of` gives the order.
+    """Return the distances between the centre lines of each pair of slaves, m, (..., pairs), in `pairs_of`'s order.
 
     Args:
         machine: The machine.
@@ -105,12 +105,12 @@ def pair_distances(m: Any, machine: Machine, slaves: Sequence[Scalars]) -> list[
 
 
 def _ends(m: Any, offset: Scalar, d4: Scalar, swing: Scalar, d6: Scalar) -> tuple[Scalar, ...]:
-    """Four numbers of a slave: its pivot along x, its cup's x and y in plan, and its height."""
+    """Return four numbers of a slave, m: x of the pivot, x and y of the cup in plan, and the arm's height."""
     return offset, *cup_in_plan(m, offset, swing, d6), d4
 
 
 def _between(m: Any, first: tuple[Scalar, ...], second: tuple[Scalar, ...]) -> Scalar:
-    """Distance between the centre lines of two slaves, each given as `_ends` returns it."""
+    """Return the distance between the centre lines of two slaves, m, each given as `_ends` returns it."""
     (a, x, y, height), (b, u, v, level) = first, second
     return m.sqrt(_square_between(m, (a, 0.0), (x, y), (b, 0.0), (u, v)) + (height - level) * (height - level))
 

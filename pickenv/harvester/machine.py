@@ -240,20 +240,23 @@ class Machine:
         return np.stack([d4, swing, np.hypot(a, b)], axis=-1)
 
     def within_limits(self, slave_joints: ArrayLike) -> Flags:
-        """Flags (...): whether slave joints (..., 3) are within the limits; False for NaN."""
+        """Return flags (...): whether slave joints (..., 3) are within the limits; False for NaN."""
         return _inside(self.slave, slave_joints)
 
     def master_within_limits(self, master_joints: ArrayLike) -> Flags:
-        """Flags (...): whether master joints (..., 3) are within the limits; False for NaN."""
+        """Return flags (...): whether master joints (..., 3) are within the limits; False for NaN."""
         return _inside(self.master.nominal, master_joints)
 
     def reach(self, master: ArrayLike, targets: ArrayLike) -> Flags:
-        """Flags (..., arms, n): whether each slave reaches targets (..., n, 3), with the master at joints (..., 3)."""
+        """Return flags (..., arms, n): whether each slave reaches each target from master joints (..., 3).
+
+        Targets (..., n, 3) are in the base frame, m.
+        """
         return self.within_limits(self.slave_inverse(master, targets))
 
 
 def _inside(geometry: Geometry, joints: ArrayLike) -> Flags:
-    """Flags (...): whether joints (..., 3) are within the limits; False for NaN."""
+    """Return flags (...): whether joints (..., 3) are within the limits; False for NaN."""
     q = np.asarray(joints, dtype=float)
     return np.asarray(((q >= geometry.lower - ROUNDING) & (q <= geometry.upper + ROUNDING)).all(axis=-1))
 
@@ -340,7 +343,7 @@ def load_machine(path: str | Path = SHIPPED, *, slaves: int | None = None, spaci
     file = read_toml(MachineFile, path)
     head, accelerations = file.machine, file.acceleration
     count: Any = head.slaves if slaves is None else slaves
-    is_number = isinstance(count, Real)
+    is_number = isinstance(count, Real) and not isinstance(count, bool)
     if not is_number or not 1 <= count <= MOST_SLAVES or count != int(count):
         raise InputError(f"a machine cannot have {count} slave arms; give a whole number from 1 to {MOST_SLAVES}")
     between = head.spacing if spacing is None else float(spacing)
@@ -382,7 +385,8 @@ def refuse_other_tables(machine: Machine, path: str | Path) -> None:
     """Raise an error if the closed forms of eqs (2) and (4) do not describe the tables of the machine's arms.
 
     Raises:
-        InputError: If master or slave has another number of joints, or another table than Li's but for d1, a2, a3, a4.
+        InputError: If master or slave does not have three joints, or its link table differs from Li's in more than d1,
+            a2, a3 and a4.
     """
     share = np.array([0.2, 0.5, 0.8])
     master, slave = machine.master.nominal, machine.slaves[0].nominal
@@ -404,7 +408,7 @@ def refuse_touching_arms(machine: Machine) -> None:
     the resting cup is spacing*cos(t) - d6*sin(t) away from the neighbour's centre line.
 
     Raises:
-        InputError: If that distance can be less than two radii and the margin.
+        InputError: If that distance can be less than two radii plus the margin.
     """
     swing = float(max(-machine.slave.lower[1], machine.slave.upper[1]))
     distance = machine.spacing * np.cos(swing) - machine.slave_home[2] * np.sin(swing)
@@ -428,7 +432,7 @@ def _wrapped(angle: Array) -> Array:
 
 
 def travel_time(distance: ArrayLike, speed: ArrayLike, acceleration: ArrayLike) -> Array:
-    """Time of a move from rest to rest, s: 2 sqrt(s/a) if the largest speed is not reached, else s/v + v/a.
+    """Return the time of a move from rest to rest, s: 2 sqrt(s/a) if the largest speed is not reached, else s/v + v/a.
 
     Args:
         distance: Lengths s of the moves, m or rad; the sign does not matter. Shapes broadcast.
@@ -462,7 +466,7 @@ def profile(time: ArrayLike, distance: ArrayLike, speed: ArrayLike, acceleration
 
 
 def master_time(machine: Machine, start: ArrayLike, end: ArrayLike) -> Array:
-    """Time of a move of the master, s, (...). All joints start together, and the slowest joint ends the move.
+    """Return the time of a move of the master, s, (...), from the common start until the slowest joint arrives.
 
     Args:
         machine: The machine.
@@ -474,6 +478,6 @@ def master_time(machine: Machine, start: ArrayLike, end: ArrayLike) -> Array:
 
 
 def dense_workspace() -> tuple[tuple[float, ...], ...]:
-    """Ranges of x, y and z in the base frame, m, in which the cloud of reached points is dense (Li 2016, Fig. 8)."""
+    """Return the ranges of x, y and z, base frame, m, in which reached points lie densely (Li 2016, Fig. 8)."""
     workspace = read_toml(WorkspaceTable, SHIPPED, section="workspace")
     return workspace.dense_x, workspace.dense_y, workspace.dense_z

@@ -1,8 +1,8 @@
 """Plans of a zone by several methods, and a lower bound of their makespan.
 
 A plan says which arm picks which fruit in which order. Li's rule and the usual baselines of the field need no search.
-The local search takes milliseconds; it counts the waiting between excursions that must not overlap (`Work.conflict`).
-Plans leave out fruit that no arm reaches. Units: s.
+The local search takes milliseconds. It includes the waiting time between excursions (an arm's ways out to a fruit and
+back) that must not overlap (`Work.conflict`). Plans leave out fruit that no arm reaches. Units: s.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from pickenv.harvester.work import Plan, Work, last_arm
 def columns(work: Work, *, falling: bool) -> Plan:
     """Assign each fruit to the arm that swings least to reach it.
 
-    Arms pick by rising height. With ``falling``, middle arms (odd numbers) pick by falling height, as in Li 2016,
-    section 5.2.
+    Arms pick from the lowest fruit up. With ``falling``, middle arms (odd numbers) pick from the highest fruit down, as
+    in Li 2016, section 5.2.
     """
     owner = np.where(work.reached, np.abs(work.joints[..., 1]), np.inf).argmin(axis=0)
     height, plan = work.joints[0, :, 0], []
@@ -73,7 +73,7 @@ def hungarian_waves(work: Work) -> Plan:
 
 
 def _next_times(work: Work, plan: list[list[int]], waiting: list[int]) -> Array:
-    """Time that each arm needs for each waiting fruit after its plan, s, (arms, waiting); infinite out of its reach."""
+    """Return each arm's time for each waiting fruit after its plan, s, (arms, waiting); infinite out of its reach."""
     way = np.array([work.travel[fruit[-1]] if fruit else work.first for fruit in plan])
     return np.where(work.reached, way + work.duration, np.inf)[:, waiting]
 
@@ -154,9 +154,9 @@ def local_search(
 
 
 def _by_height(work: Work) -> Plan:
-    """Plan in which the arms pick from below and share the fruit so that their loads are balanced.
+    """Plan with balanced loads of the arms, each of which picks from its lowest fruit up.
 
-    It is a good start where fruit hangs dense.
+    Such a plan is a good start for dense fruit.
     """
     load = np.zeros(work.arms)
     parts: list[list[int]] = [[] for _ in range(work.arms)]
@@ -170,7 +170,7 @@ def _by_height(work: Work) -> Plan:
 def _changed(
     plan: Sequence[Sequence[int]], reached: list[list[bool]], rng: np.random.Generator, source: int
 ) -> list[list[int]] | None:
-    """The plan with one fruit of arm ``source`` moved or exchanged; None if the draw is impossible."""
+    """Return the plan with one random fruit of arm ``source`` moved or exchanged; None if that is impossible."""
     new = [list(fruit) for fruit in plan]
     if not new[source]:
         return None

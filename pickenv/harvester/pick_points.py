@@ -50,14 +50,14 @@ class Zone:
     top: float
 
     def holds(self, positions: ArrayLike) -> NDArray[np.bool_]:
-        """Flags (...): whether positions (..., 3) are inside the zone in x and z."""
+        """Return flags (...): whether positions (..., 3), base frame, m, are inside the zone in x and z."""
         points = np.asarray(positions, dtype=float)
         x, z = points[..., 0], points[..., 2]
         return np.asarray((x >= self.left) & (x <= self.right) & (z >= self.bottom) & (z <= self.top))
 
     @property
     def view(self) -> Viewpoint:
-        """Viewpoint of the zone's picture: at y = 0 before the zone's middle, looking at the tree."""
+        """Camera's position for the zone's picture, m, at y = 0 in front of the zone's middle, and its direction."""
         return np.array([(self.left + self.right) / 2, 0.0, (self.bottom + self.top) / 2]), AHEAD
 
 
@@ -235,7 +235,7 @@ def searched(machine: Machine, fruit: Array) -> Array:
 
 
 def _heights(machine: Machine, fruit: Array) -> Array:
-    """Heights d2 to try, m, (k,): for the middle of the fruit, and for each fruit at an end of the slide."""
+    """Return heights d2 to try, m, (k,): for the middle of the fruit, and for each fruit at an end of the slide."""
     z = np.unique(fruit[:, 2]) - machine.d1
     bottom, top = machine.slave.lower[0], machine.slave.upper[0]
     heights = np.concatenate([[(z[0] + z[-1]) / 2 - (top + bottom) / 2], z - bottom, z - top])
@@ -243,9 +243,10 @@ def _heights(machine: Machine, fruit: Array) -> Array:
 
 
 def _point_costs(machine: Machine, masters: Array, fruit: Array, inside: NDArray[np.bool_]) -> Array:
-    """Costs (m, k) of m headings and reaches, each at every one of k heights.
+    """Return the costs (m, k) of m pairs of heading and reach, each at k heights.
 
-    A fruit out of reach costs one. Motion of the slaves and arms with little fruit in reach cost less than that.
+    Each fruit in reach subtracts one. The slaves' motion adds less than one, and fruit in reach of every arm subtracts
+    less than one.
 
     Args:
         machine: The machine.

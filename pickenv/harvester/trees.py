@@ -137,6 +137,6 @@ def load_lab() -> Lab:
 
 
 def lab_zone(canopy: trees.Canopy) -> Array:
-    """Width, depth and height of the zone that a picture of Li's lab shows, m, (3,)."""
+    """Return width, depth and height of the zone that a picture of Li's lab shows, m, (3,)."""
     lab = load_lab()
     return np.array([lab.width, canopy.depth, lab.height])

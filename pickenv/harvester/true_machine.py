@@ -1,8 +1,8 @@
 """The harvester as built, with a plant (true arm) for each arm, and the controller that corrects known errors.
 
 A belief is a model that predicts the pose of an arm's last frame from joint commands. The nominal geometry is the
-simplest belief; the compensator of a calibration is another. In the true machine, the true slaves
-are mounted on frame 3 of the true master. Units: m, rad.
+simplest belief; the compensator of a calibration is another. In the true machine, the true slaves are mounted on
+frame 3 of the true master. Units: m, rad.
 """
 
 from __future__ import annotations
@@ -55,13 +55,13 @@ class TrueMachine:
         return replace(self, master=plants[0], slaves=tuple(plants[1:]), repeatability=0.0)
 
     def frame3(self, master: ArrayLike) -> Pose:
-        """True pose of frame 3 in the base frame, for master commands (..., 3)."""
+        """Return the true pose of frame 3 in the base frame, for master commands (..., 3)."""
         return self.master.tool_pose(master)
 
     def tips(self, master: ArrayLike, slaves: ArrayLike) -> Array:
         """Compute the true cup positions of all slaves in the base frame, m, (..., arms, 3).
 
-        They leave out the random error of each stop (`repeatability`).
+        The positions leave out the random error of each stop (`repeatability`).
 
         Args:
             master: Commands of the master, (..., 3).
@@ -157,11 +157,14 @@ class Controller:
         return _arm_by_arm(self._frame3(master), arm, lambda i, here, mine: self._slave_command(i, here, targets[mine]))
 
     def _frame3(self, master: Array) -> Pose:
-        """Believed pose of frame 3 for master commands (..., 3)."""
+        """Return the pose of frame 3 that the belief about the master predicts for commands (..., 3)."""
         return forward(self.machine.master.nominal, master) if self.master is None else self.master.predict(master)
 
     def _slave_command(self, i: int, base: Pose, targets: Array) -> Array:
-        """Commands that bring the believed cup of slave ``i`` to targets in the base frame; frame 3 is at ``base``."""
+        """Return the commands that bring slave ``i``'s cup, as believed, to targets in the base frame.
+
+        ``base`` is the pose of frame 3.
+        """
         geometry = self.machine.slaves[i].nominal
         local = np.einsum("...ji,...j->...i", base.rotation, targets - base.position)
         aim, command = local, _local_inverse(geometry, local)
@@ -172,7 +175,7 @@ class Controller:
 
 
 def _arm_by_arm(base: Pose, arm: Array, each: Callable[[int, Pose, Rows], Array]) -> Array:
-    """Rows (picks, 3), computed by ``each`` for the picks of one slave at a time.
+    """Return rows (picks, 3), computed by ``each`` for the picks of one slave at a time.
 
     Args:
         base: Poses of frame 3 at all picks.
@@ -187,22 +190,25 @@ def _arm_by_arm(base: Pose, arm: Array, each: Callable[[int, Pose, Rows], Array]
 
 
 def _local_inverse(slave: Geometry, local: Array) -> Array:
-    """Joints (..., 3) of a slave, within its limits, for positions (..., 3) in frame 3 (x right, y down, z ahead)."""
+    """Return a slave's joints (..., 3), clipped to the limits, for cup positions (..., 3), m, in frame 3.
+
+    Frame 3 has x right, y down and z ahead.
+    """
     right, down, ahead = local[..., 0] - slave.a[0], local[..., 1], local[..., 2] - slave.a[1]
     joints = np.stack([-down, np.arctan2(-right, ahead), np.hypot(right, ahead)], axis=-1)
     return np.asarray(joints.clip(slave.lower, slave.upper))
 
 
 def load_true_machine(machine: Machine, path: str | Path = SHIPPED) -> TrueMachine:
-    """Read the machine as built from the file of the machine.
+    """Read the machine as built from the machine's file.
 
     Args:
         machine: The machine as designed.
         path: The file; Li's machine by default.
 
     Raises:
-        InputError: If the table [true] is missing, a number is outside its limits, or a plant is of another arm than
-            the machine's.
+        InputError: If the table [true] is missing, a number is outside its limits, or a plant's arm is not an arm of
+            the machine.
     """
     table = read_toml(TrueTable, path, section="true")
     master, slave = load_plant(table.master), load_plant(table.slave)
@@ -215,7 +221,7 @@ def load_true_machine(machine: Machine, path: str | Path = SHIPPED) -> TrueMachi
 
 
 def _seated(plant: Plant, offset: float, right: float, ahead: float, up: float) -> Plant:
-    """Plant of a slave at its offset, its true chain displaced by the errors of its seat, m: right, ahead, up."""
+    """Return a slave's plant at its offset, its true base displaced by the seat's errors: right, ahead, up, m."""
     delta = np.zeros(5 * plant.geometry.joints + 12)
     delta[-12:-9] = right, -up, ahead
     geometry = shifted(plant.geometry, offset).displaced(delta)

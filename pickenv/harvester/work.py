@@ -1,9 +1,9 @@
 """The work of one zone as a scheduling problem: which arm can pick which fruit, in what time, and which picks conflict.
 
 A pick begins with travel: the arm moves up or down, straight ahead and at its shortest. Its excursion follows: the arm
-swings and stretches below the fruit, rises, senses, cuts, swings back and draws in. Travel is safe. Only excursions of
-different arms can meet. What an arm does at each time of a timetable, and what its rangers then measure, follows from
-the same moves. Units: m, rad, s.
+swings and stretches below the fruit, rises, senses, cuts, swings back and draws in. Arms cannot meet during travel,
+only during excursions. The same moves give each arm's joints at each time of a timetable, and the distances that its
+rangers then measure. Units: m, rad, s.
 """
 
 from __future__ import annotations
@@ -189,7 +189,10 @@ def _schedule(work: Work, plan: Sequence[Sequence[int]], hold: Hold | None = Non
 
 
 def last_arm(work: Work, plan: Sequence[Sequence[int]]) -> tuple[float, int]:
-    """Return a plan's makespan, s, and the index of the arm that finishes last; (0, 0) for a plan without picks."""
+    """Return a plan's makespan, s, and the index of the arm that finishes last; (0, 0) for a plan without picks.
+
+    A plan lists, for each arm, the indices of its fruit in the order of picking.
+    """
     row = max(_schedule(work, plan), key=lambda row: row[3], default=(0, 0, 0.0, 0.0, 0.0))
     return row[3], row[0]
 
@@ -307,7 +310,7 @@ def _share(time: Array, moves: Array, speed: Array, acceleration: Array, total: 
 
 
 def closest_approach(machine: Machine, work: Work, times: Timetable, step: float = 0.1) -> float:
-    """Least distance between the centre lines of two arms over a timetable, m; infinite with one arm or without picks.
+    """Return the least distance between centre lines of two arms in a timetable, m; inf with one arm or no picks.
 
     Args:
         machine: The machine.

@@ -1,4 +1,4 @@
-"""Colours and labels of policies, equal in all figures, and the colours of errors (Viridis) and misses (red).
+"""Colours and labels of policies, the same in all figures, and the colours of errors (Viridis) and misses (red).
 
 Policy colours are Okabe and Ito's, which people with colour vision deficiency can tell apart. RGB is in 0..255.
 """
@@ -46,7 +46,7 @@ BY_KEY: dict[str, Rgb] = {
 OTHERS: tuple[Rgb, ...] = (PURPLE, (86, 180, 233), (150, 140, 20), (150, 150, 150))
 NAMES = {"ls": "LS", "ls_bpnn": "LS+BPNN", "ls_gp": "LS+GP", "best": "LS+GP"}
 TEXTS: Mapping[str, Mapping[str, str]] = tomllib.loads((Path(__file__).parent / "words.toml").read_text("utf-8"))
-"""Tables of the texts that readers see, by the short names that files and commands have."""
+"""Texts that readers see, by table, and within a table by the short names that files and commands use."""
 WORDS, ADDED, PLANTS = (TEXTS[table] for table in ("names", "added", "plants"))
 SHORT = re.compile(rf"(?:^|(?<=\+ ))(?:{'|'.join(ADDED)})\b|\b(?:{'|'.join(WORDS)})\b")
 ORDER = (("raw", "nominal"), ("ls", "calibrated", "calibrated_geometry"), ("ls_bpnn", "with_residual", "model_used"))
@@ -67,7 +67,7 @@ def policy_key(name: str) -> str:
 
 
 def check_key(name: str, what: str) -> None:
-    """Raise an error if a name, which the message calls ``what``, is no key, so that it cannot name an entity."""
+    """Raise an error if a name is no policy key, and so no part of an entity path; the message calls it ``what``."""
     if not name or name != policy_key(name):
         raise InputError(f"{what} '{name}' cannot name an entity; use lower-case letters, digits and underscores")
 
@@ -110,9 +110,9 @@ def policy_label(key: str) -> str:
 
 
 def in_words(text: str) -> str:
-    """Return a text with short names spelled out: least squares + neural network for LS+BPNN.
+    """Return a text with short names spelled out, such as "least squares + neural network" for "LS+BPNN".
 
-    A text that is the name of a plant (a simulated true arm) gets the plant's description in brackets.
+    If the whole text is the name of a plant (a simulated true arm), the plant's description follows in brackets.
     """
     if text in PLANTS:
         return f"{text} ({PLANTS[text]})"

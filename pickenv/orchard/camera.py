@@ -88,7 +88,7 @@ load_camera = preset_files.loader("camera", Camera)
 
 
 def depth_noise(camera: Camera, distance: ArrayLike) -> Array:
-    """Return the standard deviation of an error along the line of sight, m, at distances in m of any shape."""
+    """Return the standard deviation of the error along the line of sight, m, at distances, m, of any shape."""
     law = np.hypot(camera.depth_noise_floor, camera.depth_noise * np.asarray(distance, dtype=float) ** 2)
     return np.asarray(law * np.exp(camera.noise_growth * (camera.light - camera.noise_light)))
 
@@ -101,7 +101,7 @@ def depth_bias(camera: Camera, distance: ArrayLike) -> Array:
 
 
 def detection_probability(camera: Camera, distance: ArrayLike, visible: ArrayLike = 1.0) -> Array:
-    """Return the probability that a fruit inside the image is detected.
+    """Return the probability that a fruit inside the image is detected; 0 outside the camera's range of distances.
 
     Args:
         camera: Error model.
@@ -130,7 +130,7 @@ def measured_positions(
         camera: Error model.
         positions: True fruit centres, m, shape (..., 3), in any frame with z up.
         viewpoint: Camera positions in that frame, m, shape (..., 3).
-        draws: Standard normal random numbers that decide the errors, shape (..., DRAWS).
+        draws: Standard normal random numbers that decide the errors, shape (..., 5).
         visible: Visible share of each fruit, 0 to 1, shape (...).
         diameters: Fruit diameters, m, shape (...). The shift of partly hidden fruit is proportional to them.
         visible_side: Directions from each centre to the visible part, shape (..., 3). For zero vectors the direction is
@@ -217,7 +217,7 @@ def orchard_frame(positions: ArrayLike, viewpoint: ArrayLike, looking: ArrayLike
 
 
 def _across(ray: Array) -> tuple[Array, Array]:
-    """Two unit vectors across each line of sight, (..., 3) each: level to the right, and up."""
+    """Return two unit vectors perpendicular to each line of sight, (..., 3) each: level to the right, and up."""
     x, y, z = ray[..., 0], ray[..., 1], ray[..., 2]
     level = np.sqrt(x**2 + y**2)
     upright = level < 1e-9  # looking straight up or down there is no level direction to the right: take the row's

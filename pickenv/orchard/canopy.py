@@ -68,7 +68,7 @@ def sample_fruit(fruit_map: FruitMap, size: FruitSize, canopy: Canopy, rng: np.r
 
 
 def _rings(diameters: Array, rng: np.random.Generator) -> Array:
-    """Offsets of fruit in their cluster, m, (clusters, size, 3): a ring of touching fruit, randomly tilted."""
+    """Return offsets of fruit in their clusters, m, (clusters, size, 3): randomly tilted rings of touching fruit."""
     count, size = diameters.shape
     if size == 1:
         return np.zeros((count, 1, 3))
@@ -80,7 +80,7 @@ def _rings(diameters: Array, rng: np.random.Generator) -> Array:
 
 
 def _apart(upright: Array, low: Array, high: Array, diameters: Array, canopy: Canopy) -> Array:
-    """Fruit centres in the leaning canopy, m, (n, 3), with overlapping pairs pushed apart inside their blocks.
+    """Return fruit centres in the leaning canopy, m, (n, 3), with overlapping pairs pushed apart inside their blocks.
 
     Args:
         upright: Centres as if the canopy were upright, m, (n, 3).
@@ -334,7 +334,7 @@ class Station(checks.Preset):
         most_push: Largest distance by which a fruit can be pushed, m.
         twist: Torque of the gripper at full command, N·m.
         grip: Time for gripping a fruit, s. It is added for each grasp, not simulated.
-        deposit: Time for the way to the bin and back, s. It is added for each fruit brought there, not simulated.
+        deposit: Time for the way to the bin and back, s. It is added for each fruit brought to the bin, not simulated.
         release: Time for releasing a fruit, s. It is added for each fruit brought to the bin, not simulated.
         source: Source of its numbers.
     """

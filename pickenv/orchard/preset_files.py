@@ -41,7 +41,7 @@ def load(kind: str, name: str | Path, thing: type[Thing] | Callable[[Mapping[str
         InputError: If the preset is unknown, or a number is missing or outside its limits. The message names the file
             and the key.
     """
-    own = Path(name).suffix == ".toml"
+    own = isinstance(name, str | Path) and Path(name).suffix == ".toml"
     path = Path(name) if own else FOLDER / f"{kind}.toml"
     if own and not is_file(path):
         raise InputError(f"{kind} file {shortened(path, 300)} does not exist; give its path or one of {shipped(kind)}")

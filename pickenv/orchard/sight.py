@@ -186,7 +186,7 @@ def render_stereo(
 
 
 def _sphere(look: Look, u: Array, v: Array) -> tuple[NDArray[np.bool_], Array]:
-    """Flags of the pixels that a unit sphere covers, and their colours.
+    """Return flags of the pixels that a unit sphere covers, and the sphere's colours.
 
     Args:
         look: Colours and light.
@@ -225,7 +225,7 @@ def turned_leaves(places: ArrayLike, look: Look, rng: np.random.Generator) -> Le
 
 
 def _background(look: Look, image: tuple[int, int], rng: np.random.Generator) -> Array:
-    """Background image of light and dark patches, (height, width, 3)."""
+    """Return a background image of light and dark patches, (height, width, 3), 0 to 255."""
     coarse = 0.7 + 0.6 * rng.random((image[1] // look.patch + 1, image[0] // look.patch + 1))
     fine = np.kron(coarse, np.ones((look.patch, look.patch)))[: image[1], : image[0]]
     return np.asarray(fine[..., None] * np.array(look.background))
@@ -320,10 +320,10 @@ load_sight_errors = preset_files.loader("sight", SightErrors)
 
 
 def draw_chances(rng: np.random.Generator, count: int) -> Array:
-    """Draw the random numbers that decide how ``count`` fruit are seen in an image, (count, 5).
+    """Draw the random numbers that decide which of ``count`` fruit an image shows, and their errors, (count, 5).
 
-    The first number of each fruit is uniform from 0 to 1 and selects a part of the table. The others are standard
-    normal: three for the error along x, y and z, and one for whether the fruit is located.
+    The first number of each fruit is uniform from 0 to 1 and selects a part of the table of errors. The others are
+    standard normal: three for the error along x, y and z, and one for whether the fruit is located.
     """
     return np.column_stack([rng.random(count), rng.normal(size=(count, 4))])
 
@@ -370,7 +370,7 @@ def sighted(errors: SightErrors, depth: ArrayLike, chances: Array, looks: int = 
 
 
 def _roots(errors: SightErrors) -> Array:
-    """Cholesky factors of the covariances of the parts, m, (ranges, parts, 3, 3)."""
+    """Return the Cholesky factors of the errors' covariances, m, (ranges, parts, 3, 3)."""
     spread, correlation = np.array(errors.part_spread), np.array(errors.part_correlation)
     matrices = np.broadcast_to(np.eye(3), (*spread.shape, 3)).copy()
     for i, (a, b) in enumerate(PAIRS):
@@ -572,9 +572,9 @@ def see(
         fruit: True fruit centres in the frame of the viewpoint, m, (n, 3).
         diameters: Fruit diameters, m, (n,).
         rng: Random generator for all draws, except ``chances`` if these are not None.
-        leaves: Leaves in the frame of the viewpoint, for the vision "rendered"; None for no leaves.
-        chances: Random numbers for the vision "measured_errors", (n, 5), from `draw_chances` or `next_picture`; drawn
-            by default.
+        leaves: Leaves in the frame of the viewpoint, if ``eyes.vision`` is "rendered"; None for no leaves.
+        chances: Random numbers, (n, 5), from `draw_chances` or `next_picture`, if ``eyes.vision`` is "measured_errors";
+            drawn by default.
         looks: Number of images that are averaged.
     """
     fruit = np.asarray(fruit, dtype=float).reshape(-1, 3)
@@ -597,7 +597,7 @@ def see(
 
 
 def _phantoms(eyes: Eyes, mean_count: float, rng: np.random.Generator) -> Array:
-    """False detections, camera frame, m, (m, 3): anywhere in the image, as far away as the canopy."""
+    """Draw positions of false detections, camera frame, m, (m, 3): anywhere in the image, as far away as the canopy."""
     camera, canopy = eyes.camera, eyes.canopy
     count = int(rng.poisson(mean_count))
     depth = canopy.standoff + canopy.depth * rng.random((count, 1))

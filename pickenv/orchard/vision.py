@@ -247,7 +247,7 @@ def locate(camera: StereoCamera, left: NDArray[np.uint8], right: NDArray[np.uint
 
 
 def _detections(camera: StereoCamera, matches: Sequence[tuple[float, ...]]) -> tuple[Array, Array]:
-    """Positions in the camera frame, m, (m, 3), and agreements (m,) of the matches that agree well enough.
+    """Return positions in the camera frame, m, (m, 3), and agreements (m,) of the matches that agree well enough.
 
     Args:
         camera: The stereo pair.
@@ -259,7 +259,10 @@ def _detections(camera: StereoCamera, matches: Sequence[tuple[float, ...]]) -> t
 
 
 def _disparity(camera: StereoCamera, first: Array, second: Array, box: Integers) -> tuple[float, float]:
-    """Disparity of the patch around a region, px, refined by a parabola, and correlation of the match."""
+    """Return the disparity of the patch around a region, px, and the correlation of the match, -1 if there is none.
+
+    A parabola through three correlations refines the disparity.
+    """
     from skimage.feature import match_template
 
     width, height = camera.image
@@ -353,7 +356,7 @@ def fruit_circles(search: CircleSearch, image: ArrayLike) -> tuple[Array, Flags]
 
 
 def _edges(search: CircleSearch, difference: Array, mask: Flags) -> Edges:
-    """Edges at the steepest slopes of the colour, near the rim of the mask."""
+    """Return the sub-pixel edges near the rim of the mask, where the slope of R − G is steepest."""
     from scipy import ndimage
 
     down, right = (ndimage.gaussian_filter(difference, search.blur, order) for order in ((1, 0), (0, 1)))
@@ -371,9 +374,9 @@ def _edges(search: CircleSearch, difference: Array, mask: Flags) -> Edges:
 
 
 def summit(before: ArrayLike, at: ArrayLike, after: ArrayLike) -> Array:
-    """Return the place of the extremum of a parabola through three equidistant values, clipped to −1 to 1.
+    """Return the position of the extremum of a parabola through three equidistant values, clipped to −1 to 1.
 
-    It is given in steps from the middle value, and 0 if the three values lie on a line.
+    The position is in steps from the middle value. It is 0 if the three values lie on a line.
     """
     before, at, after = (np.asarray(v, dtype=float) for v in (before, at, after))
     bend = before - 2 * at + after
@@ -382,7 +385,10 @@ def summit(before: ArrayLike, at: ArrayLike, after: ArrayLike) -> Array:
 
 
 def _voted(search: CircleSearch, edges: Edges, shape: tuple[int, int]) -> list[tuple[float, float, float]]:
-    """Column, row and radius of circles of whose rim more than the least arc is visible, px, the fullest first."""
+    """Return column, row and radius, px, of circles whose rim is visible for at least the least arc.
+
+    The circle with the most complete rim comes first.
+    """
     from scipy import ndimage
     from skimage.feature import peak_local_max
 
@@ -406,9 +412,9 @@ def _taken(circles: list[tuple[float, float, float]], column: float, row: float,
 
 
 def _fitted(search: CircleSearch, edges: Edges, column: float, row: float, voted: float) -> tuple[float, float, float]:
-    """Column, row and radius of a circle fitted to the edges near a voted one, px.
+    """Return column, row and radius, px, of a circle fitted to the edges near a circle that `_voted` returned.
 
-    The fit is least squares with weights, in which far edges count little.
+    The fit is by weighted least squares, in which far edges have small weights.
     """
     centre, radius = np.array([column, row]), voted
     near = np.hypot(*(edges[0] - centre).T) < voted + 2 * search.rim
@@ -433,7 +439,7 @@ def _fitted(search: CircleSearch, edges: Edges, column: float, row: float, voted
 
 
 def _window(shape: tuple[int, ...], column: float, row: float, reach: float) -> tuple[Integers, Integers, Array]:
-    """Rows and columns of the image around a point, and their distances from it, px."""
+    """Return rows, columns and distances from a point, px, of the pixels around the point."""
     rows = np.arange(max(math.ceil(row - reach), 0), min(math.floor(row + reach) + 1, shape[0]))
     columns = np.arange(max(math.ceil(column - reach), 0), min(math.floor(column + reach) + 1, shape[1]))
     across, down = np.meshgrid(columns, rows)
@@ -473,9 +479,9 @@ def locate_circles(
 def _matched(
     camera: StereoCamera, search: CircleSearch, first: Array, second: Array, mask: Flags, circle: Sequence[float]
 ) -> tuple[float, float]:
-    """Disparity of a circle, px, and agreement of its match, 0 to 1.
+    """Return the disparity of a circle, px, and the agreement of its match, 0 to 1; -1 if there is no match.
 
-    The agreement is one minus the mean squared difference in units of the contrast, each pixel's limited to one.
+    The agreement is 1 - mean((difference / contrast)^2). Each pixel's difference is clipped to the contrast.
     """
     from scipy import ndimage
 

@@ -25,7 +25,7 @@ GAIN = 20
 LINK, JOINT, METAL, GRIPPER = (236, 239, 243), (58, 68, 82), (168, 176, 188), (70, 78, 90)
 GHOST: Rgb = (52, 110, 200)
 FAINT = 0.42
-"""Opacity of the ghost."""
+"""Opacity of the ghost, from 0 to 1."""
 THICKNESS = 0.028
 """Radius of the first link, as a share of the arm's length; the last link has `TAPER` times this radius."""
 WALL = 0.0035
@@ -43,13 +43,13 @@ Solids = tuple[tuple[Rods, ...], tuple[Rods, ...], tuple[Mesh, ...]]
 
 @dataclass(frozen=True, eq=False)
 class ArmLook:
-    """The look of one arm.
+    """The look of one arm, of whose polyline P segments are drawn.
 
     Attributes:
-        parts: Segments of the arm's polyline that are drawn, by the indices of their first points.
-        radius: Radius of each drawn segment, m.
-        slides: Whether each drawn segment changes its length.
-        sleeve: Length of the outer tube of each drawn segment, used for those that slide, m.
+        parts: Indices of the first points of the segments.
+        radius: Radius of each segment ``(P,)``, m.
+        slides: Whether each segment changes its length ``(P,)``.
+        sleeve: Length of the outer tube of each segment that changes its length ``(P,)``, m.
         low: Lowest corner of the arm's workspace ``(3,)``, m.
         high: Highest corner of the arm's workspace ``(3,)``, m.
     """
@@ -101,7 +101,7 @@ def arm_solids(look: ArmLook, points: Array, axis: Array, accent: Rgb | None = N
 def arm_at_work(
     geometry: Geometry, command: Array, tool: Array, axis: Array, believed: Array, accent: Rgb | None = None
 ) -> Solids:
-    """Return the solids of the true arm and of the ghost (the believed arm), at `GAIN` times the true deviation.
+    """Return the solids of the true arm, and of the ghost (the believed arm) at `GAIN` times its true distance.
 
     Args:
         geometry: The nominal arm.
@@ -121,7 +121,13 @@ def arm_at_work(
 
 
 def cup_solids(tool: Array, axis: Array, radius: float) -> Solids:
-    """Return the solids of a cup that opens along ``axis`` and holds the lower half of a fruit at ``tool``, m."""
+    """Return the solids of a cup that holds the lower half of a fruit.
+
+    Args:
+        tool: Position of the fruit ``(3,)``, m.
+        axis: Unit vector ``(3,)`` in which the cup opens.
+        radius: Outer radius of the cup, m.
+    """
     deep = 1.15 * radius
     inner = radius - WALL
     across = [0.4 * radius, 0.7 * radius, radius, radius, radius, inner, inner, inner, 0.6 * radius, 0.0]

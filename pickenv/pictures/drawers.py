@@ -1,9 +1,9 @@
-"""Draws a stage with MuJoCo where it is installed and works, else with Pillow, and shows pictures in a window.
+"""Draw a stage (the contents of a picture) with MuJoCo if it works, else with Pillow, and show pictures in a window.
 
-MuJoCo needs EGL, and a driver that fails might end the whole program. So another process tries MuJoCo first. Pillow
-draws flat shapes: rods as strokes, balls as discs, and meshes as triangles lit by one lamp. It draws them from far to
-near by their depths, also where solids intersect. With either of the two, words and the dial (the tool's miss, seen
-along the tool) are drawn onto the picture with Pillow. Units: px, mm on the dial.
+MuJoCo needs EGL, and a driver that fails might end the whole program. So MuJoCo is first tried in another process.
+Pillow draws flat shapes: rods as strokes, balls as discs, and meshes as triangles lit by one lamp. It draws them from
+far to near by their depths, also where solids intersect. With either of the two, words and the dial (the tool's miss,
+seen along the tool) are drawn onto the picture with Pillow. Units: px, mm on the dial.
 """
 
 from __future__ import annotations
@@ -37,7 +37,7 @@ NEAREST = 0.05
 LIGHT = np.array([-0.45, 0.65, -0.6]) / np.linalg.norm([0.45, 0.65, 0.6])
 """Unit vector towards the lamp, with components to the right, up, and away from the viewpoint."""
 SHADE = 0.72
-"""Brightness of the sides of rods and balls, as a share of their full colour."""
+"""Brightness at the edges of drawn rods and balls, as a share of their full colour."""
 
 MARGIN = 8
 SMALL, LARGE = 1 / 26, 1 / 19
@@ -45,10 +45,10 @@ SMALL, LARGE = 1 / 26, 1 / 19
 DIAL = 0.27
 """Width of the dial, as a share of the picture's height."""
 SHOWN, RIM = 2.2, 0.93
-"""Radius of the dial as a multiple of its ring's radius, and the share of the dial's radius to which larger misses are
-moved."""
+"""Radius of the dial as a multiple of its ring's radius, and share of the dial's radius at which larger misses are
+drawn."""
 PLATE = {False: (255, 255, 255, 205), True: (20, 23, 29, 205)}
-"""Colour and opacity of the plates behind words and dial, by whether the background is dark."""
+"""Colour and opacity of the plates behind words and dial, for a light (False) and a dark (True) background."""
 
 DISPLAYS = ("DISPLAY", "WAYLAND_DISPLAY")
 DPI = 80
@@ -58,7 +58,7 @@ Shape = tuple[float, Callable[[ImageDraw.ImageDraw], None]]
 
 
 def painted(stage: Stage) -> Pixels:
-    """Draw a stage with its words and dial, as RGB pixels ``(height, width, 3)``."""
+    """Draw a stage (the contents of a picture) with its words and dial, as RGB pixels ``(height, width, 3)``."""
     draw = _mujoco(os.getpid()).draw if drawer_name() == "mujoco" else draw_plainly
     return lettered(draw(stage), stage)
 

@@ -1,4 +1,4 @@
-"""Draws stages with MuJoCo's renderer, off screen, on a GPU or a CPU.
+"""Draw stages (contents of pictures) with MuJoCo's renderer, off screen, on a GPU or a CPU.
 
 Rods and balls are MuJoCo's own shapes. All meshes, which are opaque, become the faces of one soft body (flex). The
 faces are replaced for each picture, and a texture has one pixel with the colour of each face. The background is a plane
@@ -131,7 +131,7 @@ class MujocoDrawer:
         self.scene.flextexcoord[:] = np.repeat((np.column_stack([columns, rows]) + 0.5) / side, 3, axis=0).ravel()
 
     def _add(self, kind: Any, size: Array, place: Array, turn: Array, colour: Array) -> Any:
-        """Add a shape to the picture, and return it."""
+        """Add a shape of a `mujoco.mjtGeom` kind to the scene, and return it, as `mujoco.mjv_initGeom` does."""
         shape = self.scene.geoms[self.scene.ngeom]
         self.scene.ngeom += 1
         mujoco.mjv_initGeom(shape, kind, size, place, turn.ravel(), colour.astype(np.float32))
@@ -158,7 +158,7 @@ class MujocoDrawer:
         shape.objid, shape.matid, shape.texcoord = 0, 0, 1
 
     def _look(self, eye: Eye, aspect: float) -> None:
-        """Set the camera, the lights that move with it, and the background, a plane whose middle half is in view."""
+        """Set the camera, the lights that move with it, and the background plane, whose middle half is in view."""
         right, up, ahead = eye.axes()
         axes, slope = np.array([right, up, -ahead]), np.tan(np.radians(eye.angle_deg) / 2)
         for camera in self.scene.camera:

@@ -16,7 +16,7 @@ from pickenv.pictures.stage import Mesh, Rgb, rgba
 
 
 def mesh_triangles(surface: Mesh) -> Mesh:
-    """Return a mesh with normals at its corners: the mean normal of the triangles around each, weighted by area."""
+    """Return a mesh with normals at its corners: the area-weighted mean normal of the triangles that share a corner."""
     a, b, c = (surface.corners[surface.triangles[:, k]] for k in range(3))
     face = np.cross(b - a, c - a)
     normals = np.zeros_like(surface.corners, dtype=float)
@@ -111,5 +111,5 @@ def leaf_mesh(places: Array, length: float, width: float, colour: ArrayLike, rng
 
 
 def _fans(count: int) -> NDArray[np.intp]:
-    """Return two triangles for each of ``count`` quadrilaterals, whose corners are four successive points."""
+    """Return the corner indices of two triangles for each of ``count`` quadrilaterals, whose corners are successive."""
     return (np.array([[0, 1, 2], [0, 2, 3]]) + 4 * np.arange(count)[:, None, None]).reshape(-1, 3)

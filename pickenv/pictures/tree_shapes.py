@@ -1,7 +1,7 @@
 """Solids around an arm: fruit on stems, leaves and branches of a row of trees, ground, a crate. Units: m.
 
-A row of trees is along x. Leaves are as dense as in a canopy's preset. They are not the leaves that hide fruit from a
-camera, which environments draw at random in every episode.
+A row of trees is along x. Leaves are as dense as in a canopy's preset. Other leaves, which environments draw at random
+in every episode, hide fruit from a camera.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pickenv.pictures.stage import Eye, Mesh, Rods, rgba, spheres
 RIPE, GREEN, MISSED_FRUIT = (205, 42, 46), (170, 188, 92), (226, 120, 40)
 BARK, STEM = (122, 92, 66), (104, 84, 52)
 GROUND = {False: ((226, 230, 220), (214, 220, 208)), True: ((52, 58, 64), (46, 52, 58))}
-"""The two colours of the ground's squares, by whether the background is dark."""
+"""The two colours of the ground's squares, for a light (False) and a dark (True) background."""
 CRATE = (0.28, 0.8)
 """Position of the crate's corner on the picture, as shares of the picture's width and height."""
 SQUARE, SPREAD = 0.5, 6.0
@@ -47,7 +47,7 @@ def fruit_solids(places: Array, diameters: ArrayLike, colours: Array, hanging: A
 
 
 def sprig(place: Array, diameter: float) -> Solids:
-    """Return the solids of a few leaves and a piece of branch above a single fruit."""
+    """Return the solids of a few leaves and a piece of branch above a single fruit at ``place (3,)``, m."""
     top = place + np.array([0.012, 0.0, 0.9 * diameter / 2 + TWIG])
     ends = top + np.array([[-0.16, -0.05, -0.01], [0.14, 0.04, 0.03]])
     branch = Rods(ends[:1], ends[1:], np.array([0.009]), rgba(BARK, 1))
@@ -98,7 +98,7 @@ def ground_around(x: float, y: float, height: float, dark: bool) -> Mesh:
 
 @lru_cache(maxsize=8)
 def pedestal(geometry: Geometry, ground: float) -> Mesh:
-    """Return the mesh of the column under an arm's base, from height ``ground``, m. Equal arguments give the same."""
+    """Return the mesh of the column under an arm's base, from height ``ground``, m. Equal arguments give one object."""
     x, y, top = geometry.base.position.tolist()
     across, high = arm_look(geometry).radius[0] * np.array([2.2, 2.2, 2.2, 1.5, 1.5, 1.5, 0.0]), top - ground
     outline = np.column_stack([across, [0.0, 0.03, 0.03, 0.06, high, high, high]])

@@ -27,9 +27,9 @@ class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action],
     Spaces, seeds, episodes and observations stay as they are. Joint readings are mapped back to nominal joints, so that
     a policy that servos on its believed tool position does not cancel the compensation. With a plant (true arm) whose
     motors move in whole encoder counts and lag behind their commands (`plant="orchard"`), readings still change
-    slightly. A reading changes by less than a count, plus a few thousandths of the compensator's change to the
-    step. The compensator is stored in the innermost environment, so the wrapper's place in a stack of wrappers does not
-    matter. Closing the wrapper removes the compensator.
+    slightly: by less than a count, plus a few thousandths of the amount by which the compensator changes the step. The
+    compensator is stored in the innermost environment, so the wrapper's place in a stack of wrappers does not matter.
+    Closing the wrapper removes the compensator.
 
     Example:
         >>> import gymnasium as gym

@@ -105,18 +105,18 @@ class ScaledVector(VectorWrapper[Any, Any, Any, Any, Any]):
 
 
 class GapScaling(ScaledEnv, RecordConstructorArgs):
-    """Show the gap to the fruit by direction and logarithm, and multiply actions by the gap's size, so that PPO learns.
+    """Show the gap to the fruit as direction and logarithm, and multiply actions by the gap's size, so that PPO learns.
 
     `pickenv/ReachScaled-v0` does the same without a wrapper, also as a native vector environment. With n joints the
-    observation is `Box(float32)` of n + 7 numbers. The size of the gap is the larger of two ratios: its position over
-    100 mm and its attitude over 0.2 rad. It is at least 1e-6.
+    observation is `Box(float32)` of n + 7 numbers. The size of the gap is the larger of two ratios: its position / 100
+    mm and its attitude / 0.2 rad. It is at least 1e-6.
 
     | Num          | Observation                                                  | Min | Max | Unit         |
     |--------------|--------------------------------------------------------------|-----|-----|--------------|
     | 0 to n-1     | joint readings, scaled to the limits                         | -1  | 1   | 1            |
     | n to n+2     | position gap, divided by the size                            | -1  | 1   | 100 mm       |
     | n+3 to n+5   | attitude gap (rotation vector), divided by the size          | -1  | 1   | 0.2 rad      |
-    | n+6          | half the size's logarithm                                    | -3  | 3   | two decimals |
+    | n+6          | half the size's logarithm                                    | -3  | 3   | two decades  |
 
     The gap is the pose of the fruit relative to the believed tool. With ``feedback="camera"`` the camera measures
     the gap's position. Actions are clipped to -1 to 1 and, if the size is below one, multiplied by it.

@@ -20,7 +20,7 @@ from pickenv.base import InputError
 from pickenv.wrappers.compensation import Compensate
 
 FAR = 1e-3
-"""Largest distance of the achieved goal, or of the tool's site, from the nominal arm's tool, m (and rad)."""
+"""Largest distance, m, of the achieved goal or the tool's site from the nominal arm's tool (for the site m and rad)."""
 
 
 def _physics(env: gym.Env[Any, Any]) -> tuple[Any, Any]:
@@ -39,16 +39,15 @@ def _physics(env: gym.Env[Any, Any]) -> tuple[Any, Any]:
 
 
 class _Hung:
-    """The parts of a model that are fixed to the tool, which can be shifted to where the true tool has them.
+    """The parts of a model that are fixed to the tool, with a method that shifts them to their places on the true tool.
 
-    The frames of the bodies between the last joint and the tool site stay where they are. The site's readings and welds
-    to mocap bodies depend on them. Tasks that start each move from the welded body's place would drift if it were
-    moved. Their geoms and cameras are shifted instead, as are the bodies that they carry, such as fingers. Their own
-    inertias stay.
+    The bodies from the last joint's to the tool site's keep their frames and inertias, because the site's readings and
+    welds to mocap bodies depend on them. (A task that starts each move from the welded body's pose would drift.) Only
+    the geoms and cameras of these bodies are shifted, and the bodies attached to them, such as fingers.
     """
 
     def __init__(self, model: Any, data: Any, nominal: Geometry) -> None:
-        """Find the parts at the present joints.
+        """Find the parts that are fixed to the tool, at the present joints.
 
         Raises:
             InputError: If no site that is fixed to the last link is at the nominal arm's tool.

@@ -1,10 +1,10 @@
 """Wrappers in which a policy picks many fruit with one unknown arm, and so can learn to calibrate it.
 
 An episode is a run of picks on one true arm; the next episode may have another arm. In `ManyCanopies` a run consists of
-whole canopies. In `SameArm` an action is a whole pick. Before each pick the policy chooses how far to aim beside the
-fruit. The arm gets the joints that bring the nominal arm to that aim, and stays there. The camera measures by how
-much the tool's true and believed positions differ. Only these measurements at past picks distinguish one arm from
-another. Units: m and rad.
+whole canopies. In `SameArm` an action is a whole pick. Before each pick the policy chooses how far beside the fruit to
+aim. The arm gets the joints that bring the nominal arm to that aim, and stays there. The camera measures the difference
+between the tool's true and believed positions. Only these measurements at past picks distinguish one arm from another.
+Units: m and rad.
 """
 
 from __future__ import annotations
@@ -61,12 +61,12 @@ class PickMemory:
 
     @property
     def token(self) -> int:
-        """Count of the numbers for one past pick, n + 4: n joints, 3 errors, and a flag that the pick took place."""
+        """Number of values for one past pick, n + 4: n joints, 3 errors, and a flag that the pick took place."""
         return self.joints + 4
 
     @property
     def inputs(self) -> int:
-        """Count of numbers in the observation, n + window (n + 4)."""
+        """Number of values in the observation, n + window (n + 4)."""
         return self.joints + self.window * self.token
 
     def space(self) -> spaces.Box:
@@ -76,7 +76,7 @@ class PickMemory:
         return spaces.Box(-high, high, dtype=np.float32)
 
     def empty(self, rows: int) -> NDArray[np.float32]:
-        """Return the tokens of arms before their first pick: zeros ``(rows, window, token)``."""
+        """Return the values for past picks (tokens) before the first pick: zeros ``(rows, window, token)``."""
         return np.zeros((rows, self.window, self.token), dtype=np.float32)
 
     def after(self, tokens: NDArray[np.float32], joints: Array, error: Array) -> NDArray[np.float32]:
@@ -109,13 +109,13 @@ class PickMemory:
 
 
 def scaled_joints(geometry: Geometry, joints: Array) -> Array:
-    """Scale joints ``(..., n)`` from their limits to -1 to 1."""
+    """Scale joints ``(..., n)``, rad or m, linearly, so that the limits become -1 and 1."""
     low, high = geometry.lower, geometry.upper
     return np.asarray(2.0 * (joints - low) / (high - low) - 1.0)
 
 
 class _Run:
-    """The present run of each arm, one arm per row; each pose follows from the row's seed and the pick's number."""
+    """The present run of each arm, one arm per row; a row's seed and the pick's number determine the next pose."""
 
     def __init__(
         self, task: Task, rows: int, *, picks: int, window: int, looks: int, reach_mm: float, reward: str
@@ -165,7 +165,10 @@ class _Run:
         return self.memory.shown(self.scaled, self.tokens)
 
     def options(self, actions: Any, arms: Any) -> dict[str, Any]:
-        """Return the options of a reset that puts the arms at the aims of ``actions``, before the present fruit."""
+        """Return options for a reset that puts each arm at the aim of its action, with the present fruit as goal.
+
+        ``actions`` are shifts of the aim ``(rows, 3)``, ``arms`` the numbers of the arms.
+        """
         shifts = as_numbers("actions", actions)
         if shifts.shape != (len(self.joints), 3) or not np.isfinite(shifts).all():
             raise InputError(f"actions have shape {shifts.shape}; give {len(self.joints)} times 3 finite numbers")
@@ -180,10 +183,10 @@ class _Run:
                 self.count[i] = 0
 
     def stand(self, env: Any, still: Array) -> tuple[Any, Any]:
-        """Let the arms stay in place, store by how much true and believed tool differ, and draw the next poses.
+        """Keep the arms in place for ``looks`` steps, store the tools' measured errors, and draw the next poses.
 
         Returns:
-            The rewards, from the camera's mean measurement or from the true tool, and the infos of the last step.
+            The rewards (from the camera's mean measurement or from the true tool), and the infos of the last step.
         """
         n, error, gap = self.task.joints, *np.zeros((2, len(self.joints), 3))
         for _ in range(self.looks):
@@ -366,8 +369,8 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
     | Num       | Observation                                                        | Min | Max | Unit |
     |-----------|--------------------------------------------------------------------|-----|-----|------|
     | 0 to n-1  | joints of the nominal arm at the fruit, scaled to the limits       | -1  | 1   | 1    |
-    | then n    | the same at the last pick, newest first where the window is longer | -1  | 1   | 1    |
-    | then 3    | true minus believed tool there, as the camera saw it               | -20 | 20  | 5 mm |
+    | then n    | the joints at the last pick; all past picks in turn, newest first  | -1  | 1   | 1    |
+    | then 3    | true minus believed tool position at that pick, camera's measure   | -20 | 20  | 5 mm |
     | then 1    | whether there was such a pick                                      | 0   | 1   | 1    |
 
     The reward of a pick is that of `pickenv/Reach-v0` for the gap between tool and fruit that the camera measured,
@@ -447,9 +450,9 @@ class ManyCanopies(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
 
     An episode is a run of ``canopies`` episodes of `pickenv/Pick-v0` on one true arm. The arm warms up and sinks into
     the ground from canopy to canopy. Its hours since switch-on increase linearly from the first to the last of
-    ``hours``. Observations and actions are those of the environment. With `feedback="gripper"` each fruit in the
-    gripper shows the error of arm and camera there. The step that ends a canopy returns the first observation of the
-    next one. The run is truncated after the last canopy.
+    ``hours``. Observations and actions are those of the environment. With `feedback="gripper"` the policy observes, at
+    each fruit in the gripper, the error of arm and camera. The step that ends a canopy returns the first observation of
+    the next one. The run is truncated after the last canopy.
 
     The reward of a step is 1 for each collected fruit, minus 0.002. A real arm could measure it, so a policy may
     observe it. With `reward="true"` it is the reward of `pickenv/Pick-v0`, which includes damage. `info` is that of the

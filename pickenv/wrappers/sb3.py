@@ -81,7 +81,7 @@ class Sb3Vec(VecEnv):
         return self.seen
 
     def seed(self, seed: int | None = None) -> list[int | None]:
-        """Set a different seed for each environment at the next reset; other values of ``seed`` give other seeds."""
+        """Set a different seed for each environment at the next reset, all derived from ``seed``, and return them."""
         sequence = np.random.SeedSequence(seed) if seed is None else stream(seed, "training")
         self._seeds = list(seed_words(sequence, self.num_envs))
         return self._seeds
@@ -116,7 +116,7 @@ class Sb3Vec(VecEnv):
     def _endings(
         self, rows: NDArray[np.intp], last: Any, final: dict[str, Any], cut: NDArray[np.bool_]
     ) -> list[dict[str, Any]]:
-        """Return the infos of the episodes that ended in the environments ``rows``."""
+        """Return the infos of episodes that ended in ``rows``: last observations, final infos, whether cut by time."""
         columns: dict[str, Any] = {"terminal_observation": [last[i].copy() for i in rows]}
         columns["TimeLimit.truncated"] = cut[rows].tolist()
         numbers = {key: values for key, values in final.items() if key[0] != "_" and np.ndim(values) == 1}

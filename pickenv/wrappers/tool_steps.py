@@ -47,13 +47,13 @@ DAMPING = 1e-4
 """Damping of the Jacobian's inverse, as a share of the mean squared norm of the Jacobian's rows."""
 
 CENTRING = 0.1
-"""Share of each joint's way to mid-range that a full step adds in the Jacobian's null space."""
+"""Share of each joint's distance from mid-range that a full step removes in the Jacobian's null space."""
 
 COLLECTING = 0.08
 """Distance by which the tool must go down to collect a detached fruit, m."""
 
 MOVES = 2
-"""Count of the numbers for the tool in a policy's action, before the gripper's number."""
+"""Number of values in a policy's action that move the tool; the gripper's value follows them."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,17 +82,17 @@ class ToolSteps(Rescaling):
 
     @property
     def inputs(self) -> int:
-        """Count of numbers in the environment's observation."""
+        """Number of values in the environment's observation."""
         return self.joints + 17
 
     @property
     def features(self) -> int:
-        """Count of numbers that the policy sees."""
+        """Number of values in the policy's observation."""
         return self.joints + 12
 
     @property
     def space(self) -> spaces.Box:
-        """Space of the observations that the policy sees."""
+        """Space of the policy's observations."""
         n = self.joints
         high = np.array([1.0] * n + [1.001] * 4 + [2.0] * 2 + [1.0] * 6, dtype=np.float32)
         low = np.array([-1.0] * n + [-1.001] * 4 + [-2.0] * 2 + [0.0] * 6, dtype=np.float32)
@@ -117,8 +117,8 @@ class ToolSteps(Rescaling):
         """Compute the environment's actions ``(..., n + 1)`` from a policy's ``actions (..., 3)``.
 
         ``values`` are the environment's observations ``(..., n + 17)``. Actions of another shape are passed on
-        unchanged, so that the environment raises the error. If a number is larger than ``most``, or not finite, the
-        result has numbers that the environment refuses.
+        unchanged, so that the environment raises the error. If the magnitude of a number is above ``most``, or a number
+        is not finite, the result has numbers that the environment refuses.
         """
         numbers = as_numbers("actions", actions)
         if numbers.shape != (*values.shape[:-1], self.outputs):
@@ -137,10 +137,10 @@ class ToolSteps(Rescaling):
         return np.concatenate([steps, np.where(away, np.minimum(gripper, 0.0), gripper)], axis=-1)
 
     def joint_steps(self, values: Array, steps: Array) -> Array:
-        """Compute shares of the joints' largest increments ``(..., n)`` for ``steps`` of the tool ``(..., 2)``.
+        """Compute joint steps ``(..., n)``, as shares of the largest, for ``steps`` of the tool ``(..., 2)``.
 
-        The first number of a step is sideways, towards the vertical line through the fruit. The second is upwards.
-        ``values`` are the environment's observations.
+        The first number of a step, -1 to 1, is sideways, towards the vertical line through the fruit. The second is
+        upwards. ``values`` are the environment's observations ``(..., n + 17)``.
         """
         n, low, high = self.joints, self.geometry.lower, self.geometry.upper
         q = low + (values[..., :n] + 1.0) / 2.0 * (high - low)
@@ -180,22 +180,22 @@ class ToolSteps(Rescaling):
 class ToolStepping(ScaledEnv, RecordConstructorArgs):
     """Pick with steps of the tool, so that PPO learns to pick.
 
-    An action of zero only moves the believed tool straight to the fruit. The policy has to learn how to approach from
+    An action of zero only moves the believed tool towards the fruit. The policy has to learn how to approach from
     below, how fast, and when to grasp, twist and retreat (a residual policy; Silver et al. 2018). An action has three
-    numbers from -1 to 1. The first adds to the sideways step, the second to the upward step. An action of zero moves 15
-    mm towards the fruit, and 1 adds 30 mm; below a gap of 50 mm both shrink in proportion to the gap. With a fruit in
-    the gripper the first number has no effect, and the second moves the tool up or down by up to 30 mm. The third is
-    the gripper. An empty gripper closes above zero, if the gap is at most 15 mm. With a fruit, the torque is 0.25 N m
-    more than the number stands for in `pickenv/Pick-v0`. The gripper never opens again. The tool is kept upright,
-    and the arm does not move once the gap is below 0.2 mm. With n joints the observation is `Box(float32)` of n + 12
-    numbers:
+    numbers from -1 to 1. The first adds to the sideways step, the second to the upward step. An action of zero moves at
+    most 15 mm in each of the two directions, and 1 adds at most 30 mm. Sideways steps shrink with the sideways gap
+    below 50 mm, upward steps with the whole gap below 50 mm. With a fruit in the gripper the first number has no
+    effect, and the second moves the tool up or down by up to 30 mm. The third number is the gripper's. Above zero an
+    empty gripper closes, if the gap is at most 15 mm. With a fruit, the gripper twists as for the number + 0.5 (at most
+    1) in `pickenv/Pick-v0`. The gripper never opens again. The tool is kept upright, and the arm does not move once the
+    gap is below 0.2 mm. With n joints the observation is `Box(float32)` of n + 12 numbers:
 
     | Num          | Observation                                                        | Min | Max | Unit         |
     |--------------|--------------------------------------------------------------------|-----|-----|--------------|
     | 0 to n-1     | joint readings, scaled to the limits                               | -1  | 1   | 1            |
-    | n, n+1       | gap to the fruit, sideways and up, over its length (at least 0.2)  | -1  | 1   | mm           |
-    | n+2, n+3     | each of the two, c, as c / sqrt(c^2 + 50^2)                        | -1  | 1   | mm           |
-    | n+4, n+5     | half the logarithm of the gap, and of it sideways, over 50 mm      | -2  | 2   | two decimals |
+    | n, n+1       | gap sideways and up, divided by the gap's length (at least 0.2 mm) | -1  | 1   | 1            |
+    | n+2, n+3     | gap sideways and up, each c mm as c / sqrt(c^2 + 50^2)             | -1  | 1   | 1            |
+    | n+4, n+5     | half the logarithm of gap / 50 mm, and of sideways gap / 50 mm     | -2  | 2   | two decades  |
     | n+6          | square of the tilt, at most 1                                      | 0   | 1   | rad^2        |
     | n+7 to n+11  | the last five numbers of `pickenv/Pick-v0`                         | 0   | 1   |              |
 

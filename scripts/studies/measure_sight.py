@@ -7,29 +7,30 @@ Prints recall and errors beside stereo theory and published sensors, and writes 
 is read, and the fruit of that zone counts. Intervals are over trees.
 """
 
-import argparse
 import json
 from collections.abc import Callable, Sequence
 from dataclasses import astuple, dataclass
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
+import typer
 from numpy.typing import ArrayLike, NDArray
 
 from pickenv.arm import Array
-from pickenv.base import InputError, clustered_share_interval, statistic_interval, write_text
+from pickenv.base import InputError, clustered_share_interval, statistic_interval, write_json, write_text
 from pickenv.harvester import cut, load_grid, load_machine, load_orchard, sample_tree, tree_leaves
 from pickenv.orchard import DETECTORS, Eyes, Leaves, Viewpoint, camera_frame, left_eye, load_eyes, load_stereo_camera
 from pickenv.orchard.sight import PAIRS, located_fruit, picture, read_picture
 
-SEED = 2016
+SEED, TREES = 2016, 120
 ZONES = 5
 """Pictures of each tree."""
 RANGES, PARTS = 3, 10
 """Rows of a table, by distance, and parts of each, by the size of the error."""
 FRUIT_MAPS = {"li2016": "li2016_lab", "li2016_bare": "li2016_lab"}
 """What hangs in each canopy."""
+CANOPIES = list(FRUIT_MAPS)
 PUBLISHED = "Azure Kinect in the sun at 1.5 m: bias 17 mm, RMSE 6 mm (Neupane et al. 2021, Agronomy 11:1780)"
 HEAD = """# What the stereo pair of vision.toml makes of fruit: errors and recall (sight.py). Made, not typed, by
 #   {command}
@@ -240,22 +241,22 @@ def figures(eyes: Eyes, seen: Sightings) -> dict[str, Any]:
         "canopy": eyes.canopy.name,
         "detector": eyes.detector,
         "fruit": len(seen.tree),
-        "in_sight": share_of(seen.tree, seen.visible > 0),
-        "recall": share_of(seen.tree, seen.found),
         "false_per_picture": seen.false / seen.pictures,
     }
+    ended = {"in_sight": share_of(seen.tree, seen.visible > 0), "recall": share_of(seen.tree, seen.found)}
     for axis, error in zip("xyz", seen.error[seen.found].T * 1e3, strict=True):
-        table[f"bias_{axis}_mm"] = error_measure(tree, error, lambda s: float(s[:, 1].sum() / s[:, 0].sum()))
-        table[f"rmse_{axis}_mm"] = error_measure(tree, error, root_mean_square)
+        ended[f"bias_{axis}_mm"] = error_measure(tree, error, mean_error)
+        ended[f"rmse_{axis}_mm"] = error_measure(tree, error, root_mean_square)
         table[f"median_{axis}_mm"] = float(np.median(np.abs(error)))
+    for name, (value, ends) in ended.items():
+        table |= {name: value, f"{name}_ci95": ends}
     return table
 
 
 def shown(value: Any) -> str:
-    """A number, or one with its interval."""
+    """A number, or both ends of an interval."""
     if isinstance(value, tuple):
-        number, ends = value
-        return f"{number:.3g}" + (f" [{ends[0]:.3g}, {ends[1]:.3g}]" if ends else "")
+        return f"[{value[0]:.3g}, {value[1]:.3g}]"
     return f"{value:.3g}" if isinstance(value, float) else str(value)
 
 
@@ -279,17 +280,17 @@ def text_of(tables: Sequence[Measured], command: str) -> str:
     return "\n".join(lines)
 
 
-def main() -> None:
+def main(
+    trees: Annotated[int, typer.Option(help="Rendered trees of each canopy.", min=1)] = TREES,
+    canopy: Annotated[list[str], typer.Option(help="A canopy, again for another.")] = CANOPIES,
+    seed: Annotated[int, typer.Option(help="Of trees, leaves and pictures.", min=0)] = SEED,
+    out: Annotated[Path | None, typer.Option(help="Write the tables here.")] = None,
+    json_file: Annotated[Path | None, typer.Option("--json", help="Write recall and errors here.")] = None,
+) -> None:
     """Measure, print, write."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--trees", type=int, default=120, help="rendered trees of each canopy (default 120)")
-    more = {"choices": FRUIT_MAPS, "help": "a canopy, again for another (default all)"}
-    parser.add_argument("--canopy", action="append", **more)
-    parser.add_argument("--seed", type=int, default=SEED, help=f"of trees, leaves and pictures (default {SEED})")
-    parser.add_argument("--out", type=Path, help="write the tables here")
-    parser.add_argument("--json", type=Path, help="write recall and errors here")
-    given = parser.parse_args()
-    tables = [table for canopy in given.canopy or FRUIT_MAPS for table in measured(canopy, given.trees, given.seed)]
+    if unknown := set(canopy) - set(CANOPIES):
+        raise typer.BadParameter(f"there is no canopy '{min(unknown)}'; give {' or '.join(CANOPIES)}")
+    tables = [table for name in canopy for table in measured(name, trees, seed)]
     camera = load_stereo_camera("li2016")
     pixel = 1e3 / (camera.focal_length * camera.baseline)
     print(f"Stereo theory: {pixel:.1f} mm of depth a pixel of disparity at 1 m, {pixel * 1.2**2:.1f} mm at 1.2 m; "
@@ -297,14 +298,14 @@ def main() -> None:
     rows = [figures(*table) for table in tables]
     for row in rows:
         print("; ".join(f"{key} {shown(value)}" for key, value in row.items()))
-    if given.json:
-        write_text(given.json, json.dumps({"depth_mm_per_px_at_1m": pixel, "rows": rows}, indent=2) + "\n")
-    if given.out:
-        trees = "" if given.trees == 120 else f" --trees {given.trees}"
-        trees += "" if given.seed == SEED else f" --seed {given.seed}"
-        names = "".join(f" --canopy {name}" for name in given.canopy or ())
-        write_text(given.out, text_of(tables, f"python scripts/studies/measure_sight.py{trees}{names} --out FILE"))
+    if json_file is not None:
+        write_json(json_file, {"depth_mm_per_px_at_1m": pixel, "seed": seed, "rows": rows})
+    if out is not None:
+        options = "" if trees == TREES else f" --trees {trees}"
+        options += "" if seed == SEED else f" --seed {seed}"
+        options += "" if canopy == CANOPIES else "".join(f" --canopy {name}" for name in canopy)
+        write_text(out, text_of(tables, f"python scripts/studies/measure_sight.py{options} --out FILE"))
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

@@ -92,9 +92,19 @@ def orders(rng: np.random.Generator, place: str, order: str, canopies: int, seed
 
 
 def learning(
-    rng: np.random.Generator, training: int, place: str, policy: str, canopies: int, steps: int, folder: str, seed: int
-) -> Any:
-    """PPO with steps of the tool beside the script, where it was trained and on a harder rung."""
+    rng: np.random.Generator, training: int, policy: str, place: list[str], canopies: int, steps: int, folder: str,
+    seed: int,
+) -> Any:  # fmt: skip
+    """PPO with steps of the tool beside the script, where it was trained and on a harder rung.
+
+    One piece has all places: two processes never train in one folder.
+    """
+    parts = [Rows.of(learnt_at(where, training, policy, canopies, steps, folder, seed)) for where in place]
+    return joined([Rows({"place": np.full(len(p), at)} | p.columns) for p, at in zip(parts, place, strict=True)])
+
+
+def learnt_at(place: str, training: int, policy: str, canopies: int, steps: int, folder: str, seed: int) -> Any:
+    """Rows of one place."""
     arguments, judged = PLACES[place], seed_words(stream(seed, "fruit"), canopies)
     if policy == "scripted":
         given = {key: value for key, value in arguments.items() if key != "split"}
@@ -112,7 +122,7 @@ def learning(
     return joined(list(map(Rows, parts)))
 
 
-def once(training: int, place: str, policy: str) -> bool:
+def once(training: int, policy: str) -> bool:
     """The script is judged once."""
     return policy != "scripted" or training == 0
 

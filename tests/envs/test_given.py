@@ -68,6 +68,10 @@ def test_a_plant_that_is_no_name_is_refused(name, plant):
         {"arms": "per_episode", "population_seed": -1},
         {"arms": "per_episode", "population_seed": "a"},
         {"arms": "per_episode", "tolerances": 3},
+        {"tolerances": 3},
+        {"population": "many"},
+        {"end_on_success": "no"},
+        {"end_on_success": 1.5},
     ],
     ids=lambda given: list(given)[-1],
 )
@@ -76,9 +80,25 @@ def test_an_impossible_argument_is_named(arguments):
         ReachEnv(**arguments)
 
 
-def test_an_impossible_spacing_is_named():
-    with pytest.raises(InputError, match=r"^spacing_mm is 'wide'; give a finite number above zero"):
-        HarvestEnv(spacing_mm="wide")
+@pytest.mark.parametrize(
+    ("name", "arguments", "said"),
+    [
+        ("Harvest", {"spacing_mm": "wide"}, "spacing_mm is 'wide'; give a finite number above zero"),
+        *(("Harvest", {"ideal": value}, f"ideal is {value!r}; give True or False") for value in ("no", 1.5, 1, None)),
+        ("Harvest, vector", {"ideal": "no"}, "ideal is 'no'; give True or False"),
+        ("Harvest", {"slaves": True}, "a machine cannot have True slave arms; give a whole number"),
+        ("Harvest", {"canopy": True}, "unknown canopy 'True'; give one of"),
+        *(
+            ("Pick", {name: 3}, f"unknown {name} '3'; give one of")
+            for name in ("gripper", "camera", "canopy", "detector")
+        ),
+        *(("Pick", {f"fruit_{name}": 3}, "unknown fruit.* '3'; give one of") for name in ("map", "size")),
+    ],
+    ids=str,
+)
+def test_an_argument_of_another_kind_is_refused_in_a_sentence(name, arguments, said):
+    with pytest.raises(InputError, match=f"^{said}"):
+        MAKERS[name](**arguments)
 
 
 def test_joints_and_arms_asked_for_are_numbers():

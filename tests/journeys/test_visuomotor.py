@@ -42,6 +42,6 @@ def test_from_an_empty_folder_to_a_network_that_takes_fruit_by_pictures_with_arm
         said = ran(command, tmp_path)
     assert sum(file.stat().st_size for file in (tmp_path / "demonstrations").rglob("*.*")) < 5e6
     assert (tmp_path / "clone.npz").is_file()
-    made, page = (np.array(re.findall(r"mm: (\d+) of 10", text), dtype=int) for text in (said, PRINTED[0]))
-    assert np.abs(made - page).max() <= 2  # another processor trains another network
-    assert made[3] <= made[0] - 3
+    made, page = (np.array(re.findall(r"mm: (\d+) of 20", text), dtype=int) for text in (said, PRINTED[0]))
+    assert np.abs(made - page).max() <= 4  # another processor trains another network
+    assert made[3] <= made[0] - 6

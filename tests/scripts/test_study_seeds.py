@@ -19,7 +19,7 @@ CASES = {
     "twin_randomisation": ("trained", 2, ONE | {"trained_on": "invented, class fine", "picks": 1}),
     "picking_learning": (
         *("train_once", 0),
-        ONE | {"place": "as trained", "policy": "PPO", "canopies": 2, "folder": ""},
+        ONE | {"place": ["as trained"], "policy": "PPO", "canopies": 2, "folder": ""},
     ),
     "findings_transfer": (
         *("train_once", 0),

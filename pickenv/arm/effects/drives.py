@@ -1,4 +1,4 @@
-"""Effects of motors, temperature, gravity and instruments: encoder counts, lag, thermal growth, noise. Rad, m, s."""
+"""Effects of motors, temperature, gravity and instruments: counts, lag, growth, deflection, noise. Units: rad, m, s."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ class ThermalGrowth(Effect, place=JOINT + 0.6, spreads={"time_constant": "warm_u
         return (warmed(at.m, self, memory[0], dt),)
 
     def drawn(self, draws: Draws) -> ThermalGrowth:
-        """Return the effect of many arms; each final temperature rise is drawn from the tolerance class's range."""
+        """Return the effect of many arms, each final temperature rise drawn from the tolerance class's range."""
         low, high = draws.temperature_rise
         return replace(super().drawn(draws), final_rise=low + (high - low) * draws.even["temperature_rise"][:, 0])
 

@@ -62,11 +62,11 @@ class Passage:
         self._frame: Frame | None = None
 
     def turn(self, motor: Scalars) -> None:
-        """Set the positions of the motors, and with them those of the drives and the joints (n components)."""
+        """Set the positions of the motors (n components), and set drives and joints to the same positions."""
         self.motor = self.driven = self.joints = motor
 
     def drive(self, driven: Scalars) -> None:
-        """Set the positions of the drives, and with them those of the joints (n components), but not of the motors."""
+        """Set the positions of the drives (n components), and set the joints, but not the motors, to the same."""
         self.driven = self.joints = driven
 
     @property
@@ -177,7 +177,7 @@ class Effect:
         cls.remembers = cls.carry is not Effect.carry
 
     def act(self, at: Passage, memory: Components) -> None:
-        """Apply the effect to a command, in place; by default, append the effect to ``at.bends``.
+        """Apply the effect to a command's passage, in place; by default, append the effect to ``at.bends``.
 
         Args:
             at: The command's passage, which is changed in place.
@@ -200,7 +200,7 @@ class Effect:
         return ()
 
     def rest(self, at: Passage) -> Components:
-        """Return the limit of the effect's memory when ``at.command`` is held for ever, independent of the history."""
+        """Return the limit of the effect's memory if ``at.command`` is held for ever, whatever happened before."""
         return self.begin(at)
 
     def carry(self, at: Passage, memory: Components, dt: Scalar) -> Components:

@@ -67,7 +67,7 @@ class BaseTilt(Effect, place=BASE, spreads=GIVING_WAY, needs_load=True):
         return tuple([final + (part - final) * faded for final, part in pairs])
 
     def _tilt(self, at: Passage) -> tuple[Scalar, Scalar]:
-        """Rotation vector (x, y) in rad by which the reach moment tilts the machine at once."""
+        """Return the immediate tilt under the arm's gravity moment as a rotation vector (x, y), world axes, rad."""
         x0, y0, _ = self.pivot
         mass, moment_x, moment_y = at.pull[0][0]
         about_x, about_y = self.stiffness

@@ -2,10 +2,11 @@
 
 The waves are random features of a Gaussian process (Rahimi and Recht 2007). An output is the sum over k of
 a_k cos(w_k x) + b_k sin(w_k x), where x are the joints minus a centre. Joints with a wide range enter by sine and
-cosine. Arms share the frequencies w_k and differ in the weights a_k and b_k. Each output has smooth waves, then rough
-ones. A calibration learnt the smooth waves. Rough waves have such a short length scale that measurements cannot tell
-them from scatter. Waves are computed in single precision, because they are most of the cost; this is exact to
-nanometres. The module also has periodic errors of drives that differ from arm to arm. Units: m and rad.
+cosine. Arms share the frequencies w_k and differ in the weights a_k and b_k. Of each output's waves, smooth ones come
+first, then rough ones. The weights of smooth waves are learnt by a calibration. Rough waves have such a short length
+scale that measurements cannot distinguish them from scatter. Waves are computed in single precision, because they are
+most of the cost; this is exact to nanometres. The module also has periodic errors of drives that differ from arm to
+arm. Units: m and rad.
 """
 
 from __future__ import annotations
@@ -120,7 +121,7 @@ class ResidualField(Effect, place=TOOL + 0.5, name="residual"):
 
 
 def _outputs(m: ModuleType, field: ResidualField, q: Scalars) -> list[Scalar]:
-    """The outputs of the field at joints ``q``, one number or array per output."""
+    """Return the outputs of the field at joints ``q``, one number or array per output."""
     features = field.features
     if m.__name__ == "torch":
         return _tensor_outputs(m, field, q)
@@ -148,7 +149,7 @@ def _fill(field: ResidualField, inputs: Array, outputs: Array) -> None:
 
 
 def _weighed(features: Features, inputs: Array, weight: Single) -> Array:
-    """Weighted sums of the waves ``(..., O)`` at inputs ``(F, ...)``."""
+    """Return the weighted sums of the waves ``(..., O)`` at inputs ``(F, ...)``."""
     angle = features.angles(inputs)
     cosines, sines = (np.cos(angle) * weight[..., 0, :]).sum(-1), (np.sin(angle) * weight[..., 1, :]).sum(-1)
     return np.asarray(cosines + sines, dtype=float)

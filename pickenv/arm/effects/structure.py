@@ -121,7 +121,7 @@ class RollerPlay(Boom, place=BEND + 0.8, spreads={"clearance": "roller_clearance
         return lowered_tip(frame, angle * length, angle)
 
     def fault(self, arm: Arm) -> str:
-        """Return an error message if the boom of ``arm`` can extend beyond its overlap, or its length is wrong."""
+        """Return an error message if the boom of ``arm`` can extend beyond its overlap; else `Boom.fault` decides."""
         limit = arm.nominal.upper[self.joint]
         if self.overlap > limit:
             return super().fault(arm)
@@ -478,7 +478,7 @@ class SlideCompliance(Effect, place=BEND, needs_load=True):
         return ""
 
     def drawn(self, draws: Draws) -> SlideCompliance:
-        """Return the slides of many arms, with the stiffness of their bearings drawn about this effect's."""
+        """Return the slides of many arms, the stiffness of their bearings drawn about this effect's values."""
         stiffness = [bearing.stiffness for bearing in self.bearings]
         pairs = zip(self.bearings, draws.scaled(stiffness, "bearing_stiffness", spread="joint_stiffness"), strict=True)
         return SlideCompliance(tuple(replace(bearing, stiffness=size) for bearing, size in pairs))
@@ -497,9 +497,10 @@ def moment_about(weight: Weight, x: Scalar, y: Scalar) -> tuple[Scalar, Scalar]:
 
 
 def _swung(wx: Scalar, wy: Scalar, wz: Scalar, arm: Scalar, z: Scalars, moved: Scalars) -> tuple[Scalar, ...]:
-    """Displacement (three of position, three of rotation) of a frame that is moved and turned by w.
+    """Return a frame's displacement, three components of position and three of rotation, by a shift and a small turn.
 
-    The frame turns about a point that lies ``arm`` behind it along ``z``.
+    The shift is ``moved``, m. The turn is the rotation vector w, rad, about a point ``arm`` m behind the frame along
+    its axis ``z``.
     """
     zx, zy, zz = z
     across = (wy * zz - wz * zy, wz * zx - wx * zz, wx * zy - wy * zx)

@@ -61,8 +61,8 @@ class Arm:
         speed: Largest joint speeds, rad/s or m/s, shape (n,).
         tolerance_class: Name of the tolerance class of the arm's parts, if the file gives one, else None.
         load: The masses that the links carry, if the file gives them, else None.
-        pivots: Where each link is joined to the one before, along its axis from the link's frame (L,), m, if the file
-            places joints; else None, and the frames are taken.
+        pivots: Distance of each link's joint from the origin of the link's frame, along the joint's axis (L,), m; None
+            if the file does not place joints. Without pivots, each joint is at its frame's origin.
     """
 
     name: str
@@ -159,7 +159,7 @@ def geometry_from_arrays(
 
 
 def _tree(named: Mapping[str, NDArray[Any]], links: int, which: str) -> LinkTree:
-    """The saved `LinkTree`, checked: each link stands on one before it."""
+    """Return the saved `LinkTree` after checking it: each link's parent must come before the link."""
     parts = tuple(str(name) for name in named["tree_names"])
     parent = tuple(map(int, finite(named, "tree", (links,), which)))
     *carriers, sensor, target = map(int, finite(named, "tree_links", (len(parts) + 2,), which))
@@ -169,7 +169,7 @@ def _tree(named: Mapping[str, NDArray[Any]], links: int, which: str) -> LinkTree
 
 
 def _coupling(named: Mapping[str, NDArray[Any]], joints: int, which: str) -> Coupling:
-    """The saved `Coupling`, checked: the joint that moves each link."""
+    """Return the saved `Coupling` after checking its joints, ratios and link types."""
     joint, ratio, slides = finite(named, "coupling", (3, named["coupling"].shape[-1]), which).tolist()
     if not set(joint) <= set(range(joints)) or ("tree" not in named and 0.0 in ratio) or not set(slides) <= {0.0, 1.0}:
         raise InputError(f"{which}/coupling names a joint that is not there, a ratio of zero, or no kind of link")

@@ -34,7 +34,7 @@ Vector = tuple[float, float, float]
 
 @toml_tables.toml_table
 class JointTable:
-    """The keys that all entries of [[joints]] in an arm file share: revolute, prismatic and following links."""
+    """The keys that all entries of [[joints]] in an arm file share, be they revolute, prismatic or following links."""
 
     _: KW_ONLY
     number: Annotated[int, toml_tables.WHOLE]
@@ -177,7 +177,7 @@ def read_arm(path: Path) -> Arm:
 
 
 def _coupling(links: list[Any], leaders: list[Any]) -> Coupling | None:
-    """The joint that moves each link, from ``follows`` and ``ratio``; None where each joint moves one link alone."""
+    """Return the joint that moves each link, from ``follows`` and ``ratio``; None if each joint moves its own link."""
     if len(leaders) == len(links) and all(link.ratio == 1.0 for link in links):
         return None
     order = {link.number: i for i, link in enumerate(leaders)}

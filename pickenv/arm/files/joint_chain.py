@@ -1,10 +1,10 @@
 """Functions that the readers and writers of URDF and MJCF share: find a robot's flange, and make joints a `Geometry`.
 
-A joint that follows another does not count as a joint of the arm. The joint that it follows moves its link too
-(`pickenv.arm.kinematics.geometry.Coupling`), whether that joint is in the chain or beside it. Consecutive slides that
-one joint moves are equivalent to one slide, whose motion is the sum of theirs; two stages of a lift become one link.
-Offsets become part of the zero position. A joint's limits and speed are the largest that every link that it moves
-allows. Metres and radians.
+A joint that follows another does not count as a joint of the arm. The followed joint, in the chain or beside it, moves
+the links of both (`pickenv.arm.kinematics.geometry.Coupling`). Consecutive slides that one joint moves are equivalent
+to one slide, whose motion is the sum of the slides' motions; so two stages of a lift become one link. Offsets become
+part of the zero position. A joint's limits and speed are narrowed until all links that it moves allow them. Metres and
+radians.
 """
 
 from __future__ import annotations
@@ -128,7 +128,10 @@ def flange(children: Mapping[str, Sequence[Carried]], root: str) -> str:
 
 
 def _hands(children: Mapping[str, Sequence[Carried]], order: Sequence[str]) -> set[str]:
-    """The links of grippers: only joints named like a gripper's carry them and stand behind; none if all joints are."""
+    """Return the gripper links: those that a joint with a gripper's name moves, and no other kind of joint follows.
+
+    The set is empty if all joints have names of grippers. ``order`` lists all links, parents first.
+    """
     hands: set[str] = set()
     arms: set[str] = set()  # links behind which another joint stands
     for link in reversed(order):
@@ -192,8 +195,9 @@ class Mass(NamedTuple):
 
     Attributes:
         kg: The mass, kg; not a number if the file leaves it to the body's shapes.
-        path: Joints from the body to the root, with the centre of mass in the frame of the body that each moves (3,),
-            m. All joints between that frame and the body are at zero.
+        path: Names of the joints from the body to the root, each with the centre of mass (3,), m, in the frame of the
+            link that the joint moves. The frame's origin is on the joint's axis. All joints between this link and the
+            body are at zero.
     """
 
     kg: float
@@ -211,7 +215,8 @@ class JointRow(NamedTuple):
             joint after it.
         tool: Pose of the tip in the frame of the last joint.
         drives: The commanded joints, by name.
-        mount: Name of the fixed joint or the site that holds the tip; None if a moving joint holds it.
+        mount: What holds the tip: the name of a fixed joint (URDF), of a body without joints, or "site NAME" (MJCF).
+            None if a moving joint holds the tip.
         masses: The masses of all bodies of the file, if it gives them.
     """
 
@@ -266,9 +271,8 @@ def arm_of(rows: Sequence[JointRow], path: Path, form: str, named: bool = True) 
 def geometry_of(rows: Sequence[JointRow]) -> tuple[Geometry, Array, Load | None, Array]:
     """Return an arm's or a whole robot's geometry, the largest joint speeds ``(n,)``, rad/s or m/s, masses and pivots.
 
-    `Arm` says what pivots are.
-
-    The chains of a whole robot share their first joints. The robot's link table holds one branch after another.
+    Masses and pivots are the attributes ``load`` and ``pivots`` of `Arm`. The chains of a whole robot share their first
+    joints. The robot's link table holds one branch after another.
 
     Args:
         rows: Chains of joints: one for an arm. For a whole robot, one for each part with a sensor or a target.
@@ -333,9 +337,9 @@ def geometry_of(rows: Sequence[JointRow]) -> tuple[Geometry, Array, Load | None,
 
 
 def _load(masses: Sequence[Mass], joints: Sequence[ChainJoint], zeros: Sequence[Pose]) -> Load | None:
-    """The masses of the bodies, each added to the last link of the table that carries it.
+    """Return the masses of the links; each body's mass is added to the last link in the table that carries the body.
 
-    None where no body has a mass, where one mass is unknown, and where all are equal: those are placeholders.
+    Return None if no body has a mass, if a mass is unknown, or if all masses are equal (placeholders).
     """
     places = {joint.name: i for i, joint in enumerate(joints) if joint.ratio}
     moments = np.zeros((len(joints), 4))
@@ -382,7 +386,7 @@ def driver_of(name: str, followed: Callable[[str], tuple[str, float, float] | No
 
 
 def _within(driver: Drive, joint: ChainJoint) -> Drive:
-    """The driver with limits and speed narrowed to what ``joint``, which follows it, allows."""
+    """Return ``driver`` with limits and speed narrowed to those that ``joint``, which follows it, allows."""
     if joint.allowed is None:
         return driver
     least, most, speed = joint.allowed
@@ -412,7 +416,7 @@ def links_of(joints: Sequence[ChainJoint]) -> list[list[ChainJoint]]:
 
 
 def _one_joint(link: Sequence[ChainJoint]) -> ChainJoint:
-    """The joint of a link; of several slides, which commute, one along the sum of their directions."""
+    """Return a link's joint; replace several slides by one slide along the ratio-weighted sum of their axes."""
     joint, *others = link
     if not others:
         return joint
@@ -424,7 +428,10 @@ def _one_joint(link: Sequence[ChainJoint]) -> ChainJoint:
 
 
 def _in_order(links: list[ChainJoint], drives: Mapping[str, Drive]) -> tuple[str, ...]:
-    """The drivers' names in the order of the first links that move just as they do, or else that they move at all."""
+    """Return the drivers' names in the order of their links in the table.
+
+    A driver's link is the first that has its joint type and the ratio 1, or else the first that it moves.
+    """
 
     def place(name: str) -> int:
         places = [i for i, link in enumerate(links) if link.driver == name]

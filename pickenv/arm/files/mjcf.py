@@ -1,11 +1,10 @@
 """Read and write MJCF. The hinges and slides between the world and a body or a site can be read as a `Geometry`.
 
-Poses are read as MuJoCo 3 reads them: pos with quat, axisangle, euler, xyaxes or zaxis. So are compiler angle and
-eulerseq, default classes, childclass, frames, several joints on a body, ref, and included files. A joint that an
-equality constraint ties to another joint follows that joint. A constraint that closes a loop through the chain is
-refused.
+Files are read as MuJoCo 3 reads them: pos with quat, axisangle, euler, xyaxes or zaxis; compiler angle and eulerseq,
+default classes, childclass, frames, several joints on a body, ref, and included files. A joint that an equality
+constraint ties to another joint follows that joint. A constraint that closes a loop through the chain is refused.
 
-A `Geometry` is in metres and radians. MJCF has no joint speeds; 1 rad/s and 1 m/s are taken.
+A `Geometry` is in metres and radians. MJCF has no joint speeds; 1 rad/s and 1 m/s are used.
 """
 
 from __future__ import annotations
@@ -53,7 +52,7 @@ STIFFNESS, DAMPING = 2000.0, 200.0
 """Stiffness of the position drives, N*m/rad or N/m, and their damping, N*m*s/rad or N*s/m."""
 
 RODS = "masses"
-"""Name of the text in a written file that says that its masses are rods; they are not read back."""
+"""Name of the text element that marks a written file whose masses are those of rods; such masses are not read back."""
 
 TOOL_SITE = "tool"
 
@@ -269,7 +268,10 @@ class MjcfValues:
 
 
 def _over(below: Attributes, own: Attributes) -> dict[str, str]:
-    """Inherited attributes overridden by an element's own; of orientations one remains, and quat yields to others."""
+    """Return the inherited attributes ``below``, overridden by an element's attributes ``own``.
+
+    An own orientation replaces an inherited one. But an own quat is dropped if another kind is inherited, as in MuJoCo.
+    """
     ways = [key for key in ORIENTATIONS if key in own]
     inherited = [key for key in ORIENTATIONS[1:] if key in below]
     dropped = {"quat"} if ways == ["quat"] and inherited else set()
@@ -290,7 +292,10 @@ class _Joint:
 
 @dataclass(frozen=True, eq=False)
 class _Body:
-    """A body or a site: where it stands, the joints that move it, in the file's order, and its mass with the centre."""
+    """A body or a site: its pose in its parent, the joints that move it, in the file's order, and its mass and centre.
+
+    The mass is in kg, the centre in the body's frame in m; see `_inertial`.
+    """
 
     name: str
     parent: str
@@ -345,7 +350,10 @@ def mjcf_row(path: Path, tip: str | None = None) -> JointRow:
 
 
 def _follow_includes(root: Element, main: Path) -> None:
-    """Replace includes by their files' content; as in MuJoCo, each file once, its path from the main file's folder."""
+    """Replace includes by their files' content; as in MuJoCo, paths start at the main file's folder.
+
+    A file that is included twice is refused.
+    """
     taken: set[Path] = {main.resolve()}
     waiting = [root]
     for parent in waiting:  # grows as files come in
@@ -363,7 +371,7 @@ def _follow_includes(root: Element, main: Path) -> None:
 
 
 def _bodies(root: Element, values: MjcfValues) -> dict[str, _Body]:
-    """The world and the bodies by name, and the sites by "site NAME"."""
+    """Return the world and the bodies by name, and the sites by "site NAME"."""
     bodies = {WORLD: _Body(WORLD, "", identity_pose())}
     worlds = reversed(root.findall("worldbody"))
     waiting = [(world, WORLD, identity_pose(), world.get("childclass", "")) for world in worlds]
@@ -395,7 +403,10 @@ def _bodies(root: Element, values: MjcfValues) -> dict[str, _Body]:
 
 
 def _inertial(body: Element, name: str) -> tuple[float, Array] | None:
-    """The mass of a body, kg, and its centre in the body (3,), m: not a number where only shapes say it."""
+    """Return the mass of a body, kg, and its centre of mass in the body's frame (3,), m.
+
+    The mass is NaN if only the body's shapes determine it. Return None for a body without <inertial> and shapes.
+    """
     if (inertial := body.find("inertial")) is None:
         shapes = body.find("geom") is not None or body.find("frame/geom") is not None
         return (math.nan, np.zeros(3)) if shapes else None
@@ -405,7 +416,7 @@ def _inertial(body: Element, name: str) -> tuple[float, Array] | None:
 
 
 def _masses(root: Element, bodies: Mapping[str, _Body]) -> Iterator[Mass]:
-    """The masses of the bodies; none where the file has rods for them, or asks for those of the shapes."""
+    """Yield the masses of the bodies; yield nothing if they are those of rods (`RODS`) or come from the shapes."""
     by_shape = any(compiler.get("inertiafromgeom") == "true" for compiler in root.iterfind("compiler"))
     if by_shape or root.find(f"custom/text[@name='{RODS}']") is not None:
         return
@@ -420,13 +431,13 @@ def _masses(root: Element, bodies: Mapping[str, _Body]) -> Iterator[Mass]:
 
 
 def _anchor(joint: _Joint) -> Array:
-    """The point of a joint that its motion leaves where it is, in the body (3,), m."""
+    """Return the joint's anchor, a point on its axis, in the frame of the body that it moves (3,), m."""
     point = xml_numbers(joint.attributes.get("pos", "0 0 0"), "pos", M.most)
     return behind(joint.within, Pose(point, np.eye(3))).position
 
 
 def _end(bodies: Mapping[str, _Body], tip: str | None) -> str:
-    """Key of the body or site that is the tip."""
+    """Return the key in ``bodies`` of the body or site that is the tip; the flange by default."""
     if tip is None:
         children: dict[str, list[Carried]] = {}
         for key, body in bodies.items():
@@ -441,7 +452,7 @@ def _end(bodies: Mapping[str, _Body], tip: str | None) -> str:
 
 
 def _above(bodies: Mapping[str, _Body], key: str) -> list[str]:
-    """The keys of a body and of the bodies that carry it, up to the world, which is left out."""
+    """Return the keys of a body and of its ancestors, from the body towards the world, without the world."""
     keys = []
     while key != WORLD:
         keys.append(key)
@@ -452,7 +463,7 @@ def _above(bodies: Mapping[str, _Body], key: str) -> list[str]:
 def _joints(
     chain: list[str], bodies: Mapping[str, _Body], root: Element, values: MjcfValues
 ) -> tuple[list[ChainJoint], Pose, dict[str, Drive]]:
-    """The joints along a chain of bodies, the pose of the tip behind the last joint, and the joints that drive them."""
+    """Return the joints along a chain of bodies, the tip's pose in the last joint's frame, and the driving joints."""
     joints: dict[str, _Joint] = {}
     for joint in (joint for body in bodies.values() for joint in body.joints):
         if joint.name in joints:
@@ -484,7 +495,7 @@ def _joints(
 
 
 def _ties(root: Element, values: MjcfValues, joints: Mapping[str, _Joint]) -> dict[str, tuple[str, float, float]]:
-    """For each joint that an equality constraint ties: the joint (or the world) that it follows, ratio and offset."""
+    """Return for each joint with an equality constraint the joint (or world) that it follows, ratio and offset."""
     ties: dict[str, tuple[str, float, float]] = {}
     for tie in root.iterfind("equality/joint"):
         name, leader, law = tie.get("joint1", ""), tie.get("joint2", WORLD), tie.get("polycoef", "")
@@ -506,7 +517,7 @@ def _ties(root: Element, values: MjcfValues, joints: Mapping[str, _Joint]) -> di
 
 
 def _refuse_loops(root: Element, bodies: Mapping[str, _Body], moved: set[str]) -> None:
-    """Refuse constraints between bodies that close a loop through a joint of the chain, which is then no open chain."""
+    """Raise an error if a constraint closes a loop through one of the bodies ``moved``, those of the chain's joints."""
     for tie in (*root.iterfind("equality/connect"), *root.iterfind("equality/weld")):
         ends = [f"site {tie.get(f'site{i}')}" if tie.get("site1") else tie.get(f"body{i}") for i in (1, 2)]
         bound = [end for end in ends if end is not None and end in bodies]

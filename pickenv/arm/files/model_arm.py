@@ -90,7 +90,7 @@ def joints_in_mujoco(model: Any, data: Any, geometry: Geometry) -> Array:
 
 
 SAME = 1e-6
-"""Largest difference between frames of the model's arm and of the nominal arm that counts as rounding in files."""
+"""Largest difference between entries of a frame in the model and in the nominal arm that counts as rounding."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,8 +102,8 @@ class ModelArm:
         nominal: The geometry of the unchanged model.
         joints: Indices of the arm's joints in the model ``(n,)``.
         bodies: Indices of the bodies that these joints move ``(n,)``.
-        above: Frame of each body's parent, n of them: the first in the world, the others in the link before.
-        within: Frame of each body in its link's frame, n of them.
+        above: Frame of each body's parent body (n frames): the first in the world, the others in the link before.
+        within: Frame of each body in its link's frame (n frames).
         pivot: Axis of the last joint and a point on it, in the last link's frame ``(2, 3)``, m.
     """
 
@@ -192,7 +192,7 @@ def arm_in_mujoco(model: Any, nominal: Geometry) -> ModelArm:
     data, places, chain = mujoco.MjData(model), model.jnt_qposadr[joints], chain_of(nominal)
 
     def stands(joints: Array) -> tuple[list[Frame], list[Frame]]:
-        """Return each body's parent frame, relative to the link before, and each body's frame, relative to its link."""
+        """Return the frames ``above`` and ``within`` of `ModelArm` at these joints ``(n,)``."""
         data.qpos[:] = model.qpos0
         data.qpos[places] = joints
         mujoco.mj_kinematics(model, data)

@@ -1,7 +1,7 @@
 """Read and write URDF. Any chain of revolute, continuous, prismatic and fixed joints can be read as a `Geometry`.
 
-A joint that mimics another does not count as a joint of the arm; the joint that it follows moves its link too. By
-default the tip is the flange (`pickenv.arm.files.joint_chain.flange`), and the arm's source says so.
+A joint that mimics another does not count as a joint of the arm; the mimicked joint moves the links of both. By default
+the tip is the flange (`pickenv.arm.files.joint_chain.flange`), and the arm's source says so.
 
 Lengths in metres and angles in radians, as URDF has them; rpy is rotation about fixed x, y, z axes.
 """
@@ -201,7 +201,7 @@ def urdf_row(path: Path, tip: str | None = None) -> JointRow:
 
 
 def _masses(root: Element, above: Mapping[str, Element]) -> Iterator[Mass]:
-    """The mass of each link with <inertial>."""
+    """Yield the mass of each link that has <inertial>."""
     for link in root.iterfind("link"):
         if (inertial := link.find("inertial")) is None:
             continue
@@ -219,14 +219,14 @@ def _masses(root: Element, above: Mapping[str, Element]) -> Iterator[Mass]:
 
 
 def _origin(joint: Element) -> Pose:
-    """The pose of a joint in the frame of its parent link."""
+    """Return the pose of a joint in the frame of its parent link."""
     origin = joint.find("origin")
     turn = Rotation.from_euler("xyz", _numbers(origin, "rpy", joint)).as_matrix()
     return Pose(_numbers(origin, "xyz", joint), turn)
 
 
 def _joints(chain: list[Element], by_name: Mapping[str, Element]) -> tuple[list[ChainJoint], Pose, dict[str, Drive]]:
-    """The joints of a row of elements, the pose of the tip in the last joint's frame, and the driving joints."""
+    """Return the moving joints of a chain of elements, the tip's pose in the last joint's frame, and the drives."""
     joints: list[ChainJoint] = []
     drives: dict[str, Drive] = {}
     before = identity_pose()  # from the last joint that moves
@@ -252,7 +252,7 @@ def _joints(chain: list[Element], by_name: Mapping[str, Element]) -> tuple[list[
 
 
 def _unique(joints: list[Element]) -> tuple[dict[str, Element], dict[str, Element]]:
-    """The joints by name, and by the link behind them; a name, or a link behind a joint, given twice is refused."""
+    """Return the joints by name and by child link; raise an error if a name or a child link occurs twice."""
     by_name: dict[str, Element] = {}
     above: dict[str, Element] = {}
     for joint in joints:
@@ -267,7 +267,7 @@ def _unique(joints: list[Element]) -> tuple[dict[str, Element], dict[str, Elemen
 
 
 def _chain(above: Mapping[str, Element], tip: str | None) -> tuple[list[Element], str]:
-    """The joints from the root to ``tip``, and the tip's name; loops are refused."""
+    """Return the joints from the root to ``tip`` (the flange if None) and the tip's name; raise an error for a loop."""
     try:
         TopologicalSorter({link: [_link(joint, "parent")] for link, joint in above.items()}).prepare()
     except CycleError as error:
@@ -285,7 +285,7 @@ def _chain(above: Mapping[str, Element], tip: str | None) -> tuple[list[Element]
 
 
 def _flange(above: Mapping[str, Element]) -> str:
-    """The link at which the arm's own joints end."""
+    """Return the name of the flange, as `joint_chain.flange` finds it; ``above`` is the joint above each link."""
     children: dict[str, list[Carried]] = {}
     for link, joint in above.items():
         moving = () if joint.get("type") == "fixed" else (str(joint.get("name")),)
@@ -294,7 +294,7 @@ def _flange(above: Mapping[str, Element]) -> str:
 
 
 def _driver(joint: Element, by_name: Mapping[str, Element]) -> tuple[Element, float, float]:
-    """The joint that drives this one in the end, with the multiplier and the offset between them."""
+    """Return the joint that drives this one, over any number of mimics, with the overall multiplier and offset."""
 
     def mimicked(name: str) -> tuple[str, float, float] | None:
         if (mimic := by_name[name].find("mimic")) is None:
@@ -314,7 +314,10 @@ def _driver(joint: Element, by_name: Mapping[str, Element]) -> tuple[Element, fl
 
 
 def _limits(joint: Element) -> tuple[float, float, float]:
-    """Lower limit, upper limit and speed of a joint; a continuous joint gets one turn as its range."""
+    """Return a joint's lower limit, upper limit and speed; the range of a continuous joint is one turn.
+
+    The unit is rad and rad/s, or m and m/s for a prismatic joint.
+    """
     kind, limit = str(joint.get("type")), joint.find("limit")
     unit, most, fastest = ("m", M.most, M_PER_S.most) if MOVING[kind] else ("rad", RAD.most, RAD_PER_S.most)
     if limit is None and kind != "continuous":

@@ -33,14 +33,18 @@ kilometres, if a file rounds half a turn to 3.1416.
 """
 
 SKEW = 0.7
-"""Axes with a shorter cross product are skew; their angle goes into beta too if they are far apart.
+"""The angle of axes with a shorter cross product goes into beta too, if they are far apart at the first one's frame.
 
-The feet of their common normal move far along both axes if one of them tilts by little: by the normal's length times
-the tilt / sine^2. Straight across, an axis that is displaced turns the link before by the displacement / distance.
+A small tilt of one axis moves the feet of the common normal far along both: by the normal's length times the tilt /
+sine^2. With beta, the link runs straight across to the other axis instead. Then a displacement of that axis only turns
+the link, by the displacement / distance.
 """
 
 TILT_LEVER = 0.15
-"""A part's tolerance of length over that of angle, m; times the sine, the distance from which on skew axes are far."""
+"""Axes are far apart if the next one is farther, straight across, than this length, m, times the sine of their angle.
+
+It is a part's tolerance of length divided by its tolerance of angle.
+"""
 
 
 def geometry_from_axes(
@@ -97,7 +101,11 @@ def geometry_from_axes(
 
 
 def _common_normal(near: Array, z: Array, point: Array, next_z: Array, previous: Array) -> tuple[Array, Array]:
-    """The foot on axis (near, z) of its common normal with axis (point, next_z), and the direction of that normal."""
+    """Return origin and x direction of the frame on axis (near, z), from its common normal with axis (point, next_z).
+
+    For parallel axes, and for axes whose angle goes into beta, the origin is ``near``. If the axes coincide, x is as
+    near to ``previous`` as possible.
+    """
     cross = np.cross(z, next_z)
     if (sine := float(np.linalg.norm(cross))) < PARALLEL:  # any normal will do: take the one at ``near``
         across = point - near - z * (z @ (point - near))
@@ -113,7 +121,7 @@ def _common_normal(near: Array, z: Array, point: Array, next_z: Array, previous:
 
 
 def _perpendicular(z: Array, wish: Array) -> Array:
-    """The unit vector across ``z`` that is nearest to ``wish``."""
+    """Return the unit vector perpendicular to ``z`` that is nearest to ``wish``."""
     across = wish - z * (z @ wish)
     if np.linalg.norm(across) < 1e-6:
         across = np.eye(3)[int(np.argmin(np.abs(z)))]
@@ -122,7 +130,7 @@ def _perpendicular(z: Array, wish: Array) -> Array:
 
 
 def _angle(start: Array, end: Array, axis: Array) -> float:
-    """Angle from ``start`` to ``end`` about ``axis``, rad."""
+    """Return the angle from ``start`` to ``end`` about ``axis``, rad; all are unit vectors."""
     return float(np.arctan2(np.cross(start, end) @ axis, start @ end))
 
 
@@ -139,9 +147,9 @@ Flexure = Callable[[int, Frame], Frame]
 
 
 class Link(NamedTuple):
-    """Constants of one link's transform: its parameters and their sines and cosines; ``beta`` holds (cosine, sine).
+    """Constants of one link's transform: its parameters and their sines and cosines.
 
-    ``beta`` is None if Hayati's beta is zero.
+    ``beta`` holds the cosine and sine of Hayati's beta, or None if beta is zero.
     """
 
     prismatic: bool
@@ -226,13 +234,19 @@ def frames(m: ModuleType, chain: Chain, q: Scalars, flexure: Flexure | None = No
 
 
 def _from_the_sensor(chain: Chain, links: list[Frame], frame: Frame) -> Frame:
-    """Return a frame where the chain's base is the pose of the sensor's link; ``links`` are of the same chain."""
+    """Return ``frame`` moved with the whole chain, so that the sensor's link has the pose of the chain's base.
+
+    ``links`` and ``frame`` come from `_from_the_base`.
+    """
     assert chain.tree is not None
     return attach(chain.base, frame_within(links[chain.tree.sensor + 1], frame))
 
 
 def _from_the_base(m: ModuleType, chain: Chain, q: Scalars, flexure: Flexure | None = None) -> list[Frame]:
-    """Compute the frames of base and links, the base at the chain's base; the arguments are those of `frames`."""
+    """Compute the frames of base and links from the chain's base, whatever link has the sensor.
+
+    The arguments are those of `frames`.
+    """
     sin, cos = m.sin, m.cos
     if chain.coupling is not None:
         q = chain.coupling.displacements(q)

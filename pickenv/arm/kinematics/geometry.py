@@ -1,8 +1,8 @@
 """An arm as a serial chain of revolute and prismatic joints in modified DH parameters, with base and tool poses.
 
 Link i is T(i-1,i) = Rot(x, alpha) Trans(x, a) Rot(y, beta) Rot(z, theta) Trans(z, d): Qiao 2026 eq (1), with Hayati's
-beta added for consecutive axes that are parallel or meet at less than 45 degrees (zero in every shipped table). Units:
-metres and radians.
+beta added. Beta is for consecutive axes inclined by less than 45 degrees, unless they nearly meet at the first one's
+frame; it is zero in every shipped table. Units: metres and radians.
 
 One drive may move several links (a two-stage lift, a parallelogram), so there may be more links than joints. The link
 table has a row per link. Joint values, names and limits belong to the commanded joints (`Coupling`).
@@ -276,9 +276,9 @@ class Geometry:
         return np.concatenate(parts)
 
     def fingerprint(self) -> str:
-        """Return one hash over joint types, link parameters, base, tool, coupling and tree.
+        """Return one hash over joint types, link parameters, base, tool, coupling and tree (16 hexadecimal digits).
 
-        A calibration of one arm is refused on an arm with another hash.
+        The links of sensor and target do not count. A calibration of one arm is refused on an arm with another hash.
         """
         links = [getattr(self, name) for name in LINK_PARAMETERS]
         chain: list[object] = [self.prismatic, [v.tolist() for v in (*links, *self.base, *self.tool)]]

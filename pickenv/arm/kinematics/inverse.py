@@ -155,12 +155,12 @@ def inverse(
 
 
 def _cost(solution: InverseSolution) -> Array:
-    """The error that a joint motion might still remove: metres and radians added up."""
+    """Return the error that joint motion might still remove, metres and radians added up."""
     return solution.position_error + solution.attitude_error - solution.noncompensable_attitude
 
 
 def _near(geometry: Geometry, position: Array, rotation: Array, count: int) -> Array:
-    """Joints ``(targets * count, n)`` of those ``count`` evenly spread poses that stand nearest to each target."""
+    """Return the joints ``(targets * count, n)`` of the ``count`` sample poses (of `POOL`) nearest to each target."""
     joints = halton_joints(geometry, POOL)
     pool = forward(geometry, joints)
     size = max(float(pool.position.std(axis=0).max()), 1e-6)
@@ -173,7 +173,11 @@ def _near(geometry: Geometry, position: Array, rotation: Array, count: int) -> A
 
 
 def _descend_damped(geometry: Geometry, goals: Pose, q: Array, parts: slice) -> Array:
-    """Descend by damped steps within the joint limits; a step that comes no nearer is dropped and damped more."""
+    """Return joints ``(K, n)`` after `DAMPED_STEPS` damped steps from ``q`` towards K goals, within the joint limits.
+
+    A step that does not reduce the error is rejected, and the damping increased. ``parts`` are the components of the
+    pose error to reduce.
+    """
     damping = np.full(len(q), 1e-3)
     pose, jacobian = task_space.pose_and_jacobian(geometry, q)
     error, jacobian = pose_error(pose, goals)[:, parts], jacobian[:, parts]
@@ -196,7 +200,11 @@ def _descend_damped(geometry: Geometry, goals: Pose, q: Array, parts: slice) -> 
 
 
 def _descend(geometry: Geometry, goals: Pose, q: Array, tolerance: float, max_iterations: int, parts: slice) -> Array:
-    """Descend by Gauss-Newton steps with a pull in the null space; rows that have settled are left alone."""
+    """Return joints ``(K, n)`` after Gauss-Newton steps from ``q`` towards K goals, with a pull in the null space.
+
+    Rows with negligible steps do not change any more. ``tolerance`` is the relative singular value below which a
+    direction is cut off; ``parts`` are the components of the pose error to reduce.
+    """
     middle, half = (geometry.lower + geometry.upper) / 2, (geometry.upper - geometry.lower) / 2
     q = q.copy()
     active = np.arange(len(q))
@@ -220,7 +228,7 @@ def _descend(geometry: Geometry, goals: Pose, q: Array, tolerance: float, max_it
 
 
 def _step(jacobian: Array, error: Array, pull: Array, half: Array, rank_tolerance: float) -> Array:
-    """One Gauss-Newton step plus the null-space pull along the gradient of the mid-range cost."""
+    """Return one Gauss-Newton step plus the null-space motion along ``pull``, the gradient towards mid-range."""
     back = task_space.truncated_inverse(jacobian, rank_tolerance)
     step = np.einsum("...ij,...j->...i", back, error)
     null = np.eye(jacobian.shape[-1]) - back @ jacobian
@@ -249,7 +257,7 @@ class Cube:
     """A cube in the workspace.
 
     Attributes:
-        centre: Its centre (3,), m.
+        centre: The cube's centre (3,), m, world frame.
         edge: Length of its edges, m; they are parallel to the world axes.
         rotation: Tool attitude with which the cube is reached (3, 3).
         free: Whether the cube is reached with any attitudes, so that ``rotation`` does not matter.
@@ -329,7 +337,7 @@ def halton_joints(geometry: Geometry, count: int) -> Array:
 
 
 def _largest_filled(filled: NDArray[np.bool_]) -> tuple[tuple[int, ...], int]:
-    """Lower corner and size, in grid steps, of the largest cube of grid points that are all filled."""
+    """Return the lower corner's indices and the edge, in grid steps, of the largest cube of grid points all filled."""
     size, grown = -1, filled
     while grown.any():
         size, corners = size + 1, grown  # the points that are the lower corner of a filled cube of this size

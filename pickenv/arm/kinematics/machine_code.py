@@ -129,7 +129,7 @@ class Trace:
 
 
 def _binary(name: str, kind: str | None = None, swapped: bool = False) -> Callable[[Traced, Any], Any]:
-    """Make an operator of `Traced`; ``kind`` is the kind of its result, where that differs from its operands'."""
+    """Return an operator method for `Traced`; ``kind`` is the result's type if it differs from the operands' type."""
 
     def operator(self: Traced, other: Any) -> Any:
         if not isinstance(other, Traced | bool | int | float | np.generic):
@@ -206,14 +206,14 @@ def cosine(m: Any, angle: Scalar) -> Scalar:
 
 
 def _reduced(m: Any, angle: Scalar) -> tuple[Scalar, Scalar]:
-    """The sign that an angle's whole half turns give to its sine and cosine, and the angle without these half turns."""
+    """Return the sign of sine and cosine due to an angle's whole half turns, and the angle without these, rad."""
     halves = m.round(angle * (1.0 / math.pi))
     odd = halves - 2.0 * m.round(0.5 * halves)
     return 1.0 - 2.0 * (odd * odd), (angle - PI * halves) - PI_RESIDUE * halves
 
 
 def _summed(square: Scalar, first: int) -> Scalar:
-    """The sum of (-square)^k / (2 k + first)! over `TERMS` k."""
+    """Return the sum of (-square)^k / (2 k + first)! for k from 0 to `TERMS` - 1."""
     total = square * (1.0 / math.factorial(2 * TERMS - 2 + first))
     for k in reversed(range(TERMS - 1)):
         total = 1.0 / math.factorial(2 * k + first) - total
@@ -222,7 +222,7 @@ def _summed(square: Scalar, first: int) -> Scalar:
 
 
 def _function(name: str, plain: Callable[..., Any]) -> Callable[..., Any]:
-    """Make a function of `Traced` and plain numbers; for plain numbers alone it calls NumPy's function ``plain``."""
+    """Return a function of `Traced` and plain numbers; for plain numbers alone it calls NumPy's function ``plain``."""
 
     def function(*values: Scalar) -> Scalar:
         if (trace := _trace_of(values)) is None:
@@ -298,11 +298,11 @@ FUNCTION = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64)
 
 
 class Compiled:
-    """A trace compiled to loops over the poses: for each call a loop that computes its arguments, then one for outputs.
+    """A trace compiled to loops over the poses: one before each call, for its arguments, and one for the outputs.
 
     Args:
         trace: The operations.
-        goals: The outputs. All are written in the last loop, because inputs are read until then.
+        goals: The outputs. All are written in the last loop, because earlier loops still read the inputs.
         count: Expected number of poses, which decides whether the code is optimised.
     """
 
@@ -383,7 +383,7 @@ DECLARED = tuple(_declared(name, lanes) for name in INTRINSICS.values() for lane
 
 
 def _loop(operations: Sequence[Operation], name: str, goals: Goals, arrays: Sequence[str]) -> str:
-    """LLVM's code of a function with two loops: over groups of `LANES` poses, then over the poses left."""
+    """Return LLVM's code of a function with two loops: over groups of `LANES` poses, then over the remaining poses."""
     wide, narrow = ("\n".join(_Body(operations, goals, arrays, lanes).lines) for lanes in (LANES, 1))
     return f"""
 define void @{name}(ptr noalias %bases, i64 %count) {{
@@ -433,7 +433,7 @@ class _Body:
             self.lines.append(f"  store {memory} {value}, ptr {place}, align 1")
 
     def _value(self, operation: Operation) -> str:
-        """The text that stands for an operation's result: a name, or a constant."""
+        """Return the text that stands for an operation's result: a name, or a constant."""
         name, result = operation.name, operation.kind
         if name == "constant":
             value = operation.detail
@@ -468,7 +468,7 @@ class _Body:
         return name
 
     def _place(self, array: str, row: int, kind: str) -> tuple[str, str]:
-        """The pointer to the entries of a row that this pass of the loop works on, and their type in memory."""
+        """Return the pointer to the entries of a row for this pass of the loop, and their type in memory."""
         if array not in self._bases:
             slot = self._new(f"getelementptr ptr, ptr %bases, i64 {self._arrays.index(array)}")
             self._bases[array] = self._new(f"load ptr, ptr {slot}")

@@ -1,7 +1,7 @@
 """Differences of poses: position in metres and attitude as a rotation vector, both in world axes.
 
 Formulas take components (floats, NumPy arrays or torch tensors, see `pickenv.arm.kinematics.forward`). Functions of
-`Pose` call these formulas. Euler angles are never used: they inflate attitude errors (Qiao 2026 digest, fact 10).
+`Pose` call these formulas. Euler angles are never used, because their differences exaggerate attitude errors.
 """
 
 from __future__ import annotations
@@ -73,7 +73,7 @@ def rotation_between(m: ModuleType, reference: Scalars, actual: Scalars) -> tupl
 
 
 def _turn(reference: Scalars, actual: Scalars) -> tuple[tuple[Scalar, ...], tuple[Scalar, ...]]:
-    """sin(angle) times the axis of R_actual R_reference^T, and that matrix's diagonal."""
+    """Return sin(angle) times the axis of R = R_actual R_reference^T, and the diagonal of R, three components each."""
     axx, axy, axz, ayx, ayy, ayz, azx, azy, azz = actual[:9]
     bxx, bxy, bxz, byx, byy, byz, bzx, bzy, bzz = reference[:9]
     # The first is half the sum of the cross products of corresponding axes.

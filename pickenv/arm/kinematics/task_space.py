@@ -41,7 +41,7 @@ def link_column(kind: str, before: Scalars, after: Scalars, tool: Scalars, twist
     Args:
         kind: Name of the parameter, from `LINK_PARAMETERS`.
         before: Frame of the parent link, twelve components; not used for theta and d.
-        after: The link's own frame, twelve components; only used for theta and d.
+        after: Frame of the link, twelve components; only used for theta and d.
         tool: Origin of the tool, three components.
         twist: Cosine and sine of the link's alpha, and its a; only used for beta.
     """
@@ -93,7 +93,7 @@ def joint_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
 
 
 def _stacked(columns: Sequence[Scalars], shape: tuple[int, ...]) -> Array:
-    """Columns or frames as one array ``(k, n, ...)``: n of them, of k components each that broadcast to ``shape``."""
+    """Stack n columns or frames, of k components each, into an array ``(k, n, *shape)``; components broadcast."""
     stacked = np.empty((len(columns[0]), len(columns), *shape))
     for i, column in enumerate(columns):
         for row, value in enumerate(column):
@@ -157,7 +157,10 @@ def parameter_jacobian(geometry: Geometry, q: ArrayLike) -> Array:
 
 
 def _frames(geometry: Geometry, q: ArrayLike) -> tuple[list[Frame], Frame, tuple[int, ...]]:
-    """The frames of base and links, the frame of the tool, and the batch shape of the poses; of one pose, as floats."""
+    """Return the frames of base and links, the frame of the tool, and the batch shape of the poses.
+
+    The components are floats if there is only one pose.
+    """
     joints = split_joints(geometry.joints, q)
     shape = np.broadcast_shapes(joints[0].shape, geometry.alpha.shape[:-1])
     m = np if shape else math
@@ -221,7 +224,7 @@ def noncompensable_error(
     """Compute the part ``(..., 6)`` of a pose error that no small joint motion removes.
 
     It is what remains of the error after the joint motion that makes the weighted error smallest. For the picking arm
-    this part is a rotation about z1 x z5 (Qiao 2026 digest, fact 4).
+    this part is a rotation about z1 x z5, because J1, J2 and J4 are parallel, and so are J5 and J6.
 
     Args:
         geometry: The arm.

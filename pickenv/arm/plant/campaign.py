@@ -159,7 +159,7 @@ class Instrument:
         dwell: Waiting time between arrival and reading, s. None for the settled pose (`Plant.tool_frame`): the arm is
             warm, the ground is at rest, and friction and backlash are in the middle of their bands.
         warm_up: Time for which the arm rests in the middle of the joints' ranges before the first move, s.
-        period: Control period of the moves from pose to pose, s. They are at full speed.
+        period: Control period of the moves from pose to pose, s. Moves are at full speed.
         noise: The instrument's errors. None for those of the effect "measurement_noise" of the plant (the
             simulated true arm).
     """
@@ -296,7 +296,7 @@ GEOMETRY = "geometry"
 
 
 def causes_of(plant: Plant) -> tuple[str, ...]:
-    """Return the names of the causes of a true arm's error: "geometry", and all effects but those at `BESIDE`."""
+    """Return the names of the causes of a true arm's error: "geometry", and all effects except those at `BESIDE`."""
     return (GEOMETRY, *(name for name in plant.names if plant.effect(name).place < BESIDE))
 
 
@@ -322,13 +322,13 @@ def effect_shares(
         pace: Speed, control period and waiting time; by default full speed and 0.5 s of waiting.
 
     Returns:
-        A mapping for JSON. ``plant``, ``reaches``, ``running_hours`` and ``dwell`` (s) describe the run; all else is in
-        mm. ``alone``: for each cause, the error if it is the only one that is on. ``without``: for each cause, the
-        error with all other causes on. ``all``: the error with all causes on. ``sum_of_means``: the sum of the means in
+        A mapping for JSON. ``plant``, ``reaches``, ``running_hours`` and ``dwell`` (s) describe the run, and ``unit``
+        is "mm". ``alone``: for each cause, the error with only this cause on. ``without``: for each cause, the error
+        with all other causes on. ``all``: the error with all causes on. ``sum_of_means``: the sum of the means in
         ``alone``, which is the worst case (all errors in one direction). ``root_sum_square``: the root of the sum of
-        their squares, for random directions. Each error is a mapping of statistics of the distance between the
-        tool's true and nominal position over all commands: ``mean``, the 95th percentile ``p95``, and ``max``. Another
-        entry, ``varying``, is the mean distance without the constant offset: the mean error of each axis is subtracted.
+        the squares of these means, for random directions. Each error is a mapping of statistics of the distance between
+        the tool's true and nominal position over all commands: ``mean``, the 95th percentile ``p95``, and ``max``.
+        Another entry, ``varying``, is the mean distance after each axis's mean error is subtracted.
 
     Raises:
         ValueError: If there are fewer than two commands.

@@ -200,7 +200,10 @@ def iso9283(
 
 
 def _largest_cube(geometry: Geometry) -> Cube:
-    """The largest cube; any attitude counts if an arm of fewer than six joints can keep none throughout a cube."""
+    """Return the largest cube in the workspace.
+
+    If an arm of fewer than six joints cannot keep one attitude throughout a cube, any attitudes are allowed.
+    """
     try:
         return largest_cube(geometry)
     except InputError:
@@ -217,7 +220,11 @@ def _joints_for(plant: Plant, poses: Pose, start: Array | None, free: bool) -> A
 
 
 def _approaches(plant: Plant, poses: Pose, targets: Array, length: float, free: bool) -> Array:
-    """Joints ``(3 poses, 3 directions, n)`` a short way from P1, P2, P4 along x, y, z, towards the centre."""
+    """Return the joints ``(3 poses, 3 directions, n)`` from which P1, P2 and P4 are approached along x, y and z.
+
+    The starting positions are ``length`` m from the poses, on the side of the cube's centre. For P1, which is the
+    centre, they are at +x, +y and +z.
+    """
     some = list(VARIATION_POSES)
     inwards = np.where(poses.position[some] - poses.position[0] > 0, -1.0, 1.0)
     before = poses.position[some][:, None, :] + length * inwards[:, :, None] * np.eye(3)
@@ -235,7 +242,10 @@ def _performance(
     goals: Pose,
     rng: np.random.Generator,
 ) -> Performance:
-    """One controller's run through all parts of the test."""
+    """Run one controller through all parts of the test, and return the results.
+
+    ``commands`` ``(5, n)`` lead to P1 to P5, ``approaches`` ``(3, 3, n)`` to the starts of the approaches, rad or m.
+    """
     cycles, pace, home, away = settings.cycles, settings.pace, commands[0], commands[1]
     mounting, noise = rng.spawn(1)[0].normal(size=3).tolist(), instrument.noise_on(plant)
 
@@ -360,7 +370,7 @@ def pose_drift(errors: Array) -> dict[str, Any] | None:
 
 
 def _repeatability(errors: Array) -> float:
-    """RP_l of errors ``(cycles, 3 or more)``, m: the mean distance from the mean position plus three deviations."""
+    """Return RP_l of errors ``(cycles, 3 or 6)``, m: mean distance from the mean position + 3 standard deviations."""
     distance = np.linalg.norm(errors[:, :3] - errors[:, :3].mean(axis=0), axis=-1)
     return float(distance.mean() + 3.0 * distance.std(ddof=1))
 
@@ -374,7 +384,10 @@ def _size_of_mean(vectors: Array) -> float:
 
 
 def _interval_of_scatter(values: Array, scatter: Callable[[Array], float]) -> Ends | None:
-    """95 % interval of a measure of scatter, by its logarithm; None where hardly any cycles differ."""
+    """Return the 95 % interval of a measure of scatter, by its logarithm.
+
+    Return None with fewer than `CYCLES` values, or if the values hardly differ.
+    """
 
     def logarithm(some: Array) -> float:
         size = scatter(some)

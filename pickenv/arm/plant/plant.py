@@ -40,7 +40,7 @@ class Unmeasured:
     Attributes:
         name: Name of the group.
         constants: Attributes of effects, such as "base_tilt.stiffness".
-        times: Least and largest factor; it is uniform between them.
+        times: Least and largest factor; the factor is uniform between the two.
         source: Reason for this range.
     """
 
@@ -74,7 +74,7 @@ class Layout:
 
     @property
     def sizes(self) -> tuple[int, int]:
-        """Number of coefficients of the periodic errors, and number of those of the gravity terms."""
+        """Number of coefficients of periodic errors, and number of coefficients of gravity terms."""
         return 2 * len(self.harmonics), len(self.moments)
 
 
@@ -181,13 +181,13 @@ class Plant:
         return replace(self, effects=(*(effect for effect in self.effects if effect.name not in names), *effects))
 
     def without(self, effects: str | Iterable[str]) -> Plant:
-        """Return this plant without the effects of these names; other registered effects' names are ignored.
+        """Return this plant without the effects of these names; effects that it does not have are ignored.
 
         Args:
             effects: One name, or several.
 
         Raises:
-            InputError: If a name is neither a registered effect nor one of this plant.
+            InputError: If a name is neither that of a registered effect nor that of an effect of this plant.
         """
         off, registered = {effects} if isinstance(effects, str) else set(effects), registry.names("effect")
         for name in sorted(off - {*registered, *(effect.name for effect in self.effects)}):
@@ -196,7 +196,7 @@ class Plant:
 
     @cached_property
     def _steps(self) -> tuple[list[_Step], list[_Step], list[_Step]]:
-        """The effects that act, in three lists: before the last one with a memory, that one, and after it."""
+        """The effects that move the arm, in three lists: before the last one with a memory, that one, and after it."""
         on_arm = [effect for effect in self.effects if effect.place < BESIDE]
         acting = [effect for effect in on_arm if self.load is not None or not effect.needs_load]
         steps: list[_Step] = [
@@ -207,7 +207,10 @@ class Plant:
 
     @cached_property
     def _motors(self) -> list[tuple[Effect, int]]:
-        """The effects on the motors, each with its memory's place in the state, in reverse order: counts come last."""
+        """The effects on the motors, the last of `effects` first, each with the index of its memory.
+
+        So encoder counts end the list. Indices count the effects on motors that remember something, from 0.
+        """
         motors = [effect for effect in self.effects if effect.place < DRIVE]
         return [(effect, sum(before.remembers for before in motors[:i])) for i, effect in enumerate(motors)][::-1]
 
@@ -265,9 +268,9 @@ class Plant:
     def _passage(
         self, m: ModuleType, q: Scalars, how: int, state: PlantState = (), dt: Scalar = 0.0
     ) -> tuple[PlantState, Passage]:
-        """The new memories of the effects, and the passage up to where the last effect with a memory will act.
+        """Return the effects' new memories, and the command's passage just before the last effect with a memory acts.
 
-        ``how`` is the place of the method that makes the memories in `_Step` (`Effect.begin`, `rest` or `carry`).
+        ``how`` is the index in `_Step` of the method that makes the memories: BEGIN, REST or CARRY.
         """
         at = Passage(m, self.chain, self.load, q)
         memories: list[Components] = []
@@ -283,7 +286,7 @@ class Plant:
         return tuple(memories), at
 
     def _ended(self, state: PlantState, at: Passage) -> Frame:
-        """The tool frame after the remaining effects have acted on the passage."""
+        """Return the true tool frame after the remaining effects have acted on the passage from `_passage`."""
         _, last, after = self._steps
         for _, act in last:
             act(at, state[-1])

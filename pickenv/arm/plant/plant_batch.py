@@ -121,5 +121,5 @@ def leaves(tree: Any) -> list[Any]:
 
 
 def _opens(tree: Any) -> bool:
-    """Whether ``tree`` is a dataclass whose fields are gone through; one marked as shared is not."""
+    """Return whether ``tree`` is a dataclass whose fields may hold leaves; False if its class is marked as shared."""
     return is_dataclass(tree) and not isinstance(tree, type) and not getattr(tree, "shared", False)

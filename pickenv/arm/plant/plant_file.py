@@ -38,7 +38,7 @@ NAMED = toml_tables.Check(lambda value: isinstance(value, str), "the name of a s
 
 
 def _arm(name: Any, context: Any) -> Arm:
-    """The arm that a plant file names, which is also put into the context, for what is read after it."""
+    """Return the arm that a plant file names, and store it in ``context`` for the tables that are read later."""
     context["arm"] = arm = one_link_per_joint(load_arm(name))
     return arm
 
@@ -94,7 +94,8 @@ def shipped_plants() -> list[str]:
 def read_plant(name: str | Path) -> Plant:
     """Read a plant (a simulated true arm) by a preset's name, from a TOML file, or from a calibrated arm's file (.npz).
 
-    A TOML file names an arm. The plant's true geometry is the one in that arm's file; if it has none, the nominal one.
+    A TOML file names an arm. The plant's true geometry is the arm's true geometry, or the nominal one if the arm's file
+    gives no other.
 
     Args:
         name: Name or path. It may end in "#" and the number of a draw of unmeasured constants, as in `load_plant`.
@@ -163,7 +164,10 @@ def plant_times(plant: Plant, times: Mapping[str, float]) -> Plant:
 
 
 def _multiplied(thing: Any, path: str, factor: float) -> Any:
-    """A record (or each of a tuple of records) with the number, or all numbers, at ``path`` multiplied."""
+    """Return a dataclass object, or a tuple of them, with the number or numbers at ``path`` multiplied by ``factor``.
+
+    ``path`` consists of attribute names with dots between.
+    """
     if isinstance(thing, tuple):
         return tuple(_multiplied(part, path, factor) for part in thing)
     if not path:
@@ -202,7 +206,7 @@ IDEAL = "ideal"
 """Name of the plant without any error, whose true geometry is the nominal one."""
 
 FIRST_ARM = "qiao2026"
-"""Arm or plant that is taken if a plant's name is only "ideal" or "CLASS:", without an arm."""
+"""Arm or plant that is used if a plant's name is only "ideal" or "CLASS:", without an arm."""
 
 SAMPLES = 2**10
 """Number of poses from which a joint's largest gravity torque is computed."""
@@ -302,14 +306,14 @@ def rods(arm: Arm) -> Load:
 
 
 def _largest_torques(arm: Arm, load: Load) -> Array:
-    """The largest gravity torque or force on each joint ``(n,)``, without sign, N*m or N."""
+    """Return the largest magnitude of the gravity torque or force on each joint ``(n,)``, N*m or N."""
     chain = chain_of(arm.nominal)
     torques = gravity_torques(chain, frames(np, chain, list(halton_joints(arm.nominal, SAMPLES).T)), load)
     return np.array([np.abs(torque).max() for torque in torques])
 
 
 def _split(name: str | Path) -> tuple[str, str]:
-    """The tolerance class, and the arm or plant, that a name names; the class is empty for a plain name or path."""
+    """Split a plant's name into its tolerance class or "ideal", empty if it has none, and the arm's or plant's name."""
     kind, colon, arm_name = str(name).partition(":")
     if kind == IDEAL or (colon and (kind in shipped_tolerances() or kind.endswith(".toml"))):
         return kind, arm_name or FIRST_ARM
@@ -320,7 +324,7 @@ def _split(name: str | Path) -> tuple[str, str]:
 
 
 def _design(name: str, tolerances: Tolerances) -> Plant:
-    """The plant called ``name``; or else a plant of the arm called so, with effects sized by the class."""
+    """Return the plant ``name``, or else a plant of the arm ``name`` with effects sized by the tolerance class."""
     file = name.partition("#")[0]
     plant_file = file.endswith(".toml") and is_file(file) and "arm" in toml_tables.toml_of(file)[0]
     if plant_file or file in shipped_plants() or name.endswith(".npz"):

@@ -128,9 +128,9 @@ def load_tolerances(name: str | Path) -> Tolerances:
 def draw_plants(plant: Plant, tolerances: Tolerances, count: int, rng: np.random.Generator) -> Plant:
     """Draw ``count`` different true arms of one design, as one plant whose numbers are arrays.
 
-    Link parameters are drawn about the nominal geometry, effect sizes about those of ``plant``. Arm i
-    has its own random stream, child i of ``rng``. The arm therefore does not depend on ``count``, nor on which effects
-    are on, except for effects with random numbers of their own: these take the last numbers of the stream.
+    Link parameters are drawn about the nominal geometry, effect sizes about those of ``plant``. Arm i has its own
+    random stream, child i of ``rng``. The arm therefore does not depend on ``count``, nor on which effects are on,
+    except for effects with random numbers of their own: these take the last numbers of the stream.
 
     If the plant was made from a calibration, the arms are drawn from the calibration's posterior distribution. The
     parameters that its data do not identify are drawn within their tolerances about the identified values.
@@ -220,7 +220,10 @@ def random_columns(plant: Plant) -> dict[str, range]:
 
 
 def _deviation(tolerances: Tolerances, even: Array) -> Array:
-    """Deviations as shares of the half-width of the tolerance zone: from -1 to 1 where the class draws evenly."""
+    """Return deviations as shares of the half-width of the tolerance zone, from uniform random numbers 0 to 1.
+
+    They are from -1 to 1 for a uniform distribution; a normal one has the zone's edges at three standard deviations.
+    """
     return 2.0 * even - 1.0 if tolerances.distribution == "uniform" else standard_normal_of(even) / 3.0
 
 

@@ -1,9 +1,9 @@
 """Twins, that is plants made from a calibration's posterior distribution, and their files (.npz with a checksum).
 
 A twin is the identified arm; arms can also be drawn from the posterior. The identified base and tool are transformed
-from the instrument's frame into the arm's own frame: base B_own B_aligned^-1 B, tool T T_aligned^-1 T_own. The arm's
-errors relative to its nominal geometry are then those that were measured relative to the aligned nominal geometry.
-SI units.
+from the instrument's frame into the arm's own frame: base B_own B_aligned^-1 B, tool T T_aligned^-1 T_own, with the
+nominal arm's B_own and T_own. The arm's errors relative to its nominal geometry are then those that were measured
+relative to the aligned nominal geometry. SI units.
 """
 
 from __future__ import annotations
@@ -77,7 +77,7 @@ def twin_arms(plant: Plant, zone: Zone, streams: Sequence[np.random.Generator]) 
 
 
 def _weights(posterior: Posterior, field: ResidualField, rng: np.random.Generator) -> Array:
-    """A random deviation of the waves' weights ``(O, 2, K)`` from their mean."""
+    """Return a random deviation of the waves' weights ``(O, 2, K)`` from their mean."""
     outputs, count, smooth = field.features.outputs, field.features.count, posterior.field_factor.shape[-1] // 2
     normal = rng.standard_normal((outputs, 2 * smooth))
     learnt = np.einsum("okl,ol->ok", posterior.field_factor, normal).reshape(outputs, 2, smooth)
@@ -87,7 +87,10 @@ def _weights(posterior: Posterior, field: ResidualField, rng: np.random.Generato
 
 
 def _carried(arm: Arm, posterior: Posterior, geometries: Sequence[Geometry]) -> Geometry:
-    """Geometries in the arm's own frame: the one identified on plain numbers, drawn ones as one of arrays."""
+    """Transform the base and tool of geometries into the arm's own frame, and return them as one geometry.
+
+    Drawn geometries become arrays with one entry per arm. The identified one alone keeps plain numbers.
+    """
     base, tool = posterior.aligned
     nominal = arm.nominal
     first, last = behind(nominal.base, inverse_pose(base)), behind(inverse_pose(tool), nominal.tool)
@@ -101,14 +104,14 @@ def _carried(arm: Arm, posterior: Posterior, geometries: Sequence[Geometry]) -> 
 
 
 def _together(poses: Sequence[Pose]) -> Pose:
-    """A single pose where all poses are equal, else one pose with an entry per arm."""
+    """Return the single pose if all poses are equal, else one `Pose` of arrays with an entry per arm."""
     position, rotation = (np.stack(parts) for parts in zip(*poses, strict=True))
     alike = np.ptp(position, axis=0).max() == 0.0 and np.ptp(rotation, axis=0).max() == 0.0
     return poses[0] if alike else Pose(position, rotation)
 
 
 def _effects(arm: Arm, posterior: Posterior, coefficients: Array) -> list[Effect]:
-    """The effects that the coefficients of one arm ``(k,)`` or of many arms ``(N, k)`` stand for."""
+    """Return the effects that the coefficients of one arm ``(k,)`` or of many arms ``(N, k)`` describe."""
     layout, columns = posterior.layout, [_scalar(column) for column in np.moveaxis(coefficients, -1, 0)]
     waves, moments = columns[: layout.sizes[0]], columns[layout.sizes[0] :]
     effects: list[Effect] = []
@@ -125,7 +128,7 @@ def _effects(arm: Arm, posterior: Posterior, coefficients: Array) -> list[Effect
 
 
 def _scalar(value: Any) -> Any:
-    """An array of many arms unchanged, or a single number as a float."""
+    """Return an array of many arms unchanged, or a single number as a float."""
     return value if np.ndim(value) else float(value)
 
 
@@ -190,7 +193,7 @@ def read_twin(path: str | Path) -> Plant:
 
 
 def _plant_of(header: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> Plant:
-    """The plant that a file's parts make; raises an exception of any kind where they make none."""
+    """Return the plant that a file's header and arrays describe; raise an exception of any type if they are invalid."""
     names, prismatic = header["joint_names"], header["prismatic"]
     parts = {key: part_of(arrays, f"{key}/") for key in ("arm", "identified", "aligned")}
     nominal, identified, aligned = (geometry_from_arrays(p, names, prismatic, key) for key, p in parts.items())

@@ -31,8 +31,8 @@ class HarvestEnv(DrawnEnv):
     ## Description
 
     A master arm (turn, lift, reach) carries one to six slave arms (lift, swing, stretch). Each slave has a cup that
-    takes a fruit from below, cuts its stalk and keeps it. One policy moves all joints. What moves is the machine as
-    built, whose cups are 6 to 9 mm off, while they tolerate 5 to 11 mm. A cup that moves into the canopy pushes
+    takes a fruit from below, cuts its stalk and keeps it. One policy moves all joints. The machine that moves is the
+    machine as built. Its cups are 6 to 9 mm off, and they tolerate 5 to 11 mm. A cup that moves into the canopy pushes
     neighbouring fruit away. Arms never collide, since a guard stops arms that would come nearer to each other than two
     arm radii and a margin. As in the reproduction of Li's experiment, `pickenv.harvester.picking` decides the outcome
     of an attempt. It considers how far off the cup is, fruit in its way, the blade and damage. Pushed fruit swings on
@@ -58,8 +58,8 @@ class HarvestEnv(DrawnEnv):
 
     `Box(float32)`: joints scaled to their limits (3 + 3 arms, -1 to 1); for each slave the share of sensing and cutting
     that it still has to do (arms, 0 to 1); then four numbers for each fruit: its position as the camera saw it, to the
-    right of, ahead of and above frame 3 (-2 to 2 m), and 1 while it hangs in reach. Frame 3 is that of the master's
-    end. All four are 0 for fruit that does not hang in reach or that the camera did not find.
+    right of, ahead of and above frame 3 (-2 to 2 m), and 1 while it hangs in reach. Frame 3 is the frame at the
+    master's end. All four are 0 for fruit that does not hang in reach or that the camera did not find.
 
     ## Rewards
 
@@ -73,11 +73,11 @@ class HarvestEnv(DrawnEnv):
 
     Fruit is drawn uniformly in a zone of 0.7 x 0.4 x 0.55 m somewhere on the tree's side. The cameras, 1 m before the
     tree, find some of it. The master stands at the pick point from which its slaves reach most of the fruit found. A
-    zone without fruit in reach is drawn anew. The slaves are at rest. After an attempt that leaves its fruit hanging,
-    the camera sees this fruit again where it hangs then. The same leaves are in between, so the error is the same.
+    zone without fruit in reach is drawn anew. The slaves are at rest. If a fruit still hangs after an attempt, the
+    camera measures it again where it then hangs. The same leaves hide it, so the error is the same.
     `reset(options=...)` takes `"fruit"`, positions (fruit, 3) in m in the base frame, and `"start_joints"` of the whole
     machine (rad and m). The cameras look at the middle of given fruit. Fruit is in reach if a slave reaches it from the
-    pick point, wherever the machine starts.
+    pick point, whatever the start joints.
 
     ## Episode End
 
@@ -231,7 +231,7 @@ class HarvestVectorEnv(NativeVectorEnv):
         return draw_harvest(self.task, self.state, self._one(), row=row)
 
     def _one(self) -> Compensate | None:
-        """The compensator of all harvesters."""
+        """Compensator that all harvesters share, or None."""
         if self.compensator is None or callable(self.compensator):
             return self.compensator
         raise InputError("each harvester has several arms; give one compensator for all of them")
@@ -284,7 +284,7 @@ def draw_harvest(
 
 
 def _master(machine: Machine, joints: Array, pivots: Array) -> arm_shapes.Solids:
-    """Return the solids of the column, the boom and the rail that the slaves hang on."""
+    """Return the solids of the master arm: the column, the boom, and the rail that carries the slaves."""
     frame, foot = machine.frame3(joints[:3]), -machine.base_height
     axis, shoulder = np.array([0.0, 0.0, foot]), np.array([0.0, 0.0, frame[2]])
     ends = pivots[[0, -1]].copy()
@@ -322,7 +322,7 @@ def _ghosts(pivots: Array, tips: Array, radius: float) -> arm_shapes.Solids:
 
 
 def zone_fruit(state: batch.HarvestState) -> arm_shapes.Solids:
-    """Return the solids of all fruit not collected; fruit out of reach is green, lost fruit has another colour."""
+    """Return the solids of all fruit not collected. Fruit out of reach is green, and lost fruit has a third colour."""
     hanging = state.status[0] != batch.COLLECTED
     colours = tree_shapes.fruit_colours(state.fruit.shape[1])
     colours[~state.reachable[0]] = tree_shapes.GREEN

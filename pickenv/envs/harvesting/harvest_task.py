@@ -16,7 +16,7 @@ from pickenv.arm import Array, leaves
 from pickenv.base import MM, NUMBER, InputError, is_there, read_toml, shown, toml_table
 from pickenv.envs.shared.backends import Flags
 from pickenv.envs.shared.situation import CONTROL_PERIOD
-from pickenv.envs.shared.task import MOST_ACTION, Compensate, as_numbers, check_choice, check_number
+from pickenv.envs.shared.task import MOST_ACTION, Compensate, as_numbers, check_choice, check_flag, check_number
 from pickenv.harvester.interference import arm_distances, pair_distances, pairs_of
 from pickenv.harvester.pick_points import AHEAD
 from pickenv.harvester.picking import attempt, draw_luck, pushes
@@ -36,7 +36,7 @@ def given_zones(task: HarvestTask, options: Mapping[str, Any], count: int, rows:
 
     Args:
         task: The task.
-        options: The options. Each is given once for all machines, or once for each.
+        options: The options. The value of an option is for all machines, or has one entry per machine.
         count: Number of machines.
         rows: Indices of the machines whose values are returned, by default all.
 
@@ -113,7 +113,7 @@ class Rules:
         sensor: Largest height difference at which the position sensor detects a fruit in the cup, m.
         rearm: Distance from the last tried fruit beyond which a cup may try again, m.
         shown: Bound of a fruit's position in observations, m.
-        guard_cost: Cost of each arm that the guard holds in a period.
+        guard_cost: Cost of each arm that the collision guard stops in a period.
         period_cost: Cost of each period.
         motion_cost: Cost of a period in which all joints move at full speed.
     """
@@ -158,7 +158,7 @@ class HarvestTask:
 
     @cached_property
     def increment(self) -> Array:
-        """Largest increment of each joint in one period, rad or m."""
+        """Largest increment of each joint in one period, rad or m, (joints,)."""
         return self.machine.speed * CONTROL_PERIOD
 
     @cached_property
@@ -168,7 +168,7 @@ class HarvestTask:
 
     @cached_property
     def bounds(self) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-        """Lower and upper bounds of the observation's numbers."""
+        """Lower and upper bounds of the observation's numbers, (observation_size,) each."""
         box = harvest_spaces(self)[0]
         return box.low, box.high
 
@@ -191,6 +191,7 @@ def make_harvest_task(
     """
     check_choice("out_of_range", out_of_range, tuple(MOST_ACTION))
     check_choice("executor", executor, ("auto", "numpy"))
+    check_flag("ideal", ideal)
     if isinstance(fruit, bool) or not isinstance(fruit, int | np.integer) or not 1 <= fruit <= 40:
         raise InputError(f"a zone of {fruit} fruit is impossible; give a whole number from 1 to 40")
     if spacing_mm is not None:
@@ -222,7 +223,7 @@ def harvest_spaces(task: HarvestTask, extra: int = 0) -> tuple[Box[np.float32], 
 HANGING, COLLECTED, LOST = 0, 1, 2
 
 HALF_AND_WHOLE = np.array([0.5, 1.0]).reshape(2, 1, 1, 1)
-"""Shares of a move after which the distances between arms are checked."""
+"""Shares of a move at which the distances between arms are checked: half way, and at its end."""
 
 
 @dataclass(eq=False)
@@ -243,12 +244,12 @@ class HarvestState:
         reachable: Whether the fruit is located and some arm reaches it from the pick point, (machines, fruit).
         status: `HANGING`, `COLLECTED` or `LOST`, (machines, fruit).
         busy: Number of periods for which each arm still senses and cuts, (machines, arms).
-        tried: Number of the fruit that each arm tried last and is still near, or -1, (machines, arms).
+        tried: Index of the fruit that each arm tried last and is still near, or -1, (machines, arms).
         periods: Number of periods since the start.
-        held: Number of arms that the guard held in the last period.
+        held: Number of arms that the collision guard stopped in the last period.
         closest: Least distance between two arms' centre lines so far, m.
         attempts: Number of attempts so far.
-        left: Distance whose decrease is rewarded as progress, as `work_left` computes it, m.
+        left: Distance that `work_left` computes, whose decrease is rewarded as progress, m.
     """
 
     joints: Array
@@ -337,7 +338,7 @@ def begin_zones(
 
 
 def distances(task: HarvestTask, joints: Array) -> Array:
-    """Compute the least distance between two arms' centre lines, m, (machines,); with one slave arm, `Rules.shown`."""
+    """Compute the least distance between two slave arms' centre lines, m, (machines,); `Rules.shown` for one slave."""
     machine = task.machine
     if machine.arms < 2:
         return np.full(len(joints), task.rules.shown)
@@ -417,10 +418,10 @@ def step(
 
 
 def _guard(task: HarvestTask, start: Array, target: Array) -> tuple[NDArray[np.int64], Array]:
-    """Hold every arm whose move would bring it too near another arm; change ``target`` in place.
+    """Stop every slave arm whose move would bring it too near another one; change ``target`` in place.
 
     Returns:
-        The number of arms held, and the least distance between two arms' centre lines half way and afterwards, m,
+        The number of arms stopped, and the least distance between two arms' centre lines half way and afterwards, m,
         (machines,) each.
     """
     machine, n = task.machine, len(start)
@@ -494,7 +495,7 @@ def attempts(
 
 
 def _nearest(lateral: Array) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return the numbers of the cups that try a fruit, and of the fruit that each tries, (picks,) each.
+    """Return the indices of the cups that try a fruit, and of the fruit that each of them tries, (picks,) each.
 
     A cup tries the nearest fruit that no earlier cup tries; ``lateral`` has the distances, (arms, fruit).
     """
@@ -520,7 +521,7 @@ def work_left(task: HarvestTask, state: HarvestState) -> Array:
 
 
 def pickable(state: HarvestState) -> Flags:
-    """Return flags of the fruit that hangs and that an arm reaches from the pick point, (machines, fruit)."""
+    """Return flags of the fruit that still hangs and that an arm reaches from the pick point, (machines, fruit)."""
     return np.asarray((state.status == HANGING) & state.reachable)
 
 

@@ -1,7 +1,7 @@
-"""One or many picking arms before their canopies: one array holds all fruit, and each `PickScene` a part of it.
+"""One or many picking arms and their canopies. One array holds all fruit, and each `PickScene` uses a part of it.
 
-The swing of the fruit, which goes on in every period, is computed on the whole array. A grasp or a push, which happens
-to one canopy from time to time, is computed by its scene. Both change the same array. Units: m, rad, s.
+The swing of the fruit in every period is computed on the whole array. A grasp or a push in a single canopy is computed
+by its scene, which changes the same array. Units: m, rad, s.
 """
 
 from __future__ import annotations
@@ -43,14 +43,14 @@ class Canopies:
         fruit: All fruit, (N, most fruit of a canopy).
         omega: Natural frequencies of the fruit along x, y, z, rad/s, (N, most fruit of a canopy, 3).
         present: Number of fruit in each canopy.
-        held: Number of the fruit in each gripper, or -1.
-        off: Whether the fruit in each gripper is off its stem.
+        held: Index of the fruit in each gripper, or -1.
+        off: Whether the fruit in each gripper is detached from its stem.
         felt: Position of the fruit in each gripper as the gripper measures it, fruit minus tool, m, (N, 3).
         miss: Distance of the fruit from the tool at each arm's last grasp, across and along the tool's axis, m, (N, 2).
-        counts: Number of fruit of each canopy at the stages of `FUNNEL`, (7, N).
+        counts: Number of fruit of each canopy that reached each stage of `FUNNEL`, (7, N).
         sight: The latest views of the arms, as `pickenv.envs.picking.pick_arm.look_at_arm` returns them, followed by
             their joint commands, (numbers, N).
-        number: Number of the fruit that each arm is to pick next.
+        number: Index of the fruit that each arm is to pick next.
         still: Time since each joint target moved, s.
         moments: Number of steps in each episode so far.
         time: Simulated time of each episode so far, s.
@@ -73,7 +73,7 @@ class Canopies:
         self.time, self.handling = np.zeros(count), np.zeros(count)
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Restore a copy or a pickle; its scenes work on its own array again."""
+        """Restore a copy or a pickle, and let its scenes work on its own array again."""
         vars(self).update(state)
         self._share()
 
@@ -234,7 +234,7 @@ CAMERA = (110, 96, 160)
 
 
 def draw_pick(canopies: Canopies, row: int = 0, dark: bool = False) -> Stage:
-    """Return the stage to draw for a picking arm: the arm, its ghost, gripper, camera, fruit and trees.
+    """Return what to draw for a picking arm: the arm, its ghost (the believed arm), gripper, camera, fruit and trees.
 
     Args:
         canopies: One or more arms before their canopies.
@@ -269,7 +269,7 @@ def draw_pick(canopies: Canopies, row: int = 0, dark: bool = False) -> Stage:
 def canopy_fruit(scene: pick_scene.PickScene) -> Solids:
     """Return the solids of the fruit that hangs or is in the gripper.
 
-    Reachable fruit has the colour of ripe fruit. Other fruit is green, and missed fruit has another colour.
+    Reachable fruit has the colour of ripe fruit, fruit out of reach is green, and missed fruit has a third colour.
     """
     present = ~scene.collected & ~(scene.damaged & scene.detached)
     if scene.held is not None:

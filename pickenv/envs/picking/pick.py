@@ -28,10 +28,10 @@ class PickEnv(ArmEnv):
     A six-joint picking arm (Qiao 2026) stands before a section of canopy, 0.9 m wide and 0.8 m high, that holds some
     ten fruit. The environment chooses the next fruit among those that the camera found within reach and that were not
     tried yet. By default it is the nearest to the believed tool (see `order`). Each fruit can be tried once. The policy
-    commands the *nominal* arm, that is the model that its controller believes in. What moves is the *true* arm, which
-    also vibrates after every move, so that haste costs accuracy. The gripper takes a fruit if the true tool is near
-    enough to it. A failed grasp pushes neighbouring fruit aside, as does a tool that touches fruit on its way. The
-    pushed fruit swings for a while.
+    commands the *nominal* arm, that is the model that its controller believes in. But the *true* arm moves. It also
+    vibrates after every move, so that haste costs accuracy. The gripper takes a fruit if the true tool is near enough
+    to it. A failed grasp pushes neighbouring fruit aside, as does a tool that touches fruit on its way. The pushed
+    fruit swings for a while.
 
     ## Action Space
 
@@ -64,13 +64,13 @@ class PickEnv(ArmEnv):
     | 6-8   | believed tool position (nominal forward kinematics of the readings)  | -R   | R    | m    |
     | 9-11  | position of the present fruit as the camera saw it                   | -R   | R    | m    |
     | 12-14 | that position minus believed tool position                           | -2R  | 2R   | m    |
-    | 15-17 | upright against believed attitude, shortest rotation vector          | -pi  | pi   | rad  |
+    | 15-17 | shortest rotation vector from believed attitude to upright           | -pi  | pi   | rad  |
     | 18    | time since the joint target moved, at most 1 s                       | 0    | 1    | s    |
     | 19    | share of 400 steps that is left                                      | 0    | 1    | 1    |
     | 20    | a fruit is in the gripper and on its stem                            | 0    | 1    | 1    |
     | 21    | a fruit is in the gripper and off its stem                           | 0    | 1    | 1    |
     | 22    | fruit still to try, in fifties                                       | 0    | 1    | 1    |
-    | 23-25 | where the fruit in the gripper lies from the tool, as it feels it    | -0.1 | 0.1  | m    |
+    | 23-25 | held fruit minus tool position, as the gripper measures it           | -0.1 | 0.1  | m    |
 
     R is an upper bound of the arm's reach plus 1 m.
 
@@ -121,20 +121,20 @@ class PickEnv(ArmEnv):
     | `visible`           | fruit that the camera found                                         |      |
     | `reachable`         | fruit within reach, with a free way from below                      |      |
     | `attempted`         | fruit that the gripper closed on                                    |      |
-    | `attached`          | fruit that it took                                                  |      |
+    | `attached`          | fruit that the gripper took                                         |      |
     | `detached`          | fruit that came off its stem in the gripper                         |      |
     | `collected`         | fruit collected undamaged                                           |      |
     | `damaged`           | fruit damaged, collected or not                                     |      |
     | `is_success`        | whether all reachable fruit is collected undamaged                  | bool |
-    | `duration_s`        | time so far, with what is counted and not simulated (see below)     | s    |
-    | `position_error_mm` | true tool to true position of the present fruit                     | mm   |
+    | `duration_s`        | time so far, including times not simulated (see below)              | s    |
+    | `position_error_mm` | distance from true tool to true position of present fruit           | mm   |
     | `grasp_lateral_mm`  | last grasp: fruit from true tool, across the tool axis (0 before)   | mm   |
-    | `grasp_axial_mm`    | the same along the axis, positive beyond the tool                   | mm   |
+    | `grasp_axial_mm`    | last grasp: the same along the axis, positive beyond the tool       | mm   |
     | `tilt_deg`          | angle between true tool axis and the vertical                       | deg  |
-    | `joint_command`     | what the drives got                                                 | rad, m |
+    | `joint_command`     | joint command that the drives got                                   | rad, m |
     | `tool_position`     | true tool position                                                  | m    |
     | `fruit_position`    | true position of the present fruit                                  | m    |
-    | `fruit_number`      | its number                                                          |      |
+    | `fruit_number`      | index of the present fruit                                          |      |
 
     The way to a fruit, settling, twisting and the retreat are simulated. `duration_s` adds three times that are not
     simulated: 1.0 s for each grasp, in which the gripper takes hold, 2.0 s for each fruit's way to the bin and back,

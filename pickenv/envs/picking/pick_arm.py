@@ -1,6 +1,6 @@
 """The arm of `pickenv/Pick-v0` as pure functions on components: floats for one environment, NumPy arrays for many.
 
-What happens to the fruit is in `pickenv.envs.picking.pick_scene`. Units: m, rad, s.
+`pickenv.envs.picking.pick_scene` simulates the fruit. Units: m, rad, s.
 """
 
 from __future__ import annotations
@@ -24,8 +24,8 @@ from pickenv.envs.shared.task import Task, inexact
 
 
 ITERATIONS = 8
-"""Number of steps of the inverse kinematics that decides whether a point is in reach. With 15 steps, none of 4000
-points is decided differently."""
+"""Number of steps of the inverse kinematics that decides whether a point is in reach. With 15 steps, the decisions on
+4000 points are the same."""
 
 UP = np.array([0.0, 0.0, 1.0])
 """Direction in which the tool approaches a fruit, and in which it points there, base frame."""
@@ -82,13 +82,13 @@ STIRRED = 1e-9
 
 
 BELIEVED, TOOL, TURN, TILT, SIGHT = slice(0, 12), slice(12, 24), slice(24, 27), 27, 28
-"""Positions of the numbers in a view of the arm. `BELIEVED` is the frame of the believed tool, `TOOL` is the tool's
-true frame. `TURN` is the rotation vector from the believed attitude to upright. `TILT` is the angle between the true
-tool's axis and the vertical (degrees). From `SIGHT` on follow the joint readings, scaled to the limits."""
+"""Positions of the numbers in a view of the arm. `BELIEVED` is the frame of the believed tool, and `TOOL` the tool's
+true frame. `TURN` is the rotation vector from the believed attitude to upright, rad. `TILT` is the angle between the
+true tool's axis and the vertical, deg. The joint readings, scaled to the limits, begin at `SIGHT`."""
 
 
 def act_arm(x: Executor, task: Task, state: ArmState, action: Scalars) -> tuple[ArmState, Scalar, Scalar, Scalar]:
-    """Move the joint target by an action, or by an earlier one if actions are delayed.
+    """Move the joint target by an action, or by an earlier action if actions are delayed.
 
     Returns:
         The state with its new target, the gripper's command, whether the target moved, and the length of the period
@@ -107,7 +107,7 @@ def act_arm(x: Executor, task: Task, state: ArmState, action: Scalars) -> tuple[
 def look_at_arm(
     x: Executor, task: Task, plant: Plant, state: ArmState, command: Scalars, key: Scalar, moment: Scalar, dt: Scalar
 ) -> tuple[ArmState, simulation.Components]:
-    """Hold the joint command for ``dt`` seconds, then measure where the tool is.
+    """Hold the joint command for ``dt`` seconds, then measure the tool's true and believed pose.
 
     `pickenv.envs.shared.simulation.look` explains the arguments.
 

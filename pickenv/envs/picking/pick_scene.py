@@ -1,8 +1,9 @@
-"""The fruit before a picking arm: where it hangs and is seen, how it is pushed, taken, twisted off and collected.
+"""The fruit before a picking arm: its positions, true and seen, and how it is pushed, taken, twisted off and collected.
 
 Everything is in the arm's base frame (m, s, N). This frame is the orchard frame shifted and turned by half a turn about
-z, so that trees stand at -y. The tool is a cylinder that opens upwards, with its point on top, and approaches from
-below. All random numbers are drawn at the start, so that two policies meet the same fruit and the same random outcomes.
+z, so that trees stand at -y. The tool is a cylinder that opens upwards and approaches from below; its position is that
+of its upper end. All random numbers are drawn at the start of an episode, so that two policies meet the same fruit and
+outcomes.
 """
 
 from __future__ import annotations
@@ -157,9 +158,9 @@ class PickScene:
         masses: Masses of the fruit, kg.
         displacement: Present position of the fruit minus `rest`, m, shape (n, 3).
         velocity: Velocity of the fruit, m/s, shape (n, 3).
-        chance: Uniform random numbers; a grasp succeeds if its probability is larger.
+        chance: Uniform random numbers; a grasp succeeds if its probability of success is larger.
         pull_limit: Pull that takes the fruit off its stem, N.
-        twist_limit: Twist about the stem that takes the fruit off, N m.
+        twist_limit: Torque about the stem that takes the fruit off, N m.
         visible: Whether the camera found the fruit.
         reachable: Whether the camera found the fruit, the arm reaches it there, and the way from below is free.
         attempted: Whether the gripper has closed on the fruit.
@@ -167,7 +168,7 @@ class PickScene:
         detached: Whether the fruit came off its stem.
         collected: Whether the fruit is collected.
         damaged: Whether the fruit is damaged.
-        held: Number of the fruit in the gripper, or None.
+        held: Index of the fruit in the gripper, or None.
         miss: Distance of the fruit from the tool at the last grasp, across and along the tool's axis, m.
         grip: Displacement (as in `displacement`) of the fruit in the gripper, minus the tool's position, m.
         detached_at: Height of the believed tool when the fruit in the gripper came off its stem, m.
@@ -178,7 +179,8 @@ class PickScene:
         self.held: int | None = None
         self.miss, self.grip, self.detached_at = (0.0, 0.0), np.zeros(3), 0.0
         self.fruit = fruit
-        """The scene's own array, or its part of an array of many canopies; the scene changes it in place."""
+        """Array of all fruit: the scene's own array, or a part of an array of many canopies. The scene changes it in
+        place."""
 
     def __getattr__(self, name: str) -> NDArray[Any]:
         """Return the field ``name`` of `fruit`."""
@@ -207,7 +209,7 @@ class PickScene:
         return np.zeros(3) if self.held is None else self.rest[self.held] + self.grip + self.noise[self.held]
 
     def following(self, tool: ArrayLike) -> int | None:
-        """Return the number of the waiting fruit to pick next with the tool at ``tool`` (3,), m; None if none waits."""
+        """Return the index of the waiting fruit to pick next, given the tool position (3,), m; None if none waits."""
         waiting = np.flatnonzero(self.waiting)
         if not waiting.size:
             return None
@@ -216,7 +218,7 @@ class PickScene:
         return int(waiting[np.argmin(rank)])
 
     def carry(self, point: Array, moved: Array) -> None:
-        """Move the held fruit and its branch with the tool, which has moved by ``moved`` to ``point``, (3,), m."""
+        """Move the held fruit and its branch with the tool, whose point moved by ``moved`` to ``point``, (3,), m."""
         assert self.held is not None
         self._push(self.rest[self.held], moved)
         self.displacement[self.held] = self.grip + point
@@ -226,8 +228,8 @@ class PickScene:
         """Push the fruit that the tool touches, except fruit off its stem and the fruit in the gripper.
 
         Args:
-            found: Contacts of the fruit with the tool.
-            target: Number of the fruit to pick, which is not pushed if it is above the tool's opening.
+            found: Contacts of all fruit with the tool.
+            target: Index of the fruit to pick, which is not pushed if it is above the tool's opening.
             moved: Motion of the tool in the period (3,), m.
             dt: Length of the period, s.
         """
@@ -246,8 +248,8 @@ class PickScene:
 
         Args:
             share: The command, -1 to 1.
-            number: Number of the fruit to pick.
-            believed: Frame of the believed tool, with which the controller decides.
+            number: Index of the fruit to pick.
+            believed: Frame of the believed tool, by which the controller decides what the gripper does.
             tool: The tool's true frame, which decides the outcome.
         """
         if self.held is None:
@@ -352,7 +354,8 @@ def _given_fruit(given: Any) -> Array:
 def _seen_scene(orchard: PickSetting, rng: np.random.Generator, given: Array | None) -> PickScene | None:
     """Make a scene of fruit, drawn or given, as the camera sees it; return None if no fruit was drawn.
 
-    Here its `reachable` marks the fruit that is seen and has a free way from below, whether the arm reaches it or not.
+    `reachable` of this scene marks the fruit that is seen and has a free path from below, whether or not the arm
+    reaches it.
     """
     if given is None:
         positions, diameters = trees.sample_fruit(orchard.fruit_map, orchard.size, orchard.canopy, rng)
@@ -408,21 +411,21 @@ def looked_at(
 
 
 LONGEST = 400
-"""Number of steps of the time budget. It does not follow `max_episode_steps`, which the environment does not know."""
+"""Number of steps by which the observed time budget is divided. The environment cannot know `max_episode_steps`."""
 STILL = 1.0
 """Upper bound, in observations, of the time since the joint target last moved, s."""
 MOST_LEFT = 50
 COLLECTED, DAMAGED, STEP = 1.0, -0.25, -0.002
 
 PICK_FEEDBACK = ("encoders", "gripper")
-"""Values of `feedback`. With "gripper" the policy observes where each held fruit lies in the gripper."""
+"""Values of `feedback`. With "gripper" the policy observes the position of each held fruit in the gripper."""
 
 MOST_FELT = 0.1
-"""Bound of observations of where a fruit lies in the gripper; the gripper misses fruit as far off as this."""
+"""Bound of the observed position of a fruit in the gripper. The gripper does not take fruit as far off as this."""
 
 
 OF_THE_ARM = ("without", "arms", "tolerances", "population", "population_seed", "out_of_range")
-"""Arguments of `pickenv.envs.make_task` that matter for picking too."""
+"""Arguments of `pickenv.envs.make_task` that `pickenv/Pick-v0` takes too."""
 
 
 def make_pick(
@@ -458,6 +461,7 @@ def make_pick(
     task = make_task(plant, **arguments)
     check_choice("order", order, tuple(ORDERS))
     check_known("vision", vision, (PUBLISHED, *trees.VISIONS))
+    check_known("detector", detector, trees.DETECTORS)
     row, crop = trees.load_canopy(canopy), trees.load_fruit_map(fruit_map)
     station = trees.load_station("qiao2026")
     section = replace(
@@ -525,8 +529,8 @@ def given_hours(hours: Any, count: int | None = None) -> Array:
 
 
 PickStart = tuple[PickScene, int | None, int]
-"""What is drawn for an episode: the fruit, the number of the true arm (None if there is only one), and the key of the
-random streams for the situation."""
+"""What is drawn for an episode: the fruit, the index of the true arm (None if there is only one), and the key of the
+random streams that the situation (delays and noise) uses."""
 
 
 def draw_starts(task: Task, orchard: PickSetting, reach: Reach, episodes: Sequence[tuple[Any, ...]]) -> list[PickStart]:
@@ -536,12 +540,13 @@ def draw_starts(task: Task, orchard: PickSetting, reach: Reach, episodes: Sequen
         task: The arm's task.
         orchard: The orchard, the camera and the gripper.
         reach: Test of what the arm reaches.
-        episodes: For each episode its random generator, the number of the true arm in the environment's last episode or
-            None, fruit positions (n, 3) in the base frame, m, or None to draw fruit, and the number of the true arm
-            that the user wants or None. With `arms="per_env"` the last arm stays, and an arm is drawn only for None.
+        episodes: For each episode four values. The first is its random generator. The second is the index of the true
+            arm in the environment's last episode, or None. The third is fruit positions (n, 3), base frame, m, or None
+            to draw fruit. The fourth is the index of the true arm that the user wants, or None. With `arms="per_env"`
+            the last arm stays if there is one.
 
     Raises:
-        InputError: If no fruit is within reach, or the population has no arm of a given number.
+        InputError: If no fruit is within reach, or the population has no arm with a given index.
     """
     rngs, before, fruit, arms = zip(*episodes, strict=True)
     starts = []

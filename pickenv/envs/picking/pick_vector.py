@@ -31,8 +31,9 @@ class PickVectorEnv(NativeVectorEnv):
     are equal to the bit if the single environment has `executor="numpy"`.
 
     `reset(options={"reset_mask": mask})` begins episodes where the mask is True; the other environments continue. The
-    other options are those of `pickenv/Pick-v0`. Each is given once for all environments or once for each: "fruit" as
-    ``(n, 3)`` or ``(N, n, 3)``, "start_joints" as ``(6,)`` or ``(N, 6)``, "arm" and "hours" as a number or ``(N,)``.
+    other options are those of `pickenv/Pick-v0`. Each has one value for all environments, or one value for each:
+    "fruit" as ``(n, 3)`` or ``(N, n, 3)``, "start_joints" as ``(6,)`` or ``(N, 6)``, "arm" and "hours" as a number or
+    ``(N,)``.
 
     Args:
         num_envs: N.
@@ -76,7 +77,8 @@ class PickVectorEnv(NativeVectorEnv):
         self.batch = PickBatch(task, self.orchard, self.num_envs)
         self._armed = np.zeros(self.num_envs, dtype=np.bool_)
         self._ahead: dict[int, tuple[Any, pick_scene.PickStart]] = {}
-        """Next episodes drawn already, by environment: the generator's state before the draw, and the start."""
+        """Start of the next episode, if it is drawn already, by index of the environment, after the generator's state
+        before the draw."""
 
     @property
     def plant(self) -> Plant:
@@ -135,7 +137,7 @@ class PickVectorEnv(NativeVectorEnv):
     def _draw_ahead(self) -> None:
         """Draw the start of the next episode for all environments that have none drawn yet.
 
-        Drawing many canopies takes little longer than drawing one. Nothing else draws from these generators.
+        Drawing many canopies takes little longer than drawing one. No other function draws from these generators.
         """
         rows = np.array([row for row in range(self.num_envs) if row not in self._ahead])
         before = [self._rngs[row].bit_generator.state for row in rows]

@@ -61,7 +61,7 @@ class Batch(ArmBatch, ABC):
 
         Args:
             actions: Actions component by component, ``(n, N)``.
-            moments: Number of the step in each environment's episode, ``(N,)``.
+            moments: Index of the step in each environment's episode, ``(N,)``.
             compensate: Turns joint targets into joint commands, or None.
         """
 
@@ -76,18 +76,19 @@ class Batch(ArmBatch, ABC):
         frames: Array | None = None,
         arm: NDArray[np.intp] | None = None,
     ) -> None:
-        """Begin an episode in each of the environments ``rows``. ``count`` below is the number of these.
+        """Begin an episode in each of the environments ``rows``; their number is ``count``.
 
         Args:
             rows: Indices of the environments.
             seeds: Seeds of the environments' random streams ``(count,)``.
-            episodes: Number of each environment's episode ``(count,)``.
+            episodes: Index of each environment's episode ``(count,)``.
             compensate: Turns joint targets into joint commands, or None.
-            start: Joint targets ``(count, n)``, or None to draw them if the task has a spread, else for mid-range.
+            start: Joint targets ``(count, n)``, rad or m. With None they are drawn if the task has a spread of starts,
+                else at mid-range.
             goal: Joints of wanted poses ``(count, n)``, or None.
             frames: Frames of wanted poses ``(count, 12)``, or None. Poses are drawn if neither ``goal`` nor ``frames``
                 is given.
-            arm: Numbers of true arms ``(count,)``, or None to draw them.
+            arm: Indices of true arms in the population ``(count,)``, or None to draw them.
         """
         x, task, places = self.x, self.task, self.indices(rows)
         keys = episode_key(x, self.words(seeds), self.words(episodes))
@@ -124,12 +125,12 @@ class Batch(ArmBatch, ABC):
         return out
 
     def widths(self) -> tuple[int, ...]:
-        """Return the count of numbers in each part of the observation."""
+        """Return how many numbers each part of the observation has."""
         n, goal = self.task.joints, simulation.GOAL_NUMBERS
         return (n + 3, goal, goal) if self.goal_dict else (n + 12 + 3 * self.task.camera,)
 
     def _draw_goals(self, keys: Scalar) -> Columns:
-        """Draw the joints of wanted poses: the first fitting pose in the goal stream of each episode."""
+        """Draw the joints of wanted poses: for each episode the first pose of its random stream that fits the task."""
         task, streams = self.task, stream_key(self.x, keys, GOAL)
         joints = list(self.numbers(np.zeros((task.joints, len(keys)))))
         open_ = self.indices(np.arange(len(keys)))

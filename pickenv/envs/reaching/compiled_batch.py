@@ -78,12 +78,12 @@ class CompiledBatch(NumpyBatch):
         return Compiled(trace, goals, self.count)
 
     def _remembered(self, trace: Trace, state: simulation.ArmState) -> Goals:
-        """Return the outputs of the trace that write the state's changed numbers."""
+        """Return the outputs of the trace for the numbers of the state that a step changes."""
         changed = trace.outputs("columns", state.columns[self.fixed :], DOUBLE, self.fixed)
         return trace.outputs("columns", state.columns[: self.task.joints]) + changed
 
     def _looked(self, trace: Trace, state: simulation.ArmState, command: Sequence[Traced]) -> Goals:
-        """Return the outputs of the trace that write the changed state and the views after a joint command."""
+        """Return the outputs of the trace for the changed state and for the views after a joint command."""
         x, task = TRACER, self.task
         (key,), (moment,) = trace.inputs("keys", 1, WORD), trace.inputs("moments", 1, WORD)
         period = task.situation.value("period", state.drawn)

@@ -25,7 +25,7 @@ from pickenv.pictures.tree_shapes import fruit_colours, fruit_solids, sprig
 
 
 FRUIT = 0.06
-"""Diameter with which fruit is drawn. The reach task itself has only the fruit's position."""
+"""Diameter of the drawn fruit. The reach task itself has only the fruit's position."""
 
 
 def draw_reach(task: Task, scene: simulation.View, dark: bool) -> Stage:
@@ -72,8 +72,8 @@ class ReachEnv(ArmEnv):
 
     A six-joint picking arm (Qiao 2026: pitch, horizontal rail, telescopic boom, end rotation, end slide, twist) must
     bring its tool to a fruit, in the wanted attitude. The policy commands the *nominal* arm, that is the model that the
-    controller believes in. What moves is the *true* arm, whose parts are off by tenths of millimetres and whose joints
-    and boom bend. The score is the distance of the true tool from the fruit, which the policy never sees.
+    controller believes in. But the *true* arm moves. Its parts are off by tenths of millimetres, and its joints and
+    boom bend. The score is the distance of the true tool from the fruit, which the policy never sees.
 
     ## Action Space
 
@@ -94,8 +94,8 @@ class ReachEnv(ArmEnv):
 
     ## Observation Space
 
-    `Box(float32)`, 18 numbers, or 21 with `feedback="camera"`. Nothing in it depends on the true arm but the camera's
-    offset. Positions and attitudes are in the base frame.
+    `Box(float32)`, 18 numbers, or 21 with `feedback="camera"`. Only the camera's offset in it depends on the true arm.
+    Positions and attitudes are in the base frame.
 
     | Num   | Observation                                                          | Min  | Max  | Unit |
     |-------|----------------------------------------------------------------------|------|------|------|
@@ -103,7 +103,7 @@ class ReachEnv(ArmEnv):
     | 6-8   | believed tool position (nominal forward kinematics of the readings)  | -R   | R    | m    |
     | 9-11  | fruit position as the camera saw it                                  | -R   | R    | m    |
     | 12-14 | fruit minus believed tool position                                   | -2R  | 2R   | m    |
-    | 15-17 | wanted against believed attitude, rotation vector                    | -pi  | pi   | rad  |
+    | 15-17 | rotation vector from believed to wanted attitude                     | -pi  | pi   | rad  |
     | 18-20 | fruit minus true tool position as the camera measures it (camera)    | -2R  | 2R   | m    |
 
     R is an upper bound of the arm's reach plus 1 m. "Believed" means computed with the nominal arm.
@@ -112,9 +112,9 @@ class ReachEnv(ArmEnv):
 
     With e the distance between true tool and fruit in mm and t the angle between true and wanted attitude in degrees:
 
-    - dense (default): -log10(1 + e) - 0.5 log10(1 + t). Outside the capture region, 1.30 (the cost at both tolerances,
-      here the default ones) is subtracted as well. So no failure scores as high as a success. The reward goes from
-      about -5.7 (far away) to 0 (perfect). Well above a millimetre, reducing e tenfold adds about 1, whatever e is.
+    - dense (default): -log10(1 + e) - 0.5 log10(1 + t). Outside the capture region, 1.30 (the cost at both default
+      tolerances) is subtracted as well, so that every failure scores below every success. The reward goes from about
+      -5.7 (far away) to 0 (perfect). Well above a millimetre, reducing e tenfold adds about 1, whatever e is.
     - sparse: 0 while the fruit is inside the capture region, else -1.
 
     ## Starting State
@@ -149,10 +149,10 @@ class ReachEnv(ArmEnv):
     | `position_error_mm`   | distance between true tool and fruit; joints can remove all of it     | mm     |
     | `attitude_error_deg`  | angle between true and wanted attitude                                | deg    |
     | `noncompensable_deg`  | the part of that angle which no joint motion removes                  | deg    |
-    | `compensable_deg`     | the rest: sqrt(attitude_error^2 - noncompensable^2)                   | deg    |
+    | `compensable_deg`     | the other part: sqrt(attitude_error^2 - noncompensable^2)             | deg    |
     | `is_success`          | whether the fruit is inside the capture region                        | bool   |
-    | `pose_error`          | true tool against fruit, and its rotation vector                      | m, rad |
-    | `joint_command`       | what the drives got                                                   | rad, m |
+    | `pose_error`          | true tool minus fruit: position, and rotation vector                  | m, rad |
+    | `joint_command`       | joint command that the drives got                                     | rad, m |
     | `tool_position`       | true tool position                                                    | m      |
     | `fruit_position`      | true fruit position                                                   | m      |
 
@@ -181,8 +181,8 @@ class ReachEnv(ArmEnv):
     - `tolerance_mm` (float, default 5): radius of the gripper's capture region; 5 mm is the clearance of Li's cup.
     - `angle_tolerance_deg` (float, default 10): attitude tolerance of the capture region.
     - `reward` ("dense" or "sparse").
-    - `max_tilt_deg` (float, default None): largest angle between the wanted tool axis and the vertical; 30 where none
-      is given, and 60, 90, … for an arm that cannot point its tool up so far.
+    - `max_tilt_deg` (float, default None): largest angle between the wanted tool axis and the vertical. None means 30,
+      or 60, 90, … for an arm that cannot point its tool up so far.
     - `end_on_success` (bool, default False): whether the first step inside the capture region ends the episode.
     - `arms` ("fixed", "per_env" or "per_episode"): the plant's own true arm, or one of a population, chosen once per
       environment or anew in every episode. Three arguments define the population: `tolerances` (class or file, default
@@ -286,7 +286,7 @@ class ReachEnv(ArmEnv):
         return np.array(self._plain(simulation.flat_observation(scene)), dtype=np.float32), self._plain((reward,))[0]
 
     def _look(self, dt: Scalar) -> tuple[Any, float, Information]:
-        """Hold the present joint target for ``dt`` seconds, and return observation, reward and information."""
+        """Hold the present joint target for ``dt`` seconds, and return observation, reward and `info`."""
         assert self._state is not None
         plain, (scene, _) = self._plain, self._looked(self._state, self._step, dt)
         self._scene = scene
@@ -304,7 +304,7 @@ class ReachEnv(ArmEnv):
         return observation, reward, information
 
     def _wanted(self, options: dict[str, Any]) -> Frame:
-        """Return the frame of the wanted pose: that in the options, or else the first drawn pose that fits the task."""
+        """Return the frame of the wanted pose: from the options, or else the first drawn pose that fits the task."""
         x, task = self._x, self.task
         joints, frame = given_goals(task, options)
         if frame is not None:
@@ -326,7 +326,7 @@ class ReachEnv(ArmEnv):
 
 
 class ReachIdealEnv(ReachEnv):
-    """Bring the tool to a fruit with an arm without error: a reference to test one's own code against.
+    """Bring the tool to a fruit with an arm without error: a reference to test other code against.
 
     ## Description
 
@@ -421,10 +421,10 @@ class ReachGoalEnv(ReachEnv):
     | Num  | Observation                                                           | Min | Max | Unit |
     |------|-----------------------------------------------------------------------|-----|-----|------|
     | 0-2  | tool position as measured by the chosen feedback                      | -R  | R   | m    |
-    | 3-5  | believed tool's z axis, the way it points                             | -1  | 1   | 1    |
-    | 6-8  | its x axis                                                            | -1  | 1   | 1    |
+    | 3-5  | believed tool's z axis, in which it points                            | -1  | 1   | 1    |
+    | 6-8  | believed tool's x axis                                                | -1  | 1   | 1    |
 
-    With `feedback="encoders"` the position is the believed one; with "camera" it is the fruit as seen, less the
+    With `feedback="encoders"` the position is the believed one; with "camera" it is the fruit as seen minus the
     tool-to-fruit offset that the camera measures (bounds 3R).
 
     `desired_goal`:
@@ -433,7 +433,7 @@ class ReachGoalEnv(ReachEnv):
     |------|-----------------------------------------------------------------------|-----|-----|------|
     | 0-2  | fruit position as the camera saw it                                   | -R  | R   | m    |
     | 3-5  | wanted z axis of the tool                                             | -1  | 1   | 1    |
-    | 6-8  | wanted x axis                                                         | -1  | 1   | 1    |
+    | 6-8  | wanted x axis of the tool                                             | -1  | 1   | 1    |
 
     ## Rewards
 

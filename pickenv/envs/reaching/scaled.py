@@ -41,9 +41,9 @@ class ReachScaledEnv(ReachEnv):
     | Num   | Observation                                                         | Min | Max | Unit         |
     |-------|---------------------------------------------------------------------|-----|-----|--------------|
     | 0-5   | joint readings, scaled to the limits                                | -1  | 1   | 1            |
-    | 6-8   | fruit minus believed tool (with a camera: as it sees it), over size | -1  | 1   | 100 mm       |
-    | 9-11  | wanted against believed attitude, rotation vector, over size        | -1  | 1   | 0.2 rad      |
-    | 12    | half the size's logarithm                                           | -3  | 3   | two decimals |
+    | 6-8   | gap in position, believed or measured by the camera, over size      | -1  | 1   | 100 mm       |
+    | 9-11  | rotation vector from believed to wanted attitude, over size         | -1  | 1   | 0.2 rad      |
+    | 12    | half the decimal logarithm of the size                              | -3  | 3   | 1            |
 
     ## Rewards
 
@@ -132,9 +132,9 @@ class ReachToolEnv(ReachScaledEnv):
 
     ## Description
 
-    Plant (the true arm with its errors), fruit, information and score are those of `pickenv/Reach-v0`. But the policy
-    says how the tool shall move, and the nominal arm's Jacobian turns this into joint increments. Observations and
-    actions are the same for every arm, so that a policy trained on one arm can act on another.
+    Plant (the true arm with its errors), fruit, information and score are those of `pickenv/Reach-v0`. But an action is
+    a motion of the tool, which the nominal arm's Jacobian turns into joint increments. Observations and actions are the
+    same for every arm, so that a policy trained on one arm can act on another.
 
     ## Action Space
 
@@ -158,9 +158,9 @@ class ReachToolEnv(ReachScaledEnv):
 
     | Num | Observation                                                         | Min | Max | Unit         |
     |-----|---------------------------------------------------------------------|-----|-----|--------------|
-    | 0-2 | fruit minus believed tool (with a camera: as it sees it), over size | -1  | 1   | 25 mm        |
-    | 3-5 | wanted against believed attitude, rotation vector, over size        | -1  | 1   | 10 deg       |
-    | 6   | half the size's logarithm                                           | -3  | 3   | two decimals |
+    | 0-2 | gap in position, believed or measured by the camera, over size      | -1  | 1   | 25 mm        |
+    | 3-5 | rotation vector from believed to wanted attitude, over size         | -1  | 1   | 10 deg       |
+    | 6   | half the decimal logarithm of the size                              | -3  | 3   | 1            |
 
     ## Rewards
 

@@ -24,7 +24,7 @@ from pickenv.envs.shared.task import Compensators, Task, as_numbers, check_choic
 
 DTYPES = {"float64": torch.float64, "float32": torch.float32}
 BLOCK = 32768
-"""Number of environments that begin an episode together on a CPU: as many as its cache holds."""
+"""Number of environments that begin an episode together on a CPU: as many as fit its cache."""
 
 MOST_FUSED = 4096
 """Largest number of operations in one loop. torch's own limit of 64 would split the step into loops that wait for
@@ -39,7 +39,7 @@ class TorchBatch(Batch):
     Args:
         task: The task that all environments have in common.
         count: N.
-        goal_dict: Whether observations are goal dictionaries, and rewards are computed from them.
+        goal_dict: Whether observations are goal dictionaries, from which rewards are computed.
         poses: Whether views hold pose errors, joint commands and positions.
         device: "cpu", "cuda", ...
         dtype: "float64" or "float32".
@@ -84,7 +84,7 @@ class TorchBatch(Batch):
         self._pack = self._fused(_packed)
 
     def _fused(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """Compile ``function`` if asked for, on a CPU into one loop that stores no intermediate results."""
+        """Compile ``function`` if steps are compiled; on a CPU, into one loop that stores no intermediate results."""
         if not self._compiled:
             return function
         options: Any = {"max_fusion_size": MOST_FUSED} if self.device.type == "cpu" else {}
@@ -166,7 +166,8 @@ class TorchBatch(Batch):
     ) -> Columns:
         """Return the columns of memory, observation, reward, numbers and vectors, all in one number type.
 
-        A CPU's compiled loop is fast on these. Stacking, and conversion to float32 and booleans, come afterwards.
+        A compiled loop on a CPU is fast with such columns. They are stacked and converted to float32 and booleans
+        later.
         """
         x, plant = self.x, plant or self.plant
         state, scene = simulation.look(x, self.task, plant, self.state_of(columns), commands, keys, when, dt)

@@ -31,7 +31,8 @@ class ReachVectorEnv(NativeVectorEnv):
     """N `pickenv/Reach-v0` in one vector environment.
 
     Environment i returns the same numbers as a single `pickenv/Reach-v0` with the seed ``seed + i``, whatever N is.
-    With ``executor="numpy"`` in both they are equal to the bit, between executors in float64 within 1e-9.
+    With ``executor="numpy"`` in both, the numbers are equal to the bit. Between executors, in float64, they agree
+    within 1e-9.
 
     | `autoreset_mode`       | step after the end of an episode          | last observation of the episode             |
     |------------------------|-------------------------------------------|---------------------------------------------|
@@ -40,14 +41,14 @@ class ReachVectorEnv(NativeVectorEnv):
     | "Disabled"             | refused until `reset` has been called     | returned by the step that ended it          |
 
     `reset(options={"reset_mask": mask})` begins episodes where the mask is True; the other environments continue. The
-    other options are those of `pickenv/Reach-v0`. Each is given once for all environments or once for each, for example
-    as ``(6,)`` or ``(N, 6)``. Infos are dicts of arrays with a mask ``_key`` for every key.
+    other options are those of `pickenv/Reach-v0`. Each has one value for all environments or one value for each, for
+    example ``(6,)`` or ``(N, 6)``. Infos are dicts of arrays with a mask ``_key`` for every key.
 
     Args:
         num_envs: N.
         max_episode_steps: Steps after which an episode is truncated, or None for never.
         autoreset_mode: An `AutoresetMode` or its name, see the table.
-        executor: "numpy" runs on NumPy arrays. "compiled" does so with the step as machine code. Its results agree up
+        executor: "numpy" runs on NumPy arrays. "compiled" does so too, with the step as machine code. Results agree up
             to rounding (1e-12), and compilation takes 0.1 s once (half a second from 1024 environments on). "auto"
             (default) is "compiled" if llvmlite of the extra `pickenv[compiled]` is installed, else "numpy". "torch"
             takes and returns tensors.
@@ -140,7 +141,7 @@ class ReachVectorEnv(NativeVectorEnv):
         self._views = views if len(rows) == self.num_envs else self.batch.merged(self._views, rows, views)
 
     def _asked(self, options: dict[str, Any], rows: Rows) -> dict[str, Any]:
-        """Return starts, goals and arms from options for the environments ``rows``, as arguments of `Batch.restart`."""
+        """Return starts, goals and arms of the environments ``rows`` from ``options``, for `Batch.restart`."""
         joints, frames = given_goals(self.task, options, self.num_envs)
         goals = {"goal": joints, "frames": frames}
         how: dict[str, Any] = {name: goal[rows] for name, goal in goals.items() if goal is not None}

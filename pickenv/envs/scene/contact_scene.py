@@ -38,7 +38,7 @@ from pickenv.orchard.gripper import Gripper, Suction
 from pickenv.pictures.stage import Eye, Pixels
 
 TIMESTEP, CHUNK = 0.004, 5
-"""Length of a physics step, and the number of steps after which stems and holds are checked for breaking."""
+"""Length of a physics step, and number of steps after which stems and the cup's hold are checked for breaking."""
 
 STIFFNESS, DAMPING, ARMATURE = 5000.0, 150.0, 1.0
 """Stiffness and damping of the drives of arms that are made from an arm file, and the inertia that their gears add.
@@ -77,7 +77,7 @@ class Surroundings:
         detachment: Pull that detaches fruit.
         branch: Branch that the fruit hangs from.
         camera_mm: Standard deviation per axis of the errors of the cameras' positions, mm.
-        camera_deg: Standard deviation per axis of the errors of their attitudes, deg.
+        camera_deg: Standard deviation per axis of the errors of the cameras' attitudes, deg.
         eye: Nominal viewpoint of the world camera.
     """
 
@@ -111,7 +111,7 @@ class Surroundings:
 
     @property
     def sag(self) -> float:
-        """Distance by which a fruit's weight pulls its branch down, m."""
+        """Distance by which the weight of a fruit pulls its branch down, m."""
         return self.mass * GRAVITY / (self.branch.stiffness_upright * self.scale)
 
 
@@ -172,7 +172,7 @@ class ContactScene:
         return import_module("mujoco")
 
     def _robot(self, arm: Arm) -> Any:
-        """Return the specification of the arm, without weight, and of the world camera."""
+        """Return the MuJoCo specification of the arm, without weight, and of the world camera."""
         mujoco, around = self._mujoco, self.around
         if around.model is None:
             spec = mujoco.MjSpec.from_string(mjcf_text(arm.nominal, arm.name))
@@ -220,7 +220,7 @@ class ContactScene:
         return spec
 
     def _equip(self, spec: Any, last: Any, tool: Frame) -> None:
-        """Add the tool's site, the wrist camera and the gripper to the link ``last``, at the frame ``tool`` in it."""
+        """Add the tool's site, the wrist camera and the gripper at the frame ``tool`` in the link ``last``."""
         mujoco, around = self._mujoco, self.around
         rotation, place, face = np.array(tool[:9]).reshape(3, 3).T, np.array(tool[9:]), -around.radius
         stand = around.radius + 0.08 * around.scale
@@ -261,7 +261,7 @@ class ContactScene:
         self._rod(body, np.zeros(3), end, 0.02)
 
     def _rod(self, body: Any, start: ArrayLike, end: ArrayLike, radius: float) -> None:
-        """Add a rod without contacts and almost without mass."""
+        """Add a rod (radius, m) without contacts and almost without mass between two points ``(3,)``, m, of a body."""
         if np.linalg.norm(np.subtract(end, start)) > radius:
             look = {"contype": OTHER, "conaffinity": OTHER, "mass": 1e-3, "rgba": METAL}
             ends = [*np.asarray(start).tolist(), *np.asarray(end).tolist()]
@@ -455,8 +455,8 @@ class ContactScene:
     def wrist_eye(self) -> tuple[Array, Array, float]:
         """The nominal wrist camera in the tool's frame: position, attitude, and angle of view.
 
-        These are the position ``(3,)``, m, the rotation ``(3, 3)`` with the camera's axes as columns, and the tangent
-        of half the angle of view.
+        The position is ``(3,)``, m. The attitude is a rotation ``(3, 3)`` with the camera's axes as columns. The angle
+        is given by the tangent of its half.
         """
         return (*self._said["wrist"], math.tan(math.radians(WIDE) / 2))
 

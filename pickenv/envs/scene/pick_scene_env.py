@@ -23,7 +23,7 @@ from pickenv.envs.shared.arm_env import RENDER_MODES, Information
 from pickenv.envs.shared.backends import FLOATS, Executor
 from pickenv.envs.shared.simulation import ArmState, View
 from pickenv.envs.shared.spaces import GOALS, action_space, flat_space
-from pickenv.envs.shared.task import Task, check_choice, check_count, check_number, checked_action
+from pickenv.envs.shared.task import Task, check_choice, check_count, check_name, check_number, checked_action
 from pickenv.orchard import load_branch, load_detachment, load_fruit_size, load_gripper, load_suction
 from pickenv.orchard.gripper import misalignment
 from pickenv.pictures.stage import SIZE, Pixels, fitted_eye
@@ -37,15 +37,15 @@ PERIOD, STEP_COST, BONUS = 0.04, 0.002, 0.25
 """Default of `control_period_s`, the cost of each step, and the reward for detaching a fruit from its stem."""
 
 HELD_STEPS, REACH_OF_APPLES = 5, 0.85
-"""Number of steps for which a detached fruit must be held to count as picked; and the least reach of arms for which
+"""Number of steps for which a detached fruit must be held to count as picked, and smallest reach of arms for which
 `scale` is 1 by default."""
 
 SPREAD, ATTEMPTS = 64, 2000
 """Number of poses over which `error_mm` is the mean, and number of poses tried to find places for fruit."""
 
 TRIES = 1, 3, 12, 34
-"""Numbers of pairs of a fruit and a start that are drawn at once. Drawing ends when the arm reaches both of a
-pair."""
+"""Numbers of pairs of a fruit and a start that are drawn at once. Drawing ends when the arm reaches the fruit and the
+start of a pair."""
 
 
 class PickSceneEnv(ReachEnv):
@@ -55,10 +55,10 @@ class PickSceneEnv(ReachEnv):
 
     `pickenv/Reach-v0` in MuJoCo, with contact and pictures. An arm with a suction cup stands before a branch; the
     fruit's stem breaks when it is pulled hard enough. The policy commands the *nominal* arm, that is the model that its
-    controller believes in. What moves, touches and carries the wrist camera is the *true* arm. Its parts, joint zeros,
-    compliance, backlash and warm-up are those of the plant (the model of the true arm). Delays and noise are those of
-    `pickenv/Reach-v0`. With an ideal plant the states equal those of the plain MuJoCo model, to the bit. Contacts,
-    their forces and the success of picks are simulated, and hold for this cup and this branch only.
+    controller believes in. But the *true* arm moves, touches the fruit and carries the wrist camera. Its parts, joint
+    zeros, compliance, backlash and warm-up are those of the plant (the model of the true arm). Delays and noise are
+    those of `pickenv/Reach-v0`. With an ideal plant the states equal those of the plain MuJoCo model, to the bit.
+    Contacts, their forces and the success of picks are simulated, and hold for this cup and this branch only.
 
     The arm is drawn as rods from the arm file, or comes from a manufacturer's MJCF file (`model`). Of the arm, only the
     cup has contacts. The arm has no weight in MuJoCo, since the plant computes how it sags.
@@ -92,10 +92,10 @@ class PickSceneEnv(ReachEnv):
 
     As in `pickenv/Reach-v0`: joints are at mid-range or drawn, and the fruit is where the nominal arm's tool can be.
     `reset` takes the same options. With `within_mm` the fruit hangs near a place where the arm moves well in every
-    direction. The tool then starts where the wrist camera sees the fruit. At full scale this is 6 to 30 cm before it
-    and up to 12.5 cm beside it along each axis. If you give another goal, give `start_joints` too. Arms of fewer than
-    six joints start there in whatever attitude they reach. The strength of the stem is drawn as in `pickenv/Pick-v0`
-    (Bu et al. 2020). The branch is that of `pickenv/orchard/presets/branch.toml`.
+    direction. The tool then starts where the wrist camera sees the fruit. At full scale it is 6 to 30 cm before the
+    fruit, and up to 12.5 cm beside it along each axis. If you give another goal, give `start_joints` too. Arms of fewer
+    than six joints start there in any attitude that they reach. The strength of the stem is drawn as in
+    `pickenv/Pick-v0` (Bu et al. 2020). The branch is that of `pickenv/orchard/presets/branch.toml`.
 
     ## Episode End
 
@@ -142,7 +142,7 @@ class PickSceneEnv(ReachEnv):
     - `fruit` (default 1): number of fruit; the first one is the goal. `leaves` (default 0): number of leaves around it,
       which hide the fruit and have contacts.
     - `scale` (default None): lengths of fruit, branch and cup as a multiple of an apple tree's. Forces scale with its
-      square, masses with its cube. None is 1, or less for arms that reach less than 0.85 m.
+      square, masses with its cube. None means 1, or less for arms that reach less than 0.85 m.
     - `fruit_size` (default "li2016"): as in `pickenv/Pick-v0`.
     - `render_mode` (None, "human" or "rgb_array"): how pictures of the world camera are rendered.
 
@@ -185,13 +185,15 @@ class PickSceneEnv(ReachEnv):
         check_choice("obs_type", obs_type, OBSERVATIONS)
         for name, count, least in (("fruit", fruit, 1), ("leaves", leaves, 0), ("pixels", pixels, SMALLEST)):
             check_count(name, count, least)
-        sizes = {"camera_mm": camera_mm, "camera_deg": camera_deg, "error_mm": error_mm, "within_mm": within_mm}
-        for name, number in sizes.items():
-            check_number(name, number or 0.0)
+        error, within = (0.0 if size is None else size for size in (error_mm, within_mm))
+        sizes = {"camera_mm": camera_mm, "camera_deg": camera_deg, "error_mm": error, "within_mm": within}
+        for name, size in sizes.items():
+            check_number(name, size)
         if pixels > LARGEST:
             raise InputError(f"pixels is {pixels}; give at most {LARGEST}")
-        if isinstance(cameras, str) or not cameras or (set(cameras) - set(CAMERAS)):
+        if not isinstance(cameras, list | tuple) or not cameras or any(name not in CAMERAS for name in cameras):
             raise InputError(f"cameras is {shown(cameras)}; give a list of {', '.join(CAMERAS)}")
+        check_name("model", "" if model is None else model, "a maker's MJCF file (.xml)")
         if render_mode is not None:
             check_choice("render_mode", render_mode, RENDER_MODES)
         if plant is not None or arguments.get("difficulty") is None:
@@ -229,7 +231,7 @@ class PickSceneEnv(ReachEnv):
         self._holding, self._closed = 0, (0.0, 0.0)
 
     def _places(self) -> Array:
-        """Return places where fruit may hang, and last the place of the arm's base, ``(k + 1, 3)``, m."""
+        """Return possible places of fruit, followed by the place of the arm's base, ``(k + 1, 3)``, m."""
         tries = (simulation.goal_attempt(FLOATS, self.task, 0, attempt) for attempt in range(ATTEMPTS))
         joints: Array = np.array(list(islice((pose for pose, fits in tries if fits), SPREAD)))
         geometry = self.task.plant.arm.nominal
@@ -243,7 +245,7 @@ class PickSceneEnv(ReachEnv):
         return self._pair[1]
 
     def _before_fruit(self, within: float) -> tuple[Array, Array]:
-        """Draw the joints that `_placed` returns."""
+        """Draw the joints that `_placed` returns; ``within`` is the largest distance of the fruit per axis, m."""
         rng, geometry = np.random.default_rng([int(self._key), 1]), self.task.plant.arm.nominal
         place, attitude = forward(geometry, self._favoured)
         how: dict[str, Any] = {"restarts": 0, "position_only": geometry.joints < 6}

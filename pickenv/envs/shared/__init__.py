@@ -1,1 +1,1 @@
-"""What all environments build on: tasks, arms, random streams, spaces and the simulated step."""
+"""Code that all environments share: tasks, arms, random streams, spaces and the simulated step."""

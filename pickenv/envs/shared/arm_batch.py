@@ -48,10 +48,10 @@ class ArmBatch:
 
     Attributes:
         x: The executor.
-        block: Number of environments that begin an episode together.
+        block: Number of environments whose episodes are begun in one computation.
         task: The task that all environments have in common.
         count: N.
-        arm: Number of each environment's true arm in the population.
+        arm: Index of each environment's true arm in the population.
         plant: The true arms of the environments.
         population: The population that true arms are taken from.
         keys: Keys of the environments' episodes, ``(N,)``.
@@ -210,11 +210,11 @@ class ArmBatch:
             self.put(column, where, new)
 
     def blocks(self, count: int) -> Iterator[tuple[int, int]]:
-        """Split ``count`` environments into blocks; yield each block's first index, and the first index after it."""
+        """Split ``count`` environments into blocks; yield the first index of each block and the index after its end."""
         return ((a, min(a + self.block, count)) for a in range(0, count, self.block))
 
     def take_arms(self, rows: Rows, arms: NDArray[np.intp]) -> None:
-        """Give the environments ``rows`` the true arms with the numbers ``arms``."""
+        """Give the environments ``rows`` the true arms with the indices ``arms`` in the population."""
         self.arm[rows] = arms
         places, numbers = self.indices(rows), self.indices(self.arm[rows])
         for mine, all_ in zip(arrays_of(self.plant), arrays_of(self.population), strict=True):

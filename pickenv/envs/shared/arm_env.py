@@ -43,7 +43,7 @@ class DrawnEnv(PlainSpec, gym.Env[Any, NDArray[Any]]):
         self._window: Any = None
 
     def render(self) -> Any:
-        """Draw the true arms, ghosts of the arms as the controller believes them to be, and the fruit.
+        """Draw the true arms, their ghosts (the arms as the controller believes them to be), and the fruit.
 
         Returns:
             An RGB array ``(height, width, 3)`` with the render mode "rgb_array". None with "human", which shows a
@@ -74,7 +74,7 @@ class DrawnEnv(PlainSpec, gym.Env[Any, NDArray[Any]]):
         return drawn(self._stage())
 
     def _stage(self) -> Stage | None:
-        """The scene to draw; None before the first reset."""
+        """Return the scene to draw, or None before the first reset."""
         raise NotImplementedError
 
 
@@ -114,7 +114,7 @@ class ArmEnv(DrawnEnv):
     """An environment of one arm.
 
     Attributes:
-        task: The task that it simulates.
+        task: The task that the environment simulates.
         plant: The true arm.
         compensator: Function from joint targets to joint commands, or None.
         look: Function that simulates a period and returns the view of the arm: `simulation.look`, or another one with
@@ -150,12 +150,12 @@ class ArmEnv(DrawnEnv):
 
     @property
     def joint_target(self) -> Array:
-        """The nominal joint target that the actions have built up, rad or m."""
+        """Nominal joint target ``(n,)``, the sum of the actions so far, rad or m."""
         return np.array(self.task.middle if self._state is None else self._plain(self._state.target))
 
     @property
     def arm(self) -> int:
-        """Number of the true arm in its population; 0 for a fixed arm."""
+        """Index of the true arm in its population; 0 for a fixed arm."""
         return self._arm or 0
 
     @property
@@ -164,7 +164,7 @@ class ArmEnv(DrawnEnv):
         return np.array(self.task.increment)
 
     def _use_arm(self, number: int) -> None:
-        """Use arm ``number`` of the population as the true arm."""
+        """Use the arm with the index ``number`` in the population as the true arm."""
         self._arm = number
         if self._x is FLOATS:
             self.plant = plant_at(self.task.plant, number)
@@ -223,7 +223,7 @@ GHOST_WORDS = f"ghost: the arm as believed, deviation × {arm_shapes.GAIN}"
 
 
 def standing(geometry: Geometry, ground: float, dark: bool) -> tuple[Mesh, ...]:
-    """Return the meshes of the ground and of the pedestal that the arm's base stands on."""
+    """Return the meshes of the ground at height ``ground``, m, and of the pedestal under the arm's base."""
     x, y, _ = geometry.base.position.tolist()
     return ground_around(x, y, ground, dark), pedestal(geometry, ground)
 

@@ -41,8 +41,8 @@ class Executor:
         shifted: A 64-bit word shifted to the right by a constant number of bits, filled with zeros.
         unit: Uniform number in [0, 1) from the upper 53 bits of a word.
         word: The 64-bit word of a Python integer, modulo 2^64.
-        spares_constants: Whether to use the `Exact` zeros and ones of `pickenv.envs.shared.task`. They save work where
-            every operation runs on a whole array.
+        spares_constants: Whether factors and summands that are always 0 or 1 (`pickenv.envs.shared.task.Exact`) are
+            skipped. That pays off where every operation runs on a whole array.
     """
 
     name: str

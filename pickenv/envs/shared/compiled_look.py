@@ -29,7 +29,7 @@ TRACER = Executor(
 
 
 def with_numbers(plants: Plant, numbers: Iterable[Scalar]) -> Plant:
-    """Return ``plants`` (true arms) with each array of shape ``(arms,)`` replaced by the next one of ``numbers``."""
+    """Return ``plants`` (true arms) with each array of shape ``(arms,)`` replaced by the next item of ``numbers``."""
     rows = iter(numbers)
     return plants_on(plants, lambda values: next(rows) if values.ndim == 1 else values)
 
@@ -76,8 +76,8 @@ class CompiledLook:
             state: The state, with its new joint target.
             command: Joint command, rad or m.
             key: Key of the episode.
-            moment: Number of the step in its episode.
-            arm: Number of the true arm in the population.
+            moment: Index of the step in its episode.
+            arm: Index of the true arm in the population.
         """
         if self._run is None:
             with naming_effects(self._plants, "compiled"):

@@ -1,7 +1,8 @@
 """The ladder: a list of named difficulties of Reach and Pick, which makes results comparable.
 
-Each difficulty fixes some arguments of an environment. Most also fix two populations of arms, one to train on and one
-to test on. These arguments never change within a version of the ladder. The user may choose all others.
+Each difficulty (rung) fixes some arguments of an environment. Most also fix two populations of arms, one to train on
+and one to test on. Fixed arguments never change within a version of the ladder. The user may choose all other
+arguments.
 """
 
 from __future__ import annotations

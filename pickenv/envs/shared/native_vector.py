@@ -22,7 +22,7 @@ from pickenv.envs.shared.task import Compensators, check_choice, check_count
 from pickenv.pictures.stage import Stage
 
 Seeds = int | Sequence[int | None] | None
-"""What `reset` of a vector environment takes as its seed; `checked_seeds` explains it."""
+"""Seeds that `reset` of a vector environment takes; `checked_seeds` explains them."""
 
 
 class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
@@ -62,7 +62,7 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
 
     @property
     def compensator(self) -> Compensators | None:
-        """Turns joint targets into joint commands: one for all environments, a sequence with one for each, or None."""
+        """Compensator from joint targets to joint commands: one for all environments, a sequence of N, or None."""
         return self._compensator
 
     @compensator.setter
@@ -80,8 +80,8 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         """Begin episodes in all environments, or in those where ``options["reset_mask"]`` is True.
 
         Args:
-            seed: Environment i gets ``seed + i``, or entry i of a sequence. With None it continues its own stream of
-                random numbers.
+            seed: Environment i gets ``seed + i``, or entry i of a sequence. With None, the environment continues its
+                own stream of random numbers.
             options: Options by name: those named in the attribute `options`, and "reset_mask".
 
         Returns:
@@ -100,7 +100,7 @@ class NativeVectorEnv(PlainSpec, VectorEnv[Any, Any, Any]):
         return self._observation(), self._masked(mask)
 
     def step(self, actions: ArrayLike) -> tuple[Any, Any, Any, Any, Information]:
-        """Act in all environments; those whose episode is over begin a new one according to the autoreset mode.
+        """Act in all environments; where an episode is over, a new one begins according to the autoreset mode.
 
         Raises:
             InputError: If actions have another shape or invalid numbers, if `reset` was never called, or if an ended

@@ -2,8 +2,8 @@
 
 The gap is the fruit's pose minus the tool's pose. A network that reads the gap in metres hardly notices millimetres,
 and the noise of its actions hides them. Here the network sees the gap as a direction of about unit length and the
-logarithm of its size. Near the fruit, actions are multiplied by the size of the gap. So what a policy learns about
-decimetres also holds for micrometres. The formulas run on NumPy and on torch.
+logarithm of its size. Near the fruit, actions are multiplied by the size of the gap. So a behaviour learnt at
+decimetres also works at micrometres. The formulas run on NumPy and on torch.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ SMALLEST = 1e-6
 """Smallest size of a gap, as a share of `Scaling.near` and `Scaling.near_turn`; smaller gaps count as this size."""
 
 ROUNDING = 1e-3
-"""Margin for rounding in the bounds of observed numbers that are at most one."""
+"""Margin for rounding in the bounds of observed numbers whose magnitude is at most one."""
 
 
 class Rescaling(ABC):
@@ -36,7 +36,8 @@ class Rescaling(ABC):
         features: Count of numbers that the policy sees.
         space: Space of the observations that the policy sees.
         answers: Space of the policy's actions; None if it is the environment's action space.
-        home: Part of an error message: what to use the policy with, for example "the feedback and the arm".
+        home: Part of an error message: the things that must be those of the policy's training, such as "the feedback
+            and the arm".
     """
 
     inputs: Any
@@ -90,7 +91,7 @@ class Rescaling(ABC):
 
     @abstractmethod
     def potential(self, values: NDArray[Any]) -> Any:
-        """Compute a potential for reward shaping from observations; it grows as the task's goal gets nearer."""
+        """Compute a potential ``(...)`` for reward shaping from observations; it grows towards the task's goal."""
 
 
 @dataclass(frozen=True)
@@ -173,7 +174,7 @@ class Scaling(Rescaling):
         return actions * self.share(values, np)
 
     def potential(self, values: NDArray[Any]) -> Any:
-        """Compute the negative decimal logarithm of the gap's size, for reward shaping."""
+        """Compute the negative decimal logarithm ``(...)`` of the gap's size, for reward shaping."""
         return -np.log10(self.size(values, np))[..., 0]
 
     def act(self, values: NDArray[Any], actions: Any, most: float = MOST_ACTION["clip"]) -> NDArray[Any]:

@@ -40,7 +40,7 @@ class ArmState(NamedTuple):
     """The memory of an environment of one arm between two actions.
 
     Attributes:
-        target: Nominal joint target that the actions have built up, n.
+        target: Nominal joint target, the sum of the actions so far, n.
         goal: Frame of the fruit with the wanted attitude, 12; empty in Pick, which keeps its fruit in a `PickScene`.
         seen: Fruit position as the camera saw it, 3; empty in Pick.
         drawn: Numbers drawn for the episode, in the order of `Situation.drawn`.
@@ -130,7 +130,7 @@ def goal_attempt(x: Executor, task: Task, key: Scalar, attempt: int) -> tuple[li
         x: The executor.
         task: The task.
         key: Key of the episode's goal stream.
-        attempt: Number of the attempt, from 0; the first pose that fits becomes the goal.
+        attempt: Index of the attempt, from 0; the first pose that fits becomes the goal.
 
     Returns:
         The joints ``n``, rad or m, and whether their pose fits.
@@ -148,7 +148,7 @@ def goal_attempt(x: Executor, task: Task, key: Scalar, attempt: int) -> tuple[li
 
 
 def drawn_arm(x: Executor, task: Task, seed: Scalar, key: Scalar) -> Scalar:
-    """Draw the number of an episode's true arm, with a fraction that the caller cuts off.
+    """Draw the index of an episode's true arm in the population, with a fraction that the caller cuts off.
 
     Args:
         x: The executor.
@@ -174,7 +174,7 @@ def begin(
         start: Joint target to start from.
         goal: Frame of the fruit with the wanted attitude, or empty.
         command: Joint command that the drives get for ``start``.
-        hours: Time for which the arm has been switched on, h; None for the time that the task's situation has.
+        hours: Time for which the arm has been switched on, h; None for the time in the task's situation.
     """
     setting, sighting = task.situation, goal[9:]
     if task.fruit_noise:
@@ -247,13 +247,13 @@ def look(
         task: The task.
         plant: The true arm, or arms.
         state: The state, with its new joint target.
-        command: Joint command that the drives get for that target.
+        command: Joint command that the drives get for this target.
         key: Key of the episode.
-        moment: Number of the step in its episode, a 64-bit word; used only for the noise of camera and joints.
+        moment: Index of the step in its episode, a 64-bit word; used only for the noise of camera and joints.
         dt: Time, s: one number, or one per environment. At the start of an episode it is the plain number 0.0.
 
     Returns:
-        The state afterwards, and the view of it.
+        The state afterwards, and the view of the arm.
     """
     plant_state, ended = plant.advance(x.m, state.plant, command, dt)
     read = nominal_readings(x, plant, plant_state, state.target, command)
@@ -320,7 +320,7 @@ def sensed(
         task: The task.
         state: The state, with the readings that were pending before.
         key: Key of the episode.
-        moment: Number of the step in its episode, a 64-bit word.
+        moment: Index of the step in its episode, a 64-bit word.
         read: Joint readings without noise, rad or m.
         camera: What the camera measures, m; empty without a camera.
         dt: Time that has passed, s.
@@ -335,7 +335,7 @@ def sensed(
 
 
 def noisy(x: Executor, stream: Scalar, moment: Scalar, values: Scalars, std: Scalar) -> list[Scalar]:
-    """Return ``values`` with the normal noise of step ``moment``, a 64-bit word, from the stream with this key."""
+    """Return ``values`` plus normal noise of step ``moment`` (64-bit word), from the stream with the key ``stream``."""
     first = x.times(moment, len(values))
     return [value + std * normal(x, stream, x.plus(first, x.word(i))) for i, value in enumerate(values)]
 
@@ -343,7 +343,7 @@ def noisy(x: Executor, stream: Scalar, moment: Scalar, values: Scalars, std: Sca
 def nominal_readings(x: Executor, plant: Plant, state: PlantState, target: Scalars, command: Scalars) -> list[Scalar]:
     """Return the joint readings as nominal joints: joint target + reading - joint command.
 
-    So the difference that a compensator makes between target and command does not appear in observations.
+    So the difference between target and command, which a compensator makes, does not appear in observations.
     """
     readings = plant.readings(x.m, state, command)
     return [q + (reading - sent) for q, reading, sent in zip(target, readings, command, strict=True)]
@@ -369,7 +369,7 @@ def in_capture_region(task: Task, distance_mm: Scalar, angle_deg: Scalar) -> Sca
 
 
 def _lost_angle(x: Executor, task: Task, links: Sequence[Frame], turn: Scalars) -> Scalar:
-    """Compute the size of the part of a small rotation vector that is perpendicular to all revolute axes."""
+    """Return the size of the part of a small rotation vector that no revolute axis of ``links`` can produce."""
     if task.lost_axes is None:
         return 0.0 * sum(turn)
     ax, ay, az = inexact(links[task.lost_axes[0] + 1][6:9])

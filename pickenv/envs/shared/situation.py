@@ -1,8 +1,8 @@
 """The situation of an episode: delays and noise of acting and sensing, hours since switch-on, and the start.
 
-Each is a number, or a range from which every episode draws a number. The functions work on components (one float, array
-or tensor for each number of a vector), like those of `pickenv.envs.shared.simulation`. Arguments left at their defaults
-cost no time and change no bit of the results. Units: s, rad, m.
+Each of these is a number, or a range from which every episode draws a number. The functions work on components (one
+float, array or tensor for each number of a vector), like those of `pickenv.envs.shared.simulation`. Arguments left at
+their defaults cost no time and change no bit of the results. Units: s, rad, m.
 """
 
 from __future__ import annotations
@@ -23,7 +23,8 @@ CONTROL_PERIOD = 0.1
 """Default time between two actions, s: multiplied by a joint's speed in the arm file, it is the largest increment."""
 
 MOST_STEPS = 20
-"""Largest number of periods by which actions or readings can be late, since all late ones have to be stored."""
+"""Largest number of periods by which actions or readings can be late. It is limited because late ones have to be
+stored."""
 
 MOST_HOURS = 1000.0
 """Largest value of `hours_on`."""
@@ -139,7 +140,7 @@ def _span(name: str, given: Any, least: float, most: float) -> Span:
 def drawn_values(x: Executor, setting: Situation, key: Scalar) -> Components:
     """Draw the numbers of the episode with the key ``key``, in the order of `Situation.drawn`.
 
-    Numbers that are to be whole still have a fraction, which later comparisons cut off.
+    Numbers that stand for whole numbers still have a fraction, which later comparisons cut off.
     """
     values, stream = [], stream_key(x, key, DRAWN)
     for name in setting.drawn:
@@ -169,14 +170,14 @@ def in_period(x: Executor, setting: Situation, drawn: Components, action: Scalar
 def late(
     x: Executor, setting: Situation, name: str, drawn: Components, past: Components, fresh: Scalars
 ) -> tuple[Scalars, Components]:
-    """Return the action that takes effect now, or the reading that arrives, and those that are still pending.
+    """Return the action that takes effect now, or the reading that arrives now, and the values that are still pending.
 
     Args:
         x: The executor.
         setting: The situation.
         name: "delay" for actions, "latency" for readings.
         drawn: Numbers drawn for the episode.
-        past: What was pending before, latest first.
+        past: Values that were pending before, latest first.
         fresh: The policy's present action, or the present reading.
     """
     if not getattr(setting, name).high:

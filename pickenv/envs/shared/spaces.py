@@ -68,7 +68,7 @@ def action_space(task: Task) -> spaces.Box:
 
 
 def box(high: Sequence[float]) -> spaces.Box:
-    """Return the float32 box from -``high`` to ``high``, rounded outwards, so that a turn by pi is inside."""
+    """Return the float32 box from -``high`` to ``high``, rounded outwards, so that turns by pi are inside."""
     bound = np.array(high, dtype=np.float32)
     bound = np.where(bound < np.array(high), np.nextafter(bound, np.float32(np.inf)), bound)
     return spaces.Box(-bound, bound, dtype=np.float32)
@@ -95,7 +95,7 @@ def given_options(options: Any, allowed: tuple[str, ...] = OPTIONS) -> dict[str,
 
 
 POOL, NEAREST = 2**14, 16
-"""Number of sampled poses; and how many of them, the nearest to a position, inverse kinematics starts from."""
+"""Number of sampled poses, and number of those nearest to a position from which inverse kinematics starts."""
 
 
 Goals = tuple[Array | None, Array | None]

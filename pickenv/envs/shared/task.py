@@ -120,7 +120,8 @@ USUAL_TILT = 30.0
 """Largest tilt of goals if `max_tilt_deg` is not given, deg."""
 
 UPRIGHT, TILTED_POSES = 0.01, 2**10
-"""Least share of an arm's poses whose tilt must be below the largest tilt, and the number of poses sampled for that."""
+"""Smallest share of an arm's poses that must lie below the largest tilt, and the number of poses sampled to test
+this."""
 
 Compensate = Callable[[Array], Array]
 """A function that maps joint targets ``(..., n)`` to joint commands ``(..., n)``, rad or m."""
@@ -222,7 +223,7 @@ class Task:
 
     @cached_property
     def edge_cost(self) -> float:
-        """The dense reward's cost at both tolerances, which is added to the cost outside the capture region."""
+        """Cost in the dense reward when both errors equal their tolerances; it is added outside the capture region."""
         angle_cost = 0.5 * math.log10(1.0 + self.angle_tolerance_deg) if self.attitude else 0.0
         return math.log10(1.0 + self.tolerance_mm) + angle_cost
 
@@ -253,7 +254,7 @@ class Task:
         return plant_count(self.plant) or 1
 
     def given_joints(self, name: str, joints: Sequence[float] | Array, count: int | None = None) -> Array:
-        """Check the joints that a reset option gives, and return them as an array.
+        """Check the joints in an option of `reset`, and return them as an array.
 
         Args:
             name: Name of the option, for error messages.
@@ -276,10 +277,10 @@ class Task:
         return values if count is None else np.broadcast_to(values, (count, self.joints))
 
     def given_arm(self, number: int) -> int:
-        """Check the number of an arm of the population, and return it.
+        """Check the index of an arm of the population, and return it.
 
         Raises:
-            InputError: If the population has no arm of this number, or there is no population.
+            InputError: If the population has no arm with this index, or there is no population.
         """
         if self.arms == "fixed":
             raise InputError("option arm needs a population; make the environment with arms='per_episode'")
@@ -335,12 +336,13 @@ def make_task(
     if max_tilt_deg is not None:
         check_number("max_tilt_deg", max_tilt_deg, positive=True)
     check_choice("arms", arms, ARMS)
+    check_flag("end_on_success", end_on_success)
     check_count("population_seed", population_seed, least=0)
+    check_count("population", population)
+    check_limit("population", int(population), "population")
+    check_name("tolerances", tolerances, "a tolerance class, or a path to its file (.toml)")
     true_arm = load_true_arm(plant, without, population_seed)
     if arms != "fixed":
-        check_count("population", population)
-        check_limit("population", int(population), "population")
-        check_name("tolerances", tolerances, "a tolerance class, or a path to its file (.toml)")
         true_arm = draw_arms(plant, tolerances, population, np.random.default_rng(population_seed), without=without)
     geometry = true_arm.arm.nominal
     tilt = usual_tilt(geometry) if max_tilt_deg is None else float(max_tilt_deg)
@@ -438,6 +440,12 @@ def check_count(name: str, value: int, least: int = 1) -> None:
     """Raise an `InputError` unless ``value`` is a whole number of at least ``least``."""
     if isinstance(value, bool) or not isinstance(value, int | np.integer) or value < least:
         raise InputError(f"{name} is {value!r}; give a whole number of at least {least}")
+
+
+def check_flag(name: str, value: bool) -> None:
+    """Raise an `InputError` unless ``value`` is a truth value."""
+    if not isinstance(value, bool | np.bool_):
+        raise InputError(f"{name} is {shown(value)}; give True or False")
 
 
 def check_name(name: str, value: str | Path, wanted: str) -> None:

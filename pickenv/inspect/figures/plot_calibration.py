@@ -28,7 +28,7 @@ CELLS_ALONG = 26
 
 
 def least_squares_convergence(residual_rms_mm: ArrayLike, attitude_rms_deg: ArrayLike | None = None) -> Figure:
-    """Draw the residual RMS of the nominal arm and after each least-squares iteration, on a logarithmic axis.
+    """Draw the residual RMS before least squares and after each iteration, on a logarithmic axis.
 
     Args:
         residual_rms_mm: Position residual RMS ``(I + 1,)``, mm, for I iterations.
@@ -143,7 +143,7 @@ def uncertainty_map(distance_mm: ArrayLike, height_mm: ArrayLike, uncertainty_mm
 
 
 def joint_coverage(geometry: Geometry, sets: Mapping[str, ArrayLike]) -> Figure:
-    """Draw how pose sets cover the joint ranges: the distribution of each joint, and each pair of joints.
+    """Draw how pose sets cover the joint ranges: the distribution of each joint's values, and of each pair of joints.
 
     Args:
         geometry: Geometry with the joints' names, kinds and limits. The title says what share of these ranges the poses

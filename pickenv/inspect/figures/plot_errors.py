@@ -1,8 +1,8 @@
 """Figures of errors: arrows across the workspace or on pictures of a board, errors by pose and method, distributions.
 
-This module projects fields orthographically itself, so that arrows are drawn from far to near and stay crisp at any
+This module itself projects fields orthographically, so that arrows are drawn from far to near and stay crisp at any
 size. On pictures of a board, an arrow points from the predicted to the detected position of a corner. Arrows are drawn
-longer than true, by the factor that a figure states. Their colour shows the true length. Units: m, mm, px.
+longer than true by a factor, which each figure states. Their colour shows the true length. Units: m, mm, px.
 """
 
 from __future__ import annotations
@@ -114,10 +114,10 @@ def thinned(comparison: Comparison, most: int = MOST_ARROWS) -> tuple[NDArray[np
 
 
 def field_gain(step: float, top_mm: float) -> float:
-    """Return the factor by which all figures of a field draw its arrows longer than true, a round number.
+    """Return the factor, a round number, by which all figures of a field draw arrows longer than true.
 
-    The factor is the same as in recordings, `GAIN` of `comparison_summary`, if this makes the longest arrow 0.25 to 1.5
-    cells long. Otherwise the factor is such that neighbouring arrows nearly touch.
+    It is the factor of recordings, `GAIN` of `comparison_summary`, if the longest arrow is then 0.25 to 1.5 cells long.
+    Otherwise it is the factor at which neighbouring arrows nearly touch.
 
     Args:
         step: Cell size of the field, m.
@@ -136,8 +136,8 @@ def round_down(value: float) -> float:
 class _View:
     """Orthographic projection along the eye's direction; x to the right, y up, depth towards the eye. Units: m.
 
-    `corners` ``(8, 3)`` are the corners of the field's box; bits 4, 2 and 1 of a corner's number are set where its x, y
-    and z are high. `low` and `high` ``(2,)`` bound a panel: the box, and room for the words along its edges.
+    `corners` ``(8, 3)`` are the corners of the field's box. Bits 4, 2 and 1 of a corner's index say whether its x, y
+    and z are at their maximum. `low` and `high` ``(2,)`` bound a panel: the box, and room for the text along its edges.
     """
 
     def __init__(self, comparison: Comparison) -> None:
@@ -157,7 +157,7 @@ class _View:
         return np.asarray((points - self.centre) @ self.plane)
 
     def depth(self, points: Array) -> Array:
-        """Nearness to the eye ``(...)`` of points ``(..., 3)``."""
+        """Return the nearness ``(...)`` of points ``(..., 3)`` to the eye, m: larger is nearer."""
         return np.asarray((points - self.centre) @ self.eye)
 
 
@@ -174,7 +174,7 @@ def _arrows(axes: Axes, view: _View, start: Array, error: Array, gain: float, to
 
 
 def _arrow_outlines(tail: Array, tip: Array, width: float) -> Array:
-    """Outlines ``(N, 7, 2)`` of flat arrows with a filled head; a short arrow is a small arrow of the same shape."""
+    """Return the outlines ``(N, 7, 2)`` of flat arrows with filled heads; a short arrow is a scaled-down long arrow."""
     along = tip - tail
     length = np.maximum(np.linalg.norm(along, axis=-1, keepdims=True), 1e-12)
     along = along / length
@@ -200,7 +200,10 @@ def _box(axes: Axes, view: _View) -> None:
 
 
 def _axis_text(axes: Axes, view: _View, axis: int) -> None:
-    """Write an axis's name, unit and range outside the lowest box edge parallel to it (for z, the leftmost)."""
+    """Write an axis's name, unit and range outside the lowest edge of the box that is parallel to the axis.
+
+    For z it is the leftmost edge.
+    """
     bit = 4 >> axis
     flat, values = view.flat(view.corners), view.corners[:, axis]
     edges = [(i, i | bit) for i in range(8) if not i & bit]
@@ -216,7 +219,7 @@ def _axis_text(axes: Axes, view: _View, axis: int) -> None:
 
 
 def _ghost_arm(axes: Axes, comparison: Comparison, view: _View) -> None:
-    """Draw the nominal arm, for orientation, at the end of the reach with the fruit nearest to the middle."""
+    """Draw the nominal arm, for orientation, at the end of the reach whose fruit is nearest to the field's middle."""
     if not len(comparison.fruit):
         return
     nearest = int(np.argmin(np.linalg.norm(comparison.fruit - view.centre, axis=-1)))
@@ -455,7 +458,10 @@ def error_against(cause: ArrayLike, errors_mm: Mapping[str, ArrayLike], *, name:
 
 
 def _better(series: Mapping[str, Array]) -> str:
-    """The title: at how many poses the last method errs less than the first, or a single method's largest error."""
+    """Return a title: at how many poses the last method errs less than the first.
+
+    If there is one method only, it is this method's largest error.
+    """
     (first, before), (last, after) = next(iter(series.items())), list(series.items())[-1]
     if first == last or len(before) != len(after):
         return f"{last} at {len(after)} poses: largest {style.short(float(after.max()))}"
@@ -463,7 +469,10 @@ def _better(series: Mapping[str, Array]) -> str:
 
 
 def _groups(x: Array) -> list[NDArray[np.intp]]:
-    """Group rows by their values ``x``: a group per value, or `GROUPS` of about equal size for more values."""
+    """Group rows by their values ``x``, and return the row indices of each group.
+
+    Each value has a group, but if there are more than `GROUPS` values, rows are divided into `GROUPS` equal groups.
+    """
     values = np.unique(x)
     if len(values) <= GROUPS:
         return [np.flatnonzero(x == value) for value in values]
@@ -542,7 +551,7 @@ def _size(views: Sequence[ViewErrors]) -> tuple[int, int]:
 
 
 def _scale(views: Sequence[ViewErrors]) -> tuple[float, float]:
-    """Factor by which arrows on views are longer than true, and the longest error, px."""
+    """Return the factor by which arrows on views are longer than true, and the longest error, px."""
     width, _ = _size(views)
     top = max(float(np.linalg.norm(view.errors, axis=1).max(initial=0.0)) for view in views)
     return round_down(LONGEST * width / max(top, 1e-9)), max(top, 1e-9)

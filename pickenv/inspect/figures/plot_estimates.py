@@ -101,9 +101,9 @@ def estimates_figure(
 
 
 def _result(rows: Sequence[Row], x: str | None, colour: str, panels: str | None) -> str:
-    """The title: the first panel's numbers by colour, at the first place or, with ``x``, where its lines end.
+    """Return a figure's title: the numbers of the first panel by colour, without ``x`` those of the first place.
 
-    Of a line alone it says where it begins and ends.
+    With ``x`` they are the numbers at the end of the lines. For a single line, they are its first and last number.
     """
     first = [row for row in rows if panels is None or row[panels] == rows[0][panels]]
     if x is not None and len(first) == len({row[x] for row in first}):
@@ -120,7 +120,7 @@ def _result(rows: Sequence[Row], x: str | None, colour: str, panels: str | None)
 
 
 def _in_words(column: str) -> str:
-    """A column's name with its unit, or (number) where it has none: time (h) for time_h, pick (number) for pick."""
+    """Return a column's name with its unit: time (h) for time_h, or pick (number) for pick, which has no unit."""
     name, _, unit = column.rpartition("_")
     return f"{name.replace('_', ' ')} ({unit})" if unit in UNITS and name else f"{column} (number)"
 

@@ -84,7 +84,7 @@ def pick_map(trees: Mapping[str, PickedTree]) -> Figure:
 
 
 def funnel_bars(funnels: Mapping[str, Mapping[str, int]]) -> Figure:
-    """Draw the share of the fruit present that gets to each stage, by strategy.
+    """Draw the share of all fruit that reaches each stage, by strategy.
 
     Args:
         funnels: For each strategy, the number of fruit at each stage; shares are of the number at the first stage.
@@ -190,7 +190,7 @@ def _colour(arm: int) -> tuple[float, float, float]:
 
 
 def _arm_marks(axes: Any, arms: int) -> list[Any]:
-    """A mark per arm, for the legend."""
+    """Return one mark per arm, for the legend."""
     return [axes.scatter([], [], color=_colour(i), label=f"arm {i + 1}") for i in range(arms)]
 
 

@@ -81,8 +81,8 @@ def difference_map(comparison: Comparison) -> Figure:
 
 
 Estimated = tuple[float, tuple[float | None, float | None] | None]
-"""An estimate and the two ends of its 95 % interval. An open end is None. If there is no interval, None replaces
-both ends."""
+"""An estimate and the two ends of its 95 % interval. An open end is None. If there is no interval, the pair of ends is
+None."""
 
 
 def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estimated]]]]) -> Figure:
@@ -111,7 +111,7 @@ def aggregates(panels: Mapping[str, Mapping[str, Mapping[str, Mapping[str, Estim
 
 
 def _drawable(number: Estimated) -> Estimate:
-    """An estimate fit for a logarithmic axis: the number and its interval's ends raised to `SMALLEST` at least."""
+    """Return an estimate for a logarithmic axis: value and ends of the interval are at least `SMALLEST`."""
     value, ends = number
     low, high = (None if end is None else max(end, SMALLEST) for end in ends or (None, None))
     return Estimate(max(value, SMALLEST), None if ends is None else (low, high))
@@ -160,7 +160,7 @@ def accuracy_against_cycle_time(
 ) -> Figure:
     """Draw the mean position error against cycle time, and the smallest error of all curves up to each time.
 
-    The error after a step is that of a pick at the end of this step.
+    The error after a step is the error of a pick that ends with this step.
 
     Args:
         curves: Mean error after each step ``(T,)``, mm, by the labels of policy and compensation. The policy gives the

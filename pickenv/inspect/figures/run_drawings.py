@@ -22,7 +22,7 @@ from pickenv.inspect.runs.matters import gripped, gripper_curves
 from pickenv.inspect.runs.recorded_episodes import Comparison
 
 OF_LENGTHS = ("error_", "least_squares_convergence")
-"""How the names of figures begin that are of errors in mm."""
+"""Beginnings of the names of figures that show errors in mm."""
 ANGLES = "the rows tell angles, not positions; the report has their errors in degrees"
 CONDITIONS = {"payload": "kg", "temperature": "K above the reference"}
 
@@ -35,7 +35,7 @@ class Drawing:
         name: File name without suffix.
         caption: What the figure shows, in a sentence. If it cannot be drawn: why, and what would allow it.
         draw: Function that draws the figure; None if it cannot be drawn.
-        spec: Plotly's data and layout, if the figure is interactive in a browser; ``draw`` then is for print.
+        spec: Plotly's data and layout, if the figure is interactive in a browser; ``draw`` then makes its printed form.
         hint: What a reader can do with the interactive figure.
     """
 
@@ -89,7 +89,7 @@ def norms_mm(errors: Mapping[str, Array]) -> dict[str, Array]:
 
 
 def captioned(name: str, draw: Callable[..., Figure], /, *data: Any, **options: Any) -> Drawing:
-    """Return a drawing with the caption that `TEXTS` has for its name.
+    """Return a drawing with the caption that `TEXTS` has for ``name``.
 
     Args:
         name: Name of the figure.
@@ -167,7 +167,7 @@ def view_drawings(views: Sequence[ViewErrors]) -> list[Drawing]:
 
 
 def _against(name: str, unit: str, values: Array | None, errors_mm: Mapping[str, Array]) -> Drawing:
-    """The figure of errors against a condition, left out where the condition was not recorded or never changed."""
+    """Return the figure of errors against a condition, or the reason if it was not recorded or never changed."""
     drawing = f"error_against_{name}"
     if values is None:
         return Drawing(drawing, f"no {name} was recorded with the held-out poses; measure it with them")

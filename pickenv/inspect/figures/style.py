@@ -33,13 +33,13 @@ SMALL_LETTER, KEY = 0.064, 0.42
 """Mean width of a letter in a legend, and room for a mark and the gap beside it, inches."""
 LINES: tuple[Any, ...] = ("-", "--", ":", "-.", (0, (6, 1, 1, 1, 1, 1)), (0, (1, 3)))
 MARKS = "os^Dv"
-"""Markers, used in turn. With the line patterns `LINES`, they tell curves apart where colour has another meaning."""
+"""Markers, used in turn. With the line patterns `LINES`, they distinguish curves if colour has another meaning."""
 
 _SHEET: Any = matplotlib.rc_params_from_file(Path(__file__).parent / "pickenv.mplstyle", use_default_template=False)
 STYLE: dict[str, Any] = dict(_SHEET)
 INK, SOFT, RULE, PAPER = STYLE["text.color"], STYLE["axes.edgecolor"], STYLE["grid.color"], "#ffffff"
-"""Colours, in this order: of text and markers, of axes and secondary parts, of grid lines, of the background. HTML
-pages replace them."""
+"""Colours, in this order: text and markers, axes and secondary parts, grid lines, background. HTML pages replace these
+colours by their own."""
 
 THEME: dict[str, str] = {INK: "ink", SOFT: "soft", RULE: "rule", PAPER: "paper"} | {
     "#{:02x}{:02x}{:02x}".format(*colour): variable
@@ -119,7 +119,7 @@ def new_panel(width: float, height: float, x: str, y: str, *, legend: int = 0) -
 
 
 def legend_below(figure: Figure, axes: Any, most: int) -> None:
-    """Add a legend of one panel's labels below all panels, in ``most`` columns, or fewer if these are too wide."""
+    """Add a legend of one panel's labels below all panels, in at most ``most`` columns, as many as fit side by side."""
     marks, names = axes.get_legend_handles_labels()
     for columns in range(min(most, len(names)), 0, -1):
         widths = (KEY + SMALL_LETTER * max(map(len, column)) for column in np.array_split(names, columns))
@@ -178,7 +178,7 @@ def short(value: float) -> str:
 
 
 def alike(curves: Mapping[str, ArrayLike], nearest: float) -> list[list[str]]:
-    """Group curves ``(T,)`` that are alike, and return the names of the curves in each group.
+    """Group similar curves ``(T,)``, and return the names of the curves in each group.
 
     A curve is in a group if it differs by less than ``nearest`` everywhere from the first curve of the group.
     """
@@ -196,7 +196,7 @@ def alike(curves: Mapping[str, ArrayLike], nearest: float) -> list[list[str]]:
 
 
 def spaced(labels: Sequence[str], least: float, room: float) -> list[str]:
-    """Return the labels of equally spaced places, with labels that do not fit replaced by empty text.
+    """Return labels for equally spaced places, in which empty text replaces labels that do not fit.
 
     Either all labels stay, or every second, third … one.
 

@@ -37,11 +37,12 @@ STILL_STEP = 5e-4
 FALLEN = 0.06
 """A recorded fruit that moves by more than this between two moments is another fruit, m."""
 MISS: dict[bool, Rgb] = {False: RED, True: (255, 128, 128)}
-"""Colour of text about a miss, by whether the background is dark."""
+"""Colour of text about a miss, on a light (False) and on a dark (True) background."""
 FRUIT = 0.06
 """Diameter with which every fruit is drawn, m. Recordings hold only the positions of fruit."""
 SAME_FRUIT = 0.045
-"""Smallest distance between two fruit, m. Target positions of tools that are nearer together count as one fruit."""
+"""Smallest distance between two fruit, m. If tools aim at points nearer together than this, the points count as one
+fruit."""
 LEAVES = 1.25
 """Leaf area per volume of the drawn trees, m²/m³, as in the canopy `li2016`."""
 AROUND = 0.16
@@ -65,9 +66,9 @@ Progress = Callable[[str, int, int], None]
 
 
 Attempt: TypeAlias = tuple[int, int, int, bool]
-"""A policy's attempt at one fruit in one episode, as four values. The first is the moment at which the attempt begins.
-The second is the moment at which the gripper closes; the fruit hangs still until then. The third is the last moment,
-at which the fruit is collected or the gripper has closed beside it. The fourth is whether the fruit was collected."""
+"""A policy's attempt at one fruit in one episode, as four values: the moment at which the attempt begins; the moment at
+which the gripper closes, until which the fruit hangs still; the last moment, at which the fruit is collected or the
+gripper has closed beside it; and whether the fruit was collected."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +133,10 @@ def plan_film(
 
 
 def _way(policies: Sequence[RecordedPolicy], episode: int, reaching: bool) -> list[tuple[int, int]]:
-    """The moments of one episode to show, as (episode, moment): until all tools stand, then its end for a while."""
+    """Return the moments of an episode to show, as (episode, moment): until all tools stand, then the last one.
+
+    The last moment is repeated `PAUSE` times.
+    """
     last = max(int(policy.moments[episode]) for policy in policies) - 1
     arrived = last
     if reaching:
@@ -165,7 +169,7 @@ def attempts_of(policy: RecordedPolicy, episode: int) -> list[Attempt]:
 
 
 def _follows(policy: RecordedPolicy, episode: int, close: int) -> bool:
-    """Whether the recorded fruit when the gripper closes is still the fruit that the tool went for."""
+    """Return whether the fruit recorded when the gripper closes is still the fruit at which the tool aimed before."""
     fruit = policy.fruit_position[episode]
     return bool(close and np.linalg.norm(fruit[close] - fruit[close - 1]) < FALLEN)
 
@@ -203,7 +207,8 @@ class Film:
     Attributes:
         episodes: The run's episodes.
         policies: Policies that are shown, from left to right.
-        frames: Indices of episode and moment for each frame. A policy whose episode is over stays at its last moment.
+        frames: Index of the episode and index of the moment for each frame. A policy whose episode is over stays at its
+            last moment.
         frames_per_second: Frames per second.
         speed: Speed of the film as a multiple of the arms' own speed.
         reaching: Whether each episode is a reach for a single fruit.
@@ -229,12 +234,12 @@ class Film:
 
     @cached_property
     def attempts(self) -> list[list[list[Attempt]]]:
-        """Attempts at fruit: for each policy of the film, for each episode of the run up to the last one shown."""
+        """Attempts at fruit, indexed by policy of the film and by episode, up to the last episode shown."""
         return [[attempts_of(policy, e) for e in range(self.shown[-1] + 1)] for policy in self.policies]
 
     @cached_property
     def fruit(self) -> dict[int, Array]:
-        """For each episode shown, the positions ``(N, 3)``, m, of all fruit that any policy of the film aims for."""
+        """Positions ``(N, 3)``, m, of all fruit at which any policy of the film aims, by index of the episode."""
         fruit = {}
         for episode in self.shown:
             places: list[Array] = []
@@ -339,13 +344,13 @@ def arm_parts(episodes: RecordedEpisodes, policy: RecordedPolicy, episode: int, 
 
 
 def tool_axis(policy: RecordedPolicy, episode: int, moment: int) -> Array:
-    """Return the direction in which the tool points ``(3,)``; upwards if its attitude is not recorded."""
+    """Return the unit vector ``(3,)`` in which the tool points; it is upwards if the attitude is not recorded."""
     axis = policy.tool_rotation[episode, moment, :, 2]
     return axis if np.isfinite(axis).all() else np.array([0.0, 0.0, 1.0])
 
 
 def _fruit(film: Film, side: int, episode: int, now: int, picked: int) -> Solids:
-    """Fruit of the episode as a policy has left them by now, and a crate with the fruit that it has picked."""
+    """Return the solids of an episode's fruit at moment ``now`` of a policy, and of a crate with ``picked`` fruit."""
     track, places = film.policies[side].fruit_position[episode], film.fruit[episode].copy()
     present, in_cup, missed = np.ones(len(places), dtype=bool), *np.zeros((2, len(places)), dtype=bool)
     for begin, close, end, taken in film.attempts[side][episode]:
@@ -364,7 +369,7 @@ def _fruit(film: Film, side: int, episode: int, now: int, picked: int) -> Solids
 
 
 def _missed(film: Film, side: int, episode: int, now: int) -> Iterator[Words]:
-    """Words at each missed fruit that say by how much it was missed."""
+    """Yield a text at each fruit that was missed by moment ``now``: by how many millimetres it was missed."""
     policy = film.policies[side]
     for begin, close, _, taken in film.attempts[side][episode]:
         if not taken and close <= now:
@@ -373,7 +378,10 @@ def _missed(film: Film, side: int, episode: int, now: int) -> Iterator[Words]:
 
 
 def _marks_mm(film: Film, side: int, episode: int, now: int) -> Array:
-    """The tool's places relative to the fruit ``(K, 2)``, mm, at each closing of the gripper so far."""
+    """Return the positions of the tool relative to the fruit ``(K, 2)``, mm, at each closing of the gripper so far.
+
+    The components are those of `seen_along`, which views the fruit along the tool's axis.
+    """
     policy, attempts = film.policies[side], film.attempts[side]
     closed = [(e, close) for e in range(episode) for _, close, *_ in attempts[e]]
     closed += [(episode, close) for _, close, *_ in attempts[episode] if close <= now]
@@ -396,7 +404,7 @@ def film(
 
     Args:
         run: Folder of a run of `pickenv compare`.
-        out: File of the film; its ending, .gif or .mp4, gives its kind.
+        out: File of the film, .gif or .mp4.
         policies: Labels of the policies to show, from left to right; if empty, the first and the last policy of the
             run.
         seconds: Length of the film, s.

@@ -1,7 +1,7 @@
 """Write a comparison as one Rerun recording: error fields, reaches, arms, statistics, and their layout (blueprint).
 
-The main time line is `reach`, the number of the reach. The curves of a day in the field have the time line `hours` as
-well.
+The main time line is `reach`, the index of the reach. Curves of errors over a day in the field have a second time line,
+`hours`.
 """
 
 from __future__ import annotations
@@ -103,7 +103,11 @@ def _send(scribe: Scribe, comparison: Comparison, arrows: Mapping[str, details.A
 
 
 def _send_scene(scribe: Scribe, comparison: Comparison) -> None:
-    """Send the field's bounds with the world's axes, the fruit, and three arms under the first policy's commands."""
+    """Send the field's bounds with axes, the fruit, and the nominal, the true and an exaggerated arm.
+
+    The arms move by the first policy's commands; the exaggerated one differs from the nominal arm `GAIN` times as much
+    as the true arm.
+    """
     size, corner = comparison.grid.size, comparison.grid.corner
     labels = [f"{axis} {length:.2f} m" for axis, length in zip("xyz", size, strict=True)]
     scribe.axes("world/axes", corner, size, labels, 1.5)
@@ -155,7 +159,7 @@ def _send_reaches(scribe: Scribe, comparison: Comparison, policy: RecordedPolicy
 
 
 def _send_tolerance(scribe: Scribe, comparison: Comparison) -> None:
-    """Send the gripper's capture region: a line on the error plot, and a ball around the fruit, enlarged as errors."""
+    """Send the gripper's capture region: a line on the error plot, and an enlarged ball around the fruit."""
     level = [comparison.tolerance_mm] * len(comparison.fruit)
     scribe.curve("metrics/tolerance_mm", f"tolerance {comparison.tolerance_mm:g} mm", RED, level, 1.5)
     scribe.capture("world/capture", GAIN * comparison.tolerance_mm * 1e-3, 160, 0.6)
@@ -165,7 +169,7 @@ def _send_tolerance(scribe: Scribe, comparison: Comparison) -> None:
 
 
 def _send_histograms(scribe: Scribe, comparison: Comparison) -> None:
-    """Send histograms of reach errors in bins common to all policies, whose bars stand side by side in each bin."""
+    """Send histograms of reach errors; all policies share the bins, and their bars stand side by side in each bin."""
     edges, count = summary.histogram_edges_mm(comparison), len(comparison.policies)
     width = float(edges[1] - edges[0]) * 0.9 / count
     for i, (policy, colour) in enumerate(zip(comparison.policies, comparison.colours, strict=True)):
@@ -242,7 +246,7 @@ def comparison_blueprint(
 
 
 def _meaning(unit: str, top: float) -> str:
-    """The words below a colour scale from 0 to ``top`` in ``unit`` (mm or deg) that say what colours mean."""
+    """Return the caption of a colour scale from 0 to ``top`` in ``unit`` (mm or deg), which explains the colours."""
     if unit == "mm":
         return f"Colour: position error, 0 to {top:.2f} mm"
     return f"Colour: attitude error, 0 to {top:.3f}°; arrows point along its axis"

@@ -1,4 +1,4 @@
-"""Causes of the arm's errors: each effect alone, errors that no joint motion removes, and the drift within a day.
+"""Show causes of an arm's errors: each effect alone, errors that no joint motion removes, and drift within a day.
 
 Everything here is computed from a comparison, on its field of poses or on its reaches. Units: SI.
 """
@@ -95,7 +95,7 @@ def _send_day(scribe: Scribe, comparison: Comparison, day: Day) -> None:
 
 
 def _send_urdf(scribe: Scribe, name: str, geometry: Geometry, joints: Array, colour: Rgb, fill_mode: Any) -> None:
-    """Send an arm as exported to URDF, moved along the reaches by the joint commands ``(R, n)``."""
+    """Send an arm as exported to URDF; joint commands ``(R, n)``, rad or m, move it from reach to reach."""
     with tempfile.TemporaryDirectory() as folder:
         tree = rr.urdf.UrdfTree.from_file_path(
             write_urdf(geometry, Path(folder) / f"{name}.urdf", name),
@@ -117,15 +117,15 @@ def _send_urdf(scribe: Scribe, name: str, geometry: Geometry, joints: Array, col
 
 
 NO_FIELD = 1e-9
-"""An effect that moves the settled tool by less than this everywhere has no field to show, m."""
+"""Smallest displacement of the settled tool, m. An effect that displaces it by less everywhere has no field to show."""
 FLOOR = "floor"
 """Key of the attitude error that no joint motion removes."""
 
 
 ArrowTab: TypeAlias = tuple[str, float, Mapping[str, tuple[str, Array, Array]]]
 """Fields of arrows that are shown side by side with one colour scale, as three values. The first is the unit of the
-errors, mm or deg. The second is the upper end of the scale, in that unit. The third has, for each entity, its title,
-the arrows as drawn ``(F, 3)``, m, and their errors ``(F, 3)``, in that unit."""
+errors, mm or deg. The second is the upper end of the scale, in that unit. The third has, by entity, the title of the
+field, the arrows as drawn ``(F, 3)``, m, and the errors that they show ``(F, 3)``, in that unit."""
 LEGENDS = {"mm": "position", "deg": "attitude"}
 """Keys of colour scales, by the scale's unit."""
 
@@ -133,8 +133,8 @@ LEGENDS = {"mm": "position", "deg": "attitude"}
 def arrow_tabs(comparison: Comparison) -> dict[str, ArrowTab]:
     """Return the tabs that show fields of arrows, by the tab's name.
 
-    The first tab has the error field of each policy. If there are several, it also has the field of the last policy but
-    one minus that of the last. A second tab has the field of each effect alone. A third has the attitude errors, if
+    The first tab has the error field of each policy. With several policies, it also has the field of the last but one
+    minus the field of the last. A second tab has the field of each effect alone. A third has the attitude errors, if
     they are known.
     """
     policies, top = comparison.policies, summary.colour_scale_mm(comparison)
@@ -175,7 +175,7 @@ def effect_fields(comparison: Comparison) -> dict[str, Array]:
     """Return the position error field ``(F, 3)``, m, of each cause alone on the nominal arm, by the cause's name.
 
     Causes are each active effect of the true arm, and its true geometry. The fields are those of the steady state: the
-    tool is settled, the arm warm and the machine sunk. Effects that show only before that state have no field.
+    tool is settled, the arm warm and the machine sunk. Effects that vanish in the steady state have no field.
     """
     plant, joints = comparison.plant, comparison.grid.joints
     nominal = forward(comparison.nominal, joints).position
@@ -213,25 +213,28 @@ DAY_HOURS = 8.0
 CAMERA_STD = 1e-3
 """Standard deviation of a camera's measurement of the tool position, per axis, m."""
 LOOK = MeasurementNoise(float(np.hypot(CAMERA_STD, 0.5e-3)), 0.0)
-"""Measurement noise that the filter assumes: the camera's, and half a millimetre that no geometry explains."""
+"""Measurement noise that the Kalman filter assumes: the camera's noise, and 0.5 mm for errors that geometry cannot
+explain."""
 PRIOR, WALK = 0.2, 0.3
-"""Assumptions of the filter, both in tolerances of a parameter. The first is the prior standard deviation of each
-parameter after calibration. The second is the parameter's random walk per square root of an hour."""
+"""Assumptions of the Kalman filter, both in units of a parameter's tolerance: the prior standard deviation of each
+parameter after calibration, and its random walk per square root of an hour."""
 FILTERED = 10
-"""Largest number of machines with a filter. Filters cost more time than all the rest of a recording."""
+"""Largest number of simulated machines with a Kalman filter, which takes more time than the other parts of a
+recording."""
 FEWEST_LOOKS = 10
-"""Smallest number of reaches for which a filter is run. Fewer give a day with too few measurements and joint values."""
+"""Smallest number of reaches for which a Kalman filter is run, since it needs enough measurements at different joint
+values."""
 
 
 ADAPTED = "adapted"
-"""Key of the curve of the machines with a filter."""
+"""Key of the error curve of the machines with a Kalman filter."""
 
 
 Day: TypeAlias = Mapping[str, tuple[str, Array]]
-"""Error curves of the same reaches over a day, while the arm warms up and the machine tilts and sinks. For each key, it
-has the curve's label and position errors, mm. Each policy has a curve with every reach at every time ``(R times, R
-reaches)``. `ADAPTED` is the curve of the last policy's commands corrected by a filter ``(R times, M machines)``. Each
-of these machines begins with another reach. The curve is missing if there are too few reaches."""
+"""Error curves of the same reaches over a day, while the arm warms up and the machine tilts and sinks. Each key has a
+label and position errors, mm. A policy's key has the errors of every reach at every time ``(R times, R reaches)``.
+`ADAPTED` has those of the last policy with its commands corrected by a filter ``(R times, M machines)``. Each of these
+machines begins with another reach. `ADAPTED` is missing if there are too few reaches."""
 
 
 def day_hours(comparison: Comparison) -> Array:
@@ -241,7 +244,7 @@ def day_hours(comparison: Comparison) -> Array:
 
 
 def day_in_words(comparison: Comparison, day: Day) -> str:
-    """Return an explanation of the day in the field, in Markdown, with the mean errors of its curves."""
+    """Return an explanation of the curves of `day_of`, in Markdown, with their mean errors."""
     plant = drifting_plant(comparison.plant)
     assert plant is not None
     rows = [f"| {label} | {errors.mean():.2f} |" for label, errors in day.values()]
@@ -285,10 +288,11 @@ def drifting_plant(plant: Plant) -> Plant | None:
 
 
 def day_of(comparison: Comparison) -> Day:
-    """Simulate the comparison's reaches over a day, with the policies' commands, on the plant of `drifting_plant`.
+    """Simulate the reaches of a comparison over a day, with the policies' commands, on the plant of `drifting_plant`.
 
-    R machines start together, each with another fruit, and go through all fruit in the same order. So every fruit is
-    reached at every time, by a machine that has been as busy as the others. Without reaches or drift the day is empty.
+    R machines start together, each with another fruit, and go through all fruit in the same order. So at every time
+    each fruit is reached by one machine, and all machines have been equally busy. Without reaches or drift the result
+    is empty.
     """
     plant, count = drifting_plant(comparison.plant), len(comparison.fruit)
     if plant is None or not count:
@@ -309,16 +313,16 @@ def day_of(comparison: Comparison) -> Day:
 
 
 def _driven(plant: Plant, state: Any, joints: Array, dt: float) -> tuple[Any, Array]:
-    """The states of machines after a pick, and their tool positions ``(M, 3)``, m."""
+    """Return the states of M machines after a pick of ``dt`` seconds, and their tool positions ``(M, 3)``, m."""
     state, frame = plant.advance(np, state, split_joints(plant.geometry.joints, joints), dt)
     return state, np.stack(np.broadcast_arrays(*frame[9:12]), axis=-1)
 
 
 def _adapted(comparison: Comparison, plant: Plant, dt: float) -> Array:
-    """Position errors, mm, ``(R, M)`` of machines whose filters correct the last policy's commands.
+    """Return the position errors ``(R, M)``, mm, of M machines whose filters correct the last policy's commands.
 
-    A filter treats the arm with these commands as the nominal arm (as `AdaptiveReach` does behind a compensator):
-    its joint values are those that bring the nominal tool to the fruit, and its correction is added to the command.
+    Each filter treats the arm with these commands as the nominal arm, as `AdaptiveReach` does behind a compensator. The
+    filter's joint values are those at which the nominal tool is at the fruit. Its correction is added to the command.
     """
     nominal, count = comparison.nominal, len(comparison.fruit)
     commands = comparison.policies[-1].ends.joint_command

@@ -1,7 +1,7 @@
-"""Logged episodes in Rerun: which steps are recorded, the entities that they become, and the layout that shows them.
+"""Logged episodes in Rerun: the choice of steps to record, the entities of these steps, and the layout of the views.
 
-All data come from `info`. An entity is left out if `info` lacks its entries. Entities have the policy's colour and
-name.
+All data come from `info`. An entity is left out if `info` lacks the entries that it shows. Entities have the policy's
+colour and name.
 
 There are four time lines. `episode_time` begins anew with every episode, so curves of episodes overlap, and the arms
 show the last episode. `sim_time` joins all episodes, with a gap before each. `step` counts steps. `episode` shows how
@@ -29,7 +29,7 @@ from pickenv.inspect.runs.recorded_episodes import POSITIONS
 Trigger = Callable[[int], bool]
 
 UNITS = {"mm": "mm", "deg": "°"}
-"""Unit by the ending of a number's name. Numbers with other names are counts, or have the unit 1."""
+"""Unit of a number by the ending of its name. Numbers with other endings are counts, or have the unit 1."""
 OTHERS, REST = "other", "Reward and counts"
 
 
@@ -45,9 +45,9 @@ class Row(NamedTuple):
     """One recorded step of an environment.
 
     Attributes:
-        episode: Number of the episode, from 0, counting those not recorded.
+        episode: Index of the episode, from 0, counting also episodes that were not recorded.
         within: Number of steps since the episode's reset.
-        order: Number of earlier episodes of which steps were recorded.
+        order: Number of earlier episodes with recorded steps.
         info: The step's `info`, with the added entry ``reward`` (0 after a reset). The entry ``joint_target`` has the
             joint values at which the controller believes the arm to be, if the environment has them.
     """
@@ -66,9 +66,9 @@ class EpisodeLog:
 
         Args:
             key: Name in entity paths: the policy, and the environment's number if there are several.
-            episode_trigger: Function of an episode's number that returns whether to record from its start; None for
-                never.
-            step_trigger: Function of a step's number that returns whether to record from it; None for never.
+            episode_trigger: Function of an episode's index that returns whether to record the episode from its start;
+                None for never.
+            step_trigger: Function of a step's index that returns whether to record from this step on; None for never.
             length: Number of steps to record after a trigger; infinite for whole episodes.
         """
         self.key, self.length, self.rows = key, length, list[Row]()
@@ -114,7 +114,7 @@ class EpisodeLog:
 
 @dataclass(frozen=True)
 class Scene:
-    """What all environments of a recording have in common.
+    """The properties that all environments of a recording have in common.
 
     Attributes:
         nominal: Geometry of the nominal arm; None for environments without one.
@@ -172,7 +172,7 @@ def has_fruit(info: Mapping[str, Any]) -> bool:
 def distances_mm(rows: Sequence[Row]) -> Array | None:
     """Return the distance between tool and fruit in each row ``(T,)``, mm.
 
-    It is None if `info` has neither positions nor the distance.
+    Return None if `info` has neither the two positions nor the distance.
     """
     if has_fruit(rows[0].info):
         return np.asarray(1e3 * np.linalg.norm(column(rows, "tool_position") - column(rows, "fruit_position"), axis=1))
@@ -204,15 +204,15 @@ FRUIT_RADIUS, TOOL_RADIUS = 0.02, 0.012
 GAP = 1.0
 """Gap between two episodes on the time line `sim_time`, s."""
 NEAREST_MM = 1e-4
-"""Smaller distances are drawn as this one, mm, so that they have a logarithm."""
+"""Smallest distance that is drawn, mm. Smaller distances are drawn at this value, so that they have a logarithm."""
 MOST_CURVES = 50
-"""Largest number of episodes with curves on `episode_time`; later episodes are only on the other time lines."""
+"""Largest number of episodes with curves on `episode_time`; later episodes have curves on the other time lines only."""
 WIDTHS = (1.8, 1.2, 0.8, 0.5)
 """Line widths of a policy's curves that share a unit, used in turn, points."""
 
 
 def decades(distance_mm: Array) -> Array:
-    """Return the base-10 logarithms of distances in mm: 0 is a millimetre, 1 a centimetre."""
+    """Return the base-10 logarithms ``(...)`` of distances ``(...)``, mm: 0 is a millimetre, 1 a centimetre."""
     return np.asarray(np.log10(np.maximum(distance_mm, NEAREST_MM)))
 
 
@@ -279,7 +279,7 @@ def send_steps(
 
 
 def _name_curves(scribe: Scribe, entity: str, rows: Sequence[Row], names: list[str], colour: Rgb) -> None:
-    """Send the look of an entity's series, and of the series of its episodes, which lie over one another."""
+    """Send names, colours and widths of an entity's curves, and of its episodes' curves, which are overlaid."""
     widths = [WIDTHS[min(i, len(WIDTHS) - 1)] for i in range(len(names))]
     looks = rr.SeriesLines(names=list(map(in_words, names)), colors=[colour] * len(names), widths=widths)
     for part in ("", *(f"/{order}" for order in dict.fromkeys(row.order for row in rows) if order < MOST_CURVES)):
@@ -287,7 +287,7 @@ def _name_curves(scribe: Scribe, entity: str, rows: Sequence[Row], names: list[s
 
 
 def _strung(scene: Scene, rows: Sequence[Row], begin: int) -> tuple[NDArray[np.int64], Array]:
-    """Numbers of rows from ``begin`` on ``(T,)``, and their times ``(T,)``, s, of all episodes with gaps in between."""
+    """Return the indices of the rows from ``begin`` on ``(T,)``, and their times ``(T,)``, s, on `sim_time`."""
     moments = np.arange(begin, begin + len(rows))
     return moments, scene.period * moments + GAP * np.array([row.order for row in rows])
 
@@ -295,7 +295,7 @@ def _strung(scene: Scene, rows: Sequence[Row], begin: int) -> tuple[NDArray[np.i
 def _send_numbers(
     stream: rr.RecordingStream, scene: Scene, entity: str, rows: Sequence[Row], begin: int, values: Array
 ) -> None:
-    """Send numbers ``(T, k)`` on each time line: episodes strung with breaks, their ends, and episodes overlaid."""
+    """Send numbers ``(T, k)`` on every time line: all episodes in a row, their ends, and episodes overlaid."""
     first = [i for i, row in enumerate(rows) if row.within == 0 and row.order > 0]
     moments, seconds = _strung(scene, rows, begin)
     lengths = np.insert(np.full(len(rows), values.shape[1]), first, 0)  # a row without numbers ends a line
@@ -316,15 +316,16 @@ def _send_numbers(
 
 
 def _send_scalars(scribe: Scribe, entity: str, values: Array, lengths: ArrayLike | None = None) -> None:
-    """Send numbers ``(T, k)``, k in each row, or as many in each row as ``lengths`` says."""
+    """Send numbers ``(T, k)`` along the time columns; ``lengths`` says how many numbers each row has, by default k."""
     scalars = rr.Scalars.columns(scalars=values.ravel())
     scribe.along(entity, scalars.partition([values.shape[1]] * len(values) if lengths is None else lengths))
 
 
 def _arms(scene: Scene, rows: Sequence[Row]) -> tuple[Array, Array]:
-    """Points along the arm as its controller believes it to stand, and along the true arm, ``(T, K, 3)``, m.
+    """Return points along the believed arm and along the true arm, ``(T, K, 3)`` each, m.
 
-    The true arm is drawn as the nominal arm under the drives' command, moved so that its tool is at the true tool.
+    The believed arm is the nominal arm where its controller believes it to be. The true arm is drawn as the nominal arm
+    at the joint command, moved so that its tool is at the true tool.
     """
     assert scene.nominal is not None
     command = column(rows, "joint_command")
@@ -405,10 +406,8 @@ def _space_views(scene: Scene, rows: Sequence[Row]) -> list[Any]:
 def target_view(largest_mm: float, tolerance_mm: float | None) -> Any:
     """Return a 3D view of the tool's true position relative to the fruit, mm.
 
-    It is wide enough for the largest distance at an episode's end.
-
     Args:
-        largest_mm: Largest distance between tool and fruit at an episode's end, mm.
+        largest_mm: Largest distance between tool and fruit at an episode's end, mm; the view is at least this wide.
         tolerance_mm: Radius of the gripper's capture region, mm; None if there is none.
     """
     span = max(SHOWN_TOLERANCES * (tolerance_mm or 0.0), 1.2 * largest_mm)

@@ -1,4 +1,4 @@
-"""Write a harvested zone as a Rerun recording: moving machine, fates of fruit, lanes of arms, distances between arms.
+"""Write a harvested zone as a Rerun recording: moving machine, outcomes of fruit, Gantt lanes and arm distances.
 
 The time line is `sim_time`, the time in the zone, s. Units: m in space, mm on plots.
 """
@@ -110,7 +110,7 @@ def _send_lane(stream: rr.RecordingStream, arm: int, shown: Round, arrival: floa
 
 
 def _send_fruit(stream: rr.RecordingStream, harvest: Harvest, shown: Round, arrival: float) -> None:
-    """Send the fruit of the zone that still hangs when the round begins; each changes colour when its pick ends."""
+    """Send the fruit of the zone that hangs when the round begins; each fruit changes colour when its pick ends."""
     gone = harvest.detached.copy()
     for later in harvest.rounds[harvest.rounds.index(shown) :]:
         gone[later.fruit[later.fruit >= 0]] = False
@@ -129,7 +129,7 @@ def fates(shown: Round, numbers: NDArray[np.intp], at: Array) -> NDArray[np.uint
 
     Args:
         shown: The round.
-        numbers: Indices of the fruit among the tree's fruit ``(F,)``.
+        numbers: Indices of the F fruit to show, among the tree's fruit ``(F,)``.
         at: Times in the round's timetable ``(T,)``, s.
     """
     colours = np.broadcast_to(np.array(FATES["hanging"], dtype=np.uint8), (len(at), len(numbers), 3)).copy()
@@ -142,7 +142,10 @@ def fates(shown: Round, numbers: NDArray[np.intp], at: Array) -> NDArray[np.uint
 
 
 def _send_distances(scribe: Scribe, machine: Machine, slaves: Array) -> None:
-    """Send the distance between every two slaves, mm, and the least distance allowed; nothing for one arm."""
+    """Send the distance between every two slave arms, mm, and the smallest distance allowed; nothing for one arm.
+
+    ``slaves`` ``(T, A, 3)`` are the slaves' joints over time, rad or m.
+    """
     if machine.arms < 2:
         return
     near = 1e3 * arm_distances(machine, slaves)
@@ -152,11 +155,11 @@ def _send_distances(scribe: Scribe, machine: Machine, slaves: Array) -> None:
 
 
 def _blueprint(shown: Array, frame: Array, arms: int) -> rrb.Blueprint:
-    """The layout: the machine seen from beside and behind, then the lanes and the distances.
+    """Return the layout: a view of the machine from beside and behind, then the lanes and the distances.
 
     Args:
         shown: Points that the eye must see ``(N, 3)``, m.
-        frame: Position of frame 3 at the pick point ``(3,)``, m, which gives the direction ahead.
+        frame: Position of frame 3 at the pick point ``(3,)``, m, which gives the direction "ahead".
         arms: Number of slaves.
     """
     low, high = shown.min(axis=0), shown.max(axis=0)

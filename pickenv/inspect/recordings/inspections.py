@@ -1,4 +1,4 @@
-"""Write recordings of any calibration or evaluation: its errors are made into a comparison for `record_comparison`."""
+"""Write recordings of a calibration or an evaluation, whose errors are first made into a comparison."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ def inspect_calibration(
 
     Args:
         calibration: The calibration.
-        evidence: Either a plant, that is the simulated true arm, which is compensated and driven over its workspace. Or
-            measured poses, preferably held-out ones, from which the models' predictions are subtracted.
+        evidence: A plant or measured poses. A plant (simulated true arm) is compensated and driven over its workspace.
+            From measured poses, preferably held-out ones, the models' predictions are subtracted.
         path: The file to write (.rrd).
         grid_step: Cell size of the simulated arm's field, m.
         seed: Seed of the random joint values from which the workspace's extent is estimated.
@@ -84,7 +84,7 @@ def inspect_evaluation(
 
 
 def _simulated(calibration: Calibration, plant: Plant, grid_step: float, seed: int) -> Comparison:
-    """A comparison of the calibration's stages, each compensating the simulated arm, on a grid of its workspace."""
+    """Return a comparison of raw, LS and, if learnt, LS with residual, each driving the plant over its workspace."""
     if calibration.arm_fingerprint != plant.arm.fingerprint():
         raise InputError(
             f"the calibration is of arm '{calibration.arm_name}', not of '{plant.arm.name}' with this geometry; "
@@ -103,7 +103,10 @@ def _simulated(calibration: Calibration, plant: Plant, grid_step: float, seed: i
 
 
 def _measured(calibration: Calibration, data: Measurements, seed: int) -> Comparison:
-    """A comparison of the calibration's stages as predictions of measured poses; the true arm is the identified one."""
+    """Return a comparison of raw, LS and, if learnt, LS with residual, as predictions of measured poses.
+
+    The true arm of the comparison is the identified arm.
+    """
     if len(data) < 2:
         raise InputError(f"{data.source}: {len(data)} poses are too few to show; give at least two")
     errors = {"raw": data.difference(calibration.nominal), "LS": data.difference(calibration.model)}
@@ -132,7 +135,10 @@ def _without_reaches(
 
 
 def _grid_around(points: Array, joints: Array) -> FieldGrid:
-    """A grid around points that lie on none: cells of a round size, about `CELLS` along the longest side."""
+    """Return a grid around irregular points ``(F, 3)``, m, at which the arm has ``joints`` ``(F, n)``.
+
+    Cells have a round size, about `CELLS` along the longest side.
+    """
     low, high = points.min(axis=0), points.max(axis=0)
     step = round_step(max(float((high - low).max()), 1e-3) / CELLS)
     shape = np.maximum(np.ceil((high - low) / step).astype(int), 1)

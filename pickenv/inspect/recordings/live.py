@@ -1,4 +1,4 @@
-"""Live viewers of recordings: one that is started here, one that runs already, or any that connect to a server here."""
+"""Show recordings live: in a viewer started here, in a running viewer, or in viewers that connect to a server here."""
 
 from __future__ import annotations
 
@@ -65,10 +65,12 @@ def open_live(
 
 
 def _start_viewer() -> None:
-    """Start a viewer that outlives this process, unless one runs; rerun's own `spawn` would listen to the network.
+    """Start a viewer that outlives this process, unless one runs already.
+
+    It is not started by rerun's own `spawn`, which would listen to the network.
 
     Raises:
-        InputError: If there is no screen, or the viewer does not come up.
+        InputError: If there is no screen, or the viewer does not answer in time.
     """
     if _listens():
         return
@@ -83,7 +85,7 @@ def _start_viewer() -> None:
 
 
 def _listens() -> bool:
-    """Whether a viewer listens on this machine."""
+    """Return whether a viewer listens on this machine."""
     with suppress(OSError):
         socket.create_connection((LOCAL, VIEWER_PORT), timeout=PATIENCE).close()
         return True

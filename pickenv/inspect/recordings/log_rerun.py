@@ -53,7 +53,7 @@ class _Recorder:
         self._stream: rr.RecordingStream | None = None
 
     def met(self, info: Mapping[str, Any]) -> None:
-        """Note, after the first reset, what is the same in all episodes, and the recording's identity.
+        """Store, after the first reset, what is the same in all episodes, and the recording's identity.
 
         Recordings of several policies on one environment, plant and first seed are shown as one.
         """
@@ -78,7 +78,10 @@ class _Recorder:
         self._identity = ":".join([name, *([] if plant is None else [plant.name]), f"seed{outer.np_random_seed}"])
 
     def ended(self, growth: float = GROWTH) -> None:
-        """Show an episode that has ended; write the file if recorded steps are ``growth`` times those in it or more."""
+        """Show an episode that has ended, and rewrite the file if there are enough new steps.
+
+        The file is rewritten if the recorded steps are at least ``growth`` times the steps in the file.
+        """
         recorded = sum(len(log.rows) for log in self.logs)
         if recorded and self._live:
             if self._stream is None:
@@ -105,7 +108,7 @@ class _Recorder:
         return entities.episode_blueprint(self._scene, next(log.rows for log in self.logs if log.rows))
 
     def _send(self, stream: rr.RecordingStream, start: Sequence[int]) -> None:
-        """Send each environment's rows from ``start`` on, and before them what holds for all rows, such as looks."""
+        """Send each environment's rows from the index in ``start`` on, preceded by static data such as colours."""
         if not any(start):
             facts: dict[str, Any] = {"pickenv_version": pickenv.__version__, "rerun_version": rr.__version__}
             stream.send_property("pickenv", rr.AnyValues(**facts))
@@ -125,8 +128,8 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
     ``save_path/name_prefix-policy.rrd``. The viewer shows files of several policies on one environment and seed as one
     recording: ``rerun runs/*.rrd``.
 
-    At the end of an episode, the file is written as a whole if there are twice as many recorded steps as in the file.
-    `close` writes it too. Live viewers show each episode when it has ended.
+    The whole file is rewritten at the end of an episode if there are twice as many recorded steps as in the file, and
+    by `close`. Live viewers show each episode when it has ended.
 
     Example:
         >>> import gymnasium as gym
@@ -161,9 +164,9 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
         Args:
             env: Any environment. Arms and fruit are drawn if `info` has their positions.
             save_path: Folder for the file; None for live viewers alone.
-            episode_trigger: Function of an episode's number that returns whether to record it. Without any trigger,
-                `capped_cubic` is used.
-            step_trigger: Function of a step's number that returns whether to record from it.
+            episode_trigger: Function of an episode's index that returns whether to record the episode. Without any
+                trigger, `capped_cubic` is used.
+            step_trigger: Function of a step's index that returns whether to record from this step on.
             recording_length: Number of steps to record after a trigger; 0 for whole episodes.
             name_prefix: First part of the file's name.
             policy: Name of the policy: lower-case letters, digits and underscores.
@@ -173,8 +176,8 @@ class LogRerun(gym.Wrapper[Observation, Action, Observation, Action], RecordCons
 
         Raises:
             InputError: If ``policy`` is empty or has other characters, ``recording_length`` is negative, or there is
-                neither a folder nor a viewer. `reset`, `step` and `close` raise it if the file cannot be written or a
-                viewer cannot be reached.
+                neither a folder nor a viewer. `reset`, `step` and `close` raise `InputError` if the file cannot be
+                written or a viewer cannot be reached.
         """
         settings = {name: value for name, value in locals().items() if name not in NOT_OF_THE_RECORDER}
         RecordConstructorArgs.__init__(self, **settings)
@@ -232,11 +235,11 @@ class LogRerunVector(VectorWrapper[Any, Any, Any, Any, Any], RecordConstructorAr
         """Log the environments of ``env`` whose indices are in ``indices``.
 
         All other arguments are those of `LogRerun`. Each environment counts its own episodes and steps, and the
-        triggers get these numbers.
+        triggers get these counts.
 
         Raises:
-            InputError: If ``indices`` is empty, has a number twice, or has one that no environment has. Also where
-                `LogRerun` raises it.
+            InputError: If ``indices`` is empty, has an index twice, or has an index that no environment has. Also for
+                the reasons of `LogRerun`.
         """
         settings = {name: value for name, value in locals().items() if name not in NOT_OF_THE_RECORDER}
         RecordConstructorArgs.__init__(self, indices=indices, **settings)

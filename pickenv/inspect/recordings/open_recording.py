@@ -100,7 +100,7 @@ STARTING, VIEWER_PICTURE_PATIENCE = 20.0, 60.0
 """Longest times to wait for the viewer's first answer, and for its picture to stop changing, s."""
 
 LOOK_AGAIN = 1.0
-"""Time between two screenshots that are compared, s, as messages fade and shaders are loaded late."""
+"""Time between two screenshots that are compared, s. It is long because messages fade and shaders are loaded late."""
 
 
 def viewer_picture(recording: Path) -> bytes | None:
@@ -154,7 +154,7 @@ def headless_viewer() -> Iterator[Any]:
 
 
 def _packed(png: bytes) -> bytes:
-    """A PNG picture as lossless WebP, about a third of the size."""
+    """Return a PNG picture as lossless WebP, which is about a third of the size."""
     from PIL import Image
 
     buffer = io.BytesIO()
@@ -231,7 +231,7 @@ def send(paths: Sequence[Path], url: str) -> None:
     """Send recordings to a running viewer.
 
     Raises:
-        InputError: If no viewer answers at ``url``, or it does not take everything.
+        InputError: If no viewer answers at ``url``, or the viewer does not receive everything.
     """
     live.check_answers(url)
     for path in paths:
@@ -252,7 +252,7 @@ def _free_port() -> int:
 
 
 def _serve(*paths: Path, **options: object) -> None:
-    """Run the installed rerun until it is interrupted, which is how serving ends."""
+    """Run the installed rerun until it is interrupted, which is the normal end of serving."""
     try:
         _run(*paths, **options)
     except KeyboardInterrupt:
@@ -261,7 +261,7 @@ def _serve(*paths: Path, **options: object) -> None:
 
 
 def _run(*paths: Path, **options: object) -> None:
-    """Run the installed rerun; end it and the programs that it started when this program ends."""
+    """Run the installed rerun; when this program ends, end rerun and the programs that it started."""
     signal.signal(signal.SIGTERM, signal.default_int_handler)  # ended from outside is ended as by Ctrl-C
     process = live.started(live.rerun_command(*paths, **options))
     try:
@@ -275,11 +275,11 @@ def _run(*paths: Path, **options: object) -> None:
 
 
 LEAVING = 5.0
-"""Time that a viewer has to end after it is asked to, s."""
+"""Longest time that a viewer may take to end after a request to end, s."""
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """End a program; on POSIX, its whole process group, because `rerun` is a script that starts the program proper.
+    """End a program; on POSIX also its process group, because `rerun` is a script that starts the actual program.
 
     A viewer that takes longer than `LEAVING` to end is killed.
     """

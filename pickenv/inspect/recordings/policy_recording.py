@@ -1,4 +1,4 @@
-"""Write a comparison of policies as one Rerun recording: who is better, where in the workspace, and every episode.
+"""Write a comparison of policies as one Rerun recording: which is better, where in the workspace, and every episode.
 
 The scenes of all policies are side by side in one space, so that one camera shows all of them. The time lines are as in
 `episode_entities`.
@@ -92,7 +92,7 @@ def _send_episodes(stream: rr.RecordingStream, episodes: RecordedEpisodes) -> No
 
 
 def _send_fields(stream: rr.RecordingStream, comparison: Comparison) -> None:
-    """Send each policy's error field, and the first policy's errors minus the last one's, beside one another."""
+    """Send the error field of each policy, and the first policy's errors minus the last policy's, side by side."""
     scribe, (top, gain, step) = Scribe(stream), _field_scale(comparison)
     centre, radius = shown_box(comparison)
     above = centre + np.array([0.0, 0.0, 0.8 * radius])
@@ -104,7 +104,7 @@ def _send_fields(stream: rr.RecordingStream, comparison: Comparison) -> None:
 
 
 def _fields(comparison: Comparison) -> list[tuple[str, str, Array]]:
-    """Entity name, title and errors ``(F, 3)``, m, of every field."""
+    """Return entity name, title and errors ``(F, 3)``, m, of every field."""
     fields = []
     for policy in comparison.policies:
         mean, *_ = error_spread(field_mm(policy))
@@ -117,7 +117,7 @@ def _fields(comparison: Comparison) -> list[tuple[str, str, Array]]:
 
 
 def _field_scale(comparison: Comparison) -> tuple[float, float, Array]:
-    """The scale of all fields: upper end of colours, mm; gain of arrows; shift to the next field ``(3,)``, m."""
+    """Return the scale of all fields: upper end of colours, mm, factor on arrows, and shift to the next field, m."""
     top = max(scale_end(field_mm(policy)) for policy in comparison.policies)
     return top, field_gain(comparison.grid.step, top), APART * 2.0 * shown_box(comparison)[1] * SIDEWAYS
 
@@ -160,7 +160,7 @@ def _field_tab(comparison: Comparison) -> Any:
 
 
 def _box(episodes: RecordedEpisodes) -> tuple[Array, Array, Array]:
-    """Low and high corner ``(3,)`` of a box around tools, fruit and base, and shift to the next policy ``(3,)``, m."""
+    """Return low and high corner ``(3,)`` of a box around tools, fruit and base, and the shift between policies, m."""
     points = [values.reshape(-1, 3) for p in episodes.policies for values in (p.tool_position, p.fruit_position)]
     if episodes.nominal is not None:
         points.append(episodes.nominal.base.position[None])

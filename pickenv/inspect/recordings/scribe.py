@@ -75,7 +75,7 @@ class Scribe:
         self.stream, self.times = stream, tuple(times)
 
     def still(self, entity: str, *content: rr.AsComponents) -> None:
-        """Send archetypes of an entity as static data, which hold at all times, in one chunk."""
+        """Send archetypes of an entity in one chunk, as static data, which are valid at all times."""
         batches = [batch for archetype in content for batch in archetype.as_component_batches()]
         columns = [rr.ComponentColumn(b.component_descriptor(), b, lengths=[len(b.as_arrow_array())]) for b in batches]
         self.stream.send_columns(entity, [], columns, strict=True)
@@ -117,7 +117,8 @@ class Scribe:
             entity: Name of the field.
             origins: Points at which the arrows start ``(N, 3)``, m.
             arrows: The arrows as drawn ``(N, 3)``, m.
-            values: The vectors whose numbers a click shows ``(N, 3)``, in ``unit``.
+            values: The vectors ``(N, 3)``, in ``unit``, whose length gives the colour, and which a click on an arrow
+                shows.
             top: Upper end of the colour scale, in ``unit``.
             unit: Unit of ``values``.
         """
@@ -191,7 +192,7 @@ class Scribe:
         self.still(entity, rr.Ellipsoids3D.from_fields(half_sizes=[[radius] * 3], **look))
 
     def colour_bar(self, entity: str, top: float, unit: str) -> None:
-        """Send a colour scale from 0 to ``top`` with its unit, as an image and ticks in entities below ``entity``."""
+        """Send a colour scale from 0 to ``top`` with its unit: an image, and ticks, as entities below ``entity``."""
         width, height = COLOUR_BAR_PIXELS
         bar = np.broadcast_to(viridis((np.arange(width) + 0.5) / width), (height, width, 3))
         self.still(f"{entity}/bar", rr.Image(np.ascontiguousarray(bar)))
@@ -203,7 +204,7 @@ class Scribe:
 
 
 def f32(values: ArrayLike) -> Any:
-    """Return values as 32-bit floats, the precision in which rerun keeps them."""
+    """Return values as 32-bit floats, the precision in which rerun stores them."""
     return np.ascontiguousarray(values, dtype=np.float32)
 
 
@@ -213,7 +214,7 @@ def reading(vectors: Array, unit: str = "mm") -> rr.DynamicArchetype:
 
 
 def reading_columns(vectors: Array) -> Iterable[rr.ComponentColumn]:
-    """Return the numbers of `reading`, in mm, as columns with one row per time."""
+    """Return the numbers of `reading` for vectors ``(T, 3)``, mm, as columns with one row per time."""
     return rr.DynamicArchetype.columns("PickError", components=_readings(vectors, "mm"))
 
 

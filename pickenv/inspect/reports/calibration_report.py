@@ -45,7 +45,7 @@ def drawings(run: Run) -> Drawings:
 def page(run: Run, picture: TakePicture | None = None) -> str:
     """Return the page that was written with the run, as HTML.
 
-    It cannot be made again, because it needs more data than the folder has.
+    The page cannot be made again from the folder, because it needs more data than the folder has.
 
     Raises:
         InputError: If the folder has no page, or the page was edited.
@@ -127,7 +127,10 @@ def _verdict(r: Result, test: Observations) -> PageVerdict:
 
 
 def _worth(r: Result) -> Markup:
-    """Say whether the calibration changes picks, if all of the error were across the tool; empty where unknown."""
+    """Return whether the calibration changes picks, in sentences, as if all errors were across the tool.
+
+    The text is empty if this is not known.
+    """
     if r.miss_unit != "mm" or not r.has_nominal or r.pixels is not None:
         return Markup()
     mm = norms_mm(r.errors)
@@ -157,7 +160,7 @@ def _sentence(text: str) -> str:
 
 
 def _table(block: Block, look: str = "") -> PageTable:
-    """A block of the terminal's output as a table, with the block's note as caption."""
+    """Return a block of the terminal's output as a table, with the block's note as caption."""
     if block.key in OF_MODELS:
         return PageTable(_sentence(in_words(block.note)), block.header, block.rows, look)
     return PageTable(escape(_sentence(block.note)), block.header, [list(map(escape, row)) for row in block.rows], look)
@@ -222,7 +225,7 @@ def _poses(r: Result, train: Observations) -> Section:
 
 
 def _uncertainty(r: Result) -> Drawing | None:
-    """Map of the uncertainty of predicted positions; None where it is unknown or the model has further terms."""
+    """Return a map of the uncertainty of predicted positions, or None if it is unknown or there are terms."""
     model, uncertainty, geometry = r.fit.calibration.model, r.uncertainty, r.fit.identification.geometry
     if not np.isfinite(uncertainty.covariance).all() or model.terms:
         return None

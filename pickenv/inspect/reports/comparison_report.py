@@ -1,4 +1,4 @@
-"""The report of a comparison of policies: who is better, by how much and where, and whether it matters."""
+"""Figures and page of a comparison of policies: which is better, by how much and where, and whether picks change."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def drawings(run: Run) -> Drawings:
 
 
 def policy_drawings(episodes: RecordedEpisodes) -> Drawings:
-    """Return the figures of a comparison of policies, with those that cannot be drawn."""
+    """Return the figures of a comparison of policies; a figure that cannot be drawn has the reason instead."""
     drawings = [captioned("distance_over_time", plot_policies.distance_over_time, episodes)]
     if not isinstance(episodes, Comparison):
         return [*drawings, Drawing("error_fields", MISSING)]

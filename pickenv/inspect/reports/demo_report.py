@@ -1,4 +1,4 @@
-"""The report of a demonstration: errors removed and remaining, whether the calibration suffices, and the evidence."""
+"""Page of a demonstration: errors removed and remaining, whether the calibration suffices, and the evidence."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ EYE_DISTANCE = 2.55
 """Distance of the camera from the middle of a scene, in plotly's unit: the scene's size."""
 
 LOOKS: Mapping[str, Any] = tomllib.loads((HERE / "plotly.toml").read_text("utf-8"))
-"""Looks of interactive figures, as Plotly has them: ``colour_bar`` of fields, and layout of ``poses``."""
+"""Plotly's settings for interactive figures: ``colour_bar`` of error fields, and layout of ``poses``."""
 
 
 def drawings(run: Run) -> Drawings:
@@ -139,7 +139,7 @@ def demo_verdict(comparison: Comparison, cases: Mapping[str, Sequence[Change]] |
 
 
 def _cases(cases: Mapping[str, Sequence[Change]]) -> Section:
-    """The section on picks without and with calibration, by plant, gripper and perception error."""
+    """Return the section on picks without and with calibration, by plant, gripper and perception error."""
     rows = [
         (f"{in_words(plant)}, {gripper}", *cells)
         for plant, changes in cases.items()
@@ -216,7 +216,7 @@ def _poses(comparison: Comparison, trace: CalibrationTrace, drawn: Mapping[str, 
 
 
 def _floors(comparison: Comparison, trace: CalibrationTrace) -> str:
-    """A sentence with each stage's mean attitude error, and the part of it that no joint motion removes."""
+    """Return a sentence with each stage's mean attitude error, and the part of it that no joint motion removes."""
     geometry, joints = comparison.plant.geometry, trace.sets["test"]
 
     def degrees(errors: Array) -> float:
@@ -262,7 +262,8 @@ def _origin(run: Run, comparison: Comparison, trace: CalibrationTrace, calibrati
 def field_spec(comparison: Comparison) -> dict[str, Any]:
     """Return Plotly's data and layout of the error fields, side by side in 3D.
 
-    Dots are at wanted positions and show numbers on hovering. Lines lead from them to the true positions.
+    Dots are at wanted positions and show numbers on hovering. Lines lead from the dots towards the true positions, and
+    are drawn longer than true by `field_gain`.
     """
     rows, spacing = thinned(comparison, MOST_ARROWS)
     top = colour_scale_mm(comparison)
@@ -286,7 +287,14 @@ def field_spec(comparison: Comparison) -> dict[str, Any]:
 
 
 def _arrows(points: Array, errors: Array, gain: float, scale: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Two traces coloured by the errors' true lengths, mm: lines to true positions, and dots at wanted positions."""
+    """Return two Plotly traces, coloured by true error, mm: lines of the errors, and dots at wanted positions.
+
+    Args:
+        points: Wanted positions ``(N, 3)``, m.
+        errors: True minus wanted positions ``(N, 3)``, m.
+        gain: Factor by which lines are drawn longer than true.
+        scale: Plotly's colour scale.
+    """
     tips, length = points + gain * errors, np.linalg.norm(errors, axis=1) * 1e3
     shafts = np.stack([points, tips, np.full_like(tips, np.nan)], axis=1).reshape(-1, 3)
     shaft = _coordinates(shafts) | {
@@ -308,7 +316,7 @@ def _arrows(points: Array, errors: Array, gain: float, scale: dict[str, Any]) ->
 
 
 def _axes(points: Array, spacing: float) -> dict[str, Any]:
-    """The axes, m, that all scenes share, for points ``(N, 3)`` with room of one ``spacing`` around them."""
+    """Return the axes, m, that all scenes share: the range of points ``(N, 3)`` and one ``spacing`` around them."""
     low, high = points.min(axis=0) - spacing, points.max(axis=0) + spacing
     small = {"tickfont": {"size": 10}, "dtick": round_step(float((high - low).max()) / 6.0)}
     axes = {
@@ -340,7 +348,7 @@ def _coordinates(points: Array) -> dict[str, Any]:
 
 
 def _numbers(values: Array) -> list[float | None]:
-    """Numbers rounded to four decimals, with None in place of NaN, which plotly draws as a gap."""
+    """Return numbers rounded to four decimals; NaN becomes None, which Plotly draws as a gap."""
     return [None if np.isnan(value) else round(float(value), 4) for value in values]
 
 

@@ -14,7 +14,7 @@ from pickenv.inspect.runs.number_words import said
 from pickenv.inspect.runs.run_folder import Run, TakePicture, load_part
 
 MEASURES = TEXTS["measures"]
-"""Words and unit of each measure, by the measure's key."""
+"""Description and unit of each measure, by the measure's key."""
 
 
 def drawings(run: Run) -> Drawings:

@@ -15,7 +15,7 @@ CONTROLLERS = ("raw", "calibrated")
 
 
 def _result(run: Run) -> tuple[dict[str, Any], dict[str, Any]]:
-    """The whole result of a test, and each controller's part of it by name."""
+    """Return the whole result of a test, and each controller's part of the result, by the controller's name."""
     result = load_result(run, ISO9283)
     return result, {name: result[name] for name in CONTROLLERS if name in result}
 

@@ -54,8 +54,8 @@ class PageVerdict:
 
 
 Bar: TypeAlias = tuple[float, float, float]
-"""A bar from zero to a value, with a whisker of two standard deviations, as three numbers: value, standard deviation,
-and limit of the scale. The scale goes from minus to plus the limit."""
+"""A bar from zero to a value, with a whisker of two standard deviations, as three numbers: the value, its standard
+deviation, and the limit of the scale, which goes from minus to plus this limit."""
 
 
 def bar_place(value: float, limit: float) -> float:
@@ -129,7 +129,7 @@ def html_of(
 
     Args:
         title: Heading, and title of the browser's tab.
-        subtitle: What was run or measured, in a line.
+        subtitle: One line that says what was run or measured.
         verdict: The verdict, at the top of the page.
         sections: The evidence; an empty section is left out.
         origin: Facts needed to make the report again, by name.
@@ -205,7 +205,7 @@ def library() -> Markup:
 
 
 def packed(content: bytes) -> Markup:
-    """Return bytes in base64 for a page, as markup, in which no name is spelled out."""
+    """Return bytes as base64 markup for a page; short names within it are not spelled out."""
     return Markup(base64.b64encode(content).decode())
 
 
@@ -217,7 +217,7 @@ def plain_report(
     Args:
         run: The run.
         title: Heading.
-        subtitle: What was run, in a line.
+        subtitle: One line that says what was run.
         verdict: The verdict, at the top of the page.
         tables: The numbers.
         drawings: Figures; those that cannot be drawn are named with the reason.
@@ -233,7 +233,7 @@ def plain_report(
 
 
 def drawings_of(run: Run) -> Drawings:
-    """Return all figures of a run, with those that cannot be drawn."""
+    """Return all figures of a run; a figure that cannot be drawn has the reason instead."""
     return list(_pages(run).drawings(run))
 
 
@@ -248,7 +248,7 @@ def page_of(run: Run, picture: TakePicture | None = None) -> str:
 
 
 def _pages(run: Run) -> Any:
-    """The module with the figures and the page of a run's kind."""
+    """Return the module with the figures and the page of a run's kind."""
     return import_module(run_kind(run.kind).pages)
 
 

@@ -16,14 +16,14 @@ from pickenv.calibration.pipeline.fitting import view_names
 
 @dataclass(frozen=True, eq=False)
 class ViewErrors:
-    """The corners of the board in one view, that is one picture, and their reprojection errors.
+    """The corners of the board in one view (one picture), and their reprojection errors.
 
     Attributes:
         name: Name of the view.
         found: Detected positions of the corners ``(C, 2)``, px.
         errors: Detected minus predicted positions ``(C, 2)``, px.
         size: Width and height of the picture, px.
-        picture: File of the picture; None where there is none.
+        picture: File of the picture, or None.
     """
 
     name: str
@@ -43,9 +43,9 @@ class CalibrationTrace:
     """Poses, held-out errors, convergence and identifiability of one calibration, as plain arrays.
 
     Attributes:
-        nominal: Nominal geometry, which the controller uses.
-        sets: Joint values ``(N, n)``, rad or m, of each pose set (identification, network, test), with one row per
-            error.
+        nominal: Nominal geometry of the arm, which its controller uses.
+        sets: Joint values ``(N, n)``, rad or m, of each pose set (identification, network, test). A pose with several
+            measured errors has as many rows.
         errors: Held-out pose errors ``(M, 6)``, or misses ``(M, 1 to 3)``, m and rad, of each stage, by label.
         payload: Payload at each held-out pose ``(M,)``, kg; None where it was not recorded.
         temperature: Temperature rise at each held-out pose ``(M,)``, K; None where it was not recorded.
@@ -124,7 +124,7 @@ def trace_of(
 
 
 def _rms(errors: Array) -> float:
-    """RMS of the norms of error vectors ``(N, k)``."""
+    """Return the RMS of the norms of error vectors ``(N, k)``."""
     return float(np.sqrt(np.mean(np.sum(errors**2, axis=1))))
 
 

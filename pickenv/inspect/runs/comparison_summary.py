@@ -1,4 +1,4 @@
-"""Summary numbers of a comparison, which terminal, JSON, report, figures and recording share.
+"""Summary numbers of a comparison, the same in terminal, JSON, report, figures and recording.
 
 First come the tables of the episodes. Their intervals are over fruit, for one arm with one calibration. Then come the
 statistics, colour scales and bins of the error fields. Units: mm and degrees.
@@ -46,7 +46,7 @@ def tries_of(policy: RecordedPolicy) -> NDArray[np.int64]:
 
 
 def policy_rows(episodes: RecordedEpisodes) -> list[dict[str, Any]]:
-    """Return one row of numbers per policy; an unknown number is None."""
+    """Return one row of numbers per policy, such as the mean miss and its interval; an unknown number is None."""
     return [_policy_row(policy) for policy in episodes.policies]
 
 
@@ -138,10 +138,10 @@ def difference_cells(episodes: RecordedEpisodes) -> list[list[str]]:
 
 
 def _best(episodes: RecordedEpisodes) -> tuple[dict[str, Any] | None, dict[str, dict[str, Any]]]:
-    """The row of the best policy (least mean miss), and its differences from its rivals, by their labels.
+    """Return the row of the best policy (least mean miss), and its differences from its rivals, by the rivals' labels.
 
-    A rival is a policy that closed the gripper for some of the same fruit. ``lead_mm`` of a difference is by how much
-    the rival misses by more, mm. Without a policy that closed the gripper the row is None.
+    A rival is another policy that closed the gripper for some of the same fruit. ``lead_mm`` of a difference is the
+    rival's miss minus the best policy's, mm. If no policy closed the gripper, the row is None.
     """
     closed = [row for row in policy_rows(episodes) if row["mean_mm"] is not None]
     if not closed:
@@ -225,7 +225,7 @@ def _changes(episodes: RecordedEpisodes, other: str, best: str) -> list[Change]:
 
 
 def _across(policy: RecordedPolicy) -> Array:
-    """The part of each miss across the tool, mm; the whole miss where the tool's attitude to the fruit is not known."""
+    """Return the part of each miss across the tool's axis, mm; the whole miss if the tool's attitude is unknown."""
     axis, across = policy.tool_rotation[..., 2], policy.miss_mm.copy()
     comparable = np.isfinite(axis).all(axis=-1) & np.isclose(policy.position_error_mm, policy.miss_mm)
     apart = (policy.fruit_position - policy.tool_position)[comparable]
@@ -273,7 +273,7 @@ def _mean(values: Array) -> float | None:
 
 
 def _ends(ends: tuple[float, float] | None, least: float = -np.inf) -> list[float] | None:
-    """An interval as a list for JSON, with its ends raised to ``least``, the least value that the number can have."""
+    """Return an interval as a list for JSON, with its ends raised to ``least``, the smallest possible value."""
     return None if ends is None else [max(end, least) for end in ends]
 
 
@@ -301,7 +301,7 @@ def error_spread(values: ArrayLike) -> tuple[float, float, float, float]:
 
 
 def field_mm(policy: RecordedPolicy) -> Array:
-    """Return the magnitudes of a policy's field errors ``(F,)``, mm."""
+    """Return the lengths of a policy's position errors over the field ``(F,)``, mm."""
     return np.asarray(np.linalg.norm(policy.field_errors, axis=-1) * 1e3)
 
 
@@ -388,7 +388,7 @@ def summary_markdown(comparison: Comparison) -> str:
 
 
 def _better(comparison: Comparison) -> str:
-    """A sentence on the share of field points where the last policy beats the one before; empty for one policy."""
+    """Return a sentence on the share of field points where the last policy beats the one before, or an empty text."""
     if len(comparison.policies) < 2:
         return ""
     before, last = comparison.policies[-2:]

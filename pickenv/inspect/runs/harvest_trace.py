@@ -14,12 +14,12 @@ from pickenv.harvester import Harvest, Measure
 
 @dataclass(frozen=True, eq=False)
 class PickedTree:
-    """How one tree was picked: P picks in Z rounds, F fruit.
+    """The record of how one tree with F fruit was picked: P picks in Z rounds.
 
     Attributes:
         seconds: Time spent on the tree, s.
         fruit: Positions of the fruit ``(F, 3)``, m.
-        collected: Whether each fruit came into a tube ``(F,)``.
+        collected: Whether each fruit was collected, that is put into a tube ``(F,)``.
         by_arm: Index of the arm that last tried each fruit ``(F,)``; −1 where no arm did.
         zones: Left, right, bottom and top of each round's zone ``(Z, 4)``, m.
         stands: Start and end of the time in each round when the master arm stands still ``(Z, 2)``, s.

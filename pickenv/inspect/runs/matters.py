@@ -1,7 +1,7 @@
 """Whether a calibration changes picks, for each gripper and each error of perception.
 
-The tool misses the fruit by the sum of the arm's error and the perception error. The latter is normal and across the
-tool's axis, with a given standard deviation per axis. It is independent of the arm's error. The gripper's curve of
+The tool misses the fruit by the sum of the arm's error and the perception error. The perception error is normal, across
+the tool's axis, and independent of the arm's error. Its standard deviation per axis is given. The gripper's curve of
 success against misalignment gives the probability that the fruit is taken. Units: mm; picks as shares.
 """
 
@@ -54,7 +54,7 @@ def gripped(comparison: Comparison) -> dict[str, tuple[Array, dict[str, Array]]]
 PERCEPTION_MM = (0.0, 1.0, 2.0, 3.0, 5.0)
 """Standard deviations per axis of the perceived fruit position, mm, for which picks are computed."""
 MATTERS = 0.05
-"""Smallest change in the share of picks that is reported as a change: five of a hundred."""
+"""Smallest change in the share of picks that is reported as a change: five of a hundred picks."""
 NONE = 0.005
 """Change in the share of picks below which the printed shares are equal, or nearly so."""
 RINGS, SPOKES = 24, 24
@@ -68,7 +68,7 @@ the shares of fruit taken without and with calibration."""
 
 
 def _gain(change: Change) -> float:
-    """Gain in picks by calibration, as a share of fruit."""
+    """Return the gain in picks by calibration, as a share of fruit."""
     return float(change["after"] - change["before"])
 
 

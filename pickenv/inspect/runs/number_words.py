@@ -46,7 +46,7 @@ def said(
     sign: str = "",
     unit: str = "",
 ) -> str:
-    """Return an estimate and its interval, both times ``scale``, as `estimated` writes them; a dash if it is unknown.
+    """Return an estimate and its interval as text, as `estimated` does; a dash if the estimate is unknown.
 
     Args:
         value: The estimate; None if it is unknown.

@@ -89,8 +89,8 @@ class RecordedPolicy:
         key: Short name, which is used in entity paths and JSON and determines the policy's colour (`policy_colours`).
         moments: Number of moments of each episode ``(E,)``, T at most.
         joint_target: Joint values at which the controller believes the arm to be ``(E, T, n)``, rad or m. The nominal
-            arm is drawn there. They equal ``joint_command`` if the environment does not give them. n is 0 without an
-            arm.
+            arm is drawn at these values. They equal ``joint_command`` if the environment does not give them; n is 0
+            without an arm.
         joint_command: Joint command that the drives got ``(E, T, n)``, rad or m: ``joint_target`` after compensation.
         tool_position: The tool's true positions ``(E, T, 3)``, m.
         tool_rotation: The tool's true attitudes ``(E, T, 3, 3)``, rotation matrices; nan where they are not known.
@@ -200,7 +200,7 @@ class RecordedEpisodes:
 
     @property
     def colours(self) -> list[Rgb]:
-        """The colour of each policy, in their order."""
+        """The colour of each policy, in the order of `policies`."""
         return policy_colours([policy.key for policy in self.policies])
 
     @property
@@ -221,7 +221,7 @@ PROBES = 4000
 
 @dataclass(frozen=True, eq=False)
 class FieldGrid:
-    """A regular grid of upright tool poses, and those of its cells that the nominal arm reaches.
+    """A regular grid of upright tool poses, and the cells of the grid that the nominal arm reaches.
 
     Attributes:
         shape: Number of cells (nx, ny, nz).
@@ -322,9 +322,9 @@ def missing_positions(info: Mapping[str, Any]) -> str:
 
 
 def believed_joints(env: Any) -> Array | None:
-    """Return a copy of the joint values at which an environment's controller believes the arm to be.
+    """Return a copy of the joint values ``(n,)`` at which an environment's controller believes the arm to be, rad or m.
 
-    It is None if the environment does not have them.
+    Return None if the environment does not have them.
     """
     target = getattr(env.unwrapped, "joint_target", None)
     return None if target is None else np.array(target, dtype=float)

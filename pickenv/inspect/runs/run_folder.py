@@ -1,7 +1,7 @@
 """Run folders: the kind of a run, how it was made, and the data behind its figures and its report.
 
-`run.json` is deleted when a run begins to write, and is written last. So a folder with this file has a complete run.
-The file lists every file that the run wrote with its SHA-256, and has a hash of its own content.
+`run.json` is deleted when a run begins to write, and is written last. So a folder with `run.json` has a complete run.
+This file lists the SHA-256 of every file that the run wrote, and has a hash of its own content.
 """
 
 from __future__ import annotations
@@ -36,8 +36,8 @@ from pickenv.inspect.runs.saved import load_numbers, save_numbers
 
 RECORD = "run.json"
 LIST = "files.json"
-"""Name of the file that lists a folder's files, if the folder holds many runs, tables and calibrations but is no run
-itself."""
+"""Name of the file that lists the files of a folder which is itself no run, but holds several runs, tables and
+calibrations."""
 
 PARTS: Mapping[type, str] = {
     Comparison: "comparison.npz",
@@ -64,7 +64,7 @@ class RunKind:
 
     Attributes:
         made_by: The command that makes a run folder of this kind.
-        pages: The module with the kind's ``drawings(run)`` and ``page(run, picture)``.
+        pages: The module that defines ``drawings(run)`` and ``page(run, picture)`` for this kind.
     """
 
     made_by: str
@@ -163,7 +163,7 @@ def recorded_run(folder: Path, kind: str, command: str, seed: int | None) -> Ite
 def added_to(run: Run) -> Iterator[None]:
     """Return a context in which further files, such as figures, are written into a complete run's folder.
 
-    At its end, `run.json` is written again and lists them too.
+    When the context ends, `run.json` is written again and lists these files too.
     """
     before = _stamps(run.folder)
     yield
@@ -175,7 +175,7 @@ def added_to(run: Run) -> Iterator[None]:
 
 
 def _stamps(folder: Path) -> dict[str, tuple[int, int, int]]:
-    """Inode, time and size of every file in a folder but hidden ones; they change when a file is written again."""
+    """Return inode, time and size of every file in a folder but hidden ones; writing a file again changes them."""
     stamps = {}
     for root, folders, names in os.walk(folder):
         folders[:] = [name for name in folders if not name.startswith(".")]
@@ -187,13 +187,13 @@ def _stamps(folder: Path) -> dict[str, tuple[int, int, int]]:
 
 
 def _changed_since(folder: Path, before: Mapping[str, object]) -> dict[str, str]:
-    """SHA-256 of the files that were written since the stamps ``before`` were taken."""
+    """Return the SHA-256 of the files that were written since ``before``, the result of `_stamps`, was taken."""
     now = _stamps(folder)
     return {name: file_sha256(folder / name) for name in sorted(now) if now[name] != before.get(name)}
 
 
 def _record_text(run: Run) -> str:
-    """The only text that `run.json` may hold for this run: it includes a hash of the rest."""
+    """Return the only valid text of `run.json` for a run: it includes a hash of its other content."""
     content = {"format": FORMAT, **vars(run), "files": run.files or {}}
     del content["folder"]
     return sealed_json(content)
@@ -263,7 +263,7 @@ def _faults(folder: Path, listed: Mapping[str, str], own: str) -> list[tuple[Pat
 def listed_files(folder: Path) -> Iterator[None]:
     """Return a context in which more files are written into a folder.
 
-    `LIST` is deleted at its beginning and written at its end.
+    `LIST` is deleted when the context begins, and written when it ends.
     """
     (folder / LIST).unlink(missing_ok=True)
     yield

@@ -1,8 +1,8 @@
 """Save frozen dataclasses of numbers and arrays as files, and read them back exactly without executing anything.
 
-A file is a container (`pickenv.base`): a header in JSON, which names arrays, and the arrays. Reading builds
-only objects of these classes: the one that the caller names, its subclasses, registered effects, and all classes in
-the type hints of these.
+A file is a container (`pickenv.base`): a header in JSON, which names arrays, and the arrays. Reading creates only
+objects of these classes: the class that the caller names, its subclasses, registered effects, and all classes in the
+type hints of these classes.
 """
 
 from __future__ import annotations
@@ -86,9 +86,9 @@ def cut_away(comparison: Comparison) -> NDArray[np.bool_]:
 
 
 LARGEST = 1 << 34
-"""Largest size of such a file, and of its unpacked content, bytes: episodes are many."""
+"""Largest size of a file, and of its unpacked content, bytes; it is large because recorded episodes are."""
 FORMAT, FORMATS = 3, {"Comparison": 4, "RecordedEpisodes": 4, "HarvestTrace": 4}
-"""Format version of the files of most classes, and the format versions of the other classes by name."""
+"""Format version of the files of most classes, and the format versions of the classes with another one, by name."""
 
 Saved = TypeVar("Saved")
 
@@ -178,7 +178,7 @@ def _unpack(packed: Any, arrays: Mapping[str, np.ndarray], classes: Mapping[str,
 
 
 def _classes(*roots: Any) -> dict[str, Any]:
-    """The dataclasses and named tuples to which type hints lead from ``roots``, including ``roots``, by name."""
+    """Return the dataclasses and named tuples in ``roots`` and in their type hints, recursively, by name."""
     classes: dict[str, Any] = {}
     hints = [*roots]
     while hints:

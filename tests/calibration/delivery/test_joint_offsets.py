@@ -85,9 +85,11 @@ def test_with_fitted_frames_the_first_and_the_last_zero_are_left_to_them(so101):
     assert found.note().endswith("of shoulder_pan, wrist_roll these data tell none")
 
 
-def test_two_joints_on_one_axis_share_what_only_their_sum_tells():
+@pytest.mark.parametrize("apart", [0.0, 1e-9])
+def test_two_joints_on_one_axis_share_what_only_their_sum_tells(apart):
+    """Axes a nanoradian apart are one axis: offsets that tell them apart would be thousands of turns."""
     arm = load_arm("so101").nominal
-    tilted, reach = np.array([0.0, 0.0, np.pi / 2, 0.0, 0.5]), np.array([0.0, 0.0, 0.0, 0.3, 0.2])
+    tilted, reach = np.array([0.0, apart, np.pi / 2, 0.0, 0.5]), np.array([0.0, 0.0, 0.0, 0.3, 0.2])
     coaxial = replace(arm, alpha=tilted, a=reach, theta=np.zeros(5), d=np.array([0.1, 0.2, 0.0, 0.0, 0.1]))
     found = replace(coaxial, theta=np.array([0.03, -0.01, 0.02, 0.0, 0.0]))
     calibration = Calibration("coaxial", coaxial, coaxial, ArmModel.of(found), None, {"frames": "known"})

@@ -274,6 +274,33 @@ def test_what_was_learnt_turns_with_the_base(ur5: Arm, true: Geometry) -> None:
     )
 
 
+def test_zeros_that_drifted_are_told_where_a_residual_was_learnt_that_turns_the_tool(ur5: Arm, true: Geometry) -> None:
+    """Three degrees that were learnt are no part of the drift, and zeros need not explain them."""
+
+    def tilted(data: Measurements) -> Measurements:
+        tilt = 0.06 * np.sin(data.joints[:, 1:4] + data.joints[:, [2, 3, 1]])
+        return replace(data, rotation=rotation_matrix(tilt) @ data.rotation)
+
+    choices = Choices(terms="none", residual="rbf", force=True)
+    calibration = calibrate(ur5, tilted(seen(true, 1, rows=300, poses=True)), choices=choices).calibration
+    said = verify(calibration, tilted(seen(drifted(true, 1.2e-3), 4, poses=True)))
+    assert said.status == "drifted" and "the joints' zeros explain it" in said.reason
+
+
+def test_zeros_that_drifted_are_told_wherever_the_instrument_stands(ur5: Arm, true: Geometry) -> None:
+    """The residual, two millimetres of waves, was learnt in the axes of the base, which another station turns."""
+
+    def wavy(data: Measurements) -> Measurements:
+        return replace(data, position=data.position + 2e-3 * np.cos(2 * data.joints[:, :3]) @ HERE.rotation.T)
+
+    choices, across = Choices(terms="none", residual="gp", force=True), THERE.rotation @ HERE.rotation.T
+    calibration = calibrate(ur5, wavy(seen(true, 1, rows=100)), choices=choices).calibration
+    here = wavy(seen(drifted(true, 3e-3), 4, rows=100))
+    there = replace(here, position=(here.position - HERE.position) @ across.T + THERE.position)
+    said = verify(calibration, there, FRAMES, 12)
+    assert said.status == "drifted" and "the joints' zeros explain it" in said.reason
+
+
 def test_rows_of_another_station_do_not_judge_a_calibration(ur5: Arm, true: Geometry) -> None:
     train, test = seen(true, 1, rows=150), seen(true, 2, THERE, OTHER_TARGET)
     with pytest.raises(InputError, match="another set-up"):
@@ -335,9 +362,26 @@ def test_the_command_says_what_the_function_says(result: Result, true: Geometry,
         there = json.loads(figures.read_text(encoding="utf-8"))
         reason = there["reason"].replace("`refit='base,tool'`", "--refit base,tool")
         assert said.output.startswith(f"verdict: {there['status'].upper()}: {reason}")
+        assert there["reservation"] is None and "reservation" not in said.output
         assert there["refit_rows"] == (8 if refit else 0)
         assert f"{there['calibrated_mm']['rms']:#.4g}".rstrip(".") in said.output
         assert said.output.splitlines()[-1].startswith(f"next: {step}")
+
+
+def test_a_calibration_not_to_be_used_says_so_where_new_rows_find_it_good(
+    ur5: Arm, true: Geometry, tmp_path: Path
+) -> None:
+    """One held-out row judges nothing, so `apply` refuses it; new rows may find it good, and the words are the same."""
+    few = calibrate(ur5, seen(true, 1, rows=150), test=seen(true, 3, rows=1), choices=PLAIN)
+    rows, figures = seen(true, 2).write_csv(tmp_path / "new.csv"), tmp_path / "f.json"
+    said = CliRunner().invoke(app, ["verify", str(few.save(tmp_path / "a.npz")), str(rows), "--json", str(figures)])
+    there, sentence = json.loads(figures.read_text(encoding="utf-8")), few.calibration.reservations()["do-not-use"]
+    assert there["status"] == "still good" and there["reservation"] == sentence and said.exit_code == 3
+    assert "do not use (only 1 row was held out" in sentence
+    first, second = said.output.splitlines()[:2]
+    assert first.startswith("verdict: STILL GOOD: ")
+    assert second == "reservation: " + sentence.replace("`test`", "--test")
+    assert said.output.splitlines()[-1].startswith("next: measure more poses")
 
 
 @pytest.mark.parametrize("frames", [(), ("base", "tool")], ids=["as it was", "refitted"])
