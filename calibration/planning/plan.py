@@ -612,11 +612,20 @@ def error_weight(geometry: Geometry, design: Design, test_joints: Array) -> Arra
         geometry: The nominal arm.
         design: The candidates.
         test_joints: Test poses ``(M, n)``, rad or m.
+
+    Raises:
+        InputError: If base and tool are fitted, and the test poses give less than twice as many equations as these have
+            parameters.
     """
     place = partial(_rows, geometry, weight=np.ones(3), joints=test_joints)
     stacked = place(design.model).reshape(-1, len(design.model.names))
     if design.framed:
         frames = frames_model(geometry)
+        if 3 * len(test_joints) < 2 * len(frames.names):
+            raise InputError(
+                f"{len(test_joints)} test poses tell no error where base and tool are fitted, for these explain it; "
+                f"give {-(-2 * len(frames.names) // 3)} poses or more around the place (`at`), or `frames='known'`"
+            )
         basis = np.linalg.qr(place(frames).reshape(-1, len(frames.names)))[0]
         stacked = stacked - basis @ (basis.T @ stacked)
     return np.pad(stacked.T @ stacked / len(test_joints), (len(design.names), 0))

@@ -330,3 +330,13 @@ def test_the_command_plans_fewer_poses_than_parameters_where_priors_say_the_rest
     with pytest.raises(InputError, match="3 poses are too few for 30 parameters"):
         plan = ["plan-poses", "--arm", "ur5", "--n", "3", "--candidates", "100", "--fit", "full"]
         CliRunner().invoke(app, plan, catch_exceptions=False, standalone_mode=False)
+
+
+def test_a_place_of_few_poses_is_refused_where_fitted_frames_alone_explain_them(tmp_path):
+    """Base and tool have 12 numbers: an error of 0.0000 mm was promised at up to four poses."""
+    arm, rng = load_arm("ur5e"), np.random.default_rng(3)
+    near, fitted = random_joints(arm.nominal, 8, rng), prior_model(arm.name, arm.nominal, known=False)
+    with pytest.raises(InputError, match=r"7 test poses tell no error .*give 8 poses or more around the place"):
+        plan_poses(arm, fitted, 12, rng, candidates=100, test_joints=near[:7])
+    assert plan_poses(arm, fitted, 12, rng, candidates=100, test_joints=near).predicted_error > 0.0
+    assert plan_poses(arm, link_model(arm.nominal), 12, rng, candidates=100, test_joints=near[:1]).predicted_error > 0.0
