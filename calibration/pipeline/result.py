@@ -505,6 +505,8 @@ class Result:
 
 WORKSPACE_POSES, TRIALS = 400, 200_000
 """Number of joint vectors that represent a workspace, and number of draws to find those within a box."""
+LEAST_TARGETS = 8
+"""Least number of targets that represent a workspace: twice the equations that a fitted base and tool alone explain."""
 
 
 def workspace_joints(text: str | Path | None, geometry: Geometry) -> tuple[str, Array]:
@@ -519,13 +521,15 @@ def workspace_joints(text: str | Path | None, geometry: Geometry) -> tuple[str, 
         geometry: The arm's nominal geometry.
 
     Raises:
-        InputError: If a range cannot be read, or the arm hardly reaches anything in it.
+        InputError: If a range cannot be read, the arm hardly reaches anything in it, or a file has too few targets.
     """
     rng = np.random.default_rng(0)
     if text is None:
         return "the joint limits", random_joints(geometry, WORKSPACE_POSES, rng)
     if "=" not in str(text):
         joints = joints_of(read_targets(text, geometry), geometry)
+        if len(joints) < LEAST_TARGETS:
+            raise InputError(f"{text}: {len(joints)} targets are no workspace; give {LEAST_TARGETS} or more")
         return f"the targets of {text}", joints[equally_spaced(len(joints), WORKSPACE_POSES)]
     axes = [*(name.split("_")[0] for name in joint_columns(geometry.prismatic)), "x", "y", "z"]
     units = [1e-3 if slides else np.radians(1.0) for slides in (*geometry.prismatic, True, True, True)]

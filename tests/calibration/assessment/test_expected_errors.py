@@ -83,13 +83,15 @@ def test_ranges_of_joints_and_of_places_are_kept():
     assert np.array_equal(workspace_joints(None, UR5)[1], workspace_joints(None, UR5)[1])
 
 
-def test_targets_of_a_file_are_a_workspace(tmp_path):
+def test_targets_of_a_file_are_a_workspace_unless_a_fitted_base_and_tool_alone_explain_them(tmp_path):
     path = tmp_path / "targets.csv"
-    path.write_text("q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg\n" + "\n".join(f"{i},-90,90,0,10,0" for i in range(5)))
+    rows = ["q1_deg,q2_deg,q3_deg,q4_deg,q5_deg,q6_deg", *(f"{i},-90,90,0,10,0" for i in range(8))]
+    path.write_text("\n".join(rows))
     region, joints = workspace_joints(path, UR5)
-    assert (
-        len(joints) == 5 and np.degrees(joints[:, 0]).tolist() == pytest.approx(list(range(5))) and str(path) in region
-    )
+    assert len(joints) == 8 and np.degrees(joints[:, 0]) == pytest.approx(range(8)) and str(path) in region
+    path.write_text("\n".join(rows[:-1]))
+    with pytest.raises(InputError, match="7 targets are no workspace; give 8 or more"):
+        workspace_joints(path, UR5)
 
 
 @pytest.mark.parametrize(
