@@ -324,14 +324,17 @@ def test_no_torch_is_needed_on_numpy():
 def test_copies_and_pickles_go_on_alike(executor, monkeypatch):
     if executor == "torch":  # whose compiled functions cannot be pickled, and take a minute to make
         monkeypatch.setattr(pytest.importorskip("torch"), "compile", lambda step, **_: lambda *values: step(*values))
-    envs = native(4, arms="per_env", plant="orchard", executor=executor)
+    envs = native(4, arms="per_episode", plant="orchard", executor=executor, max_episode_steps=2)
     envs.reset(seed=0)
     actions = envs.action_space.sample()
     envs.step(actions)
     copies = [copy.deepcopy(envs), pickle.loads(pickle.dumps(envs))]
-    wanted = envs.step(actions)
-    for other in copies:
-        assert_same(np.asarray(wanted[0]), np.asarray(other.step(actions)[0]))
+    for _ in range(3):  # the third step is of the next episode, with another arm
+        wanted = envs.step(actions)
+        for other in copies:
+            again = other.step(actions)
+            assert_same(np.asarray(wanted[0]), np.asarray(again[0]))
+            assert_same(np.asarray(wanted[4]["tool_position"]), np.asarray(again[4]["tool_position"]))
 
 
 def test_torch_begins_with_the_arms_and_joints_asked_for_as_numpy_does():

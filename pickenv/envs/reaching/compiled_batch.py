@@ -36,7 +36,7 @@ class CompiledBatch(NumpyBatch):
         self.columns = list(self._table)
         self._arms = np.array([values for values in arrays_of(self.plant) if values.ndim == 1])
         self.plant = with_numbers(self.plant, self._arms)
-        self._plants = [self.plant_of(block) for block in self._blocks]
+        super().remake()
         self._code: dict[str, Compiled] = {}
         self._fast = LatestCompiled(self.count)
 

@@ -232,6 +232,8 @@ class NumpyArms(ArmBatch):
     block = 2048
     """Number of arms in a block. A component then takes 16 KiB; a core's first-level cache holds a few of them."""
 
+    remade = ("_plants",)
+
     def make_plants(self) -> None:
         """Set the true arms of all environments, and the true arms of each block of environments."""
         self.population = self.plant = self.task.plant
@@ -239,4 +241,8 @@ class NumpyArms(ArmBatch):
             self.plant = plants_on(self.task.plant, lambda values: values[self.arm])
         self.plant = exact_plant(self.plant)
         self._blocks = [slice(a, b) for a, b in self.blocks(self.count)]
+        NumpyArms.remake(self)
+
+    def remake(self) -> None:
+        """Take the true arms of each block out of `plant`, whose arrays they share."""
         self._plants = [self.plant_of(block) for block in self._blocks]
