@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Collection, Sequence
+from dataclasses import replace
 from typing import Any, SupportsFloat, TypeAlias, TypeVar
 
 import gymnasium as gym
@@ -11,6 +12,7 @@ from gymnasium.utils import RecordConstructorArgs
 from gymnasium.vector import VectorEnv, VectorWrapper
 from numpy.typing import NDArray
 
+from pickenv.arm import Geometry
 from pickenv.base import InputError, obey
 
 Observation = TypeVar("Observation")
@@ -53,8 +55,8 @@ class CompensationWrapper(gym.Wrapper[Observation, Action, Observation, Action],
                 "do-not-use".
 
         Raises:
-            InputError: If the environment takes no compensator, or already has one, or if the calibration has a
-                reservation that ``allow`` does not name.
+            InputError: If the environment takes no compensator, or already has one, or if the calibration is of another
+                arm or has a reservation that ``allow`` does not name.
         """
         RecordConstructorArgs.__init__(self, compensator=compensator, allow=allow)
         gym.Wrapper.__init__(self, env)
@@ -104,8 +106,8 @@ class CompensationVectorWrapper(VectorWrapper[Any, Any, Any, Any, Any], RecordCo
                 "do-not-use".
 
         Raises:
-            InputError: If an environment takes no compensator, or already has one, or if the calibration has a
-                reservation that ``allow`` does not name.
+            InputError: If an environment takes no compensator, or already has one, or if the calibration is of another
+                arm or has a reservation that ``allow`` does not name.
         """
         RecordConstructorArgs.__init__(self, compensator=compensator, allow=allow)
         VectorWrapper.__init__(self, env)
@@ -165,6 +167,13 @@ def _install(seams: Sequence[Any], compensator: Compensate, allow: Collection[st
             raise InputError(f"{type(seam).__name__} has no compensation seam; wrap a pickenv environment")
         if seam.compensator is not None:
             raise InputError(f"{type(seam).__name__} already has a compensator; wrap it once")
+        arm, nominal = getattr(getattr(seam, "plant", None), "arm", None), getattr(compensator, "nominal", None)
+        if arm is not None and isinstance(nominal, Geometry):  # base and tool may be fitted
+            placed = replace(nominal, base=arm.nominal.base, tool=arm.nominal.tool)
+            if placed.fingerprint() != arm.nominal.fingerprint():
+                raise InputError(
+                    f"the calibration is of an arm with another geometry than '{arm.name}'; fit it for this arm"
+                )
     for seam in seams:
         seam.compensator = compensator
 

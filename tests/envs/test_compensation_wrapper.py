@@ -1,15 +1,19 @@
 """CompensationWrapper: invisible to the policy, visible in the true error."""
 
 import copy
+from dataclasses import replace
 
 import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium.wrappers import RecordEpisodeStatistics, RescaleAction, TimeLimit
 
+import pickenv
 from pickenv.agents import ScriptedReach
+from pickenv.arm import displace_pose
 from pickenv.base import InputError
-from pickenv.wrappers import CompensationWrapper
+from pickenv.calibration import Compensator
+from pickenv.wrappers import CompensationVectorWrapper, CompensationWrapper
 
 
 @pytest.fixture
@@ -143,6 +147,21 @@ def test_wrapping_twice_is_refused_and_leaves_the_first(reach, compensator):
 def test_an_environment_without_a_seam_is_refused(compensator):
     with pytest.raises(InputError, match="has no compensation seam"):
         CompensationWrapper(gym.make("CartPole-v1"), compensator)
+
+
+@pytest.mark.parametrize("other", ["ideal:ur5", "ideal:panda"])
+def test_a_calibration_of_another_arm_is_refused(reach, other):
+    arm = pickenv.load_plant("geometry_only").arm.nominal
+    lifted = replace(arm, base=displace_pose(arm.base, np.array([0.0, 0.0, 0.5, 0.1, 0.0, 0.0])))
+    CompensationWrapper(reach(), Compensator(lifted, lifted))  # base and tool may be fitted
+    for env, wrap in (
+        (reach(plant=other), CompensationWrapper),
+        (gym.make_vec("pickenv/Reach-v0", 2, plant=other), CompensationVectorWrapper),
+    ):
+        with pytest.raises(
+            InputError, match=f"of an arm with another geometry than '{other[6:]}'; fit it for this arm"
+        ):
+            wrap(env, Compensator(arm, arm))
 
 
 def test_a_copy_has_its_own(reach, compensator):
