@@ -439,7 +439,7 @@ class SameArm(gym.Wrapper[Any, Any, Any, Any], RecordConstructorArgs):
         options = {key: value[0] if key != "arm" else value for key, value in options.items()}
         self.env.reset(options=options)
         reward, info = self.run.stand(self.env, np.zeros(self.run.task.joints))
-        return self.run.shown()[0], reward, False, self.run.pick >= self.run.picks, self._info(info)
+        return self.run.shown()[0], float(reward), False, self.run.pick >= self.run.picks, self._info(info)
 
     def _info(self, info: dict[str, Any]) -> dict[str, Any]:
         return {key: info[key] for key in (*NUMBER_KEYS, "is_success")} | {"pick": self.run.pick, "arm": self._arm}
