@@ -62,6 +62,7 @@ def difference_map(comparison: Comparison) -> Figure:
     width, depth = comparison.grid.shape[:2]
     edges = corner[0] + step * np.arange(width + 1), corner[1] + step * np.arange(depth + 1)
     with style.new_figure(style.WIDTH, 2.4) as figure:
+        figure.set_layout_engine("compressed")  # panels of a fixed shape, below one title
         panels: Any = figure.subplots(1, len(rows), squeeze=False, sharex=True, sharey=True)[0]
         for axes, layer in zip(panels, rows, strict=True):
             cells, mean = summary.cell_means(comparison.grid.index[layer] * np.array([1, 1, 0]), change[layer])
