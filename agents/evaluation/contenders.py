@@ -64,7 +64,8 @@ def kind_of(name: str) -> Kind:
     """Return the properties of a policy, given its name.
 
     Args:
-        name: Registered policy, shipped baseline, policy file, or folder that holds one training with several seeds.
+        name: Registered policy, shipped baseline, policy file, or the folder of one training, or of one with several
+            seeds.
 
     Raises:
         InputError: If ``name`` is none of these.
@@ -76,7 +77,8 @@ def kind_of(name: str) -> Kind:
     if Path(name).suffix in foreign.SUFFIXES:
         return Kind(files=(name,))
     if Path(name).is_dir():
-        files = tuple(str(path) for path in sorted(Path(name).glob("*/policy.npz")))
+        own = Path(name) / "policy.npz"  # of one training
+        files = tuple(map(str, [own] if own.is_file() else sorted(Path(name).glob("*/policy.npz"))))
         return replace(_kind_of_files(name, files), files=files)
     try:
         policy = load_any(name)
@@ -146,7 +148,10 @@ def policy_name(name: str) -> str:
 def _kind_of_files(folder: str, files: tuple[str, ...]) -> Kind:
     """Return the properties of the trainings in a folder, which must differ in their seeds alone."""
     if not files:
-        raise InputError(f"{folder} holds no trainings; give a folder whose folders hold a policy.npz each, one a seed")
+        raise InputError(
+            f"{folder} holds no trainings; give the folder of a training, or one whose folders hold a policy.npz each, "
+            "one a seed"
+        )
     policies = [load_any(file) for file in files]
     trainings = [dict(policy.record.get("training", {})) for policy in policies]
     seeds = [training.pop("seed", None) for training in trainings]

@@ -167,7 +167,7 @@ def evaluate(
 
     Args:
         context: The command line as it was typed.
-        policy: {policy}, a baseline, a policy file, or a folder of one training with several seeds; may be repeated.
+        policy: {policy}, a baseline, a policy file, or the folder of a training or of several seeds; may be repeated.
         compensation: raw, ls, ls_bpnn, best, or ls+ and any residual model; may be repeated.
         feedback: encoders, camera; may be repeated.
         plant: Plant preset; may be repeated.

@@ -403,6 +403,7 @@ def test_trainings_of_several_seeds_are_one_policy(tmp_path):
         weights = tuple((1.0 + 0.2 * seed) * weight for weight in policy.weights)
         replace(policy, record=record, weights=weights).save(tmp_path / "several" / str(seed) / "policy.npz")
     files = tuple(str(tmp_path / "several" / str(seed) / "policy.npz") for seed in range(2))
+    assert kind_of(str(tmp_path / "several" / "0")) == kind_of(files[0]), "its folder stands for a training"
     settings = replace(SMALL, compensations=("raw",), feedback=("encoders",), arms=3)
     apart = run_policies(replace(settings, policies=files))
     settings = replace(settings, policies=(str(tmp_path / "several"),))
