@@ -29,7 +29,7 @@ from pickenv.inspect.figures.plot_errors import error_by_method, error_cumulativ
 from pickenv.inspect.figures.run_drawings import Drawing, Drawings
 from pickenv.inspect.reports.report_page import PageTable, PageVerdict, plain_report
 from pickenv.inspect.runs.matters import gripper_curves
-from pickenv.inspect.runs.number_words import between, said
+from pickenv.inspect.runs.number_words import between, said, unmarked
 from pickenv.inspect.runs.run_folder import TakePicture, recorded_run, unedited
 
 EPISODES = "episodes.parquet"
@@ -612,6 +612,6 @@ def leaderboard_page(board: Mapping[str, Any]) -> str:
     """Return the leaderboard's tables as Markdown text."""
     parts = []
     for title, (heads, cells) in leaderboard_tables(board).items():
-        lines = (f"| {' | '.join(line)} |" for line in (heads, ["---"] * len(heads), *cells))
+        lines = (f"| {' | '.join(map(unmarked, line))} |" for line in (heads, ["---"] * len(heads), *cells))
         parts += [f"### {title}", "", *lines, ""]
     return "\n".join(parts)

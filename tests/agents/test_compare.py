@@ -14,6 +14,7 @@ import gymnasium as gym
 import numpy as np
 import pytest
 from gymnasium import spaces
+from markdown_it import MarkdownIt
 from rerun.chunk import RrdReader
 from typer.testing import CliRunner
 
@@ -163,6 +164,17 @@ def test_one_number_in_the_terminal_the_json_the_page_and_the_recording(
             for name in batch.column("SeriesLines:names").to_pylist()[0]
         ]
         assert names == [in_words(f"{row['policy']}: {row['mean_mm']:.3f} mm")]
+
+
+def test_names_stand_in_the_recordings_tables_sign_by_sign(found: PolicyComparison) -> None:
+    names = ("raw|a", "c*d* <b> [x](y) `z`")
+    policies = [replace(policy, label=name) for policy, name in zip(found.episodes.policies, names, strict=True)]
+    episodes = replace(found.episodes, policies=tuple(policies))
+    page = MarkdownIt().enable("table").render(comparison_summary.comparison_markdown(episodes))
+    cells = re.findall(r"<td[^>]*>(.*?)</td>", page)
+    for name in map(html.escape, names):
+        assert cells.count(name) == 2, "as a policy and in a difference"
+        assert name in page.partition("<table>")[0], "in the verdict"
 
 
 def test_a_run_folder_gives_back_every_episode(found: PolicyComparison, folder: Path) -> None:

@@ -178,7 +178,7 @@ def test_rows_are_of_all_seeds_and_a_run_goes_on_where_it_was_cut(tmp_path):
 
 @pytest.mark.slow
 def test_a_stranger_enters_by_one_file_and_is_judged_on_the_same_arms(tmp_path, monkeypatch):
-    file = tmp_path / "still.py"
+    file = tmp_path / "still|x.py"
     file.write_text(STILL)
     monkeypatch.setattr(tables, "QUICK", SMALL)
     out, rows = tmp_path / "out", tmp_path / "rows.json"
@@ -187,12 +187,12 @@ def test_a_stranger_enters_by_one_file_and_is_judged_on_the_same_arms(tmp_path, 
     )
     assert done.exit_code == 0, done.output
     found = json.loads(rows.read_text())["reach"]
-    assert {row["policy"] for row in found} == {"scripted", "still"}
-    lazy = [row for row in found if row["policy"] == "still"]
+    assert {row["policy"] for row in found} == {"scripted", "still|x"}
+    lazy = [row for row in found if row["policy"] == "still|x"]
     assert {row["feedback"] for row in lazy} == {"encoders", "camera"}
     assert min(row["mean_mm"] for row in lazy) > 100.0 > max(row["mean_mm"] for row in found if row not in lazy)
     page = (out / "leaderboard.md").read_text()
-    assert page.count("| scripted |") == 1 and page.count("| still |") == 2
+    assert page.count("| scripted |") == 1 and page.count(r"| still\|x |") == 2
 
     file.write_text(STILL.replace("zeros", "ones"))
     pieces = set(out.glob("reaching/*still*"))
@@ -201,9 +201,9 @@ def test_a_stranger_enters_by_one_file_and_is_judged_on_the_same_arms(tmp_path, 
     assert len(set(out.glob("reaching/*still*"))) == 30  # another policy by the same name is run anew
     assert len(list(out.glob("reaching/*scripted*"))) == 10  # and one that is kept is not
     (tmp_path / "other").mkdir()
-    other = tmp_path / "other" / "still.py"
+    other = tmp_path / "other" / "still|x.py"
     other.write_text(STILL)
-    with pytest.raises(InputError, match="two policies are called 'still'; give one of them another name"):
+    with pytest.raises(InputError, match="two policies are called 'still.x'; give one of them another name"):
         run_policies(replace(SMALL, policies=(str(file), str(other))))
 
 

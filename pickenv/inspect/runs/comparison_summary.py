@@ -20,7 +20,7 @@ from pickenv.base.intervals import LEAST
 from pickenv.calibration import Calibration
 from pickenv.inspect.colours import in_words
 from pickenv.inspect.runs.matters import Change, matters, pick_changes
-from pickenv.inspect.runs.number_words import said
+from pickenv.inspect.runs.number_words import said, unmarked
 from pickenv.inspect.runs.recorded_episodes import Comparison, RecordedEpisodes, RecordedPolicy
 from pickenv.orchard import misalignment
 
@@ -253,9 +253,9 @@ def content_of_comparison(episodes: RecordedEpisodes) -> dict[str, Any]:
 
 def comparison_markdown(episodes: RecordedEpisodes) -> str:
     """Return the verdict and the tables of policies and of differences, in Markdown, for the recording."""
-    lines = [f"## {outcome_sentence(episodes)}", "", explanation(episodes), ""]
-    lines += _table(HEADS, policy_cells(episodes))
-    if differences := difference_cells(episodes):
+    lines = [f"## {unmarked(outcome_sentence(episodes))}", "", unmarked(explanation(episodes)), ""]
+    lines += _table(HEADS, [list(map(unmarked, row)) for row in policy_cells(episodes)])
+    if differences := [list(map(unmarked, row)) for row in difference_cells(episodes)]:
         lines += ["", "Fruit by fruit, later minus earlier policy:", "", *_table(DIFFERENCES, differences)]
     return "\n".join([*lines, "", f"{len(episodes.seeds)} episodes of {episodes.env_id}, simulated; {INTERVALS}."])
 

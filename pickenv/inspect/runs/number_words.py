@@ -105,3 +105,8 @@ def parameter_words(name: str, joint_names: Sequence[str], link_names: Sequence[
         after = joint_names[place] if place < len(joint_names) else ""
         return TEXTS["effects"][match[1]].format(after=after)
     return ""
+
+
+def unmarked(text: str) -> str:
+    """Return a text that Markdown shows as it is: a backslash stands before each sign that would mark something."""
+    return re.sub(r"[\\`*<\[|]", r"\\\g<0>", text)
