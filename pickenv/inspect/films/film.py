@@ -19,7 +19,7 @@ import numpy as np
 
 from pickenv.arm import Array
 from pickenv.arm.kinematics.forward import nominal_points
-from pickenv.base import InputError, require
+from pickenv.base import InputError, require, write_whole
 from pickenv.inspect.colours import RED, in_words, policy_colours
 from pickenv.inspect.runs.recorded_episodes import RecordedEpisodes, RecordedPolicy
 from pickenv.inspect.runs.run_folder import load_part, read_run
@@ -428,7 +428,6 @@ def film(
     if record.kind != "comparison":
         raise InputError(f"{run} is a run of kind '{record.kind}'; give the folder of a run of `pickenv compare`")
     plan = plan_film(load_part(record, RecordedEpisodes), policies, seconds, frames_per_second, dark)
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_film(film_pictures(plan, progress), path, frames_per_second)
     return plan
 
@@ -450,10 +449,10 @@ def film_pictures(film: Film, progress: Progress | None = None) -> Iterator[Pixe
 
 
 def write_film(pictures: Iterator[Pixels], path: Path, frames_per_second: int) -> None:
-    """Write images into a film file with ffmpeg.
+    """Write images into a film file with ffmpeg, whole or not at all.
 
     Raises:
-        InputError: If ffmpeg fails. The message has the last line that ffmpeg wrote.
+        InputError: If the file cannot be written, or ffmpeg fails. The message has the last line that ffmpeg wrote.
     """
     import imageio_ffmpeg  # type: ignore[import-untyped]
 
@@ -461,12 +460,16 @@ def write_film(pictures: Iterator[Pixels], path: Path, frames_per_second: int) -
     height, width = first.shape[:2]
     size = ("-f", "rawvideo", "-pix_fmt", "rgb24", "-s", f"{width}x{height}", "-r", str(frames_per_second))
     quiet = (imageio_ffmpeg.get_ffmpeg_exe(), "-y", "-loglevel", "error")
-    command = [*quiet, *size, "-i", "-", *KINDS[path.suffix.lower()], str(path)]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
-        assert process.stdin is not None
-        with suppress(BrokenPipeError):  # then ffmpeg has given up, and says why
-            for pixels in chain([first], pictures):
-                process.stdin.write(np.ascontiguousarray(pixels).tobytes())
-        errors = process.communicate()[1].decode(errors="replace").strip().splitlines()
-    if process.returncode != 0:
-        raise InputError(f"{path} could not be written: {errors[-1] if errors else 'ffmpeg failed'}")
+
+    def write(temporary: Path) -> None:
+        command = [*quiet, *size, "-i", "-", *KINDS[path.suffix.lower()], str(temporary)]
+        with subprocess.Popen(command, stdin=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+            assert process.stdin is not None
+            with suppress(BrokenPipeError):  # then ffmpeg has given up, and says why
+                for pixels in chain([first], pictures):
+                    process.stdin.write(np.ascontiguousarray(pixels).tobytes())
+            errors = process.communicate()[1].decode(errors="replace").strip().splitlines()
+        if process.returncode != 0:
+            raise InputError(f"{path} could not be written: {errors[-1] if errors else 'ffmpeg failed'}")
+
+    write_whole(path, write)

@@ -199,6 +199,23 @@ def test_files_hold_every_frame(tmp_path):
     assert np.abs(shown - pictures[0]).mean() < 8
 
 
+def test_a_film_that_is_broken_off_leaves_the_old_file_or_none(tmp_path):
+    pytest.importorskip("imageio_ffmpeg")
+
+    def broken_off():
+        yield from np.zeros((5, 64, 64, 3), dtype=np.uint8)
+        raise KeyboardInterrupt
+
+    for name in ("film.gif", "film.mp4"):
+        for old in (None, b"an older film"):
+            if old is not None:
+                (tmp_path / name).write_bytes(old)
+            with pytest.raises(KeyboardInterrupt):
+                write_film(broken_off(), tmp_path / name, 10)
+            files = [path.read_bytes() for path in tmp_path.glob(f"*{name[4:]}")]
+            assert files == ([] if old is None else [old])
+
+
 # What a film's frames are put together of: words in their places, halves beside each other, a line below.
 A = [0.5, 0.0, 0.3]
 
