@@ -203,7 +203,7 @@ def test_a_stranger_enters_by_one_file_and_is_judged_on_the_same_arms(tmp_path, 
     (tmp_path / "other").mkdir()
     other = tmp_path / "other" / "still|x.py"
     other.write_text(STILL)
-    with pytest.raises(InputError, match="two policies are called 'still.x'; give one of them another name"):
+    with pytest.raises(InputError, match=r"two policies are called 'still\|x'; give one of them another name"):
         run_policies(replace(SMALL, policies=(str(file), str(other))))
 
 
