@@ -428,6 +428,7 @@ def film(
     if record.kind != "comparison":
         raise InputError(f"{run} is a run of kind '{record.kind}'; give the folder of a run of `pickenv compare`")
     plan = plan_film(load_part(record, RecordedEpisodes), policies, seconds, frames_per_second, dark)
+    path.parent.mkdir(parents=True, exist_ok=True)
     write_film(film_pictures(plan, progress), path, frames_per_second)
     return plan
 
