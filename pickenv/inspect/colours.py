@@ -49,6 +49,7 @@ TEXTS: Mapping[str, Mapping[str, str]] = tomllib.loads((Path(__file__).parent / 
 """Texts that readers see, by table, and within a table by the short names that files and commands use."""
 WORDS, ADDED, PLANTS = (TEXTS[table] for table in ("names", "added", "plants"))
 SHORT = re.compile(rf"(?:^|(?<=\+ ))(?:{'|'.join(ADDED)})\b|\b(?:{'|'.join(WORDS)})\b")
+FILES = re.compile(r"([^\s,;()]+\.(?:csv|npz|toml|urdf|xml|json|zip|py|bag|mcap)\b)")
 ORDER = (("raw", "nominal"), ("ls", "calibrated", "calibrated_geometry"), ("ls_bpnn", "with_residual", "model_used"))
 """Keys of policies in the order in which figures and recordings list them. All other policies follow."""
 
@@ -112,12 +113,16 @@ def policy_label(key: str) -> str:
 def in_words(text: str) -> str:
     """Return a text with short names spelled out, such as "least squares + neural network" for "LS+BPNN".
 
-    If the whole text is the name of a plant (a simulated true arm), the plant's description follows in brackets.
+    If the whole text is the name of a plant (a simulated true arm), the plant's description follows in brackets. Names
+    of files stay as they are.
     """
     if text in PLANTS:
         return f"{text} ({PLANTS[text]})"
-    spaced = re.sub(r"(?<=\w) ?\+ ?(?=[A-Za-z])", " + ", text)
-    return SHORT.sub(lambda short: {**ADDED, **WORDS}[short[0]], spaced)
+    parts = FILES.split(text)
+    for i in range(0, len(parts), 2):  # between them are the files
+        spaced = re.sub(r"(?<=\w) ?\+ ?(?=[A-Za-z])", " + ", parts[i])
+        parts[i] = SHORT.sub(lambda short: {**ADDED, **WORDS}[short[0]], spaced)
+    return "".join(parts)
 
 
 def as_sentence(text: str) -> str:

@@ -77,7 +77,7 @@ def sets(plant):
 
 @pytest.fixture(scope="module")
 def evidence(plant, sets):
-    train = replace(sets[0], source="folder/<b>tracker & co.csv")
+    train = replace(sets[0], source="folder/<b>tracker, LS + GP & co.csv")
     choices = Choices(terms="none", residual="none", frames="fitted")
     return replace(calibrate(plant.arm, train, test=sets[1], choices=choices), gate=GATE)
 
@@ -115,8 +115,12 @@ def test_the_stated_noise_is_the_instruments_in_mm_and_of_poses_in_degrees(page,
     assert f"{1e3 * sets[0].position_std:.4g} mm per coordinate" in found and " deg per coordinate" not in found
 
 
-def test_text_from_files_is_no_markup(page):
-    assert "<b>tracker" not in page and page.count("&lt;b&gt;tracker &amp; co.csv") == 2 and "raises &lt;it&gt;" in page
+def test_text_from_files_is_no_markup_and_names_stay_as_they_are(page):
+    assert (
+        "<b>tracker" not in page
+        and page.count("&lt;b&gt;tracker, LS + GP &amp; co.csv") == 2
+        and "raises &lt;it&gt;" in page
+    )
 
 
 def test_every_parameter_is_there_with_its_uncertainty_and_what_the_rows_told_of_it(page, evidence):

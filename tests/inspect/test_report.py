@@ -315,6 +315,12 @@ def test_pictures_and_the_library_reach_a_page_byte_for_byte() -> None:
     base64.b64decode(library(), validate=True)
 
 
+@pytest.mark.parametrize("name", ["LS.csv", "runs/LS+GP/cal-LS.npz", "li_cup.toml", "my+arm.urdf", "GP.py"])
+def test_names_of_files_are_not_spelled_out(name: str) -> None:
+    assert in_words(f"LS of {name}, GP") == f"least squares of {name}, Gaussian process"
+    assert in_words("LS. csv of LS+BPNN.") == "least squares. csv of least squares + neural network."
+
+
 def report(section: Section) -> str:
     return html_of("title", "", PageVerdict("note", "", ""), [section], {})
 

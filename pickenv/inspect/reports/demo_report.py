@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pickenv.arm import Array, noncompensable_error
-from pickenv.base import InputError, mean_interval, share_interval
+from pickenv.base import InputError, command_line, mean_interval, share_interval
 from pickenv.calibration import Calibration
 from pickenv.calibration.assessment.metrics import LEAST_ROWS, error_statistics
 from pickenv.calibration.assessment.quality import axis_errors
@@ -253,7 +253,7 @@ def _origin(run: Run, comparison: Comparison, trace: CalibrationTrace, calibrati
         "Arm": f"{plant.arm.name}, nominal geometry {plant.arm.fingerprint()}. {plant.arm.source}",
         "Simulated true arm": f"{plant.name}: {effects or 'true geometry alone'}",
         "Poses": named_values(trace.fingerprints),
-        "Recording": f"{RECORDING}, which `pickenv inspect {run.folder.name}` opens",
+        "Recording": f"{RECORDING}, which `{command_line('pickenv', 'inspect', run.folder.name)}` opens",
         "Calibration": f"calibration.npz, {Path(str(calibration.record['source'])).name}",
         "Kind of numbers": "simulated throughout; nothing here was measured on a machine",
     }
