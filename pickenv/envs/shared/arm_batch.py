@@ -232,7 +232,7 @@ class NumpyArms(ArmBatch):
     block = 2048
     """Number of arms in a block. A component then takes 16 KiB; a core's first-level cache holds a few of them."""
 
-    remade = ("_plants",)
+    remade: tuple[str, ...] = ("_plants",)
 
     def make_plants(self) -> None:
         """Set the true arms of all environments, and the true arms of each block of environments."""
