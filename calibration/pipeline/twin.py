@@ -24,6 +24,7 @@ from pickenv.arm.plant.twin_file import twin_plant
 from pickenv.base import InputError
 from pickenv.calibration.model.arm_model import ArmModel, Term
 from pickenv.calibration.model.measurements import ATTITUDE_STD, POSITION_STD, Measurements
+from pickenv.calibration.model.prior import FRAME_STD
 from pickenv.calibration.model.terms import BendingTerm, ComplianceTerm, GravityTerm, PeriodicTerm, ThermalTerm
 from pickenv.calibration.pipeline.calibration import Calibration, uncertainty_from
 from pickenv.calibration.residuals.gaussian_process import GaussianProcess, feature_process
@@ -128,6 +129,8 @@ def twin(
     factor = np.zeros((len(names), len(places)))
     values, vectors = np.linalg.eigh(sure.covariance[np.ix_(places, places)])  # which may be singular
     factor[[names.index(sure.names[i]) for i in places]] = vectors * np.sqrt(np.maximum(values, 0.0))
+    for name in _never_told(calibration):
+        factor[names.index(name)] = 0.0
     unseen, traces = _unseen(calibration, names)
     scatter = ASSUMED if rows is None else scatter_of(rows)
     if SCATTER in calibration.record:
@@ -182,6 +185,18 @@ def _unseen(calibration: Calibration, names: Sequence[str]) -> tuple[Any, Array]
     return np.array([parameters.index(name) for name in lost], dtype=np.int64), traces
 
 
+def _never_told(calibration: Calibration) -> list[str]:
+    """Return the parameters of base and tool that the rows say nothing of: the tool's attitude, by positions alone.
+
+    They were free, so their posterior is as wide as metres, or turns; the twin leaves them where they are.
+    """
+    sure, names = uncertainty_from(calibration.record), calibration.model.parameter_names
+    if sure is None:
+        return []
+    wide = np.diag(sure.covariance) > 0.99 * FRAME_STD**2
+    return [name for name, free in zip(sure.names, wide, strict=True) if free and name in names]
+
+
 def _layout(terms: Sequence[Term], geometry: Geometry) -> tuple[Layout, Array]:
     """Return a plant's layout of coefficients, and the matrix ``(k, t)`` that computes these from the terms'."""
     sizes = [len(term.names(geometry)) for term in terms]
@@ -226,6 +241,8 @@ def _missing(calibration: Calibration) -> Iterator[str]:
         yield "its joints do not bend across their axes"
     if calibration.record.get("frames") == "fitted":
         yield "base and tool were fitted, so it errs in its own base as it did against the aligned nominal arm"
+    if never := _never_told(calibration):
+        yield f"the rows say nothing of {', '.join(never)}: there all arms that are drawn are the same"
 
 
 def _no_more_than(noise: Array, scatter: Scatter) -> Scatter:

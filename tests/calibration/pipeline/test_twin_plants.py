@@ -207,6 +207,20 @@ def test_with_priors_what_rows_do_not_tell_is_drawn_as_wide_as_was_expected():
     assert np.abs(seen - result.plant().without(["residual"]).tool_pose(data.joints).position).max() < 4e-5
 
 
+def test_positions_alone_leave_the_tools_attitude_where_it_stands():
+    """Rows of a target's positions do not know how the tool is turned; no drawn arm may turn it about."""
+    poses = simulated_tracker(load_plant("coarse:ur5"), draw(UR5, 60), np.random.default_rng(0))
+    data = Measurements(poses.joints, poses.position + np.array([0.2, -0.1, 0.4]), None, UR5.nominal.prismatic)
+    plant = calibrate(UR5, data, choices=Choices(terms="none", residual="none")).plant()
+    arms = draw_plants(plant, MEDIUM, 20, np.random.default_rng(1))
+    joints = draw(UR5, 50, seed=4)
+    off = np.array([pose_error(forward(UR5.nominal, joints), plant_at(arms, i).tool_pose(joints)) for i in range(20)])
+    best = pose_error(forward(UR5.nominal, joints), plant.tool_pose(joints))
+    turned, wanted = (np.degrees(np.linalg.norm(error[..., 3:], axis=-1)) for error in (off, best))
+    assert turned.max() < wanted.max() + 1.0
+    assert "the rows say nothing of tool_rx, tool_ry, tool_rz" in " ".join(plant.posterior.notes)
+
+
 def test_arm_i_does_not_depend_on_how_many_are_drawn_nor_on_what_is_off():
     rng = np.random.default_rng(6)
     plant = twin(found_by_hand(QIAO, rng, learnt=learnt_by_hand(QIAO, rng), terms=TERMS["several"]), QIAO)
