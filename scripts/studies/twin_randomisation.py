@@ -80,7 +80,7 @@ def fits(training: int, trained_on: str, picks: int) -> bool:
 def measure(
     rng: np.random.Generator, training: int, trained_on: str, picks: int, steps: int, seed: int
 ) -> list[dict[str, Any]]:
-    """One training, judged on both kinds of arms at the first pick and at the last ten."""
+    """One training, judged on both kinds of arms; with a memory, at the first pick of a run and at its last ten."""
     own: dict[str, Any] = {"plant": twin(seed)}
     with torch_on_one_thread():
         policy = None
@@ -90,6 +90,7 @@ def measure(
         rows = []
         for place, where in {"twin, held out": (own, False), "the measured arm": ({"plant": "qiao2026"}, True)}.items():
             errors = judged(policy, picks, *where, seed)
-            parts = {"first pick": errors[:1], "picks 11 to 20": errors[PICKS // 2 :] if picks > 1 else errors}
+            parts = {"first pick": errors[:1], "picks 11 to 20": errors[PICKS // 2 :]}
+            parts = parts if picks > 1 else {"without memory": errors}
             rows += [{"judged": f"{place}, {when}", "error_mm": float(each.mean())} for when, each in parts.items()]
     return rows

@@ -57,3 +57,20 @@ def test_another_seed_is_another_twin_and_other_arms(monkeypatch: pytest.MonkeyP
     monkeypatch.setitem(known, "judged", lambda policy, picks, given, fixed, seed: asked.append(seed) or np.ones(picks))
     study.experiment.measured(study.experiment.pieces()[0])
     assert asked == [7, 7, 7]
+
+
+def test_only_a_policy_with_a_memory_is_judged_by_picks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Without one there is a single number for each kind of arms, of all fruit."""
+    study = load_experiment(ROOT / "scripts/studies/twin_randomisation.toml")
+    known = study.functions["twin_randomisation.py:measure"].__globals__
+    for name, stand_in in {"twin": "ideal", "trained": None}.items():
+        monkeypatch.setitem(known, name, lambda *arguments, stand_in=stand_in: stand_in)
+    monkeypatch.setitem(known, "judged", lambda policy, picks, given, fixed, seed: 1.0 + np.arange(picks))
+    for picks, parts in {1: {"without memory": 1.0}, 20: {"first pick": 1.0, "picks 11 to 20": 15.5}}.items():
+        piece = next(piece for piece in study.experiment.pieces() if piece[0]["picks"] == picks)
+        rows = study.experiment.measured(piece)
+        places = {
+            f"{place}, {part}": mm for place in ("twin, held out", "the measured arm") for part, mm in parts.items()
+        }
+        assert dict(zip(rows["judged"].tolist(), rows["error_mm"].tolist(), strict=True)) == places
+        assert len(rows) == len(places)

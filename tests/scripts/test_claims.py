@@ -57,7 +57,6 @@ WHOLE = {"docs/claims.md", "docs/leaderboard.md", "docs/mutants.md"}
 TYPED = {
     "docs/learning.md": 7,  # long trainings: one with four times the steps, and five of PPO that picks
     "docs/papers.md": 2,  # the rank correlation takes all networks on ten arms
-    "docs/twin.md": 9,  # thirty trainings on the twin's draws and on invented ranges
 }
 """Other pages with intervals that are not the ledger's, and how many: what takes longer than it may to make again."""
 
