@@ -77,8 +77,8 @@ def kind_of(name: str) -> Kind:
     if Path(name).suffix in foreign.SUFFIXES:
         return Kind(files=(name,))
     if Path(name).is_dir():
-        own = Path(name) / "policy.npz"  # of one training
-        files = tuple(map(str, [own] if own.is_file() else sorted(Path(name).glob("*/policy.npz"))))
+        policy_file = Path(name) / "policy.npz"  # of one training
+        files = tuple(map(str, [policy_file] if policy_file.is_file() else sorted(Path(name).glob("*/policy.npz"))))
         return replace(_kind_of_files(name, files), files=files)
     try:
         policy = load_any(name)

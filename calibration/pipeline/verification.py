@@ -495,9 +495,9 @@ def _left(there: Calibration, data: Measurements, errors: Array, model: ErrorMod
         solution = identify(model, there.model, _less(data, learnt), max_iterations=60)
     except InputError:
         return np.inf
-    rest = data.difference(solution.arm_model) + learnt
+    unexplained = data.difference(solution.arm_model) + learnt
     spare = 1.0 - solution.identifiability.rank / (len(data) * data.rows_per_pose)
-    return position_rms(rest) / float(np.sqrt(spare))
+    return position_rms(unexplained) / float(np.sqrt(spare))
 
 
 def _less(data: Measurements, learnt: Array) -> Measurements:
