@@ -38,6 +38,7 @@ from pickenv.inspect import (
     estimated,
     gripped,
     html_of,
+    in_words,
     load_part,
     matters,
     percent,
@@ -278,7 +279,8 @@ def test_a_calibrations_page_cell_by_cell(kind: str, results: dict[str, Result])
         sentence += f" The attitude error falls from {figure(turned[0])} to {figure(turned[-1])} deg."
     first, middle, frames = page.verdict.text.split("\n")
     assert middle == sentence and frames[:1].isupper() and frames.endswith(".")
-    assert first.endswith(matters(f"an arm with these errors ({r.arm.name})", pick_changes(mm[NOMINAL], last)))
+    changes = pick_changes(mm[NOMINAL], last)
+    assert first.endswith(in_words(matters(f"an arm with these errors ({r.arm.name})", changes)))
     seen = r.geometric.identification
     noise = r.quality.completeness
     assert list(page.tiles.items())[:3] == [

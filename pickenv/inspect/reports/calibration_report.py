@@ -163,7 +163,8 @@ def _table(block: Block, look: str = "") -> PageTable:
     """Return a block of the terminal's output as a table, with the block's note as caption."""
     if block.key in OF_MODELS:
         return PageTable(_sentence(in_words(block.note)), block.header, block.rows, look)
-    return PageTable(escape(_sentence(block.note)), block.header, [list(map(escape, row)) for row in block.rows], look)
+    rows = tuple(tuple(map(escape, row)) for row in block.rows)
+    return PageTable(escape(_sentence(block.note)), block.header, rows, look)
 
 
 def _errors(r: Result, blocks: Mapping[str, Block]) -> Section:
